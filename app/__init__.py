@@ -1,0 +1,1 @@
+"""The studio: reads run folders, writes nothing into them."""

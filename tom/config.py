@@ -1,0 +1,258 @@
+"""Every number of a run, frozen, with the presets; the resolved copy is saved with the run.
+
+The docstring below a field is its help text on the command line.
+"""
+
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Discount = Annotated[float, Field(ge=0, lt=1)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1)]
+Whole = Annotated[int, Field(ge=0)]
+
+
+class Config(BaseModel):
+    """A frozen group of settings; an unknown name or a value out of bounds is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    def but(self, **changes: Any) -> Self:
+        """A checked copy with some values changed; nested groups take a dict of changes."""
+        merged = _merge(self.model_dump(), changes)
+        return type(self).model_validate(merged)
+
+
+def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for name, value in changes.items():
+        nested = isinstance(value, dict) and isinstance(merged.get(name), dict)
+        merged[name] = _merge(merged[name], value) if nested else value
+    return merged
+
+
+class ModelConfig(Config):
+    """The dynamics model and how it is fitted."""
+
+    kind: Literal["mdn", "ensemble", "linear"] = "mdn"
+    """mixture density network, Gaussian ensemble, or linear least squares"""
+    hidden: Count = 200
+    """units in a hidden layer"""
+    layers: Count = 4
+    """hidden layers"""
+    components: Count = 10
+    """mixture components for each output dimension (mdn)"""
+    members: Count = 7
+    """networks in the ensemble"""
+    elites: Count = 5
+    """ensemble members that predict: the best by holdout error"""
+    lr: Positive = 1e-3
+    """Adam's learning rate"""
+    batch_size: Count = 256
+    rounds: Count = 30
+    """rounds in a fit at most"""
+    batches_per_round: Count = 100
+    """minibatches in a round"""
+    patience: Count = 5
+    """rounds without a gain before a fit stops"""
+    min_gain: NonNegative = 0.01
+    """relative gain of the weighted holdout loss that counts as one"""
+    holdout: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    """share of the buffer held out"""
+    holdout_max: Count = 5000
+    """held-out transitions at most"""
+    weights: Literal["sample", "scale"] = "sample"
+    """draw minibatches by weight, or draw uniformly and scale the loss (never both)"""
+    weight_clip: Positive = 10.0
+    """weights are clipped here before the fit (mean weight 1)"""
+
+
+class SacConfig(Config):
+    """Soft actor-critic, the policy optimiser."""
+
+    hidden: Count = 256
+    layers: Count = 2
+    lr: Positive = 3e-4
+    batch_size: Count = 256
+    tau: Annotated[float, Field(gt=0, le=1)] = 0.005
+    """step of the target critics towards the critics"""
+    discount: Discount = 0.99
+    target_entropy: float | None = None
+    """entropy the temperature steers to; default -dim(A)"""
+    initial_temperature: Positive = 1.0
+
+
+class RolloutConfig(Config):
+    """Rollouts of the policy in the learnt model."""
+
+    starts: Count = 100_000
+    """start states for each fit"""
+    length: Count = 1
+    """steps of a rollout at the start of training"""
+    final_length: Count = 1
+    """steps of a rollout at the end of the schedule"""
+    schedule_start: Whole = 20
+    """epoch (1 000 env steps) where the length begins to grow"""
+    schedule_end: Whole = 150
+    """epoch where it has grown"""
+    retain: Count = 1
+    """model fits whose rollouts stay in the model buffer"""
+    weighted_starts: bool = True
+    """draw start states by weight (uniformly until the learner has weights)"""
+    chunk: Count = 2000
+    """rows predicted at once (they stay in the processor's cache)"""
+
+    def length_at(self, env_step: int) -> int:
+        """Rollout length at `env_step`, Janner's linear schedule over epochs."""
+        if self.final_length == self.length:
+            return self.length
+        span = max(self.schedule_end - self.schedule_start, 1)
+        share = (env_step / 1000 - self.schedule_start) / span
+        grown = self.length + share * (self.final_length - self.length)
+        return int(min(max(grown, self.length), self.final_length))
+
+
+class TomConfig(Config):
+    """Transition occupancy matching: discriminator, dual Q, weights (paper, section 4.3)."""
+
+    divergence: Literal["chi2", "full-chi2", "kl"] = "chi2"
+    """f: (x-1)^2/2, (x-1)^2, or KL with normalised weights"""
+    conjugate: Literal["clamped", "released"] = "clamped"
+    """chi2's conjugate over x >= 0, or the unclamped parabola of the released code"""
+    discount: Discount = 0.99
+    discriminator: bool = True
+    """off: r is 1 on the policy buffer and 0 elsewhere (the paper's ablation)"""
+    discriminator_steps: Whole = 100
+    discriminator_batch: Count = 256
+    discriminator_lr: Positive = 3e-4
+    discriminator_hidden: Count = 256
+    discriminator_reset: bool = True
+    """start the discriminator afresh at every fit"""
+    label_smoothing: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """replay rows are labelled with this instead of 0 (the released code: 0.1)"""
+    gradient_penalty: NonNegative = 0.0
+    """weight of the discriminator's gradient penalty (the released code: 10)"""
+    q_steps: Count = 1000
+    q_batch: Count = 256
+    q_lr: Positive = 3e-4
+    q_hidden: Count = 256
+    q_weight_decay: NonNegative = 1e-4
+    q_reset: bool = False
+    """start Q afresh at every fit (default: go on from the last)"""
+    q_lr_decay: bool = False
+    """decay Q's learning rate to zero over each fit (cosine)"""
+    q_non_negative: bool = False
+    """keep Q >= 0 as printed in the paper (halves the mass of the weights)"""
+    action_samples: Count = 1
+    """actions averaged for E_{a'~pi}[Q(s', a')] (the paper: one)"""
+    warmup: Count = 1000
+    """on-policy steps before TOM starts; uniform weights until then"""
+
+    _presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "paper": {},
+        # Measured against exact solutions of small MDPs: see docs/learners/tom.md.
+        "exact": {
+            "action_samples": 10,
+            "discriminator_steps": 1000,
+            "q_steps": 4000,
+            "q_weight_decay": 0.0,
+            "q_reset": True,
+            "q_lr": 1e-3,
+            "q_lr_decay": True,
+        },
+    }
+
+    @classmethod
+    def preset(cls, name: Literal["paper", "exact"]) -> Self:
+        """`paper`: table 1 of the paper; `exact`: what matches exact weights best."""
+        return cls.model_validate(cls._presets[name])
+
+
+class PmacConfig(Config):
+    """PMAC's recency weights (paper, appendix C.2)."""
+
+    decay: Annotated[float, Field(gt=0, lt=1)] = 0.996
+    """share that stays with earlier policies' transitions at a policy change"""
+
+
+class VagramConfig(Config):
+    """VaGram's value-gradient weights."""
+
+    clip_quantile: Annotated[float, Field(gt=0, le=1)] = 0.95
+    """weights are clipped at this quantile"""
+
+
+class EvaluationConfig(Config):
+    """Evaluation of the policy (mean actions) in a separate environment."""
+
+    every: Count = 1000
+    """env steps between evaluations"""
+    episodes: Count = 10
+
+
+class RunConfig(Config):
+    """What every run has."""
+
+    env: str
+    learner: str
+    seed: Whole = 0
+    """seed of every random stream"""
+    steps: Count = 10_000
+    """environment steps in all (offline: steps of policy optimisation in the model)"""
+    preset: str = "paper"
+    device: str = "cpu"
+    threads: Count = 1
+    """threads of torch (one is fastest for one run; give other cores to other seeds)"""
+    matmul: Literal["auto", "default", "onednn"] = "auto"
+    """fp32 matrix products on a CPU: probe, torch's default, or oneDNN"""
+    bins: Count = 100
+    """bins of a weight profile, oldest to newest"""
+    snapshots: Whole = 12
+    """fits over a run whose every single weight is kept (0: none but the last)"""
+    tom: TomConfig = TomConfig()
+    pmac: PmacConfig = PmacConfig()
+    vagram: VagramConfig = VagramConfig()
+
+
+class OnlineConfig(RunConfig):
+    """MBPO in a MuJoCo task (Algorithm 2)."""
+
+    exploration_steps: Whole = 5000
+    """uniformly random steps before training starts"""
+    fit_every: Count = 250
+    """env steps between model fits"""
+    updates_per_step: Count = 5
+    """SAC updates for each env step"""
+    real_ratio: Fraction = 0.05
+    """share of real transitions in a SAC minibatch"""
+    replay_capacity: Count = 1_000_000
+    policy_capacity: Count = 1000
+    """the policy buffer: the last so many on-policy transitions"""
+    model: ModelConfig = ModelConfig()
+    sac: SacConfig = SacConfig()
+    rollout: RolloutConfig = RolloutConfig()
+    evaluation: EvaluationConfig = EvaluationConfig()
+
+
+class RoadConfig(RunConfig):
+    """Offline model-based RL on road-and-rocks with a linear model (paper, section 5.1)."""
+
+    env: str = "road-and-rocks"
+    turn: float = 180.0
+    """mean turn of the steering on rocks, degrees"""
+    spread: NonNegative = 90.0
+    """half-width of the turn's uniform spread, degrees"""
+    random_transitions: Count = 10_000
+    expert_trajectories: Count = 10
+    expert_first: bool = False
+    """store the expert data before the random data (PMAC's weights follow the order)"""
+    updates_per_step: Count = 1
+    """SAC updates for each step of policy optimisation"""
+    fit_every: Count = 1000
+    """steps of policy optimisation between two records of weights and model"""
+    sac: SacConfig = SacConfig()
+    rollout: RolloutConfig = RolloutConfig()
+    evaluation: EvaluationConfig = EvaluationConfig()

@@ -1,0 +1,5 @@
+"""Transitions and the buffers that hold them."""
+
+from tom.data.transitions import Transitions
+
+__all__ = ["Transitions"]

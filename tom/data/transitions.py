@@ -1,0 +1,64 @@
+"""A batch of transitions (s, a, r, s'), the currency of the whole backend."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """N transitions. Every field has a leading N and is a numpy array or a tensor.
+
+    `terminated` ends the value (no bootstrap); `truncated` (a time limit) does not.
+    """
+
+    obs: Tensor | np.ndarray  # (N, O)
+    action: Tensor | np.ndarray  # (N, A)
+    reward: Tensor | np.ndarray  # (N,)
+    next_obs: Tensor | np.ndarray  # (N, O)
+    terminated: Tensor | np.ndarray  # (N,)
+    truncated: Tensor | np.ndarray  # (N,)
+
+    def __len__(self) -> int:
+        return len(self.obs)
+
+    def __getitem__(self, index: slice | Tensor | np.ndarray) -> Transitions:
+        return Transitions(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def torch(self) -> TensorTransitions:
+        """The same rows as float32 tensors; shares memory where it can."""
+        return TensorTransitions(
+            *(torch.as_tensor(getattr(self, f.name)).to(torch.float32) for f in fields(self))
+        )
+
+    def numpy(self) -> Transitions:
+        """The same rows as numpy arrays; shares memory where it can."""
+        return Transitions(*(np.asarray(getattr(self, f.name)) for f in fields(self)))
+
+    @staticmethod
+    def concatenate(parts: Sequence[Transitions]) -> Transitions:
+        """The rows of all parts, in order, as numpy arrays."""
+        arrays = [p.numpy() for p in parts]
+        return Transitions(
+            *(np.concatenate([getattr(a, f.name) for a in arrays]) for f in fields(Transitions))
+        )
+
+
+@dataclass(frozen=True)
+class TensorTransitions(Transitions):
+    """Transitions that are float32 tensors throughout (flags are 0 or 1)."""
+
+    obs: Tensor
+    action: Tensor
+    reward: Tensor
+    next_obs: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+    def __getitem__(self, index: slice | Tensor | np.ndarray) -> TensorTransitions:
+        return TensorTransitions(*(getattr(self, f.name)[index] for f in fields(self)))

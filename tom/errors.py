@@ -1,0 +1,20 @@
+"""Errors that are the user's to mend: one line, naming the fix."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class UserError(Exception):
+    """Bad input. The command line prints its one line and exits with code 2."""
+
+
+def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
+    """The error for a name that is not one of `known`, offering the nearest.
+
+    >>> str(unknown("learner", "pmacs", ["mle", "pmac", "tom"]))
+    "unknown learner 'pmacs': did you mean 'pmac'? Known: mle, pmac, tom"
+    """
+    names = list(known)
+    near = get_close_matches(name.lower(), names, n=1, cutoff=0.5)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    return UserError(f"unknown {kind} '{name}': {hint}Known: {', '.join(names)}")

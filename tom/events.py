@@ -1,0 +1,105 @@
+"""What a training tells its consumers: recorder, progress bar, tests.
+
+A training is a generator of these. It never waits for a consumer's files, clocks or sockets.
+`env_step` counts environment steps (offline: steps of policy optimisation in the model).
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tom.data.transitions import Transitions
+
+FloatArray = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Tick:
+    """One environment step was taken (or a phase of the work began)."""
+
+    env_step: int
+    phase: str  # "explore", "fit", "optimise", "evaluate"
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Scalars measured at `env_step`, keyed by metric path (see `tom.metrics.METRICS`)."""
+
+    env_step: int
+    values: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The weight of every transition in the replay buffer, oldest first, at a model fit.
+
+    `weight` is (N,) and has mean 1 unless every weight is zero; `per_dim` is (N, O) for learners
+    that weigh each dimension (then `weight` is its mean over dimensions). `log_ratio` (N,) is the
+    r that was fed to the dual Q, where the learner has one.
+    """
+
+    env_step: int
+    weight: FloatArray
+    per_dim: FloatArray | None = None
+    log_ratio: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One evaluation episode of H steps, complete enough to draw any frame of it again."""
+
+    reward: FloatArray  # (H,)
+    action: FloatArray  # (H, A)
+    obs: FloatArray  # (H + 1, O)
+    qpos: FloatArray | None = None  # (H + 1, nq), MuJoCo tasks only
+    qvel: FloatArray | None = None  # (H + 1, nv), MuJoCo tasks only
+    terminated: bool = False
+    truncated: bool = False
+    info: dict[str, float] = field(default_factory=dict)  # e.g. success
+
+    @property
+    def undiscounted_return(self) -> float:
+        return float(self.reward.sum(dtype=np.float64))
+
+    @property
+    def length(self) -> int:
+        return len(self.reward)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The evaluation episodes of the policy at `env_step`, played in a separate environment."""
+
+    env_step: int
+    episodes: list[Episode]
+
+
+@dataclass(frozen=True)
+class Collected:
+    """New rows of the replay buffer since the last such event, in the order of collection."""
+
+    env_step: int
+    transitions: Transitions
+    policy_version: NDArray[np.int64]  # (n,) which policy collected each row; 0 is exploration
+
+
+@dataclass(frozen=True)
+class Field:
+    """Arrays of a task's own picture (road-and-rocks: map, model displacement field, ...)."""
+
+    env_step: int
+    name: str
+    arrays: dict[str, NDArray]
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Something that a reader of the run must know (degenerate weights, a runaway dual Q)."""
+
+    env_step: int
+    kind: str
+    message: str
+
+
+Event = Tick | Metrics | Weights | Evaluation | Collected | Field | Notice

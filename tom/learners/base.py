@@ -1,0 +1,75 @@
+"""What a learner is: a weighting of the replay buffer.
+
+Every learner fits the same dynamics model by weighted maximum likelihood; they differ only in
+the answer to one question: how much does each transition (and dimension) count?
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from tom.data.transitions import TensorTransitions
+
+
+class Policy(Protocol):
+    """A stochastic policy: n actions for each observation.
+
+    A policy with finitely many actions may also offer
+    `support(obs) -> (actions (K, B, A), probs (K, B))`; expectations over a' are exact then.
+    """
+
+    def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        """obs (B, O) -> actions (n, B, A)."""
+        ...
+
+
+@dataclass(frozen=True)
+class FitContext:
+    """All that a learner may look at when the model is about to be fitted.
+
+    `replay` is the whole replay buffer, oldest first; `policy_version` says which policy
+    collected each row (0 is exploration); `policy_buffer` holds the last on-policy transitions
+    and `on_policy_steps` counts how many there have been; `initial_obs` are draws of the start
+    distribution mu_0. `value_gradient` gives dV_k/ds of the K value heads at (B, O) states,
+    (K, B, O), where the policy optimiser has value heads.
+    """
+
+    replay: TensorTransitions
+    policy_version: Tensor  # (N,) int64
+    policy_buffer: TensorTransitions
+    on_policy_steps: int
+    initial_obs: Tensor  # (M0, O)
+    policy: Policy
+    generator: torch.Generator
+    value_gradient: Callable[[Tensor], Tensor] | None = None
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """The answer: one weight a transition, normalised to mean 1.
+
+    `ready` is False while the learner has nothing to say yet (its weights are uniform then).
+    `notices` are (kind, message) pairs that belong into the run's record.
+    """
+
+    weights: Tensor  # (N,)
+    per_dim: Tensor | None = None  # (N, O)
+    log_ratio: Tensor | None = None  # (N,)
+    ready: bool = True
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    notices: tuple[tuple[str, str], ...] = ()
+
+
+class Learner(Protocol):
+    """A model learner. It keeps what it warm-starts; `state_dict` is all of that."""
+
+    name: str
+
+    def weigh(self, context: FitContext) -> Weighting: ...
+
+    def state_dict(self) -> dict[str, Any]: ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...

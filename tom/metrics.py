@@ -1,0 +1,52 @@
+"""The metric paths and what they mean: one table for tooltips, docs and `--help`."""
+
+METRICS: dict[str, str] = {
+    "eval/return": "mean undiscounted return of the evaluation episodes",
+    "eval/return_max": "running maximum of eval/return (the paper's metric)",
+    "eval/return_std": "standard deviation of the return over the evaluation episodes",
+    "eval/length": "mean length of the evaluation episodes, steps",
+    "eval/success": "share of evaluation episodes that reach the goal (road-and-rocks)",
+    "train/return": "undiscounted return of the last finished training episode",
+    "train/length": "length of the last finished training episode, steps",
+    "model/train_nll": "mean negative log-likelihood (z-scored targets) in the last round of the fit",
+    "model/holdout_nll": "weighted holdout negative log-likelihood of the kept model",
+    "model/holdout_nll_uniform": "holdout negative log-likelihood, every transition counting the same",
+    "model/holdout_mse": "holdout mean squared error of the predicted mean (z-scored targets)",
+    "model/rounds": "rounds of the fit before it stopped",
+    "model/error_policy": "one-step error of the predicted next state on the policy buffer (z-scored)",
+    "model/error_other": "one-step error of the predicted next state on the rest of the buffer (z-scored)",
+    "model/error_expert": "one-step error on expert data, in full steps (road-and-rocks)",
+    "model/error_road": "one-step error on the road under random actions, in full steps",
+    "model/error_rocks": "one-step error on the rocks under random actions, in full steps",
+    "weights/ess": "effective sample size (sum w)^2 / sum w^2, as a share of the buffer",
+    "weights/zeros": "share of transitions with weight zero",
+    "weights/max": "largest weight (mean weight is 1)",
+    "weights/raw_mean": "mean weight before normalisation (1 at the exact optimum)",
+    "weights/age_correlation": "rank correlation of weight and position in the buffer (1: newest count most)",
+    "weights/road_share": "share of the weight that lies on the road (road-and-rocks)",
+    "weights/road_ratio": "mean weight on the road over mean weight on rocks, random data only",
+    "weights/degenerate": "fits so far whose weights were unusable and fell back to uniform",
+    "discriminator/loss": "cross entropy of the discriminator, last steps",
+    "discriminator/accuracy": "share of transitions the discriminator puts on the right side",
+    "dual/loss": "TOM's dual objective, last steps",
+    "dual/q_mean": "mean of TOM's dual Q over the buffer",
+    "critic/loss": "SAC: sum of the twin critics' squared errors",
+    "critic/q": "SAC: mean Q of the minibatch",
+    "actor/loss": "SAC: temperature * log_prob - min Q",
+    "actor/entropy": "SAC: minus mean log_prob of the sampled actions",
+    "temperature/value": "SAC: entropy temperature",
+    "rollout/reward": "mean model-predicted reward of the rollouts",
+    "rollout/terminated": "share of rollout steps that end in a terminal state",
+    "planner/return": "return of the planner in the learnt model, driven in the real task (road-and-rocks)",
+    "planner/success": "share of the planner's episodes that reach the goal (road-and-rocks)",
+    "buffer/size": "transitions in the replay buffer",
+    "time/wall_s": "seconds since the run started (resumes added up)",
+    "time/env_steps_per_s": "environment steps a second since the last row",
+    "time/fit_s": "seconds of the last model fit, weights included",
+    "time/record_s": "seconds spent recording so far",
+}
+
+
+def describe(path: str) -> str:
+    """The meaning of a metric path; the path itself where the table has none."""
+    return METRICS.get(path, path)

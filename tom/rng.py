@@ -1,0 +1,50 @@
+"""Random streams: each part of a run draws from its own named generator.
+
+A stream depends on the run's seed and the stream's name alone, so adding a stream never shifts
+another one, and a member of a fleet draws the same numbers whoever trains beside it.
+"""
+
+from collections.abc import Sequence
+from zlib import crc32
+
+import numpy as np
+import torch
+from torch import Tensor
+
+Generators = Sequence[torch.Generator]
+"""One generator a member, in member order."""
+
+
+class Streams:
+    """The named random generators of one run (one seed)."""
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+        self._torch: dict[str, torch.Generator] = {}
+        self._numpy: dict[str, np.random.Generator] = {}
+
+    def torch(self, name: str) -> torch.Generator:
+        """The torch generator called `name`, the same object at every call."""
+        if name not in self._torch:
+            self._torch[name] = torch.Generator().manual_seed(self.integer(name))
+        return self._torch[name]
+
+    def numpy(self, name: str) -> np.random.Generator:
+        """The numpy generator called `name`, the same object at every call."""
+        if name not in self._numpy:
+            self._numpy[name] = np.random.default_rng(self.integer(name))
+        return self._numpy[name]
+
+    def integer(self, name: str) -> int:
+        """A 32-bit seed for a library that wants one (an environment's reset)."""
+        return int(np.random.SeedSequence([self.seed, crc32(name.encode())]).generate_state(1)[0])
+
+
+def normal(generators: Generators, shape: Sequence[int]) -> Tensor:
+    """Standard normal draws, (M, *shape): member m from its own generator."""
+    return torch.stack([torch.randn(*shape, generator=g) for g in generators])
+
+
+def uniform(generators: Generators, shape: Sequence[int]) -> Tensor:
+    """Uniform draws on [0, 1), (M, *shape): member m from its own generator."""
+    return torch.stack([torch.rand(*shape, generator=g) for g in generators])
