@@ -1,0 +1,118 @@
+"""ReplayBuffer against a plain list of rows."""
+
+import io
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tom.data.replay import ReplayBuffer
+from tom.data.transitions import TensorTransitions
+
+OBS_DIM, ACTION_DIM = 3, 2
+
+
+def rows(start: int, n: int) -> TensorTransitions:
+    """n recognisable transitions numbered from `start`."""
+    k = torch.arange(start, start + n, dtype=torch.float32)
+    obs = k[:, None] * 10 + torch.arange(OBS_DIM)
+    action = -k[:, None] - torch.arange(ACTION_DIM) / 8
+    return TensorTransitions(
+        obs, action, k / 4, obs + 10, (k % 3 == 0).float(), (k % 5 == 0).float()
+    )
+
+
+def equal(left: TensorTransitions, right: TensorTransitions) -> bool:
+    names = ("obs", "action", "reward", "next_obs", "terminated", "truncated")
+    return all(torch.equal(getattr(left, n), getattr(right, n)) for n in names)
+
+
+def add_one(buffer: ReplayBuffer, t: TensorTransitions, version: int) -> None:
+    n = t.numpy()
+    buffer.add(
+        np.asarray(n.obs[0], dtype=np.float64),
+        n.action[0],
+        float(n.reward[0]),
+        n.next_obs[0],
+        bool(n.terminated[0]),
+        bool(n.truncated[0]),
+        version,
+    )
+
+
+operation = st.one_of(
+    st.tuples(st.just("add"), st.just(1)),
+    st.tuples(st.just("extend"), st.integers(0, 25)),
+    st.tuples(st.just("clear"), st.just(0)),
+    st.tuples(st.just("reload"), st.just(0)),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(capacity=st.integers(1, 12), operations=st.lists(operation, max_size=12), data=st.data())
+def test_behaves_as_a_list(capacity, operations, data):
+    buffer = ReplayBuffer(capacity, OBS_DIM, ACTION_DIM)
+    model: list[int] = []  # numbers of the rows held, oldest first
+    total = 0
+    for kind, n in operations:
+        if kind == "clear":
+            buffer.clear()
+            model = []
+        elif kind == "reload":
+            state = buffer.state_dict()
+            buffer = ReplayBuffer(capacity, OBS_DIM, ACTION_DIM)
+            buffer.load_state_dict(state)
+        elif kind == "add":
+            add_one(buffer, rows(total, 1), total)
+        else:
+            buffer.extend(rows(total, n), torch.arange(total, total + n))
+        if kind in ("add", "extend"):
+            model = (model + list(range(total, total + n)))[-capacity:]
+            total += n
+        assert len(buffer) == len(model)
+        assert buffer.total_added == total
+    held = rows(0, total)[torch.tensor(model, dtype=torch.int64)]
+    assert equal(buffer.transitions(), held)
+    assert buffer.policy_version().tolist() == model
+    n = data.draw(st.integers(0, capacity + 2))
+    assert equal(buffer.last(n), held[max(len(model) - n, 0) :])
+    mark = data.draw(st.integers(0, total))
+    newer = [position for position, k in enumerate(model) if k >= mark]
+    assert equal(buffer.since(mark), held[torch.tensor(newer, dtype=torch.int64)])
+    if model:
+        index = torch.tensor(data.draw(st.lists(st.integers(0, len(model) - 1), max_size=8)))
+        assert equal(buffer.gather(index.long()), held[index.long()])
+
+
+def test_whole_buffer_is_a_view_until_it_wraps():
+    buffer = ReplayBuffer(10, OBS_DIM, ACTION_DIM)
+    buffer.extend(rows(0, 4))
+    before = buffer.transitions()
+    assert before.obs.data_ptr() == buffer.transitions().obs.data_ptr()
+    assert before.obs.untyped_storage().data_ptr() == before.reward.untyped_storage().data_ptr()
+
+
+def test_state_survives_a_safe_load_and_wraps_on_as_before():
+    buffer = ReplayBuffer(5, OBS_DIM, ACTION_DIM)
+    buffer.extend(rows(0, 8), torch.arange(8))
+    file = io.BytesIO()
+    torch.save(buffer.state_dict(), file)
+    file.seek(0)
+    other = ReplayBuffer(5, OBS_DIM, ACTION_DIM)
+    other.load_state_dict(torch.load(file, weights_only=True))
+    for b in (buffer, other):
+        b.extend(rows(8, 3), 9)
+    assert equal(buffer.transitions(), other.transitions())
+    assert other.policy_version().tolist() == [6, 7, 9, 9, 9]
+    assert other.total_added == 11
+
+
+def test_state_of_another_shape_is_refused():
+    buffer = ReplayBuffer(5, OBS_DIM, ACTION_DIM)
+    buffer.extend(rows(0, 5))
+    with pytest.raises(ValueError, match="do not fit"):
+        ReplayBuffer(4, OBS_DIM, ACTION_DIM).load_state_dict(buffer.state_dict())
+    with pytest.raises(ValueError, match="do not fit"):
+        ReplayBuffer(5, OBS_DIM + 1, ACTION_DIM).load_state_dict(buffer.state_dict())

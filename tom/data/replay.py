@@ -1,0 +1,139 @@
+"""A first-in-first-out buffer of transitions: the replay, the policy and the model buffer."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tom.data.transitions import TensorTransitions
+
+
+class ReplayBuffer:
+    """The last `capacity` transitions added, oldest first.
+
+    A transition is one row of a packed float32 tensor (capacity, 2 O + A + 3), so that a minibatch
+    is one `index_select`; beside it stands the version of the policy that collected it. Memory is
+    reserved at once but touched row by row. Batches handed out without a copy are views of the
+    live rows: they change when the buffer, once full, writes over them.
+    """
+
+    def __init__(
+        self, capacity: int, obs_dim: int, action_dim: int, device: torch.device | str = "cpu"
+    ) -> None:
+        if capacity < 1:
+            raise ValueError(f"capacity must be at least 1, not {capacity}")
+        self.capacity = capacity
+        self.total_added = 0
+        self._dims = (obs_dim, action_dim)
+        self._rows = torch.empty(capacity, 2 * obs_dim + action_dim + 3, device=device)
+        self._versions = torch.empty(capacity, dtype=torch.int64, device=device)
+        self._size = 0
+        self._end = 0  # where the next row goes
+
+    def __len__(self) -> int:
+        return self._size
+
+    def add(
+        self,
+        obs: np.ndarray,
+        action: np.ndarray,
+        reward: float,
+        next_obs: np.ndarray,
+        terminated: bool,
+        truncated: bool,
+        policy_version: int = 0,
+    ) -> None:
+        """Append one transition: obs and next_obs (O,), action (A,)."""
+        row = np.concatenate((obs, action, (reward,), next_obs, (terminated, truncated)))
+        self._rows[self._end] = torch.from_numpy(row.astype(np.float32))
+        self._versions[self._end] = policy_version
+        self._advance(1)
+
+    def extend(self, rows: TensorTransitions, policy_version: Tensor | int = 0) -> None:
+        """Append N transitions in order; `policy_version` is (N,) or one for all."""
+        self._extend(_pack(rows), torch.as_tensor(policy_version).expand(len(rows)))
+
+    def transitions(self) -> TensorTransitions:
+        """Everything, oldest first; views while the buffer has not wrapped, a copy afterwards."""
+        return self._unpack(self._ordered(self._rows))
+
+    def policy_version(self) -> Tensor:
+        """The policy version of every row, oldest first, (N,) int64."""
+        return self._ordered(self._versions)
+
+    def gather(self, index: Tensor) -> TensorTransitions:
+        """The rows at `index` (n,), counted from the oldest."""
+        return self._unpack(self._rows.index_select(0, self._physical(index)))
+
+    def last(self, n: int) -> TensorTransitions:
+        """The newest n rows (all, where there are fewer), oldest of them first."""
+        n = min(n, self._size)
+        if n <= self._end:
+            return self._unpack(self._rows[self._end - n : self._end])
+        return self.gather(torch.arange(self._size - n, self._size, device=self._rows.device))
+
+    def since(self, total: int) -> TensorTransitions:
+        """The rows added after the `total`-th ever added that are still held.
+
+        Their policy versions are the last entries of `policy_version()`.
+        """
+        return self.last(max(self.total_added - total, 0))
+
+    def clear(self) -> None:
+        """Forget every row; `total_added` goes on counting."""
+        self._size = self._end = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Tensors and integers only: the held rows, oldest first."""
+        return {
+            "rows": self._ordered(self._rows).clone(),
+            "policy_version": self.policy_version().clone(),
+            "total_added": self.total_added,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Become the buffer that `state_dict` was taken from (the capacity must hold it)."""
+        rows: Tensor = state["rows"]
+        if rows.shape[1] != self._rows.shape[1] or len(rows) > self.capacity:
+            raise ValueError(f"rows {tuple(rows.shape)} do not fit {tuple(self._rows.shape)}")
+        self.clear()
+        self._extend(rows, state["policy_version"])
+        self.total_added = state["total_added"]
+
+    def _extend(self, rows: Tensor, versions: Tensor) -> None:
+        skipped = max(len(rows) - self.capacity, 0)
+        self.total_added += skipped
+        rows, versions = rows[skipped:], versions[skipped:]
+        head = min(len(rows), self.capacity - self._end)
+        for part in (slice(0, head), slice(head, len(rows))):
+            n = part.stop - part.start
+            self._rows[self._end : self._end + n] = rows[part]
+            self._versions[self._end : self._end + n] = versions[part]
+            self._advance(n)
+
+    def _advance(self, n: int) -> None:
+        self._end = (self._end + n) % self.capacity
+        self._size = min(self._size + n, self.capacity)
+        self.total_added += n
+
+    def _ordered(self, stored: Tensor) -> Tensor:
+        if self._size == self.capacity and self._end:
+            return torch.cat((stored[self._end :], stored[: self._end]))
+        return stored[: self._size]
+
+    def _physical(self, index: Tensor) -> Tensor:
+        if self._size < self.capacity:
+            return index
+        return (index + self._end) % self.capacity
+
+    def _unpack(self, rows: Tensor) -> TensorTransitions:
+        o, a = self._dims
+        obs, action, reward, next_obs, terminated, truncated = rows.split((o, a, 1, o, 1, 1), dim=1)
+        flags = terminated.squeeze(1), truncated.squeeze(1)
+        return TensorTransitions(obs, action, reward.squeeze(1), next_obs, *flags)
+
+
+def _pack(t: TensorTransitions) -> Tensor:
+    flags = torch.stack((t.terminated, t.truncated), dim=1)
+    return torch.cat((t.obs, t.action, t.reward.unsqueeze(1), t.next_obs, flags), dim=1)

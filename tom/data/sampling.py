@@ -1,0 +1,75 @@
+"""Weights over the rows of a buffer: normalising, drawing by them, summing them up."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def normalise(weights: Tensor) -> tuple[Tensor, bool]:
+    """Weights (N,) scaled to mean 1, and whether they were degenerate.
+
+    Degenerate weights (all zero, or any negative or non-finite one) become uniform.
+    """
+    total = weights.sum(dtype=torch.float64)
+    if not _usable(weights, total):
+        return torch.ones_like(weights), True
+    return (weights.to(torch.float64) * (len(weights) / total)).to(weights.dtype), False
+
+
+class WeightedSampler:
+    """Draws row numbers with replacement, row i in proportion to weights[i].
+
+    Inverse of the cumulative sum in float64: `torch.multinomial` fails above 2^24 rows.
+    """
+
+    def __init__(self, weights: Tensor, generator: torch.Generator) -> None:
+        if not _usable(weights, weights.sum(dtype=torch.float64)):
+            raise ValueError("weights must be finite, non-negative and not all zero: normalise")
+        # Rows of weight zero are left out, so that no rounding can ever draw one.
+        self._rows = torch.nonzero(weights).squeeze(1)
+        self._cumulative = weights[self._rows].to(torch.float64).cumsum(0)
+        self._generator = generator
+
+    def draw(self, n: int) -> Tensor:
+        """n row numbers, (n,) int64."""
+        g = self._generator
+        u = torch.rand(n, dtype=torch.float64, generator=g, device=g.device)
+        u = u.to(self._cumulative.device) * self._cumulative[-1]
+        found = torch.searchsorted(self._cumulative, u, right=True)
+        return self._rows[found.clamp_(max=len(self._rows) - 1)]
+
+
+def uniform_indices(high: int, n: int, generator: torch.Generator) -> Tensor:
+    """n uniform draws from 0..high-1 with replacement, (n,) int64."""
+    return torch.randint(high, (n,), generator=generator, device=generator.device)
+
+
+def ess(weights: Tensor | np.ndarray) -> float:
+    """Effective sample size as a share of the rows, (sum w)^2 / (N sum w^2), in (0, 1].
+
+    Zero where every weight is zero.
+    """
+    w = torch.as_tensor(weights).to(torch.float64)
+    squares = w.square().sum()
+    return float(w.sum().square() / (squares * len(w))) if squares > 0 else 0.0
+
+
+def bin_means(weights: Tensor | np.ndarray, bins: int) -> Tensor:
+    """Mean weight in each of `bins` equal parts, oldest to newest, (bins,) float64.
+
+    A row that lies across a border counts in both parts in proportion, so the mean of the bins is
+    the mean weight whatever N is, and with fewer rows than bins a row spans several.
+    """
+    w = torch.as_tensor(weights).to(torch.float64)
+    n = len(w)
+    if n == 0:
+        raise ValueError("no weights to bin")
+    border = torch.arange(bins + 1, device=w.device) * n  # in units of 1 / bins rows
+    whole, part = border // bins, border % bins
+    before = torch.cat((w.new_zeros(1), w.cumsum(0)))  # before[i]: sum of the first i weights
+    up_to = before[whole] + torch.cat((w, w.new_zeros(1)))[whole] * part / bins
+    return up_to.diff() * bins / n
+
+
+def _usable(weights: Tensor, total: Tensor) -> bool:
+    return bool(torch.isfinite(total) and total > 0 and (weights >= 0).all())
