@@ -37,8 +37,8 @@ def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 class ModelConfig(Config):
     """The dynamics model and how it is fitted."""
 
-    kind: Literal["mdn", "ensemble", "linear"] = "mdn"
-    """mixture density network, Gaussian ensemble, or linear least squares"""
+    kind: Literal["mdn", "ensemble", "mean-ensemble", "linear"] = "mdn"
+    """mixture density network, Gaussian ensemble, mean-only ensemble (VaGram), or least squares"""
     hidden: Count = 200
     """units in a hidden layer"""
     layers: Count = 4

@@ -49,8 +49,21 @@ class StackedMLP(nn.Module):
             self.biases.append(nn.Parameter(drawn[:, -1:].contiguous()))
 
     def forward(self, x: Tensor) -> Tensor:
-        last = len(self.weights) - 1
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+        return self._run(x, list(self.weights), list(self.biases))
+
+    def frozen(self, x: Tensor) -> Tensor:
+        """The same values; gradients reach `x` but not the parameters."""
+        return self._run(x, [w.detach() for w in self.weights], [b.detach() for b in self.biases])
+
+    def member(self, index: int, x: Tensor) -> Tensor:
+        """Network `index` alone: (B, in) -> (B, out)."""
+        weights = [w[index : index + 1] for w in self.weights]
+        biases = [b[index : index + 1] for b in self.biases]
+        return self._run(x.unsqueeze(0), weights, biases).squeeze(0)
+
+    def _run(self, x: Tensor, weights: list[Tensor], biases: list[Tensor]) -> Tensor:
+        last = len(weights) - 1
+        for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
             x = torch.baddbmm(bias, x, weight)
             if layer < last:
                 x = self.activation(x)

@@ -60,5 +60,17 @@ class TensorTransitions(Transitions):
     terminated: Tensor
     truncated: Tensor
 
-    def __getitem__(self, index: slice | Tensor | np.ndarray) -> TensorTransitions:
+    def __getitem__(self, index: slice | Tensor | np.ndarray | None) -> TensorTransitions:
+        """Some rows; `[None]` puts a member axis of one in front."""
         return TensorTransitions(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def copy(self) -> TensorTransitions:
+        """The same rows in memory of their own (a buffer's rows are views that may change)."""
+        return TensorTransitions(*(getattr(self, f.name).clone() for f in fields(self)))
+
+    @staticmethod
+    def join(parts: Sequence[TensorTransitions]) -> TensorTransitions:
+        """The rows of all parts, in order, as tensors."""
+        return TensorTransitions(
+            *(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(TensorTransitions))
+        )

@@ -1,0 +1,5 @@
+"""`python -m tom` is the console script `tom`."""
+
+from tom.cli import script
+
+script()

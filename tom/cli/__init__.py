@@ -1,0 +1,39 @@
+"""The command line: thin; each command is one file with `add_parser` and `run`."""
+
+import sys
+from collections.abc import Sequence
+
+from tom import __version__
+from tom.cli import bench, demo, runs, studio, train
+from tom.cli.parser import Parser
+from tom.errors import UserError
+
+COMMANDS = (demo, train, studio, bench, runs)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command: 0 done, 1 failed, 2 bad input (one line that names the fix)."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == ["studio"]:
+        studio.hand_over(arguments[1:])
+    parser = Parser(
+        prog="tom",
+        description="See which data a learned dynamics model pays attention to, while it trains.",
+    )
+    parser.add_argument("--version", action="version", version=f"tom {__version__}")
+    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add_parser(subparsers, arguments)
+    try:
+        args = parser.parse_args(arguments)
+        return args.run(args)
+    except UserError as error:
+        print(f"tom: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        return 1
+
+
+def script() -> None:
+    """The console script."""
+    raise SystemExit(main())

@@ -1,0 +1,112 @@
+"""Arguments: one-line errors with the nearest option, and options made from a configuration."""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, NoReturn, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from tom.errors import UserError
+
+DEST = "config:"  # marks arguments that belong to the configuration
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line and offer the nearest known option."""
+
+    def error(self, message: str) -> NoReturn:
+        print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
+        raise SystemExit(2)
+
+    def parse_args(self, args=None, namespace=None):  # type: ignore[override]
+        parsed, rest = self.parse_known_args(args, namespace)
+        if rest:
+            known = [o for action in _all_actions(self) for o in action.option_strings]
+            near = get_close_matches(rest[0].split("=")[0], known, n=1)
+            hint = f", did you mean {near[0]}?" if near else ""
+            self.error(f"unknown argument {rest[0]}{hint}")
+        return parsed
+
+
+def _all_actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            for sub in action.choices.values():
+                yield from _all_actions(sub)
+
+
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """The options every command that trains shares."""
+    group = parser.add_argument_group("where and how")
+    group.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    group.add_argument("--no-rerun", action="store_true", help="write files only, no recording")
+    group.add_argument("--headless", action="store_true", help="no server, no browser")
+    group.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_config_options(
+    parser: argparse.ArgumentParser, config: type[BaseModel], leave_out: set[str]
+) -> None:
+    """One option for each value of a configuration; nested groups are dotted (`--sac.lr`)."""
+    group = parser.add_argument_group("settings (each overrides the preset)")
+    for path, info in leaf_fields(config):
+        if path in leave_out:
+            continue
+        option = "--" + path.replace("_", "-")
+        group.add_argument(
+            option, dest=DEST + path, metavar=_metavar(info), help=_help(info), default=None
+        )
+
+
+def leaf_fields(config: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """(dotted path, field) of every value of a configuration."""
+    for name, info in config.model_fields.items():
+        kind = info.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from leaf_fields(kind, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", info
+
+
+def overrides(args: argparse.Namespace) -> dict[str, Any]:
+    """The configuration values that were given, as a nested dict."""
+    nested: dict[str, Any] = {}
+    for dest, value in vars(args).items():
+        if not dest.startswith(DEST) or value is None:
+            continue
+        *groups, name = dest.removeprefix(DEST).split(".")
+        level = nested
+        for group in groups:
+            level = level.setdefault(group, {})
+        level[name] = None if str(value).lower() == "none" else value
+    return nested
+
+
+def one_line(error: ValidationError) -> UserError:
+    """Pydantic's first complaint as one line that names the option."""
+    first = error.errors(include_url=False)[0]
+    option = "--" + ".".join(str(part) for part in first["loc"]).replace("_", "-")
+    message = first["msg"].replace("Input should be", "must be")
+    return UserError(f"{option} {first['input']}: {message}")
+
+
+def _metavar(info: FieldInfo) -> str:
+    kind = info.annotation
+    if get_origin(kind) is Literal:
+        return "|".join(str(choice) for choice in get_args(kind))
+    if get_origin(kind) in (Union, UnionType):
+        kind = next(k for k in get_args(kind) if k is not type(None))
+    name = getattr(kind, "__name__", str(kind))
+    return {"int": "N", "float": "X", "bool": "true|false", "str": "NAME"}.get(name, name.upper())
+
+
+def _help(info: FieldInfo) -> str:
+    text = (info.description or "").replace("%", "%%")
+    default = info.get_default(call_default_factory=True)
+    return f"{text} [{default}]".strip()

@@ -1,0 +1,16 @@
+"""`tom studio`: hand over to the studio, a package of its own that the backend never imports."""
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    subparsers.add_parser("studio", help="open the studio in the browser")
+
+
+def hand_over(arguments: Sequence[str]) -> NoReturn:
+    """Become `python -m app` with the same arguments."""
+    sys.stdout.flush()
+    os.execv(sys.executable, [sys.executable, "-m", "app", *arguments])

@@ -1,0 +1,23 @@
+"""Dynamics models: mixture density network, ensembles, linear least squares."""
+
+import torch
+
+from tom.config import ModelConfig
+from tom.dynamics.base import DynamicsModel, FitReport
+from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
+from tom.dynamics.mdn import Mdn
+
+__all__ = ["DynamicsModel", "FitReport", "make_model"]
+
+MODELS = {
+    "mdn": Mdn,
+    "ensemble": GaussianEnsemble,
+    "mean-ensemble": MeanEnsemble,
+}
+
+
+def make_model(
+    obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
+) -> DynamicsModel:
+    """The dynamics model that `config.kind` names."""
+    return MODELS[config.kind](obs_dim, action_dim, config, generator)

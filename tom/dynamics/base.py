@@ -1,0 +1,45 @@
+"""What a dynamics model is to the rest: fitted with weights, sampled from, asked for its mean."""
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from tom.data.transitions import TensorTransitions
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What a fit came to: metrics by path, and (kind, message) notices for the run's record."""
+
+    metrics: dict[str, float] = field(default_factory=dict)
+    notices: tuple[tuple[str, str], ...] = ()
+
+
+class DynamicsModel(Protocol):
+    """p(reward, next_obs | obs, action), fitted by weighted maximum likelihood."""
+
+    def fit(
+        self,
+        data: TensorTransitions,
+        weights: Tensor,
+        per_dim: Tensor | None,
+        generator: torch.Generator,
+    ) -> FitReport:
+        """Fit to N transitions with weights (N,), mean 1, and per-dimension weights (N, O)."""
+        ...
+
+    def sample(
+        self, obs: Tensor, action: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Draw (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
+        ...
+
+    def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """The mean (reward (B,), next_obs (B, O))."""
+        ...
+
+    def state_dict(self) -> dict[str, Any]: ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...

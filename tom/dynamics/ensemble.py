@@ -1,0 +1,93 @@
+"""Ensembles of uni-modal networks: Janner's Gaussian ensemble and VaGram's mean-only one."""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from tom.config import ModelConfig
+from tom.dynamics.neural import NeuralDynamics, soft_bound
+
+WEIGHT_DECAY = (2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4)  # by layer (Janner et al. 2019)
+BOUND_PENALTY = 0.01
+
+
+class _Ensemble(NeuralDynamics):
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        """A group a layer, each with its own decay (the last layer takes the last value)."""
+        layers = list(zip(self.net.weights, self.net.biases, strict=True))
+        decays = [*WEIGHT_DECAY[: len(layers) - 1], WEIGHT_DECAY[-1]]
+        decays = [WEIGHT_DECAY[-2]] * (len(layers) - len(decays)) + decays
+        return [
+            {"params": [weight, bias], "weight_decay": decay}
+            for (weight, bias), decay in zip(layers, decays, strict=True)
+        ]
+
+
+class GaussianEnsemble(_Ensemble):
+    """E Gaussian networks with learnt bounds of the log variance (Janner et al. 2019)."""
+
+    def __init__(
+        self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
+    ) -> None:
+        super().__init__(obs_dim, action_dim, 2, config.members, config, generator)
+        shape = (config.members, 1, self.targets)
+        self.max_log_var = nn.Parameter(torch.full(shape, 0.5))
+        self.min_log_var = nn.Parameter(torch.full(shape, -10.0))
+        self.optimiser.add_param_group({"params": self.extra_parameters(), "weight_decay": 0.0})
+
+    def extra_parameters(self) -> list[Tensor]:
+        return [self.max_log_var, self.min_log_var]
+
+    def _split_output(self, output: Tensor) -> tuple[Tensor, Tensor]:
+        mean, raw = output.chunk(2, -1)
+        return mean, raw
+
+    def _log_var(self, raw: Tensor) -> Tensor:
+        low, high = self.min_log_var, self.max_log_var
+        if len(raw) != self.ensemble:  # the elites alone
+            low, high = low[self.elites], high[self.elites]
+        return soft_bound(raw, low, high)
+
+    def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
+        """Gaussian negative log-likelihood without its constant, as Janner's."""
+        mean, raw = self._split_output(output)
+        log_var = self._log_var(raw)
+        return (target - mean).square() * (-log_var).exp() + log_var
+
+    def regulariser(self) -> Tensor:
+        return BOUND_PENALTY * (self.max_log_var.sum() - self.min_log_var.sum())
+
+    def mean(self, output: Tensor) -> Tensor:
+        return self._split_output(output)[0]
+
+    def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
+        mean, raw = self._split_output(output)
+        std = (0.5 * self._log_var(raw)).exp()
+        return mean + std * torch.randn(*mean.shape, generator=generator)
+
+
+class MeanEnsemble(_Ensemble):
+    """E networks that predict the mean only, with VaGram's squared loss.
+
+    sum_d (dV/ds'_d)^2 (pred_d - s'_d)^2 + (pred_r - r)^2: with z-scored targets the gradient's
+    weight is (sigma_d dV/ds'_d)^2, which is what the learner's per-dimension weights hold.
+    The first round is plain MSE.
+    """
+
+    def __init__(
+        self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
+    ) -> None:
+        super().__init__(obs_dim, action_dim, 1, config.members, config, generator)
+
+    def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
+        return (output - target).square()
+
+    def _uses_dim_weights(self, first_round: bool) -> bool:
+        return not first_round
+
+    def mean(self, output: Tensor) -> Tensor:
+        return output
+
+    def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
+        return output

@@ -1,0 +1,211 @@
+"""Model-based policy optimisation with a learner's weights: Algorithm 2 of the paper.
+
+`Mbpo.events()` is a generator. Recording, progress, checkpoints and evaluation curves are its
+consumers' affair: this file knows no file, clock or socket.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tom.config import OnlineConfig
+from tom.data.replay import ReplayBuffer
+from tom.data.sampling import uniform_indices
+from tom.data.transitions import TensorTransitions
+from tom.diagnostics import fit_metrics
+from tom.dynamics import make_model
+from tom.envs import MujocoTask, task
+from tom.evaluate import Evaluator
+from tom.events import Collected, Evaluation, Event, Metrics, Notice, Tick, Weights
+from tom.learners import make_learner
+from tom.learners.base import FitContext, Weighting
+from tom.rng import Streams
+from tom.rollout import roll_out, start_states
+from tom.sac import Sac
+
+
+class Mbpo:
+    """One run: the policy, the model, the learner, the buffers and where the run stands."""
+
+    def __init__(self, config: OnlineConfig) -> None:
+        self.config = config
+        self.task: MujocoTask = task(config.env)
+        self.streams = Streams(config.seed)
+        obs_dim, action_dim = self.task.obs_dim, self.task.action_dim
+        generator = self.streams.torch
+        self.sac = Sac(obs_dim, action_dim, config.sac, [generator("sac")])
+        self.policy = self.sac.member(0)
+        self.model = make_model(obs_dim, action_dim, config.model, generator("model"))
+        self.learner = make_learner(
+            config.learner, config, obs_dim, action_dim, generator("learner")
+        )
+        rollout = config.rollout
+        longest = max(rollout.length, rollout.final_length)
+        self.replay = ReplayBuffer(config.replay_capacity, obs_dim, action_dim)  # D_env
+        self.model_buffer = ReplayBuffer(  # D_model
+            rollout.starts * rollout.retain * longest, obs_dim, action_dim
+        )
+        self.policy_buffer = ReplayBuffer(config.policy_capacity, obs_dim, action_dim)  # D_pol
+        self.env = self.task.make()
+        self.evaluator = Evaluator(self.task, config.evaluation.episodes)
+        self.env_step = 0
+        self.policy_version = 0
+        self._obs: np.ndarray | None = None
+        self._initial_obs: list[np.ndarray] = []
+        self._episode_return = 0.0
+        self._episode_length = 0
+        self._sac_metrics: dict[str, Tensor] = {}
+        self._flushed = 0
+
+    def events(self) -> Iterator[Event]:
+        """Algorithm 2, from where the run stands to its last step."""
+        config = self.config
+        while self.env_step < min(config.exploration_steps, config.steps):
+            yield from self.step_environment(explore=True)
+            yield Tick(self.env_step, "explore")
+        while self.env_step < config.steps:
+            if self._due(config.fit_every):
+                yield from self.fit_and_roll_out()
+            yield from self.step_environment(explore=False)
+            self.optimise_policy()
+            if self._due(config.evaluation.every) or self.env_step == config.steps:
+                yield from self.evaluate()
+            yield Tick(self.env_step, "optimise")
+        yield from self._flush_collected()
+
+    def fit_and_roll_out(self) -> Iterator[Event]:
+        """Lines 3-19: weights, weighted model fit, rollouts from weighted start states."""
+        yield Tick(self.env_step, "fit")
+        yield from self._flush_collected()
+        context = self._fit_context()
+        weighting = self.learner.weigh(context)
+        yield _weights_event(self.env_step, weighting)
+        report = self.model.fit(
+            context.replay, weighting.weights, weighting.per_dim, self.streams.torch("fit")
+        )
+        rollout_metrics = self.roll_out_model(context.replay, weighting)
+        for kind, message in (*weighting.notices, *report.notices):
+            yield Notice(self.env_step, kind, message)
+        diagnostics = fit_metrics(self.model, context, weighting, self.streams.torch("diagnostics"))
+        yield Metrics(
+            self.env_step,
+            {**weighting.metrics, **report.metrics, **rollout_metrics, **diagnostics},
+        )
+
+    def roll_out_model(self, replay: TensorTransitions, weighting: Weighting) -> dict[str, float]:
+        """Lines 22-25: k-step rollouts from states drawn by weight, into D_model."""
+        config, generator = self.config.rollout, self.streams.torch("rollout")
+        weighted = config.weighted_starts and weighting.ready
+        starts = start_states(
+            replay, weighting.weights if weighted else None, config.starts, generator
+        )
+        return roll_out(
+            self.model,
+            self.policy,
+            self.task.terminated,
+            starts,
+            config.length_at(self.env_step),
+            config,
+            self.model_buffer,
+            generator,
+        )
+
+    def step_environment(self, explore: bool) -> Iterator[Event]:
+        """Line 21: one step of pi in the environment, into D_env (and D_pol on policy)."""
+        obs = self._begin_episode() if self._obs is None else self._obs
+        action = self._explore_action() if explore else self._policy_action(obs)
+        next_obs, reward, terminated, truncated, _ = self.env.step(action)
+        version = 0 if explore else self.policy_version
+        row = (obs, action, float(reward), next_obs, terminated, truncated)
+        self.replay.add(*row, policy_version=version)
+        if not explore:
+            self.policy_buffer.add(*row, policy_version=version)
+        self.env_step += 1
+        self._episode_return += float(reward)
+        self._episode_length += 1
+        self._obs = next_obs
+        if terminated or truncated:
+            yield Metrics(
+                self.env_step,
+                {"train/return": self._episode_return, "train/length": float(self._episode_length)},
+            )
+            self._obs = None
+
+    def optimise_policy(self) -> None:
+        """Lines 26-28: G gradient steps of SAC on model and a few real transitions."""
+        config = self.config
+        size = config.sac.batch_size
+        real = int(config.real_ratio * size)
+        generator, updates = self.streams.torch("batches"), config.updates_per_step
+        real_rows = uniform_indices(len(self.replay), updates * real, generator)
+        model_rows = uniform_indices(
+            len(self.model_buffer), updates * (size - real), generator
+        )
+        real_batches = self.replay.gather(real_rows)
+        model_batches = self.model_buffer.gather(model_rows)
+        for k in range(updates):
+            batch = TensorTransitions.join(
+                [_part(real_batches, k, real), _part(model_batches, k, size - real)]
+            )
+            self._sac_metrics = self.sac.update(batch[None])
+        self.policy_version += 1
+
+    def evaluate(self) -> Iterator[Event]:
+        """Episodes of the mean policy in environments of their own."""
+        yield Tick(self.env_step, "evaluate")
+        yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
+        seed = self.streams.integer(f"evaluation {self.env_step}")
+        yield Evaluation(self.env_step, self.evaluator.run(self.policy.mean, seed))
+
+    # Parts
+
+    def _due(self, every: int) -> bool:
+        return (self.env_step - self.config.exploration_steps) % every == 0
+
+    def _begin_episode(self) -> np.ndarray:
+        seed = self.streams.integer("env") if not self._initial_obs else None
+        obs, _ = self.env.reset(seed=seed)
+        self._initial_obs.append(np.asarray(obs, np.float32))
+        self._episode_return, self._episode_length = 0.0, 0
+        return obs
+
+    def _explore_action(self) -> np.ndarray:
+        action = self.streams.numpy("explore").uniform(-1.0, 1.0, self.task.action_dim)
+        return action.astype(np.float32)
+
+    def _policy_action(self, obs: np.ndarray) -> np.ndarray:
+        batch = torch.as_tensor(obs, dtype=torch.float32)[None]
+        return self.policy(batch, 1, self.streams.torch("act"))[0, 0].numpy()
+
+    def _fit_context(self) -> FitContext:
+        return FitContext(
+            replay=self.replay.transitions(),
+            policy_version=self.replay.policy_version(),
+            policy_buffer=self.policy_buffer.transitions(),
+            on_policy_steps=self.env_step - self.config.exploration_steps,
+            initial_obs=torch.as_tensor(np.stack(self._initial_obs)),
+            policy=self.policy,
+            generator=self.streams.torch("weigh"),
+            value_gradient=self.policy.value_gradient,
+        )
+
+    def _flush_collected(self) -> Iterator[Event]:
+        rows = self.replay.since(self._flushed)
+        self._flushed = self.replay.total_added
+        if len(rows):
+            versions = self.replay.policy_version()[-len(rows) :]
+            yield Collected(self.env_step, rows.copy().numpy(), versions.numpy().copy())
+
+
+def _weights_event(env_step: int, weighting: Weighting) -> Weights:
+    def array(x: Tensor | None) -> np.ndarray | None:
+        return None if x is None else x.to(torch.float32).numpy()
+
+    weight = weighting.weights.to(torch.float32).numpy()
+    return Weights(env_step, weight, array(weighting.per_dim), array(weighting.log_ratio))
+
+
+def _part(rows: TensorTransitions, k: int, size: int) -> TensorTransitions:
+    return rows[k * size : (k + 1) * size]

@@ -1,0 +1,107 @@
+"""From (env, learner, preset) to the numbers of a run: REFERENCE tables as data.
+
+`paper` is the paper's table 1 with the released code's schedule, `mbpo` Janner's MBPO, `smoke` a
+small and quick run of the same code. An environment's own values come on top of the preset's,
+the user's on top of both.
+"""
+
+from typing import Any
+
+from tom.config import OnlineConfig, RoadConfig, RunConfig
+from tom.envs import ENV_NAMES, task
+from tom.errors import unknown
+from tom.learners import LEARNER_NAMES
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "mbpo": {
+        "updates_per_step": 20,
+        "model": {"kind": "ensemble", "patience": 5, "rounds": 60},
+    },
+    "smoke": {
+        "exploration_steps": 200,
+        "fit_every": 100,
+        "updates_per_step": 1,
+        "model": {"hidden": 32, "layers": 2, "components": 3, "members": 3, "elites": 2,
+                  "rounds": 3, "batches_per_round": 20},
+        "sac": {"hidden": 32, "batch_size": 64},
+        "rollout": {"starts": 1000},
+        "evaluation": {"every": 200, "episodes": 2},
+        "tom": {"discriminator_steps": 20, "q_steps": 40, "q_hidden": 32,
+                "discriminator_hidden": 32, "warmup": 100},
+    },
+}  # fmt: skip
+
+# What a task changes in a preset. Inverted pendulum is not in the paper: it is learnt in minutes.
+BY_ENV: dict[str, dict[str, dict[str, Any]]] = {
+    "paper": {
+        "humanoid": {"model": {"hidden": 400}},
+        "inverted-pendulum": {
+            "exploration_steps": 300,
+            "model": {"hidden": 64, "layers": 3, "components": 4, "rounds": 10},
+            "sac": {"hidden": 64, "lr": 1e-3},
+            "rollout": {"starts": 10_000},
+            "evaluation": {"every": 500, "episodes": 5},
+            "tom": {"warmup": 250, "q_hidden": 64, "discriminator_hidden": 64},
+        },
+    },
+    "mbpo": {
+        "hopper": {"rollout": {"final_length": 15}, "sac": {"target_entropy": -1.0}},
+        "walker2d": {"sac": {"target_entropy": -3.0}},
+        "halfcheetah": {"updates_per_step": 40, "sac": {"target_entropy": -3.0}},
+        "ant": {
+            "rollout": {"final_length": 25, "schedule_end": 100},
+            "sac": {"target_entropy": -4.0},
+        },
+        "humanoid": {
+            "fit_every": 1000,
+            "model": {"hidden": 400},
+            "rollout": {"final_length": 25, "schedule_end": 300, "retain": 5},
+            "sac": {"target_entropy": -2.0},
+        },
+    },
+    "smoke": {},
+}
+
+SMOKE_STEPS = {"road-and-rocks": 400}
+ROAD: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "mbpo": {},
+    "smoke": {"updates_per_step": 1, "evaluation": {"episodes": 2}},
+}
+
+
+def resolve(
+    env: str, learner: str, preset: str = "paper", overrides: dict[str, Any] | None = None
+) -> OnlineConfig | RoadConfig:
+    """The frozen configuration of a run.
+
+    Raises UserError for an unknown environment, learner or preset; pydantic's ValidationError
+    for an unknown or impossible value among `overrides` (nested dicts of field values).
+    """
+    if env not in ENV_NAMES:
+        raise unknown("environment", env, ENV_NAMES)
+    if learner not in LEARNER_NAMES:
+        raise unknown("learner", learner, LEARNER_NAMES)
+    if preset not in PRESETS:
+        raise unknown("preset", preset, PRESETS)
+    config = _road(preset) if env == "road-and-rocks" else _online(env, learner, preset)
+    return config.but(env=env, learner=learner, preset=preset, **(overrides or {}))
+
+
+def _online(env: str, learner: str, preset: str) -> OnlineConfig:
+    steps = 600 if preset == "smoke" else task(env).steps
+    config = OnlineConfig(env=env, learner=learner, steps=steps).but(**PRESETS[preset])
+    config = config.but(**BY_ENV[preset].get(env, {}))
+    if learner == "vagram-ensemble":
+        config = config.but(model={"kind": "mean-ensemble"})
+    return config
+
+
+def _road(preset: str) -> RoadConfig:
+    return RoadConfig(learner="mle").but(**ROAD[preset])
+
+
+def config_type(env: str) -> type[RunConfig]:
+    """The configuration class of an environment's runs."""
+    return RoadConfig if env == "road-and-rocks" else OnlineConfig

@@ -1,0 +1,67 @@
+"""Rollouts of the policy in the learnt model: what SAC trains on."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from tom.config import RolloutConfig
+from tom.data.replay import ReplayBuffer
+from tom.data.sampling import WeightedSampler, uniform_indices
+from tom.data.transitions import TensorTransitions
+from tom.dynamics import DynamicsModel
+from tom.learners.base import Policy
+
+Termination = Callable[[Tensor], Tensor]  # next_obs (B, O) -> terminated (B,)
+
+
+def start_states(
+    replay: TensorTransitions, weights: Tensor | None, n: int, generator: torch.Generator
+) -> Tensor:
+    """n states of the replay buffer, (n, O): by weight (N,), or uniformly without weights."""
+    if weights is None:
+        return replay.obs[uniform_indices(len(replay), n, generator)]
+    return replay.obs[WeightedSampler(weights, generator).draw(n)]
+
+
+@torch.no_grad()
+def roll_out(
+    model: DynamicsModel,
+    policy: Policy,
+    terminated: Termination,
+    starts: Tensor,
+    length: int,
+    config: RolloutConfig,
+    model_buffer: ReplayBuffer,
+    generator: torch.Generator,
+) -> dict[str, float]:
+    """Play `length` steps of `policy` in `model` from `starts` (B, O) into the model buffer.
+
+    A rollout ends where `terminated` says so, or where the model's prediction is not finite.
+    Rows are predicted in chunks that stay in the processor's cache.
+    """
+    reward_sum, ended, steps = 0.0, 0, 0
+    for chunk in starts.split(config.chunk):
+        obs = chunk
+        for _ in range(length):
+            action = policy(obs, 1, generator)[0]
+            reward, next_obs = model.sample(obs, action, generator)
+            finite = next_obs.isfinite().all(-1) & reward.isfinite()
+            if not bool(finite.all()):
+                obs, action, reward = obs[finite], action[finite], reward[finite]
+                next_obs = next_obs[finite]
+            end = terminated(next_obs)
+            flags = end.to(torch.float32)
+            model_buffer.extend(
+                TensorTransitions(obs, action, reward, next_obs, flags, torch.zeros_like(flags))
+            )
+            reward_sum += float(reward.sum())
+            ended += int(end.sum())
+            steps += len(obs)
+            obs = next_obs[~end]
+            if not len(obs):
+                break
+    return {
+        "rollout/reward": reward_sum / max(steps, 1),
+        "rollout/terminated": ended / max(steps, 1),
+    }
