@@ -1,0 +1,169 @@
+"""The MuJoCo tasks: which Gymnasium environment, with which options, bounds and names.
+
+Agents act in [-1, 1]; `make` rescales to the task's own control range. Nothing here renders.
+"""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import ClassVar
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium.wrappers import RescaleAction
+from torch import Tensor
+
+from tom.envs import termination
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class MujocoTask:
+    """A task and all that a training must know about it without making it.
+
+    `terminated` maps next_obs (B, O) to a bool tensor (B,); `steps` is the paper's number of
+    environment steps; an observation is qpos without its `root_dims` leading entries (the place
+    on the ground), then qvel; `obs_names` names each of its O dimensions.
+    """
+
+    name: str
+    gym_id: str
+    terminated: Callable[[Tensor], Tensor]
+    steps: int
+    root_dims: int
+    nq: int
+    action_dim: int
+    obs_names: tuple[str, ...]
+    kwargs: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
+    max_episode_steps: int = 1000
+
+    action_low: ClassVar[float] = -1.0
+    action_high: ClassVar[float] = 1.0
+
+    @property
+    def obs_dim(self) -> int:
+        return len(self.obs_names)
+
+    def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
+        """The environment, with actions in [-1, 1]; its random streams follow `seed`, if given."""
+        # MuJoCo's own handler writes MUJOCO_LOG.TXT into the working directory.
+        mujoco.set_mju_user_warning(_log.info)
+        env = gym.make(
+            self.gym_id,
+            max_episode_steps=self.max_episode_steps,
+            disable_env_checker=True,
+            **self.kwargs,
+        )
+        env = RescaleAction(env, np.float32(self.action_low), np.float32(self.action_high))
+        if seed is not None:
+            env.reset(seed=seed)
+            env.action_space.seed(seed)
+        return env
+
+    def qpos_from_obs(self, obs: np.ndarray) -> np.ndarray:
+        """Joint positions (..., nq) of observations (..., O), the root at the origin."""
+        root = np.zeros((*obs.shape[:-1], self.root_dims), obs.dtype)
+        return np.concatenate((root, obs[..., : self.nq - self.root_dims]), axis=-1)
+
+
+def _planar(joints: Sequence[str]) -> tuple[str, ...]:
+    angles = [f"{j} angle" for j in joints]
+    rates = [f"{j} angular velocity" for j in joints]
+    torso = ("torso x velocity", "torso z velocity", "torso angular velocity")
+    return ("torso z", "torso angle", *angles, *torso, *rates)
+
+
+def _free(joints: Sequence[str]) -> tuple[str, ...]:
+    pose = ("torso z", *(f"torso quaternion {c}" for c in "wxyz"))
+    motion = [f"torso {c} velocity" for c in "xyz"]
+    spin = [f"torso {c} angular velocity" for c in "xyz"]
+    angles = [f"{j} angle" for j in joints]
+    return (*pose, *angles, *motion, *spin, *(f"{j} angular velocity" for j in joints))
+
+
+def _without(*parts: str) -> Mapping[str, bool]:
+    return MappingProxyType({f"include_{part}_in_observation": False for part in parts})
+
+
+_LEG = ("thigh", "leg", "foot")
+_CHEETAH = tuple(
+    f"{side} {part}" for side in ("back", "front") for part in ("thigh", "shin", "foot")
+)
+_ANT = tuple(f"{joint} {leg}" for leg in range(1, 5) for joint in ("hip", "ankle"))
+_HUMANOID = (
+    *(f"abdomen {c}" for c in "zyx"),
+    *(
+        f"{side} {part}"
+        for side in ("right", "left")
+        for part in ("hip x", "hip z", "hip y", "knee")
+    ),
+    *(f"{s} {part}" for s in ("right", "left") for part in ("shoulder 1", "shoulder 2", "elbow")),
+)
+
+TASKS = (
+    MujocoTask(
+        name="inverted-pendulum",
+        gym_id="InvertedPendulum-v5",
+        terminated=termination.inverted_pendulum,
+        steps=6_000,  # ours: the paper has no such task
+        root_dims=0,
+        nq=2,
+        action_dim=1,
+        obs_names=("cart x", "pole angle", "cart velocity", "pole angular velocity"),
+    ),
+    MujocoTask(
+        name="hopper",
+        gym_id="Hopper-v5",
+        terminated=termination.hopper,
+        steps=125_000,
+        root_dims=1,
+        nq=6,
+        action_dim=3,
+        obs_names=_planar(_LEG),
+    ),
+    MujocoTask(
+        name="walker2d",
+        gym_id="Walker2d-v5",
+        terminated=termination.walker2d,
+        steps=300_000,
+        root_dims=1,
+        nq=9,
+        action_dim=6,
+        obs_names=_planar([f"{side} {part}" for side in ("right", "left") for part in _LEG]),
+    ),
+    MujocoTask(
+        name="halfcheetah",
+        gym_id="HalfCheetah-v5",
+        terminated=termination.halfcheetah,
+        steps=300_000,
+        root_dims=1,
+        nq=9,
+        action_dim=6,
+        obs_names=_planar(_CHEETAH),
+    ),
+    MujocoTask(
+        name="ant",
+        gym_id="Ant-v5",
+        terminated=termination.ant,
+        steps=300_000,
+        root_dims=2,
+        nq=15,
+        action_dim=8,
+        obs_names=_free(_ANT),
+        kwargs=_without("cfrc_ext"),
+    ),
+    MujocoTask(
+        name="humanoid",
+        gym_id="Humanoid-v5",
+        terminated=termination.humanoid,
+        steps=300_000,
+        root_dims=2,
+        nq=24,
+        action_dim=17,
+        obs_names=_free(_HUMANOID),
+        kwargs=_without("cinert", "cvel", "qfrc_actuator", "cfrc_ext"),
+    ),
+)

@@ -1,0 +1,101 @@
+"""Evaluation episodes of a policy, in environments of their own."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from gymnasium.envs.mujoco import MujocoEnv
+from torch import Tensor
+
+from tom.envs.mujoco import MujocoTask
+from tom.events import Episode
+
+PolicyMean = Callable[[Tensor], Tensor]
+"""obs (B, O) float32 -> the policy's mean actions (B, A) in [-1, 1]."""
+
+
+class Evaluator:
+    """Plays episodes in lock-step, so that one forward pass serves all that still run.
+
+    It keeps its environments between evaluations; an evaluation depends on the policy and the
+    seed alone, never on earlier ones or on a training's environment.
+    """
+
+    def __init__(self, task: MujocoTask, episodes: int) -> None:
+        self._tapes = [_Tape(task) for _ in range(episodes)]
+
+    def run(self, policy_mean: PolicyMean, seed: int) -> list[Episode]:
+        """One episode in each environment, to its own end or time limit."""
+        seeds = np.random.SeedSequence(seed).generate_state(len(self._tapes))
+        for tape, reset_seed in zip(self._tapes, seeds, strict=True):
+            tape.begin(int(reset_seed))
+        running = self._tapes
+        while running:
+            obs = torch.from_numpy(np.stack([tape.obs for tape in running]))
+            with torch.no_grad():
+                actions = policy_mean(obs).cpu().numpy()
+            for tape, action in zip(running, actions, strict=True):
+                tape.step(action)
+            running = [tape for tape in running if not tape.ended]
+        return [tape.episode() for tape in self._tapes]
+
+
+def evaluate(task: MujocoTask, policy_mean: PolicyMean, episodes: int, seed: int) -> list[Episode]:
+    """`episodes` episodes of the policy in fresh environments of `task`."""
+    return Evaluator(task, episodes).run(policy_mean, seed)
+
+
+class _Tape:
+    """One environment and the recording of its running episode."""
+
+    def __init__(self, task: MujocoTask) -> None:
+        self._env = task.make()
+        simulator = self._env.unwrapped
+        assert isinstance(simulator, MujocoEnv)
+        self._data = simulator.data
+        steps = task.max_episode_steps
+        self._obs = np.empty((steps + 1, task.obs_dim), np.float32)
+        self._qpos = np.empty((steps + 1, self._data.qpos.size), np.float32)
+        self._qvel = np.empty((steps + 1, self._data.qvel.size), np.float32)
+        self._action = np.empty((steps, task.action_dim), np.float32)
+        self._reward = np.empty(steps, np.float32)
+        self._length = 0
+        self._terminated = self._truncated = False
+
+    @property
+    def obs(self) -> np.ndarray:
+        return self._obs[self._length]
+
+    @property
+    def ended(self) -> bool:
+        return self._terminated or self._truncated
+
+    def begin(self, seed: int) -> None:
+        obs, _ = self._env.reset(seed=seed)
+        self._length = 0
+        self._terminated = self._truncated = False
+        self._write_state(obs)
+
+    def step(self, action: np.ndarray) -> None:
+        obs, reward, self._terminated, self._truncated, _ = self._env.step(action)
+        self._action[self._length] = action
+        self._reward[self._length] = reward
+        self._length += 1
+        self._write_state(obs)
+
+    def episode(self) -> Episode:
+        h = self._length
+        return Episode(
+            reward=self._reward[:h].copy(),
+            action=self._action[:h].copy(),
+            obs=self._obs[: h + 1].copy(),
+            qpos=self._qpos[: h + 1].copy(),
+            qvel=self._qvel[: h + 1].copy(),
+            terminated=self._terminated,
+            truncated=self._truncated,
+        )
+
+    def _write_state(self, obs: np.ndarray) -> None:
+        self._obs[self._length] = obs
+        self._qpos[self._length] = self._data.qpos
+        self._qvel[self._length] = self._data.qvel
