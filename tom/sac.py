@@ -151,7 +151,8 @@ class Sac:
         for name in ("actor", "critic", "target_critic"):
             getattr(self, name).load_state_dict(state[name])
         for name in ("actor_optimiser", "critic_optimiser", "temperature_optimiser"):
-            getattr(self, name).load_state_dict(state[name])
+            # An optimiser would keep the very tensors of the state it is given.
+            getattr(self, name).load_state_dict(deepcopy(state[name]))
         with torch.no_grad():
             self.log_temperature.copy_(state["log_temperature"])
 

@@ -5,6 +5,7 @@ What it predicts, and with which loss, is its subclass's affair (`mdn`, `ensembl
 """
 
 from collections.abc import Iterator
+from copy import deepcopy
 from typing import Any
 
 import torch
@@ -249,7 +250,7 @@ class NeuralDynamics:
         with torch.no_grad():
             for parameter, value in zip(self.extra_parameters(), state["extra"], strict=True):
                 parameter.copy_(value)
-        self.optimiser.load_state_dict(state["optimiser"])
+        self.optimiser.load_state_dict(deepcopy(state["optimiser"]))
         self.input_scale.mean, self.input_scale.std = state["scales"][:2]
         self.target_scale.mean, self.target_scale.std = state["scales"][2:]
         self.elites = state["elites"]

@@ -1,0 +1,171 @@
+from math import log
+
+import pytest
+import torch
+from torch.distributions import Categorical, MixtureSameFamily, Normal
+
+from tom.config import ModelConfig
+from tom.data.transitions import TensorTransitions
+from tom.dynamics import make_model
+from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
+from tom.dynamics.mdn import Mdn
+from tom.dynamics.neural import Standardiser
+
+SMALL = ModelConfig(hidden=48, layers=2, components=3, members=3, elites=2, rounds=10, lr=3e-3)
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def rows(n: int = 1500, seed: int = 0) -> TensorTransitions:
+    g = generator(seed)
+    obs = torch.randn(n, 2, generator=g)
+    action = torch.rand(n, 1, generator=g) * 2 - 1
+    noise = 0.05 * torch.randn(n, 2, generator=g)
+    next_obs = obs + 0.3 * action + torch.sin(obs) * 0.1 + noise
+    reward = obs[:, 0] * action[:, 0]
+    return TensorTransitions(obs, action, reward, next_obs, torch.zeros(n), torch.zeros(n))
+
+
+def test_mdn_likelihood_is_torch_distributions_own():
+    model = Mdn(2, 1, SMALL, generator())
+    output = torch.randn(1, 7, 3 * 3 * 3)
+    target = torch.randn(7, 3)
+    log_mix, mean, log_var = model._split_output(output)
+    mixture = MixtureSameFamily(Categorical(logits=log_mix), Normal(mean, (0.5 * log_var).exp()))
+    torch.testing.assert_close(model.loss_per_dim(output, target), -mixture.log_prob(target))
+    torch.testing.assert_close(model.mean(output), mixture.mean)
+
+
+def test_mdn_draws_have_the_mixtures_moments():
+    model = Mdn(2, 1, SMALL, generator())
+    output = torch.randn(1, 1, 27, generator=generator(1)).expand(1, 40_000, 27)
+    log_mix, mean, log_var = model._split_output(output[:, :1])
+    mixture = MixtureSameFamily(Categorical(logits=log_mix), Normal(mean, (0.5 * log_var).exp()))
+    drawn = model.draw(output, generator(2))[0]
+    torch.testing.assert_close(drawn.mean(0), mixture.mean[0, 0], rtol=0, atol=0.04)
+    torch.testing.assert_close(drawn.var(0), mixture.variance[0, 0], rtol=0.06, atol=0.02)
+
+
+def test_mdn_recovers_a_two_mode_mixture():
+    """next = obs +- 1 with probability 0.3 / 0.7: modes, shares and spread come back."""
+    g = generator(3)
+    n = 4000
+    obs = torch.randn(n, 1, generator=g)
+    up = torch.rand(n, 1, generator=g) < 0.3
+    step = torch.where(up, 1.0, -1.0) + 0.05 * torch.randn(n, 1, generator=g)
+    zeros = torch.zeros(n)
+    data = TensorTransitions(obs, torch.zeros(n, 1), zeros, obs + step, zeros, zeros)
+    model = Mdn(1, 1, SMALL.but(rounds=12), g)
+    model.fit(data, torch.ones(n), None, g)
+    probe = torch.zeros(4000, 1)
+    change = model.sample(probe, torch.zeros(4000, 1), g)[1][:, 0]
+    assert abs(float((change > 0).float().mean()) - 0.3) < 0.05
+    assert abs(float(change[change > 0].mean()) - 1) < 0.1
+    assert abs(float(change[change < 0].mean()) + 1) < 0.1
+    assert float(change[change < 0].std()) < 0.25
+
+
+@pytest.mark.parametrize("kind", ["mdn", "ensemble", "mean-ensemble"])
+def test_fit_predicts_reward_and_next_obs(kind: str):
+    data = rows()
+    model = make_model(2, 1, SMALL.but(kind=kind), generator())
+    model.fit(data, torch.ones(len(data)), None, generator(1))
+    test = rows(500, seed=9)
+    reward, next_obs = model.predict(test.obs, test.action)
+    assert float((next_obs - test.next_obs).square().mean()) < 0.006  # noise alone: 0.0025
+    assert float((reward - test.reward).square().mean()) < 0.03  # variance: 0.33
+
+
+@pytest.mark.parametrize("use", ["sample", "scale"])
+def test_weights_decide_what_the_model_learns(use: str):
+    """Two laws in one buffer: rows of weight zero teach nothing, in either use of the weights."""
+    data = rows(2000)
+    wrong = data.next_obs + 2.0
+    half = torch.arange(2000) < 1000
+    mixed = TensorTransitions(
+        data.obs,
+        data.action,
+        data.reward,
+        torch.where(half.unsqueeze(1), data.next_obs, wrong),
+        data.terminated,
+        data.truncated,
+    )
+    model = make_model(2, 1, SMALL.but(weights=use), generator())
+    model.fit(mixed, 2.0 * half, None, generator(1))
+    _, predicted = model.predict(data.obs[half], data.action[half])
+    assert float((predicted - data.next_obs[half]).mean().abs()) < 0.05
+
+
+def test_holdout_rows_keep_their_own_weights():
+    """The split permutes rows; a weight must go with its row, not with its place."""
+    data = rows(400)
+    model = Mdn(2, 1, SMALL.but(rounds=1, batches_per_round=1), generator())
+    weights = torch.zeros(400)
+    weights[:200] = 2.0
+    marked = TensorTransitions(
+        data.obs, data.action, data.reward, data.next_obs, data.terminated, data.truncated
+    )
+    held = model._split(400, generator(5))[1]
+    model.fit(marked, weights, None, generator(5))
+    x = model.input_scale.forward(torch.cat([data.obs, data.action], -1))[held]
+    y = model.target_scale.forward(
+        torch.cat([data.reward[:, None], data.next_obs - data.obs], -1)
+    )[held]
+    loss = model.loss_per_dim(model._outputs(x), y).mean(-1)[0]
+    own = weights[held]
+    expected = float((loss * own).sum() / own.sum())
+    assert float(model._holdout(x, y, own, None)) == pytest.approx(expected, rel=1e-4)
+
+
+def test_dimension_weights_leave_the_reward_column_at_one():
+    data = rows(1200)
+    per_dim = torch.zeros(1200, 2)  # no state dimension counts: only the reward is learnt
+    per_dim[:, 1] = 2.0
+    model = MeanEnsemble(2, 1, SMALL.but(members=1, elites=1), generator())
+    model.fit(data, torch.ones(1200), per_dim, generator(1))
+    reward, next_obs = model.predict(data.obs, data.action)
+    error = (next_obs - data.next_obs).square().mean(0)
+    assert float((reward - data.reward).square().mean()) < 0.03
+    assert float(error[1]) < 0.01
+
+
+def test_elites_are_the_best_by_holdout_and_the_best_round_is_kept():
+    data = rows(800)
+    model = GaussianEnsemble(2, 1, SMALL.but(members=4, elites=2, rounds=4), generator())
+    model.fit(data, torch.ones(800), None, generator(4))
+    held = model._split(800, generator(4))[1]
+    x = model.input_scale.forward(torch.cat([data.obs, data.action], -1))[held]
+    y = model.target_scale.forward(
+        torch.cat([data.reward[:, None], data.next_obs - data.obs], -1)
+    )[held]
+    losses = model._holdout(x, y, torch.ones(len(held)), None)
+    assert set(model.elites.tolist()) == set(losses.argsort()[:2].tolist())
+
+
+def test_a_constant_dimension_is_centred_and_stays_finite():
+    scale = Standardiser(2)
+    x = torch.stack([torch.full((5,), 3.0), torch.arange(5.0)], 1)
+    scale.fit(x)
+    z = scale.forward(x)
+    assert torch.equal(z[:, 0], torch.zeros(5))
+    torch.testing.assert_close(scale.inverse(z), x)
+
+
+def test_same_seed_same_bits():
+    def fitted() -> torch.Tensor:
+        model = make_model(2, 1, SMALL.but(rounds=2), generator(0))
+        model.fit(rows(600), torch.ones(600), None, generator(1))
+        return model.predict(torch.ones(4, 2), torch.zeros(4, 1))[1]
+
+    assert torch.equal(fitted(), fitted())
+
+
+def test_gaussian_loss_is_the_likelihood_up_to_its_constant():
+    model = GaussianEnsemble(2, 1, SMALL, generator())
+    output, target = torch.randn(3, 5, 6), torch.randn(5, 3)
+    mean, raw = output.chunk(2, -1)
+    std = (0.5 * model._log_var(raw)).exp()
+    nll = -Normal(mean, std).log_prob(target)
+    torch.testing.assert_close(model.loss_per_dim(output, target), 2 * nll - log(2 * torch.pi))

@@ -1,0 +1,27 @@
+import pytest
+from pydantic import ValidationError
+
+from tom.config import OnlineConfig, RolloutConfig, TomConfig
+
+
+def test_an_unknown_name_and_a_value_out_of_bounds_are_errors():
+    config = OnlineConfig(env="hopper", learner="tom")
+    with pytest.raises(ValidationError):
+        config.but(sac={"discount": 2})
+    with pytest.raises(ValidationError):
+        config.but(model={"batch_size": -1})
+    with pytest.raises(ValidationError):
+        config.but(model={"batchsize": 1})
+
+
+def test_but_changes_one_value_of_a_group_and_keeps_the_others():
+    config = OnlineConfig(env="hopper", learner="tom").but(tom={"q_steps": 7})
+    assert config.tom.q_steps == 7
+    assert config.tom.discriminator_steps == TomConfig().discriminator_steps
+
+
+def test_rollout_length_follows_janners_schedule():
+    """Hopper: 1 until epoch 20, 15 from epoch 150, linear between."""
+    rollout = RolloutConfig(final_length=15, schedule_start=20, schedule_end=150)
+    assert [rollout.length_at(1000 * e) for e in (0, 20, 85, 150, 300)] == [1, 1, 8, 15, 15]
+    assert RolloutConfig().length_at(200_000) == 1

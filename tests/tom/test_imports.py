@@ -1,0 +1,66 @@
+"""Imports point one way: app -> tom, and inside tom from the command line down to the maths."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LEVELS = [
+    {"errors", "rng", "metrics", "config", "events", "nn", "matmul", "data", "envs", "divergences"},
+    {"learners", "sac", "dynamics", "evaluate", "tabular", "planner"},
+    {"rollout", "diagnostics", "presets"},
+    {"mbpo", "offline", "sweep", "record"},
+    {"run"},
+    {"cli", "tabular_study", "road_study", "__main__"},
+]
+
+
+def modules(package: str) -> list[Path]:
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+def imported(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{a.name}" for a in node.names)}
+    return names
+
+
+def level(part: str) -> int:
+    for number, parts in enumerate(LEVELS):
+        if part in parts:
+            return number
+    pytest.fail(f"tom/{part} has no place in tests/tom/test_imports.py")
+
+
+@pytest.mark.parametrize("path", modules("tom"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_the_backend_knows_nothing_of_the_studio(path: Path):
+    top = {name.split(".")[0] for name in imported(path)}
+    assert not top & {"app", "streamlit", "plotly", "viser"}
+    if "record" not in path.parts:
+        assert "rerun" not in top
+
+
+@pytest.mark.parametrize("path", modules("tom"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_point_down(path: Path):
+    part = path.relative_to(ROOT / "tom").parts[0].removesuffix(".py")
+    if part == "__init__":
+        return
+    for name in imported(path):
+        words = name.split(".")
+        if words[0] == "tom" and len(words) > 1 and (ROOT / "tom" / words[1]).exists():
+            assert level(words[1]) <= level(part), f"{path} imports {name}"
+
+
+@pytest.mark.parametrize("path", modules("tom/learners"), ids=lambda p: p.name)
+def test_learners_never_import_each_other(path: Path):
+    if path.name == "__init__.py":
+        return
+    others = {p.stem for p in modules("tom/learners")} - {path.stem, "base", "__init__"}
+    for name in imported(path):
+        words = name.split(".")
+        assert not (words[:2] == ["tom", "learners"] and len(words) > 2 and words[2] in others)

@@ -1,0 +1,35 @@
+import torch
+from torch.nn.functional import linear, relu
+
+from tom.nn import StackedMLP
+
+
+def generators(*seeds: int) -> list[torch.Generator]:
+    return [torch.Generator().manual_seed(s) for s in seeds]
+
+
+def test_stack_equals_each_network_alone():
+    net = StackedMLP(3, [4, 8, 2], relu, generators(0, 1, 2))
+    x = torch.randn(3, 5, 4)
+    out = net(x)
+    for m in range(3):
+        hidden = relu(linear(x[m], net.weights[0][m].T, net.biases[0][m, 0]))
+        alone = linear(hidden, net.weights[1][m].T, net.biases[1][m, 0])
+        torch.testing.assert_close(out[m], alone)
+        torch.testing.assert_close(net.member(m, x[m]), alone)
+
+
+def test_a_member_starts_the_same_in_any_company():
+    alone = StackedMLP(2, [4, 8, 1], relu, generators(7))
+    together = StackedMLP(4, [4, 8, 1], relu, generators(3, 7))
+    for a, b in zip(alone.parameters(), together.parameters(), strict=True):
+        torch.testing.assert_close(a, b[2:], rtol=0, atol=0)
+
+
+def test_frozen_passes_gradients_to_the_input_only():
+    net = StackedMLP(1, [3, 4, 1], relu, generators(0))
+    x = torch.randn(1, 6, 3, requires_grad=True)
+    net.frozen(x).sum().backward()
+    assert x.grad is not None
+    assert x.grad.abs().sum() > 0
+    assert all(p.grad is None for p in net.parameters())

@@ -1,0 +1,120 @@
+import torch
+from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
+
+from tom.config import SacConfig
+from tom.data.transitions import TensorTransitions
+from tom.sac import Sac, squashed_gaussian
+
+OBS, ACTION, BATCH = 3, 2, 64
+
+
+def make(*seeds: int, **changes: float) -> Sac:
+    config = SacConfig(hidden=32).but(**changes)
+    return Sac(OBS, ACTION, config, [torch.Generator().manual_seed(s) for s in seeds])
+
+
+def batch(members: int = 1, seed: int = 0, **flags: float) -> TensorTransitions:
+    g = torch.Generator().manual_seed(seed)
+    one = TensorTransitions(
+        torch.randn(BATCH, OBS, generator=g),
+        torch.rand(BATCH, ACTION, generator=g) * 2 - 1,
+        torch.randn(BATCH, generator=g),
+        torch.randn(BATCH, OBS, generator=g),
+        torch.full((BATCH,), flags.get("terminated", 0.0)),
+        torch.full((BATCH,), flags.get("truncated", 0.0)),
+    )
+    return TensorTransitions.join([one[None]] * members)
+
+
+def test_log_prob_of_the_squashed_gaussian_is_the_transformed_density():
+    mean, log_std = torch.randn(1, 8, ACTION), torch.randn(1, 8, ACTION) * 0.3
+    noise = torch.randn(1, 8, ACTION)
+    action, log_prob = squashed_gaussian(mean, log_std, noise)
+    density = TransformedDistribution(
+        Independent(Normal(mean.double(), log_std.double().exp()), 1), [TanhTransform(cache_size=1)]
+    )
+    torch.testing.assert_close(
+        log_prob.squeeze(-1).double(), density.log_prob(action.double()), rtol=1e-3, atol=1e-3
+    )
+
+
+def test_target_bootstraps_through_truncation_but_not_through_termination():
+    losses = {}
+    for name, flags in {
+        "plain": {},
+        "truncated": {"truncated": 1.0},
+        "terminated": {"terminated": 1.0},
+    }.items():
+        losses[name] = float(make(0).critic_loss(batch(**flags))[0].detach())
+    assert losses["truncated"] == losses["plain"]
+    assert losses["terminated"] != losses["plain"]
+
+
+def test_terminated_target_is_the_reward_alone():
+    sac = make(0)
+    rows = batch(terminated=1.0)
+    q = sac._twin_q(sac.critic, rows.obs, rows.action).squeeze(-1)  # (1, 2, B)
+    expected = (q - rows.reward.unsqueeze(1)).square().mean(-1).sum()
+    torch.testing.assert_close(sac.critic_loss(rows)[0][0], expected)
+
+
+def test_update_moves_targets_by_tau():
+    sac = make(0, tau=0.25)
+    before = [p.clone() for p in sac.target_critic.parameters()]
+    sac.update(batch())
+    after = list(sac.target_critic.parameters())
+    for old, online, new in zip(before, sac.critic.parameters(), after, strict=True):
+        torch.testing.assert_close(new, old + 0.25 * (online - old))
+
+
+def test_temperature_falls_when_entropy_is_above_its_target():
+    sac = make(0, target_entropy=-50.0)
+    before = float(sac.log_temperature.detach())
+    sac.update(batch())
+    assert float(sac.log_temperature.detach()) < before
+
+
+def test_a_member_learns_the_same_alone_and_in_a_fleet():
+    alone, fleet = make(5), make(1, 5, 9)
+    for step in range(5):
+        alone.update(batch(1, seed=step))
+        fleet.update(batch(3, seed=step))
+    obs = torch.randn(1, 4, OBS)
+    torch.testing.assert_close(
+        fleet.act_mean(obs.expand(3, -1, -1))[1], alone.act_mean(obs)[0], rtol=1e-4, atol=1e-5
+    )
+
+
+def test_value_gradient_matches_finite_differences_for_each_head():
+    sac = make(0)
+    for net in (sac.actor, sac.critic):
+        net.double()
+    policy = sac.member()
+    obs = torch.randn(3, OBS, dtype=torch.float64)
+    gradient = policy.value_gradient(obs)
+    for d in range(OBS):
+        shift = torch.zeros(OBS, dtype=torch.float64)
+        shift[d] = 1e-6
+        slope = (policy._values(obs + shift) - policy._values(obs - shift)) / 2e-6
+        torch.testing.assert_close(gradient[:, :, d], slope.detach(), rtol=1e-4, atol=1e-6)
+
+
+def test_state_round_trip_continues_bit_for_bit():
+    first, second = make(0), make(1)
+    first.update(batch())
+    second.load_state_dict(first.state_dict())
+    second.generators[0].set_state(first.generators[0].get_state())
+    a, b = first.update(batch(seed=3)), second.update(batch(seed=3))
+    assert all(torch.equal(a[k], b[k]) for k in a)
+
+
+def test_learns_a_one_step_bandit():
+    """Reward -(a - 0.5)^2, every step terminal: the mean action must go to 0.5."""
+    sac = Sac(1, 1, SacConfig(hidden=32, lr=3e-3), [torch.Generator().manual_seed(0)])
+    g = torch.Generator().manual_seed(1)
+    for _ in range(400):
+        action = torch.rand(1, 128, 1, generator=g) * 2 - 1
+        zeros, ones = torch.zeros(1, 128, 1), torch.ones(1, 128)
+        reward = -10 * (action.squeeze(-1) - 0.5).square()
+        sac.update(TensorTransitions(zeros, action, reward, zeros, ones, 0 * ones))
+    assert abs(float(sac.act_mean(torch.zeros(1, 1, 1))) - 0.5) < 0.1

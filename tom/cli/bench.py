@@ -1,0 +1,93 @@
+"""`tom bench`: what is measured on this machine, in tables."""
+
+import argparse
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tom.record import Store
+from tom.sweep import Job, run_jobs
+
+LEARN_ENV = "inverted-pendulum"
+LEARN_STEPS = 6000
+LEARN_RETURN = 950.0
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "bench", help="measure this machine", description="Measure parts on this machine."
+    )
+    parser.add_argument(
+        "what", choices=("learn", "record"), help="learn: does it learn; record: cost of recording"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--learner", nargs="+", default=["mle", "tom"], help="(learn)")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="(learn)")
+    parser.add_argument("--store", type=Path, help="keep the runs here (learn)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    if args.what == "learn":
+        rows = learn(args.learner, args.seeds, args.store)
+        _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {LEARN_STEPS} steps", rows, args.json)
+        return 0 if all(row["reached_at"] is not None for row in rows) else 1
+    from tom.record.bench import cost  # noqa: PLC0415
+
+    _print("cost of recording", list(cost()), args.json)
+    return 0
+
+
+def learn(learners: list[str], seeds: list[int], store: Path | None) -> list[dict[str, Any]]:
+    """Train inverted pendulum for each learner and seed: where each first reached 950."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = store or Path(scratch)
+        run_jobs(list(_learn_jobs(learners, seeds, path)))
+        rows = [_learn_row(r) for r in Store(path).runs() if r.env == LEARN_ENV]
+    return sorted(rows, key=lambda row: (row["learner"], row["seed"]))
+
+
+def _learn_jobs(learners: list[str], seeds: list[int], store: Path) -> Iterator[Job]:
+    for learner in learners:
+        for seed in seeds:
+            shared = ("--store", str(store), "--no-rerun", "--steps", str(LEARN_STEPS))
+            which = ("--env", LEARN_ENV, "--learner", learner, "--seed", str(seed))
+            yield Job(f"{learner} {seed}", (*which, *shared))
+
+
+def _learn_row(run) -> dict[str, Any]:
+    table = run.metrics()
+    returns = table.dropna(subset=["eval/return"])
+    good = returns[returns["eval/return"] >= LEARN_RETURN]
+    return {
+        "learner": run.learner,
+        "seed": run.seed,
+        "state": run.status.state,
+        "reached_at": None if good.empty else int(good["env_step"].iloc[0]),
+        "best": float(returns["eval/return"].max()),
+        "final": float(returns["eval/return"].iloc[-1]),
+        "wall_s": round(float(table["time/wall_s"].max()), 1),
+    }
+
+
+def _print(title: str, rows: list[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(rows))
+        return
+    table = Table(title=title)
+    for column in rows[0]:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row.values()))
+    Console().print(table)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "never"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,103 @@
+"""`tom demo`: road-and-rocks with three learners, then a live online run, watched in the studio."""
+
+import argparse
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from tom.cli.train import summary
+from tom.record import RunReader, Store
+from tom.sweep import Job, run_jobs
+
+ROAD_LEARNERS = ("mle", "pmac", "tom")
+ONLINE_LEARNERS = ("mle", "tom")
+ONLINE_ENV = "inverted-pendulum"
+ONLINE_STEPS = 2500
+STUDIO_GRACE_S = 20.0
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "demo",
+        help="train two small comparisons while the studio shows them",
+        description="Train road-and-rocks (MLE, PMAC, TOM), then inverted pendulum (MLE, TOM), "
+        "while the studio shows them. --headless does the same without servers.",
+    )
+    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--headless", action="store_true", help="no server, no browser")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--no-browser", action="store_true", help="print the address only")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        if args.headless:
+            return _train_all(store, args)
+        with _studio(args) as studio:
+            code = _train_all(store, args)
+            print("Look at Compare (both learners' returns), Weights (where TOM looks) and Road")
+            print("and rocks (the heatmap). The studio stays up until Ctrl-C.", flush=True)
+            studio.wait()
+            return code
+    except KeyboardInterrupt:
+        return 0
+
+
+def jobs(store: Path, seed: int, headless: bool) -> list[Job]:
+    """The five trainings of the demo."""
+    road = [("road-and-rocks", learner, ()) for learner in ROAD_LEARNERS]
+    online = [(ONLINE_ENV, name, ("--steps", str(ONLINE_STEPS))) for name in ONLINE_LEARNERS]
+    shared = ("--store", str(store), "--seed", str(seed))
+    quiet = ("--no-rerun",) if headless else ()
+    return [
+        Job(f"{env} {learner}", ("--env", env, "--learner", learner, *extra, *shared, *quiet))
+        for env, learner, extra in [*road, *online]
+    ]
+
+
+def _train_all(store: Store, args: argparse.Namespace) -> int:
+    before = {r.run_id for r in store.runs()}
+    codes = run_jobs(jobs(store.path, args.seed, args.headless))
+    done = [r for r in store.runs() if r.run_id not in before]
+    _print_table(sorted(done, key=lambda r: (r.env, r.learner)))
+    failed = [name for name, code in codes.items() if code]
+    if failed:
+        print(f"tom demo: failed: {', '.join(failed)}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+def _print_table(runs: list[RunReader]) -> None:
+    table = Table(title="What was trained")
+    for column in ("environment", "learner", "steps", "last return", "best return", "run"):
+        table.add_column(column, justify="right" if "return" in column else "left")
+    for row in map(summary, runs):
+        returns = [_number(row["last_return"]), _number(row["best_return"])]
+        table.add_row(row["env"], row["learner"], str(row["env_step"]), *returns, row["run_id"])
+    Console().print(table)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
+
+
+@contextmanager
+def _studio(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
+    command = [sys.executable, "-m", "app", "--store", str(args.store)]
+    studio = subprocess.Popen(command + (["--no-browser"] if args.no_browser else []))
+    try:
+        yield studio
+    finally:
+        studio.send_signal(signal.SIGTERM)
+        try:
+            studio.wait(STUDIO_GRACE_S)
+        except subprocess.TimeoutExpired:
+            studio.kill()

@@ -1,0 +1,41 @@
+"""`tom runs`: what the store holds."""
+
+import argparse
+import json
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from tom.cli.train import summary
+from tom.record import Store
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "runs", help="list the runs of a store", description="List the runs of a store."
+    )
+    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    runs = Store(args.store).runs()
+    rows = [{**summary(r), "problems": r.problems} for r in runs]
+    if args.json:
+        print(json.dumps(rows))
+        return 0
+    table = Table()
+    for column in ("run", "state", "step", "last return", "best return", "problems"):
+        table.add_column(column, justify="right" if "return" in column else "left")
+    for row in rows:
+        returns = (_number(row["last_return"]), _number(row["best_return"]))
+        problems = "; ".join(row["problems"])
+        table.add_row(row["run_id"], row["state"], str(row["env_step"]), *returns, problems)
+    Console().print(table)
+    return 0
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
