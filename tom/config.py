@@ -146,6 +146,8 @@ class TomConfig(Config):
     """decay Q's learning rate to zero over each fit (cosine)"""
     q_non_negative: bool = False
     """keep Q >= 0 as printed in the paper (halves the mass of the weights)"""
+    semi_gradient: bool = False
+    """stop the gradient through Q(s', a') (breaks the dual: for comparison only)"""
     action_samples: Count = 1
     """actions averaged for E_{a'~pi}[Q(s', a')] (the paper: one)"""
     warmup: Count = 1000

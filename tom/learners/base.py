@@ -63,6 +63,18 @@ class Weighting:
     notices: tuple[tuple[str, str], ...] = ()
 
 
+def uniform(replay: TensorTransitions, ready: bool) -> Weighting:
+    """Weight one for every transition of `replay`."""
+    return Weighting(torch.ones(len(replay), device=replay.obs.device), ready=ready)
+
+
+DEGENERATE = (
+    "degenerate-weights",
+    "every weight is zero or some weight is not finite: this fit uses uniform weights",
+)
+"""The notice of a fit whose weights were unusable."""
+
+
 class Learner(Protocol):
     """A model learner. It keeps what it warm-starts; `state_dict` is all of that."""
 

@@ -1,0 +1,91 @@
+"""The f-divergences of TOM's regulariser and their convex conjugates, as pure functions.
+
+With y = r + g E_{a'}[Q(s', a')] - Q(s, a) the dual objective (eq. 14) holds E_q[f*(y)] and the
+optimal weights (eq. 15) are f*'(y). The conjugate is taken over x >= 0: a weight is never negative.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import log
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """D_f(d || q) = E_q[f(d/q)], its dual term and its weights.
+
+    `generator` is f itself, elementwise. `dual_term` maps y (N,), drawn from q, to the scalar that
+    stands for E_q[f*(y)]; `weights` maps the same y to the weights (N,).
+    """
+
+    generator: Callable[[Tensor], Tensor]
+    dual_term: Callable[[Tensor], Tensor]
+    weights: Callable[[Tensor], Tensor]
+
+
+def chi2_generator(x: Tensor) -> Tensor:
+    """f(x) = (x - 1)^2 / 2."""
+    return (x - 1).square() / 2
+
+
+def chi2_conjugate(y: Tensor) -> Tensor:
+    """f*(y) = (max(0, 1 + y)^2 - 1) / 2, the supremum of xy - (x-1)^2/2 over x >= 0."""
+    return ((1 + y).clamp(min=0).square() - 1) / 2
+
+
+def chi2_weights(y: Tensor) -> Tensor:
+    """f*'(y) = max(0, 1 + y)."""
+    return (1 + y).clamp(min=0)
+
+
+def released_conjugate(y: Tensor) -> Tensor:
+    """y^2/2 + y: the released code's parabola, the supremum over every real x."""
+    return y.square() / 2 + y
+
+
+def full_chi2_generator(x: Tensor) -> Tensor:
+    """f(x) = (x - 1)^2, the chi-square divergence that upper-bounds KL."""
+    return (x - 1).square()
+
+
+def full_chi2_conjugate(y: Tensor) -> Tensor:
+    """f*(y) = max(0, 1 + y/2)^2 - 1, the supremum of xy - (x-1)^2 over x >= 0."""
+    return (1 + y / 2).clamp(min=0).square() - 1
+
+
+def full_chi2_weights(y: Tensor) -> Tensor:
+    """f*'(y) = max(0, 1 + y/2)."""
+    return (1 + y / 2).clamp(min=0)
+
+
+def kl_generator(x: Tensor) -> Tensor:
+    """f(x) = x log x, with 0 log 0 = 0."""
+    return torch.special.xlogy(x, x)
+
+
+def kl_dual_term(y: Tensor) -> Tensor:
+    """log E exp(y): the supremum of E[xy - x log x] over x >= 0 with E[x] = 1."""
+    return torch.logsumexp(y, dim=0) - log(len(y))
+
+
+def kl_weights(y: Tensor) -> Tensor:
+    """exp(y) / E exp(y), without overflow."""
+    return torch.softmax(y, dim=0) * len(y)
+
+
+def divergence(
+    name: Literal["chi2", "full-chi2", "kl"],
+    conjugate: Literal["clamped", "released"] = "clamped",
+) -> Divergence:
+    """The divergence called `name`; `conjugate="released"` is an option of chi2 alone."""
+    if name == "kl":
+        return Divergence(kl_generator, kl_dual_term, kl_weights)
+    if name == "full-chi2":
+        return Divergence(
+            full_chi2_generator, lambda y: full_chi2_conjugate(y).mean(), full_chi2_weights
+        )
+    term = released_conjugate if conjugate == "released" else chi2_conjugate
+    return Divergence(chi2_generator, lambda y: term(y).mean(), chi2_weights)

@@ -1,0 +1,130 @@
+"""The discriminator: which transitions does the current policy make? Its logit is r.
+
+Trained with label 1 on the policy buffer and 0 on the replay buffer in balanced batches, its best
+logit is log(p/q), p the policy's and q the replay's distribution (paper, appendix A.2).
+"""
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits, softplus
+
+from tom.config import TomConfig
+from tom.data.sampling import uniform_indices
+from tom.data.transitions import TensorTransitions
+from tom.learners.scaling import Scaling
+from tom.nn import StackedMLP
+
+CHUNK = 4096  # rows judged at once; they stay in the processor's cache
+BLOCK = 32  # minibatches gathered at once
+
+
+def discriminator_net(
+    obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
+) -> StackedMLP:
+    """A fresh network over (s, a, s' - s) with two Tanh layers: (1, B, 2 O + A) -> (1, B, 1)."""
+    hidden = config.discriminator_hidden
+    return StackedMLP(1, [2 * obs_dim + action_dim, hidden, hidden, 1], torch.tanh, [generator])
+
+
+class Discriminator:
+    """A network between a policy buffer and a replay buffer, its inputs z-scored."""
+
+    def __init__(
+        self, net: StackedMLP, replay: TensorTransitions, policy_buffer: TensorTransitions
+    ) -> None:
+        self.net = net
+        self.replay = replay
+        self.policy_buffer = policy_buffer
+        self.scaling = Scaling.of((replay.obs, replay.action, replay.next_obs - replay.obs))
+
+    def inputs(self, rows: TensorTransitions) -> Tensor:
+        """z-scored (s, a, s' - s), (B, 2 O + A)."""
+        return self.scaling(torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), dim=1))
+
+    def train(
+        self, optimiser: torch.optim.Optimizer, config: TomConfig, generator: torch.Generator
+    ) -> dict[str, float]:
+        """Gradient steps on the cross entropy; loss and accuracy over the last tenth of them."""
+        tail = max(config.discriminator_steps // 10, 1)
+        losses, correct = [], []
+        for step, (positive, negative) in enumerate(self._batches(config, generator)):
+            logits = self.net(torch.cat((positive, negative))[None])[0, :, 0]
+            loss = cross_entropy(logits, config.label_smoothing)
+            if config.gradient_penalty > 0:
+                penalty = self._penalty(positive, negative, generator)
+                (loss + config.gradient_penalty * penalty).backward()
+            else:
+                loss.backward()
+            optimiser.step()
+            optimiser.zero_grad()
+            if step >= config.discriminator_steps - tail:
+                losses.append(loss.detach())
+                correct.append(accuracy(logits.detach()))
+        if not losses:
+            return {}
+        return {
+            "discriminator/loss": float(torch.stack(losses).mean()),
+            "discriminator/accuracy": float(torch.stack(correct).mean()),
+        }
+
+    @torch.no_grad()
+    def log_ratio(self) -> Tensor:
+        """The logit of every replay row, (N,)."""
+        starts = range(0, len(self.replay), CHUNK)
+        rows = (self.inputs(self.replay[i : i + CHUNK]) for i in starts)
+        return torch.cat([self.net(x[None])[0, :, 0] for x in rows])
+
+    def _batches(
+        self, config: TomConfig, generator: torch.Generator
+    ) -> Iterator[tuple[Tensor, Tensor]]:
+        size, left = config.discriminator_batch, config.discriminator_steps
+        while left > 0:
+            n = min(left, BLOCK)
+            left -= n
+            drawn = []
+            for buffer in (self.policy_buffer, self.replay):
+                index = uniform_indices(len(buffer), n * size, generator)
+                drawn.append(self.inputs(buffer[index.to(buffer.obs.device)]).split(size))
+            yield from zip(*drawn, strict=True)
+
+    def _penalty(self, positive: Tensor, negative: Tensor, generator: torch.Generator) -> Tensor:
+        """E[(|d logit / d x| - 1)^2] on random mixtures of the two kinds of rows."""
+        mix = torch.rand(len(positive), 1, generator=generator).to(positive)
+        x = (mix * positive + (1 - mix) * negative).requires_grad_()
+        (slope,) = torch.autograd.grad(self.net(x[None]).sum(), x, create_graph=True)
+        return (slope.norm(dim=1) - 1).square().mean()
+
+
+def cross_entropy(logits: Tensor, smoothing: float) -> Tensor:
+    """Mean cross entropy of 2B logits: B policy rows (label 1), then B replay rows (smoothing).
+
+    -(E_p[log c] + E_q[log(1 - c)]) / 2; as printed, appendix A.2 has the sign reversed.
+    """
+    positive, negative = logits.chunk(2)
+    if smoothing == 0:
+        return (softplus(-positive).mean() + softplus(negative).mean()) / 2
+    target = torch.full_like(negative, smoothing)
+    return (softplus(-positive).mean() + binary_cross_entropy_with_logits(negative, target)) / 2
+
+
+def accuracy(logits: Tensor) -> Tensor:
+    """Share of rows on the right side: the first half above zero, the second half below."""
+    positive, negative = logits.chunk(2)
+    return torch.cat((positive > 0, negative < 0)).float().mean()
+
+
+def membership_reward(replay: TensorTransitions, policy_buffer: TensorTransitions) -> Tensor:
+    """The ablation without a discriminator: 1 on replay rows of the policy buffer, else 0, (N,)."""
+    return torch.isin(_row_hash(replay), _row_hash(policy_buffer)).to(replay.obs)
+
+
+def _row_hash(rows: TensorTransitions) -> Tensor:
+    """A 64-bit hash of each row's (s, a, s') bits, the same wherever the row stands."""
+    total = torch.zeros(len(rows), dtype=torch.int64, device=rows.obs.device)
+    for part in (rows.obs, rows.action, rows.next_obs):
+        for column in part.unbind(1):
+            bits = (column + 0.0).view(torch.int32).to(torch.int64)  # + 0.0: -0 equals 0
+            total = (total ^ bits) * 0x9E3779B97F4A7C1 + (total >> 29)
+    return total

@@ -1,0 +1,179 @@
+"""The dual problem of TOM (paper, eq. 14) over a network Q, and the weights at its Q (eq. 15)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+from torch.nn.functional import relu, softplus
+
+from tom.config import TomConfig
+from tom.data.sampling import uniform_indices
+from tom.data.transitions import TensorTransitions
+from tom.divergences import divergence
+from tom.learners.base import Policy
+from tom.learners.scaling import Scaling
+from tom.nn import StackedMLP
+
+CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
+BLOCK = 8  # minibatches gathered, and their actions drawn, at once
+
+
+@runtime_checkable
+class FinitePolicy(Protocol):
+    """A policy with finitely many actions, which makes expectations over a' exact."""
+
+    def support(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """obs (B, O) -> actions (K, B, A) and their probabilities (K, B)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Batch:
+    """B transitions and B start states as Q reads them."""
+
+    inputs: Tensor  # (B + K B + L B, O + A): (s, a), every (s', a'), every (s0, a0)
+    next_probs: Tensor  # (K, B) of the a'
+    start_probs: Tensor  # (L, B) of the a0
+    log_ratio: Tensor  # (B,)
+    terminated: Tensor  # (B,)
+
+
+@dataclass(frozen=True)
+class Values:
+    """What the dual needs of Q on a batch."""
+
+    now: Tensor  # Q(s, a), (B,)
+    following: Tensor  # E_{a'~pi}[Q(s', a')], (B,), before any mask
+    start: Tensor  # E_{a~pi}[Q(s0, a)], (B,)
+
+
+def q_net(
+    obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
+) -> StackedMLP:
+    """A fresh Q with two ReLU layers: (1, B, O + A) -> (1, B, 1)."""
+    sizes = [obs_dim + action_dim, config.q_hidden, config.q_hidden, 1]
+    return StackedMLP(1, sizes, relu, [generator])
+
+
+def policy_actions(
+    policy: Policy, obs: Tensor, n: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Actions (K, B, A) and probabilities (K, B) that stand for a ~ pi(.|obs): all, or n draws."""
+    if isinstance(policy, FinitePolicy):
+        actions, probs = policy.support(obs)
+    else:
+        actions = policy(obs, n, generator)
+        probs = obs.new_full(actions.shape[:2], 1.0 / len(actions))
+    return actions.detach().to(obs), probs.detach().to(obs)
+
+
+def dual_argument(values: Values, log_ratio: Tensor, terminated: Tensor, discount: float) -> Tensor:
+    """y = r + g (1 - terminated) E_{a'}[Q(s', a')] - Q(s, a), (B,). Truncation masks nothing."""
+    return log_ratio + discount * (1 - terminated) * values.following - values.now
+
+
+def dual_loss(values: Values, batch: Batch, config: TomConfig) -> Tensor:
+    """(1-g) E_{mu0,pi}[Q(s0, a0)] + E_q[f*(y)] (paper, eq. 14), a scalar."""
+    f = divergence(config.divergence, config.conjugate)
+    y = dual_argument(values, batch.log_ratio, batch.terminated, config.discount)
+    return (1 - config.discount) * values.start.mean() + f.dual_term(y)
+
+
+@dataclass(frozen=True)
+class DualProblem:
+    """A replay buffer with its r, a policy and a start distribution: what Q is fitted to."""
+
+    replay: TensorTransitions
+    log_ratio: Tensor  # (N,)
+    initial_obs: Tensor  # (M0, O)
+    policy: Policy
+    config: TomConfig
+    scaling: Scaling  # of (s, a)
+
+    def minimise(
+        self, net: StackedMLP, optimiser: torch.optim.Optimizer, generator: torch.Generator
+    ) -> dict[str, float]:
+        """Gradient steps on the dual, in place; its mean over the last tenth of them."""
+        losses = []
+        for batch in self._batches(generator):
+            loss = dual_loss(self._values(net, batch), batch, self.config)
+            loss.backward()
+            optimiser.step()
+            optimiser.zero_grad()
+            losses.append(loss.detach())
+        tail = losses[-max(len(losses) // 10, 1) :]
+        return {"dual/loss": float(torch.stack(tail).mean())}
+
+    @torch.no_grad()
+    def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Weights f*'(y), not normalised, and Q(s, a) of every replay row, (N,) each."""
+        y, now = [], []
+        for rows, r in zip(_chunks(self.replay), self.log_ratio.split(CHUNK), strict=True):
+            samples = self.config.action_samples
+            inputs, probs = self._policy_inputs(rows.next_obs, samples, generator)
+            q = self._q(net, torch.cat((self._inputs(rows.obs, rows.action), inputs.flatten(0, 1))))
+            following = (probs * q[len(rows) :].view_as(probs)).sum(0)
+            values = Values(q[: len(rows)], following, following)
+            y.append(dual_argument(values, r, rows.terminated, self.config.discount))
+            now.append(values.now)
+        f = divergence(self.config.divergence, self.config.conjugate)
+        return f.weights(torch.cat(y)), torch.cat(now)
+
+    def _batches(self, generator: torch.Generator) -> Iterator[Batch]:
+        """`q_steps` batches, drawn uniformly with replacement, gathered a block at a time."""
+        size, samples = self.config.q_batch, self.config.action_samples
+        for first in range(0, self.config.q_steps, BLOCK):
+            n = min(BLOCK, self.config.q_steps - first)
+            index = self._draw(len(self.replay), n * size, generator)
+            start = self._draw(len(self.initial_obs), n * size, generator)
+            rows = self.replay[index]
+            following, next_probs = self._policy_inputs(rows.next_obs, samples, generator)
+            # One a0 will do: its expectation enters linearly, that over a' sits inside f*.
+            starts, start_probs = self._policy_inputs(self.initial_obs[start], 1, generator)
+            now = self._inputs(rows.obs, rows.action)[None]
+            inputs = torch.cat([_steps(x, n) for x in (now, following, starts)], dim=1)
+            yield from map(
+                Batch,
+                inputs,
+                next_probs.split(size, dim=1),
+                start_probs.split(size, dim=1),
+                self.log_ratio[index].split(size),
+                rows.terminated.split(size),
+            )
+
+    def _values(self, net: StackedMLP, batch: Batch) -> Values:
+        q = self._q(net, batch.inputs)
+        b, k = len(batch.log_ratio), batch.next_probs.numel()
+        following = (batch.next_probs * q[b : b + k].view_as(batch.next_probs)).sum(0)
+        start = (batch.start_probs * q[b + k :].view_as(batch.start_probs)).sum(0)
+        if self.config.semi_gradient:
+            following = following.detach()
+        return Values(q[:b], following, start)
+
+    def _q(self, net: StackedMLP, inputs: Tensor) -> Tensor:
+        q = net(inputs[None])[0, :, 0]
+        return softplus(q) if self.config.q_non_negative else q
+
+    def _inputs(self, obs: Tensor, action: Tensor) -> Tensor:
+        return self.scaling(torch.cat((obs, action), dim=-1))
+
+    def _policy_inputs(
+        self, obs: Tensor, n: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """(s, a ~ pi) as Q reads them, (K, B, O + A), and the probability of each a, (K, B)."""
+        actions, probs = policy_actions(self.policy, obs, n, generator)
+        return self._inputs(obs.expand(len(actions), *obs.shape), actions), probs
+
+    def _draw(self, high: int, n: int, generator: torch.Generator) -> Tensor:
+        return uniform_indices(high, n, generator).to(self.replay.obs.device)
+
+
+def _steps(inputs: Tensor, n: int) -> Tensor:
+    """(K, n B, D), B rows for each of n steps -> (n, K B, D)."""
+    return inputs.unflatten(1, (n, -1)).transpose(0, 1).flatten(1, 2)
+
+
+def _chunks(rows: TensorTransitions) -> Iterator[TensorTransitions]:
+    return (rows[i : i + CHUNK] for i in range(0, len(rows), CHUNK))

@@ -1,0 +1,20 @@
+"""MLE: maximum likelihood on all past experience, every transition counting the same."""
+
+from typing import Any
+
+from tom.learners.base import FitContext, Weighting, uniform
+
+
+class MleLearner:
+    """Weight one for every transition (paper, eq. 2)."""
+
+    name = "mle"
+
+    def weigh(self, context: FitContext) -> Weighting:
+        return uniform(context.replay, ready=True)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        pass

@@ -1,0 +1,31 @@
+"""z-scores of what a network reads: each column by its mean and spread over the replay buffer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+MIN_STD = 1e-6  # a constant column is centred and left unscaled
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Column means and standard deviations, (D,) each."""
+
+    mean: Tensor
+    std: Tensor
+
+    @staticmethod
+    def of(columns: Sequence[Tensor]) -> Scaling:
+        """The scaling of groups of columns, (N, D_i) each, laid side by side."""
+        std, mean = zip(*(torch.std_mean(c, 0, correction=0) for c in columns), strict=True)
+        spread = torch.cat(std)
+        return Scaling(
+            torch.cat(mean), torch.where(spread < MIN_STD, torch.ones_like(spread), spread)
+        )
+
+    def __call__(self, x: Tensor) -> Tensor:
+        return (x - self.mean) / self.std

@@ -1,0 +1,74 @@
+"""VaGram: a transition's dimensions count by how much the value function reacts to them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from tom.config import VagramConfig
+from tom.data.sampling import normalise
+from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
+
+CHUNK = 4096  # rows differentiated at once; they stay in the processor's cache
+
+
+def value_gradient_weights(
+    next_obs: Tensor, scale: Tensor, value_gradient: Callable[[Tensor], Tensor]
+) -> Tensor:
+    """(scale_d dV_k/ds'_d)^2, averaged over the K value heads, (N, O).
+
+    The model's likelihood is that of z-scored targets, so a unit of its error in dimension d is
+    scale_d units of s'_d. Heads are averaged after squaring: their gradients may cancel, and how
+    much each reacts may not. `value_gradient` maps states (B, O) to dV_k/ds, (K, B, O).
+    """
+    parts = [value_gradient(rows).square().mean(0) for rows in next_obs.split(CHUNK)]
+    return torch.cat(parts) * scale.square()
+
+
+def clip_rows(per_dim: Tensor, quantile: float) -> Tensor:
+    """Rows (N, O) scaled down so that no row's mean exceeds that quantile of the rows' means.
+
+    A row keeps the proportions of its dimensions: clipping says how much a transition counts,
+    never which of its dimensions do.
+    """
+    mean = per_dim.mean(1)
+    ordered = mean.sort().values  # torch.quantile refuses more than 2^24 rows
+    bound = ordered[min(int(quantile * len(ordered)), len(ordered) - 1)]
+    factor = torch.where(mean > bound, bound / mean, torch.ones_like(mean))
+    return per_dim * factor[:, None]
+
+
+class VagramLearner:
+    """Value-gradient weights for each transition and state dimension.
+
+    Uniform, and not ready, while there is no value function or nothing was collected on policy.
+    """
+
+    def __init__(self, config: VagramConfig, name: str = "vagram") -> None:
+        self.name = name
+        self.config = config
+        self.degenerate = 0
+
+    def weigh(self, context: FitContext) -> Weighting:
+        replay = context.replay
+        if context.value_gradient is None or context.on_policy_steps == 0:
+            return uniform(replay, ready=False)
+        scale = (replay.next_obs - replay.obs).std(0, correction=0)
+        raw = value_gradient_weights(replay.next_obs, scale, context.value_gradient)
+        per_dim, degenerate = normalise(clip_rows(raw, self.config.clip_quantile).flatten())
+        per_dim = per_dim.view_as(raw)
+        self.degenerate += degenerate
+        return Weighting(
+            weights=per_dim.mean(1),
+            per_dim=per_dim,
+            ready=not degenerate,
+            metrics={"weights/degenerate": float(self.degenerate)},
+            notices=(DEGENERATE,) if degenerate else (),
+        )
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"degenerate": self.degenerate}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.degenerate = state["degenerate"]
