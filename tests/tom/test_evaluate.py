@@ -60,10 +60,11 @@ def test_replaying_the_actions_in_one_environment_gives_the_recorded_episode():
             obs, _ = env.reset(seed=int(start))
             np.testing.assert_array_equal(obs.astype(np.float32), e.obs[0])
             for t in range(e.length):
-                obs, reward, terminated, _, _ = env.step(e.action[t])
+                obs, reward, *ended, _ = env.step(e.action[t])
                 np.testing.assert_array_equal(obs.astype(np.float32), e.obs[t + 1])
                 assert np.float32(reward) == e.reward[t]
-            assert terminated == e.terminated
+                last = t == e.length - 1
+                assert ended == [last and e.terminated, last and e.truncated]
 
 
 def test_same_seed_same_episodes_whatever_was_played_before():
@@ -112,4 +113,4 @@ def test_training_environment_is_left_untouched():
         assert answers[0][1:4] == answers[1][1:4]
         if answers[0][2] or answers[0][3]:
             starts = [e.reset()[0] for e in (env, twin)]
-            np.testing.assert_array_equal(*starts)
+            np.testing.assert_array_equal(starts[0], starts[1])

@@ -50,7 +50,7 @@ class MujocoTask:
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
         """The environment, with actions in [-1, 1]; its random streams follow `seed`, if given."""
         # MuJoCo's own handler writes MUJOCO_LOG.TXT into the working directory.
-        mujoco.set_mju_user_warning(_log.info)
+        mujoco.set_mju_user_warning(_log.info)  # pyright: ignore[reportAttributeAccessIssue]
         env = gym.make(
             self.gym_id,
             max_episode_steps=self.max_episode_steps,

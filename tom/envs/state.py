@@ -1,5 +1,8 @@
 """The exact state of a running environment, so that a resumed run takes the very same steps."""
 
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from typing import Any, cast
 
 import gymnasium as gym

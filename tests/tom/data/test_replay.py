@@ -33,9 +33,9 @@ def add_one(buffer: ReplayBuffer, t: TensorTransitions, version: int) -> None:
     n = t.numpy()
     buffer.add(
         np.asarray(n.obs[0], dtype=np.float64),
-        n.action[0],
+        np.asarray(n.action[0]),
         float(n.reward[0]),
-        n.next_obs[0],
+        np.asarray(n.next_obs[0]),
         bool(n.terminated[0]),
         bool(n.truncated[0]),
         version,
