@@ -1,0 +1,124 @@
+"""Between arrays on disk and the backend's types; wrong content raises ValueError or KeyError."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tom.data.transitions import Transitions
+from tom.events import Episode
+from tom.record.profiles import Profiles
+
+Arrays = Mapping[str, NDArray]
+
+
+def episode_arrays(episodes: Sequence[Episode]) -> dict[str, NDArray]:
+    """The arrays of `episodes/<step>.npz`."""
+    arrays: dict[str, NDArray] = {}
+    for i, episode in enumerate(episodes):
+        parts = {"reward": episode.reward, "action": episode.action, "obs": episode.obs}
+        parts |= {"qpos": episode.qpos, "qvel": episode.qvel}
+        arrays |= {f"{name}_{i}": part for name, part in parts.items() if part is not None}
+        arrays[f"ended_{i}"] = np.array([episode.terminated, episode.truncated])
+        arrays |= {
+            f"info_{i}.{name}": np.array(value, np.float64) for name, value in episode.info.items()
+        }
+    return arrays
+
+
+def episodes_of(arrays: Arrays) -> list[Episode]:
+    """The episodes in `episodes/<step>.npz`."""
+    count = sum(name.startswith("reward_") for name in arrays)
+    return [_episode(arrays, i) for i in range(count)]
+
+
+def _episode(arrays: Arrays, i: int) -> Episode:
+    prefix = f"info_{i}."
+    info = {n.removeprefix(prefix): float(arrays[n]) for n in arrays if n.startswith(prefix)}
+    terminated, truncated = (bool(flag) for flag in arrays[f"ended_{i}"])
+    return Episode(
+        reward=arrays[f"reward_{i}"],
+        action=arrays[f"action_{i}"],
+        obs=arrays[f"obs_{i}"],
+        qpos=arrays.get(f"qpos_{i}"),
+        qvel=arrays.get(f"qvel_{i}"),
+        terminated=terminated,
+        truncated=truncated,
+        info=info,
+    )
+
+
+def transition_arrays(rows: Transitions, policy_version: NDArray) -> dict[str, NDArray]:
+    """The arrays of `buffer/<first row>.npz`: float32, flags as booleans."""
+    arrays = {f.name: np.asarray(getattr(rows, f.name), np.float32) for f in fields(rows)}
+    arrays |= {name: arrays[name] != 0 for name in ("terminated", "truncated")}
+    return arrays | {"policy_version": np.asarray(policy_version, np.int64)}
+
+
+def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:
+    """The rows and policy versions in `buffer/<first row>.npz`."""
+    rows = Transitions(*(arrays[f.name] for f in fields(Transitions)))
+    version = arrays["policy_version"]
+    sizes = {len(getattr(rows, f.name)) for f in fields(rows)} | {len(version)}
+    if len(sizes) != 1:
+        raise ValueError("its arrays differ in length")
+    return rows, version
+
+
+def empty_transitions() -> tuple[Transitions, NDArray[np.int64]]:
+    """No rows."""
+    flat, wide = np.zeros(0, np.float32), np.zeros((0, 0), np.float32)
+    rows = Transitions(wide, wide, flat, wide, flat.astype(bool), flat.astype(bool))
+    return rows, np.zeros(0, np.int64)
+
+
+def profiles_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Profiles, int]:
+    """The profiles in the rows of `weights/profiles.jsonl`, and how many rows were unusable.
+
+    The number of bins is that of the first usable row.
+    """
+    read = [row for row in map(_profile_row, rows) if row is not None]
+    width = len(read[0][1]) if read else 0
+    good = [row for row in read if len(row[1]) == width]
+    columns = list(zip(*good, strict=True)) if good else [(), (), (), (), ()]
+    profiles = Profiles(
+        env_step=np.array(columns[0], np.int64),
+        bins=np.array(columns[1], np.float64).reshape(len(good), width),
+        count=np.array(columns[2], np.int64),
+        ess=np.array(columns[3], np.float64),
+        zeros=np.array(columns[4], np.float64),
+    )
+    return profiles, len(rows) - len(good)
+
+
+def _profile_row(row: Mapping[str, Any]) -> tuple[int, list[float], int, float, float] | None:
+    try:
+        bins = [_number(value) for value in row["bins"]]
+        ess, zeros = _number(row["ess"]), _number(row["zeros"])
+        return int(row["env_step"]), bins, int(row["count"]), ess, zeros
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _number(value: Any) -> float:
+    return np.nan if value is None else float(value)
+
+
+def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """The table of metric rows: `env_step` as int64, every metric as float64, null as NaN.
+
+    Rows of one step become one; where both know a metric the later one counts.
+    """
+    usable = [row for row in rows if isinstance(row.get("env_step"), int)]
+    table = pd.DataFrame(usable)
+    if table.empty:
+        return pd.DataFrame({"env_step": np.zeros(0, np.int64)})
+    metrics = [name for name in table.columns if name != "env_step"]
+    numbers = table[metrics].apply(pd.to_numeric, errors="coerce").astype(np.float64)
+    table = pd.concat([table[["env_step"]].astype(np.int64), numbers], axis=1)
+    if table["env_step"].is_monotonic_increasing and table["env_step"].is_unique:
+        return table
+    return table.groupby("env_step", sort=True, as_index=False).last()

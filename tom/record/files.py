@@ -1,0 +1,118 @@
+"""Files that survive a kill at any moment: whole-file replacement and append-only JSON lines."""
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+
+def replace(path: Path, write: Callable[[BinaryIO], object], *, sync: bool) -> None:
+    """Replace `path` whole: a reader sees the old file or the new one, never a part.
+
+    `sync` also survives a power loss, for the price of waiting for the disk. A failed write
+    leaves the old file and nothing else.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            write(file)
+            if sync:
+                file.flush()
+                os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def replace_json(path: Path, content: Mapping[str, Any], *, sync: bool) -> None:
+    """Replace `path` by `content` as JSON; what is not finite becomes null."""
+    text = json.dumps(plain(content), allow_nan=False, indent=1) + "\n"
+    replace(path, lambda file: file.write(text.encode()), sync=sync)
+
+
+def plain(value: Any) -> Any:
+    """`value` in JSON's own types: numpy unwrapped, NaN and infinities turned into None."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value
+
+
+class JsonLines:
+    """An append-only file of JSON objects; one row is one write, so a kill tears nothing."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        self._drop_half_line()
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Append one row.
+
+        Raises OSError when the disk is full; a part that was written is cut off again, so that
+        the next row does not stick to it.
+        """
+        line = (json.dumps(plain(row), allow_nan=False, separators=(",", ":")) + "\n").encode()
+        size = os.fstat(self._file).st_size
+        try:
+            written = os.write(self._file, line)
+        except OSError as error:
+            raise OSError(error.errno, f"cannot write {self.path}: {error.strerror}") from error
+        if written != len(line):
+            os.ftruncate(self._file, size)
+            raise OSError(f"cannot write {self.path}: is the disk full?")
+
+    def close(self) -> None:
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def _drop_half_line(self) -> None:
+        size = os.fstat(self._file).st_size
+        if size and os.pread(self._file, 1, size - 1) != b"\n":
+            os.ftruncate(self._file, self.path.read_bytes().rfind(b"\n") + 1)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The JSON object in `path`. Raises OSError, or ValueError when it is something else."""
+    content = json.loads(path.read_bytes())
+    if not isinstance(content, dict):
+        raise ValueError("not a JSON object")
+    return content
+
+
+def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
+    """The rows of a JSON lines file, and what was wrong with the lines that were skipped."""
+    lines = path.read_bytes().split(b"\n")
+    rows: list[dict[str, Any]] = []
+    problems: list[str] = []
+    for number, line in enumerate(lines, start=1):
+        if not line:
+            continue
+        if number == len(lines):
+            problems.append(f"{path.name}: the last line is half written and was skipped")
+            continue
+        row = _row(line)
+        if row is None:
+            problems.append(f"{path.name}: line {number} is damaged and was skipped")
+        else:
+            rows.append(row)
+    return rows, problems
+
+
+def _row(line: bytes) -> dict[str, Any] | None:
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    return row if isinstance(row, dict) else None

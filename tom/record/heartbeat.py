@@ -1,0 +1,91 @@
+"""Keeps `status.json` fresh from a thread of its own, also through a model fit of minutes."""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+from tom.record.status import Status
+from tom.record.writer import RunWriter
+
+BEAT_S = 2.0
+"""Seconds between two heartbeats."""
+
+WINDOW_S = 120.0
+"""Speed and time left are judged by the last so many seconds."""
+
+
+class Heartbeat:
+    """The living status of one run."""
+
+    def __init__(self, writer: RunWriter, total: int, clock: Callable[[], float]) -> None:
+        self._writer = writer
+        self._clock = clock
+        self._lock = threading.Lock()
+        now = clock()
+        self.status = Status("running", "start", 0, total, now, now, os.getpid())
+        self._samples: deque[tuple[float, int]] = deque([(now, 0)])
+        self._stop = threading.Event()
+        self.beat()
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
+        self._thread.start()
+
+    def tick(self, env_step: int, phase: str) -> None:
+        """The training is at `env_step` and does `phase` now."""
+        with self._lock:
+            if phase != self.status.phase and self.status.phase == "explore":
+                # Exploration is much faster than training: it says nothing about the time left.
+                self._samples = deque([(self._clock(), env_step)])
+            self.status = replace(self.status, env_step=env_step, phase=phase)
+
+    def returned(self, value: float) -> float:
+        """An evaluation returned `value`; the best return so far."""
+        with self._lock:
+            before = self.status.best_return
+            best = value if before is None or value > before else before
+            self.status = replace(self.status, last_return=value, best_return=best)
+        return best
+
+    def beat(self) -> None:
+        """Write the status with a fresh heartbeat, speed and time left."""
+        with self._lock:
+            now, step = self._clock(), self.status.env_step
+            rate = self._rate(now, step)
+            left = max(self.status.total - step, 0)
+            self.status = replace(
+                self.status,
+                heartbeat=now,
+                env_steps_per_s=rate,
+                eta_s=left / rate if rate else None,
+            )
+            self._writer.status(self.status)
+
+    def stop(self) -> None:
+        """No more beats by itself."""
+        self._stop.set()
+        self._thread.join()
+
+    def end(self, state: str, reason: str) -> None:
+        """Write the final status; its speed is that of the whole run."""
+        now = self._clock()
+        span = now - self.status.started
+        rate = self.status.env_step / span if span > 0 else None
+        ended = replace(self.status, state=state, reason=reason, heartbeat=now, phase="")
+        self.status = replace(ended, eta_s=None, env_steps_per_s=rate)
+        self._writer.status(self.status)
+
+    def _rate(self, now: float, step: int) -> float | None:
+        while len(self._samples) > 1 and now - self._samples[0][0] > WINDOW_S:
+            self._samples.popleft()
+        then, step_then = self._samples[0]
+        self._samples.append((now, step))
+        return (step - step_then) / (now - then) if now > then else None
+
+    def _run(self) -> None:
+        while not self._stop.wait(BEAT_S):
+            try:
+                self.beat()
+            except OSError:
+                # A full disk: the run looks dead until there is room again, and trains on.
+                continue

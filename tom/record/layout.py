@@ -1,0 +1,70 @@
+"""Names in a store and in a run folder (docs/run-folder.md)."""
+
+import re
+from pathlib import Path
+
+SCHEMA = 1
+
+RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+CONFIG = "config.json"
+STATUS = "status.json"
+METRICS = "metrics.jsonl"
+METRICS_TABLE = "metrics.parquet"
+PROFILES = "weights/profiles.jsonl"
+NOTICES = "notices.jsonl"
+LOCK = ".writer"
+
+_NUMBERED = re.compile(r"(?:(?P<name>.+)-)?(?P<number>\d{9,18})")
+_RRD = re.compile(r"run(?:-(\d+))?\.rrd")
+
+
+def snapshot(step: int) -> str:
+    return f"weights/snapshot-{step:09d}.parquet"
+
+
+def episodes(step: int) -> str:
+    return f"episodes/{step:09d}.npz"
+
+
+def segment(first_row: int) -> str:
+    return f"buffer/{first_row:09d}.npz"
+
+
+def field(name: str, step: int) -> str:
+    return f"fields/{name}-{step:09d}.npz"
+
+
+def numbers(folder: Path, suffix: str, name: str | None = None) -> list[int]:
+    """The numbers of the files `<name>-<number><suffix>` in `folder`, ascending."""
+    found = [_NUMBERED.fullmatch(p.stem) for p in _files(folder) if p.suffix == suffix]
+    return sorted(int(match["number"]) for match in found if match and match["name"] == name)
+
+
+def names(folder: Path, suffix: str) -> list[str]:
+    """The names of the files `<name>-<number><suffix>` in `folder`."""
+    found = [_NUMBERED.fullmatch(p.stem) for p in _files(folder) if p.suffix == suffix]
+    return sorted({match["name"] for match in found if match and match["name"]})
+
+
+def rrd_files(folder: Path) -> list[Path]:
+    """`run.rrd`, `run-2.rrd`, ... in the order they were written."""
+    return [path for _, path in _rrds(folder)]
+
+
+def next_rrd(folder: Path) -> Path:
+    """Where the next recording goes: a recording is never overwritten."""
+    found = _rrds(folder)
+    return folder / (f"run-{found[-1][0] + 1}.rrd" if found else "run.rrd")
+
+
+def _rrds(folder: Path) -> list[tuple[int, Path]]:
+    found = [(_RRD.fullmatch(path.name), path) for path in _files(folder)]
+    return sorted((int(match[1] or 1), path) for match, path in found if match)
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        return list(folder.iterdir())
+    except OSError:
+        return []

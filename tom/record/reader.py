@@ -1,0 +1,216 @@
+"""Reads a run folder (docs/run-folder.md), also one that is live, killed, newer or damaged.
+
+What cannot be read is left out and named in `problems`; nothing here raises for bad content.
+"""
+
+import zipfile
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from tom.data.transitions import Transitions
+from tom.events import Episode
+from tom.record import decode, layout, status
+from tom.record.files import read_json, read_json_lines
+from tom.record.profiles import Profiles
+from tom.record.status import Status
+
+T = TypeVar("T")
+
+DAMAGE = (
+    OSError,
+    ValueError,  # also what numpy and JSON raise
+    KeyError,
+    TypeError,
+    EOFError,
+    NotImplementedError,  # zipfile, for a method it does not know
+    zipfile.BadZipFile,
+    pa.ArrowException,
+)
+
+
+class RunReader:
+    """One run folder. Cheap to make; every call reads what is on the disk now."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self.problems: list[str] = []
+
+    @property
+    def run_id(self) -> str:
+        return self.path.name
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """The whole of `config.json`; empty when it cannot be read."""
+        content = self._read(layout.CONFIG, read_json, needed=True)
+        if content is None:
+            return {}
+        schema = content.get("schema")
+        if isinstance(schema, int) and schema > layout.SCHEMA:
+            self._problem(
+                f"written by a newer version (schema {schema}, this one knows {layout.SCHEMA}): "
+                "parts may be missing; update tom-studio"
+            )
+        return content
+
+    @property
+    def is_run(self) -> bool:
+        """`config.json` is there and is a run's."""
+        kinds = {"schema": int, "env": str, "learner": str}
+        return all(isinstance(self.config.get(name), kind) for name, kind in kinds.items())
+
+    @property
+    def env(self) -> str:
+        return str(self.config.get("env", "?"))
+
+    @property
+    def learner(self) -> str:
+        return str(self.config.get("learner", "?"))
+
+    @property
+    def seed(self) -> int:
+        seed = self.config.get("seed", 0)
+        return seed if isinstance(seed, int) else 0
+
+    @property
+    def created(self) -> str:
+        """When the run was created, ISO 8601; empty when unknown."""
+        return str(self.config.get("created", ""))
+
+    @property
+    def status(self) -> Status:
+        """What the run says about itself now."""
+        read = self._read(layout.STATUS, lambda p: status.parse(read_json(p)), needed=True)
+        return read or Status()
+
+    def metrics(self) -> pd.DataFrame:
+        """A row a recorded step: `env_step` and every metric (missing is NaN).
+
+        The Parquet copy is taken unless the run has gone on since it was written.
+        """
+        rows, table = self.path / layout.METRICS, self.path / layout.METRICS_TABLE
+        if _modified(table) >= _modified(rows) > 0:
+            read = self._read(layout.METRICS_TABLE, _table)
+            if read is not None and "env_step" in read:
+                return read
+        return decode.metrics_table(self._lines(layout.METRICS))
+
+    def profiles(self) -> Profiles:
+        """The weight profile of every model fit."""
+        profiles, bad = decode.profiles_of(self._lines(layout.PROFILES))
+        if bad:
+            self._problem(f"{layout.PROFILES}: {bad} unusable rows were skipped")
+        return profiles
+
+    def notices(self) -> list[dict[str, Any]]:
+        """What a reader must know: `env_step`, `kind`, `message`."""
+        return self._lines(layout.NOTICES)
+
+    def snapshot_steps(self) -> list[int]:
+        """Steps of the model fits whose every single weight was kept."""
+        return layout.numbers(self.path / "weights", ".parquet", "snapshot")
+
+    def snapshot(self, step: int) -> pd.DataFrame:
+        """A row a transition, oldest first: `weight`, and `log_ratio`, `dim_i` where kept."""
+        read = self._read(layout.snapshot(step), _table, needed=True)
+        return pd.DataFrame({"weight": np.zeros(0, np.float32)}) if read is None else read
+
+    def evaluation_steps(self) -> list[int]:
+        return layout.numbers(self.path / "episodes", ".npz")
+
+    def episodes(self, step: int) -> list[Episode]:
+        """The evaluation episodes at `step`."""
+        name = layout.episodes(step)
+        return self._read(name, lambda p: decode.episodes_of(_arrays(p)), needed=True) or []
+
+    def buffer(self) -> tuple[Transitions, NDArray[np.int64]]:
+        """The replay buffer in order of collection, and which policy collected each row.
+
+        Reading ends at the first segment that is missing or damaged: the rows stay aligned with
+        the weights.
+        """
+        parts: list[tuple[Transitions, NDArray[np.int64]]] = []
+        row = 0
+        for first in layout.numbers(self.path / "buffer", ".npz"):
+            name = layout.segment(first)
+            if first != row:
+                self._problem(f"{name}: rows {row} to {first} are missing; later rows are left out")
+                break
+            part = self._read(name, lambda p: decode.transitions_of(_arrays(p)))
+            if part is None:
+                break
+            parts.append(part)
+            row += len(part[0])
+        if not parts:
+            return decode.empty_transitions()
+        rows = Transitions.concatenate([rows for rows, _ in parts])
+        return rows, np.concatenate([version for _, version in parts])
+
+    def field_names(self) -> list[str]:
+        """The names of the task's own pictures."""
+        return layout.names(self.path / "fields", ".npz")
+
+    def field_steps(self, name: str) -> list[int]:
+        return layout.numbers(self.path / "fields", ".npz", name)
+
+    def field(self, name: str, step: int) -> dict[str, NDArray]:
+        """The arrays of the task's own picture `name` at `step`."""
+        return self._read(layout.field(name, step), _arrays, needed=True) or {}
+
+    def rrd_files(self) -> list[Path]:
+        """The Rerun recordings, in the order they were written."""
+        return layout.rrd_files(self.path)
+
+    def _lines(self, name: str) -> list[dict[str, Any]]:
+        rows, problems = self._read(name, read_json_lines) or ([], [])
+        for problem in problems:
+            self._problem(problem)
+        return rows
+
+    def _read(self, name: str, read: Callable[[Path], T], *, needed: bool = False) -> T | None:
+        path = self.path / name
+        if not path.resolve().is_relative_to(self.path.resolve()):
+            self._problem(f"{name} leads out of the run folder and was not read")
+            return None
+        try:
+            return read(path)
+        except FileNotFoundError:
+            if needed:
+                self._problem(f"{name} is missing")
+        except DAMAGE as error:
+            self._problem(f"{name} cannot be read: {_short(error)}")
+        return None
+
+    def _problem(self, text: str) -> None:
+        if text not in self.problems:
+            self.problems.append(text)
+
+
+def _table(path: Path) -> pd.DataFrame:
+    # One file by its own name: pandas would take hive partitions out of the folder's name.
+    return pq.ParquetFile(path).read().to_pandas()
+
+
+def _arrays(path: Path) -> dict[str, NDArray]:
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def _modified(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _short(error: BaseException) -> str:
+    text = str(error).strip().splitlines() or [type(error).__name__]
+    return text[0][:200]

@@ -1,0 +1,68 @@
+"""What a run says about itself while it lives: `status.json`."""
+
+import time
+from dataclasses import dataclass, fields
+from typing import Any, TypeGuard
+
+DEAD_AFTER_S = 30.0
+"""A run that says it is running and has not beaten for so long is dead."""
+
+STATES = ("running", "finished", "stopped", "failed")
+
+
+@dataclass(frozen=True)
+class Status:
+    """The fields of `status.json`; `state` is `unknown` where the file is missing or damaged."""
+
+    state: str = "unknown"
+    phase: str = ""
+    env_step: int = 0
+    total: int = 0
+    heartbeat: float = 0.0  # unix seconds
+    started: float = 0.0  # unix seconds
+    pid: int = 0
+    reason: str = ""
+    eta_s: float | None = None
+    env_steps_per_s: float | None = None
+    last_return: float | None = None
+    best_return: float | None = None
+
+    @property
+    def alive(self) -> bool:
+        """The run is running and its heartbeat is fresh."""
+        return self.state == "running" and time.time() - self.heartbeat <= DEAD_AFTER_S
+
+    @property
+    def shown(self) -> str:
+        """The state as a reader sees it: `dead` for a run that stopped beating."""
+        return "dead" if self.state == "running" and not self.alive else self.state
+
+    @property
+    def share(self) -> float:
+        """Share of the run that is done, in [0, 1]."""
+        return min(self.env_step / self.total, 1.0) if self.total > 0 else 0.0
+
+
+def parse(content: dict[str, Any]) -> Status:
+    """The status in a JSON object. Raises ValueError naming the first field that is wrong."""
+    known: dict[str, Any] = {}
+    for field in fields(Status):
+        if field.name in content:
+            known[field.name] = _checked(field.name, content[field.name])
+    return Status(**known)
+
+
+def _checked(name: str, value: Any) -> Any:
+    if name in ("state", "phase", "reason"):
+        if isinstance(value, str):
+            return value
+    elif name in ("env_step", "total", "pid"):
+        if _number(value):
+            return int(value)
+    elif _number(value) or (value is None and name not in ("heartbeat", "started")):
+        return value
+    raise ValueError(f"{name} is {value!r}")
+
+
+def _number(value: Any) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)

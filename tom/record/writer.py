@@ -1,0 +1,214 @@
+"""Writes a run folder (docs/run-folder.md): files only, no threads, no clocks of its own."""
+
+import fcntl
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from tom.config import RunConfig
+from tom.data.transitions import Transitions
+from tom.errors import UserError
+from tom.events import Episode, Weights
+from tom.record import decode, layout
+from tom.record.files import JsonLines, read_json_lines, replace, replace_json
+from tom.record.profiles import effective_share, profile, zero_share
+from tom.record.status import Status
+from tom.record.store import Store
+from tom.record.versions import git_commit, machine, versions
+
+SEGMENT_ROWS = 4096
+"""A segment of the replay buffer is rewritten with its new rows until it holds so many."""
+
+
+class RunWriter:
+    """The one writer of a run folder; holds a lock on it until `close`."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the run folder `path`. Raises UserError when another process writes it."""
+        self.path = path
+        self.run_id = path.name
+        self._lock = _lock(path)
+        self._metrics = JsonLines(path / layout.METRICS)
+        self._profiles = JsonLines(path / layout.PROFILES)
+        self._notices = JsonLines(path / layout.NOTICES)
+        self._latest_snapshot: int | None = None
+        self._tail: list[tuple[Transitions, NDArray]] = []
+        self._tail_first = 0
+
+    @classmethod
+    def create(
+        cls,
+        store: Store,
+        run_id: str,
+        config: RunConfig,
+        matmul: str = "",
+        command: Sequence[str] = (),
+    ) -> "RunWriter":
+        """Make the run folder, `config.json` first.
+
+        It appears whole or not at all. Raises UserError when the id is taken or bad, or when the
+        store cannot be written.
+        """
+        path = store.resolve(run_id)
+        store.ensure_writable()
+        if os.path.lexists(path):
+            raise _taken(run_id)
+        unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
+        try:
+            for folder in ("weights", "episodes", "buffer", "fields"):
+                (unfinished / folder).mkdir(parents=True)
+            description = _describe(run_id, config, matmul, command)
+            replace_json(unfinished / layout.CONFIG, description, sync=True)
+            _publish(unfinished, path)
+        except BaseException as error:
+            shutil.rmtree(unfinished, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise UserError(f"cannot make run {run_id}: {error}") from error
+            raise
+        return cls(path)
+
+    def status(self, status: Status) -> None:
+        """Replace `status.json`; a final state is also synced to the disk."""
+        content = asdict(status)
+        replace_json(self.path / layout.STATUS, content, sync=status.state != "running")
+
+    def metrics(self, row: Mapping[str, Any]) -> None:
+        """Append a row of metrics."""
+        self._metrics.append(row)
+
+    def notice(self, env_step: int, kind: str, message: str) -> None:
+        """Append a notice."""
+        self._notices.append({"env_step": env_step, "kind": kind, "message": message})
+
+    def profile(self, weights: Weights, bins: int) -> NDArray[np.float64]:
+        """Append the weight profile of a fit and return it, (bins,)."""
+        means = profile(weights.weight, bins)
+        row = {
+            "env_step": weights.env_step,
+            "count": len(weights.weight),
+            "bins": means,
+            "ess": effective_share(weights.weight),
+            "zeros": zero_share(weights.weight),
+        }
+        self._profiles.append(row)
+        return means
+
+    def snapshot(self, weights: Weights, *, keep: bool) -> None:
+        """Write every single weight; the snapshot before goes unless it was to be kept."""
+        columns = {"weight": weights.weight}
+        if weights.log_ratio is not None:
+            columns["log_ratio"] = weights.log_ratio
+        if weights.per_dim is not None:
+            columns |= {f"dim_{i}": column for i, column in enumerate(weights.per_dim.T)}
+        arrays = {name: np.asarray(column, np.float32) for name, column in columns.items()}
+        self._table(layout.snapshot(weights.env_step), pa.table(arrays))
+        previous, self._latest_snapshot = self._latest_snapshot, weights.env_step
+        if previous is not None and previous != weights.env_step:
+            (self.path / layout.snapshot(previous)).unlink(missing_ok=True)
+        if keep:
+            self._latest_snapshot = None
+
+    def episodes(self, env_step: int, episodes: Sequence[Episode]) -> None:
+        """Write the evaluation episodes at `env_step`."""
+        self._arrays(layout.episodes(env_step), decode.episode_arrays(episodes))
+
+    def rows(self, rows: Transitions, policy_version: NDArray) -> None:
+        """Add rows to the replay buffer on disk."""
+        if not len(rows):
+            return
+        self._tail.append((rows.numpy(), policy_version))
+        joined = Transitions.concatenate([part for part, _ in self._tail])
+        version = np.concatenate([version for _, version in self._tail])
+        name = layout.segment(self._tail_first)
+        self._arrays(name, decode.transition_arrays(joined, version))
+        if len(joined) >= SEGMENT_ROWS:
+            self._tail, self._tail_first = [], self._tail_first + len(joined)
+        else:
+            self._tail = [(joined, version)]
+
+    def field(self, name: str, env_step: int, arrays: Mapping[str, NDArray]) -> None:
+        """Write the arrays of a task's own picture."""
+        self._arrays(layout.field(name, env_step), arrays)
+
+    def metrics_table(self) -> None:
+        """Write the Parquet copy of the metrics."""
+        rows, _ = read_json_lines(self.path / layout.METRICS)
+        table = pa.Table.from_pandas(decode.metrics_table(rows), preserve_index=False)
+        self._table(layout.METRICS_TABLE, table, sync=True)
+
+    def close(self) -> None:
+        """Close the files and let go of the folder."""
+        for lines in (self._metrics, self._profiles, self._notices):
+            lines.close()
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def _arrays(self, name: str, arrays: Mapping[str, NDArray]) -> None:
+        def write(file: BinaryIO) -> None:
+            np.savez(file, allow_pickle=False, **arrays)
+
+        replace(self.path / name, write, sync=False)
+
+    def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
+        floats = [f.name for f in table.schema if pa.types.is_floating(f.type)]
+
+        def write(file: BinaryIO) -> None:
+            pq.write_table(
+                table, file, compression="zstd", use_dictionary=False, use_byte_stream_split=floats
+            )
+
+        replace(self.path / name, write, sync=sync)
+
+
+def _describe(
+    run_id: str, config: RunConfig, matmul: str, command: Sequence[str]
+) -> dict[str, Any]:
+    return {
+        "schema": layout.SCHEMA,
+        "run_id": run_id,
+        "env": config.env,
+        "learner": config.learner,
+        "seed": config.seed,
+        "preset": config.preset,
+        "config": config.model_dump(mode="json"),
+        "versions": versions(),
+        "git_commit": git_commit(),
+        "machine": machine(),
+        "matmul": matmul,
+        "command": list(command),
+        "created": datetime.now(UTC).isoformat(),
+    }
+
+
+def _publish(unfinished: Path, path: Path) -> None:
+    # A rename onto a folder that holds anything fails: of two writers one wins.
+    try:
+        unfinished.rename(path)
+    except OSError as error:
+        if path.exists():
+            raise _taken(path.name) from error
+        raise
+
+
+def _taken(run_id: str) -> UserError:
+    return UserError(f"run '{run_id}' exists already: choose another run id")
+
+
+def _lock(path: Path) -> int:
+    lock = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock)
+        raise UserError(f"run '{path.name}' is being written by another process") from error
+    return lock
