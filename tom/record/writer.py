@@ -160,11 +160,9 @@ class RunWriter:
         replace(self.path / name, write, sync=False)
 
     def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
-        floats = [f.name for f in table.schema if pa.types.is_floating(f.type)]
-
         def write(file: BinaryIO) -> None:
             pq.write_table(
-                table, file, compression="zstd", use_dictionary=False, use_byte_stream_split=floats
+                table, file, compression="zstd", use_dictionary=False, use_byte_stream_split=True
             )
 
         replace(self.path / name, write, sync=sync)
