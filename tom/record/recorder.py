@@ -3,33 +3,16 @@
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import Literal, Protocol, Self
+from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tom.config import RunConfig
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick, Weights
 from tom.record.heartbeat import Heartbeat
+from tom.record.sink import Sink
 from tom.record.writer import RunWriter
 
 State = Literal["finished", "stopped", "failed"]
-
-
-class Sink(Protocol):
-    """A best-effort view of the run. No method waits for the viewer, none raises."""
-
-    def metrics(self, env_step: int, values: Mapping[str, float]) -> None: ...
-
-    def profile(self, env_step: int, bins: NDArray[np.float64]) -> None: ...
-
-    def evaluation(self, evaluation: Evaluation) -> None: ...
-
-    def field(self, field: Field) -> None: ...
-
-    def close(self) -> str | None:
-        """End the view; returns what a reader must know about what it left out."""
-        ...
 
 
 class Recorder:
@@ -43,11 +26,11 @@ class Recorder:
     def __init__(
         self,
         writer: RunWriter,
-        config: RunConfig,
         sink: Sink | None = None,
         total: int | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
+        config = writer.config
         self.total = config.steps if total is None else total
         self._writer = writer
         self._config = config

@@ -32,9 +32,10 @@ SEGMENT_ROWS = 4096
 class RunWriter:
     """The one writer of a run folder; holds a lock on it until `close`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, config: RunConfig) -> None:
         """Open the run folder `path`. Raises UserError when another process writes it."""
         self.path = path
+        self.config = config
         self.run_id = path.name
         self._lock = _lock(path)
         self._metrics = JsonLines(path / layout.METRICS)
@@ -50,12 +51,13 @@ class RunWriter:
         store: Store,
         run_id: str,
         config: RunConfig,
-        matmul: str = "",
-        command: Sequence[str] = (),
+        matmul: object = None,
+        command: str = "",
     ) -> "RunWriter":
         """Make the run folder, `config.json` first.
 
-        It appears whole or not at all. Raises UserError when the id is taken or bad, or when the
+        `matmul` says what the probe for fast matrix products found (anything JSON can hold). The
+        folder appears whole or not at all. Raises UserError when the id is taken or bad, or when the
         store cannot be written.
         """
         path = store.resolve(run_id)
@@ -74,7 +76,7 @@ class RunWriter:
             if isinstance(error, OSError):
                 raise UserError(f"cannot make run {run_id}: {error}") from error
             raise
-        return cls(path)
+        return cls(path, config)
 
     def status(self, status: Status) -> None:
         """Replace `status.json`; a final state is also synced to the disk."""
@@ -168,9 +170,7 @@ class RunWriter:
         replace(self.path / name, write, sync=sync)
 
 
-def _describe(
-    run_id: str, config: RunConfig, matmul: str, command: Sequence[str]
-) -> dict[str, Any]:
+def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> dict[str, Any]:
     return {
         "schema": layout.SCHEMA,
         "run_id": run_id,
@@ -183,7 +183,7 @@ def _describe(
         "git_commit": git_commit(),
         "machine": machine(),
         "matmul": matmul,
-        "command": list(command),
+        "command": command,
         "created": datetime.now(UTC).isoformat(),
     }
 
