@@ -66,11 +66,11 @@ class Mbpo:
             yield from self.step_environment(explore=True)
             yield Tick(self.env_step, "explore")
         while self.env_step < config.steps:
-            if self._due(config.fit_every):
+            if (self.env_step - config.exploration_steps) % config.fit_every == 0:
                 yield from self.fit_and_roll_out()
             yield from self.step_environment(explore=False)
             self.optimise_policy()
-            if self._due(config.evaluation.every) or self.env_step == config.steps:
+            if self.env_step % config.evaluation.every == 0 or self.env_step == config.steps:
                 yield from self.evaluate()
             yield Tick(self.env_step, "optimise")
         yield from self._flush_collected()
@@ -160,9 +160,6 @@ class Mbpo:
         yield Evaluation(self.env_step, self.evaluator.run(self.policy.mean, seed))
 
     # Parts
-
-    def _due(self, every: int) -> bool:
-        return (self.env_step - self.config.exploration_steps) % every == 0
 
     def _begin_episode(self) -> np.ndarray:
         seed = self.streams.integer("env") if not self._initial_obs else None

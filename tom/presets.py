@@ -38,7 +38,8 @@ BY_ENV: dict[str, dict[str, dict[str, Any]]] = {
         "humanoid": {"model": {"hidden": 400}},
         "inverted-pendulum": {
             "exploration_steps": 300,
-            "model": {"hidden": 64, "layers": 3, "components": 4, "rounds": 10},
+            "updates_per_step": 10,
+            "model": {"hidden": 64, "layers": 3, "components": 4, "rounds": 6},
             "sac": {"hidden": 64, "lr": 1e-3},
             "rollout": {"starts": 10_000},
             "evaluation": {"every": 500, "episodes": 5},

@@ -1,7 +1,6 @@
 """One training, from its configuration to a finished run folder."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 
@@ -17,9 +16,7 @@ Consumer = Callable[[Event], None]
 
 def events(config: OnlineConfig | RoadConfig) -> Iterator[Event]:
     """The events of a training: MBPO in a MuJoCo task, or offline on road-and-rocks."""
-    if isinstance(config, RoadConfig):
-        return offline.train(config)
-    return Mbpo(config).events()
+    return offline.train(config) if isinstance(config, RoadConfig) else Mbpo(config).events()
 
 
 def train(
@@ -27,29 +24,21 @@ def train(
     store: Store,
     run_id: str | None = None,
     rerun: bool = True,
-    watchers: tuple[Consumer, ...] = (),
+    watchers: Sequence[Consumer] = (),
     command: str = "",
 ) -> RunReader:
     """Train and record; returns the finished run.
 
-    KeyboardInterrupt ends the run as `stopped` and goes on to the caller; any other error ends
-    it as `failed` with its reason. What was recorded until then stays.
+    KeyboardInterrupt ends the run as `stopped`, any other error as `failed` with its reason, and
+    goes on to the caller. What was recorded until then stays.
     """
     torch.set_num_threads(config.threads)
     matmul = choose_matmul(config.matmul)
     run_id = run_id or store.new_run_id(config.env, config.learner, config.seed)
     writer = RunWriter.create(store, run_id, config, matmul=matmul.record(), command=command)
-    recorder = Recorder(writer, open_sink(writer) if rerun else None)
-    try:
+    with Recorder(writer, open_sink(writer) if rerun else None) as recorder:
         for event in events(config):
             recorder.consume(event)
             for watch in watchers:
                 watch(event)
-    except KeyboardInterrupt:
-        recorder.finish("stopped", "interrupted")
-        raise
-    except Exception as error:
-        recorder.finish("failed", f"{type(error).__name__}: {error}")
-        raise
-    recorder.finish("finished")
-    return RunReader(Path(writer.path))
+    return RunReader(writer.path)
