@@ -24,7 +24,7 @@ def weight_metrics(weights: Tensor) -> dict[str, float]:
     step = max(len(w) // RANKED, 1)
     thinned = w[::step]
     varied = len(thinned) > 1 and bool(np.ptp(thinned) > 0)
-    rank = spearmanr(thinned, np.arange(len(thinned))).statistic if varied else 0.0
+    rank = spearmanr(thinned, np.arange(len(thinned)))[0] if varied else 0.0
     return {
         "weights/ess": ess(weights),
         "weights/zeros": float((w == 0).mean()),

@@ -140,9 +140,7 @@ class Mbpo:
         real = int(config.real_ratio * size)
         generator, updates = self.streams.torch("batches"), config.updates_per_step
         real_rows = uniform_indices(len(self.replay), updates * real, generator)
-        model_rows = uniform_indices(
-            len(self.model_buffer), updates * (size - real), generator
-        )
+        model_rows = uniform_indices(len(self.model_buffer), updates * (size - real), generator)
         real_batches = self.replay.gather(real_rows)
         model_batches = self.model_buffer.gather(model_rows)
         for k in range(updates):

@@ -5,6 +5,7 @@ axis is always the member axis M.
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from math import sqrt
 
 import torch
@@ -38,7 +39,7 @@ class StackedMLP(nn.Module):
         self.weights = nn.ParameterList()  # (M, in, out) each
         self.biases = nn.ParameterList()  # (M, 1, out) each
         per_generator = members // len(generators)
-        for n_in, n_out in zip(sizes[:-1], sizes[1:], strict=True):
+        for n_in, n_out in pairwise(sizes):
             bound = 1.0 / sqrt(n_in)
             rows = [
                 (torch.rand(per_generator, n_in + 1, n_out, generator=g) * 2 - 1) * bound

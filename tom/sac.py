@@ -45,9 +45,7 @@ class Sac:
             float(-action_dim) if config.target_entropy is None else config.target_entropy
         )
         self.actor = StackedMLP(members, [obs_dim, *hidden, 2 * action_dim], relu, generators)
-        self.critic = StackedMLP(
-            2 * members, [obs_dim + action_dim, *hidden, 1], relu, generators
-        )
+        self.critic = StackedMLP(2 * members, [obs_dim + action_dim, *hidden, 1], relu, generators)
         self.target_critic = deepcopy(self.critic).requires_grad_(False)
         self.log_temperature = torch.full(
             (members,), log(config.initial_temperature), requires_grad=True
@@ -86,7 +84,7 @@ class Sac:
         temperature_loss = -self.log_temperature * (log_prob + self.target_entropy)
         _step(self.temperature_optimiser, temperature_loss)
         with torch.no_grad():
-            torch._foreach_lerp_(
+            torch._foreach_lerp_(  # pyright: ignore[reportPrivateImportUsage]
                 list(self.target_critic.parameters()),
                 list(self.critic.parameters()),
                 self.config.tau,

@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         rows = learn(args.learner, args.seeds, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {LEARN_STEPS} steps", rows, args.json)
         return 0 if all(row["reached_at"] is not None for row in rows) else 1
-    from tom.record.bench import cost  # noqa: PLC0415
+    from tom.record.bench import cost
 
     _print("cost of recording", list(cost()), args.json)
     return 0

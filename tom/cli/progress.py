@@ -41,7 +41,9 @@ class ProgressReport:
             self._last = sum(returns) / len(returns)
             self._best = self._last if self._best is None else max(self._best, self._last)
         elif isinstance(event, Notice):
-            self._console.print(f"{self._label} step {event.env_step}: {event.message}", markup=False)
+            self._console.print(
+                f"{self._label} step {event.env_step}: {event.message}", markup=False
+            )
         elif isinstance(event, Tick):
             self._tick(event)
 

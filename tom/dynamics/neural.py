@@ -181,9 +181,7 @@ class NeuralDynamics:
         return True
 
     @torch.no_grad()
-    def _holdout(
-        self, x: Tensor, y: Tensor, weights: Tensor, dim_weights: Tensor | None
-    ) -> Tensor:
+    def _holdout(self, x: Tensor, y: Tensor, weights: Tensor, dim_weights: Tensor | None) -> Tensor:
         """Weighted holdout loss of each network, (E,)."""
         loss = self.loss_per_dim(self._outputs(x), y)
         if dim_weights is not None:

@@ -110,9 +110,9 @@ def test_holdout_rows_keep_their_own_weights():
     held = model._split(400, generator(5))[1]
     model.fit(marked, weights, None, generator(5))
     x = model.input_scale.forward(torch.cat([data.obs, data.action], -1))[held]
-    y = model.target_scale.forward(
-        torch.cat([data.reward[:, None], data.next_obs - data.obs], -1)
-    )[held]
+    y = model.target_scale.forward(torch.cat([data.reward[:, None], data.next_obs - data.obs], -1))[
+        held
+    ]
     loss = model.loss_per_dim(model._outputs(x), y).mean(-1)[0]
     own = weights[held]
     expected = float((loss * own).sum() / own.sum())
@@ -137,9 +137,9 @@ def test_elites_are_the_best_by_holdout_and_the_best_round_is_kept():
     model.fit(data, torch.ones(800), None, generator(4))
     held = model._split(800, generator(4))[1]
     x = model.input_scale.forward(torch.cat([data.obs, data.action], -1))[held]
-    y = model.target_scale.forward(
-        torch.cat([data.reward[:, None], data.next_obs - data.obs], -1)
-    )[held]
+    y = model.target_scale.forward(torch.cat([data.reward[:, None], data.next_obs - data.obs], -1))[
+        held
+    ]
     losses = model._holdout(x, y, torch.ones(len(held)), None)
     assert set(model.elites.tolist()) == set(losses.argsort()[:2].tolist())
 
