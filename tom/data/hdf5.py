@@ -1,0 +1,36 @@
+"""Opening HDF5 files of recorded experience, with errors that a user can mend."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from tom.errors import UserError
+
+
+@contextmanager
+def open_hdf5(path: Path) -> Iterator[h5py.File]:
+    """The file at `path`, open for reading; a UserError where it is none."""
+    if not path.is_file():
+        raise UserError(f"no file {path}: give the path of an HDF5 file")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except OSError as error:
+        raise UserError(f"{path} is not a whole HDF5 file: fetch it again ({error})") from error
+
+
+def column(group: h5py.Group, name: str, axes: int) -> np.ndarray:
+    """The array `name` of a group as float32; a trailing axis of one row may stand for none."""
+    stored = group.get(name)
+    where = f"'{name}' in {group.file.filename}:{group.name}"
+    if not isinstance(stored, h5py.Dataset):
+        raise UserError(f"no array {where}: only data with flat observations and actions is read")
+    values = np.asarray(stored[()])
+    if axes == 1 and values.ndim == 2 and values.shape[1] == 1:
+        values = values[:, 0]
+    if values.ndim != axes or values.dtype.kind not in "biuf":
+        raise UserError(f"{where} is {values.dtype}{values.shape}, not numbers on {axes} axes")
+    return values.astype(np.float32, copy=False)

@@ -1,0 +1,99 @@
+"""Minari's dataset folders as transitions, episode by episode in the order of collection.
+
+The files are read as they lie (HDF5, Arrow or Parquet), so the `minari` package is not needed.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset
+
+from tom.data.hdf5 import column, open_hdf5
+from tom.data.transitions import Transitions
+from tom.errors import UserError
+
+
+def read_minari(path: str | Path) -> Transitions:
+    """The transitions of the Minari dataset in folder `path` (with `data/`, or `data/` itself).
+
+    Only flat (Box) observations and actions can be read. An episode that was cut short with
+    neither flag set is marked as truncated, so a row after a terminated or truncated one starts an
+    episode. Actions are in the recorded task's own units. Raises UserError.
+    """
+    folder = Path(path)
+    folder = folder / "data" if (folder / "data").is_dir() else folder
+    form = _data_format(folder)
+    parts = list(_hdf5_episodes(folder) if form == "hdf5" else _arrow_episodes(folder, form))
+    if not parts:
+        raise UserError(f"{path} holds no episodes: record or download the dataset again")
+    return Transitions.concatenate(parts)
+
+
+def _data_format(folder: Path) -> str:
+    metadata = folder / "metadata.json"
+    if not metadata.is_file():
+        if (folder / "main_data.hdf5").is_file():
+            return "hdf5"  # Minari before 0.5 kept its metadata inside this file
+        raise UserError(f"{folder} is not a Minari dataset: no metadata.json or main_data.hdf5")
+    try:
+        form = json.loads(metadata.read_text()).get("data_format", "hdf5")
+    except (ValueError, AttributeError) as error:
+        raise UserError(f"{metadata} is damaged: download the dataset again") from error
+    if form not in ("hdf5", "arrow", "parquet"):
+        raise UserError(f"{metadata}: data format '{form}' is not known: hdf5, arrow, parquet")
+    return form
+
+
+def _hdf5_episodes(folder: Path) -> Iterator[Transitions]:
+    with open_hdf5(folder / "main_data.hdf5") as file:
+        names = [n for n in map(str, file) if n.removeprefix("episode_").isdigit()]
+        for name in sorted(names, key=lambda n: int(n.removeprefix("episode_"))):
+            group = file[name]
+            assert isinstance(group, h5py.Group)
+            axes = {"observations": 2, "actions": 2}
+            fields = ("observations", "actions", "rewards", "terminations", "truncations")
+            yield _episode(f"{folder}: {name}", *(column(group, f, axes.get(f, 1)) for f in fields))
+
+
+def _arrow_episodes(folder: Path, form: str) -> Iterator[Transitions]:
+    numbered = [f for f in folder.iterdir() if f.is_dir() and f.name.isdigit()]
+    for episode in sorted(numbered, key=lambda f: int(f.name)):
+        try:
+            table = pyarrow.dataset.dataset(
+                episode, format=form, ignore_prefixes=["_", ".", "metadata.json"]
+            ).to_table()
+            obs, action = _rows(table, "observations"), _rows(table, "actions")
+            flat = [table[f].to_numpy() for f in ("rewards", "terminations", "truncations")]
+        except (pa.ArrowException, KeyError, OSError) as error:
+            reason = str(error).splitlines()[0]
+            raise UserError(f"{episode} cannot be read: download it again ({reason})") from error
+        # The columns are as long as the observations: the last row of the others is padding.
+        yield _episode(str(episode), obs, action[:-1], *(c[:-1] for c in flat))
+
+
+def _rows(table: pa.Table, name: str) -> np.ndarray:
+    stored = table[name].combine_chunks()
+    if not pa.types.is_fixed_size_list(stored.type):
+        raise UserError(f"'{name}' is {stored.type}: only flat observations and actions are read")
+    return stored.flatten().to_numpy().reshape(len(stored), stored.type.list_size)
+
+
+def _episode(
+    where: str,
+    obs: np.ndarray,
+    action: np.ndarray,
+    reward: np.ndarray,
+    terminated: np.ndarray,
+    truncated: np.ndarray,
+) -> Transitions:
+    """One episode of T steps from its T + 1 observations."""
+    if {len(action), len(reward), len(terminated), len(truncated)} != {len(obs) - 1}:
+        raise UserError(f"{where}: {len(obs)} observations for {len(reward)} steps: cut short?")
+    obs, action, reward = (a.astype(np.float32, copy=False) for a in (obs, action, reward))
+    terminated, truncated = terminated != 0, truncated != 0
+    truncated[-1:] |= ~terminated[-1:]
+    return Transitions(obs[:-1], action, reward, obs[1:], terminated, truncated & ~terminated)
