@@ -6,7 +6,7 @@ model on the data that the current policy meets.
 
 import numpy as np
 import torch
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 from torch import Tensor
 
 from tom.data.sampling import ess, uniform_indices
@@ -24,7 +24,7 @@ def weight_metrics(weights: Tensor) -> dict[str, float]:
     step = max(len(w) // RANKED, 1)
     thinned = w[::step]
     varied = len(thinned) > 1 and bool(np.ptp(thinned) > 0)
-    rank = spearmanr(thinned, np.arange(len(thinned)))[0] if varied else 0.0
+    rank = np.corrcoef(rankdata(thinned), np.arange(len(thinned)))[0, 1] if varied else 0.0
     return {
         "weights/ess": ess(weights),
         "weights/zeros": float((w == 0).mean()),

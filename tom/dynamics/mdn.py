@@ -19,28 +19,31 @@ class Mdn(NeuralDynamics):
     ) -> None:
         super().__init__(obs_dim, action_dim, 3 * config.components, 1, config, generator)
 
+    # Components stand before dimensions, (E, B, K, D): sums over K then run over whole vectors.
+
     def _split_output(self, output: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Raw output -> log mixture weights, means, log variances, each (E, B, D, K)."""
-        logits, mean, raw = output.unflatten(-1, (3, self.targets, -1)).unbind(-3)
-        return logits.log_softmax(-1), mean, soft_bound(raw, LOG_VAR_MIN, LOG_VAR_MAX)
+        """Raw output -> mixture logits, means, log variances, each (E, B, K, D)."""
+        logits, mean, raw = output.unflatten(-1, (3, -1, self.targets)).unbind(-3)
+        return logits, mean, soft_bound(raw, LOG_VAR_MIN, LOG_VAR_MAX)
 
     def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
         """Negative log-likelihood of each dimension, by log-sum-exp."""
-        log_mix, mean, log_var = self._split_output(output)
-        square = (target.unsqueeze(-1) - mean).square() * (-log_var).exp()
-        joint = log_mix - 0.5 * (square + log_var + log(2 * torch.pi))
-        return -joint.logsumexp(-1)
+        logits, mean, log_var = self._split_output(output)
+        square = (target.unsqueeze(-2) - mean).square() * (-log_var).exp()
+        joint = logits - 0.5 * (square + log_var)
+        return logits.logsumexp(-2) - joint.logsumexp(-2) + 0.5 * log(2 * torch.pi)
 
     def mean(self, output: Tensor) -> Tensor:
-        log_mix, mean, _ = self._split_output(output)
-        return (log_mix.exp() * mean).sum(-1)
+        logits, mean, _ = self._split_output(output)
+        return (logits.softmax(-2) * mean).sum(-2)
 
     def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
         """A component by inverse distribution function, then a normal draw from it."""
-        log_mix, mean, log_var = self._split_output(output)
-        u = torch.rand(*mean.shape[:-1], 1, generator=generator)
-        component = (log_mix.exp().cumsum(-1) < u).sum(-1, keepdim=True)
-        component = component.clamp(max=mean.shape[-1] - 1)
-        chosen_mean = mean.gather(-1, component).squeeze(-1)
-        chosen_std = (0.5 * log_var.gather(-1, component).squeeze(-1)).exp()
+        logits, mean, log_var = self._split_output(output)
+        below = (logits - logits.amax(-2, keepdim=True)).exp().cumsum(-2)
+        u = torch.rand(*below.shape[:-2], 1, below.shape[-1], generator=generator)
+        component = (below < u * below[..., -1:, :]).sum(-2, keepdim=True)
+        component = component.clamp(max=mean.shape[-2] - 1)
+        chosen_mean = mean.gather(-2, component).squeeze(-2)
+        chosen_std = (0.5 * log_var.gather(-2, component).squeeze(-2)).exp()
         return chosen_mean + chosen_std * torch.randn(*chosen_mean.shape, generator=generator)

@@ -28,12 +28,17 @@ def rows(n: int = 1500, seed: int = 0) -> TensorTransitions:
     return TensorTransitions(obs, action, reward, next_obs, torch.zeros(n), torch.zeros(n))
 
 
+def mixture_of(model: Mdn, output: torch.Tensor) -> MixtureSameFamily:
+    """The mixture as torch.distributions has it: components last."""
+    logits, mean, log_var = (part.mT for part in model._split_output(output))
+    return MixtureSameFamily(Categorical(logits=logits), Normal(mean, (0.5 * log_var).exp()))
+
+
 def test_mdn_likelihood_is_torch_distributions_own():
     model = Mdn(2, 1, SMALL, generator())
     output = torch.randn(1, 7, 3 * 3 * 3)
     target = torch.randn(7, 3)
-    log_mix, mean, log_var = model._split_output(output)
-    mixture = MixtureSameFamily(Categorical(logits=log_mix), Normal(mean, (0.5 * log_var).exp()))
+    mixture = mixture_of(model, output)
     torch.testing.assert_close(model.loss_per_dim(output, target), -mixture.log_prob(target))
     torch.testing.assert_close(model.mean(output), mixture.mean)
 
@@ -41,8 +46,7 @@ def test_mdn_likelihood_is_torch_distributions_own():
 def test_mdn_draws_have_the_mixtures_moments():
     model = Mdn(2, 1, SMALL, generator())
     output = torch.randn(1, 1, 27, generator=generator(1)).expand(1, 40_000, 27)
-    log_mix, mean, log_var = model._split_output(output[:, :1])
-    mixture = MixtureSameFamily(Categorical(logits=log_mix), Normal(mean, (0.5 * log_var).exp()))
+    mixture = mixture_of(model, output[:, :1])
     drawn = model.draw(output, generator(2))[0]
     torch.testing.assert_close(drawn.mean(0), mixture.mean[0, 0], rtol=0, atol=0.04)
     torch.testing.assert_close(drawn.var(0), mixture.variance[0, 0], rtol=0.06, atol=0.02)
@@ -113,7 +117,7 @@ def test_holdout_rows_keep_their_own_weights():
     y = model.target_scale.forward(torch.cat([data.reward[:, None], data.next_obs - data.obs], -1))[
         held
     ]
-    loss = model.loss_per_dim(model._outputs(x), y).mean(-1)[0]
+    loss = model.loss_per_dim(model._outputs(x), y).detach().mean(-1)[0]
     own = weights[held]
     expected = float((loss * own).sum() / own.sum())
     assert float(model._holdout(x, y, own, None)) == pytest.approx(expected, rel=1e-4)
