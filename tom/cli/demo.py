@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from tom.cli.train import summary
+from tom.cli.train import number, summary
 from tom.record import RunReader, Store
 from tom.sweep import Job, run_jobs
 
@@ -80,13 +80,9 @@ def _print_table(runs: list[RunReader]) -> None:
     for column in ("environment", "learner", "steps", "last return", "best return", "run"):
         table.add_column(column, justify="right" if "return" in column else "left")
     for row in map(summary, runs):
-        returns = [_number(row["last_return"]), _number(row["best_return"])]
+        returns = [number(row["last_return"]), number(row["best_return"])]
         table.add_row(row["env"], row["learner"], str(row["env_step"]), *returns, row["run_id"])
     Console().print(table)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from tom.cli.train import summary
+from tom.cli.train import number, summary
 from tom.record import Store
 
 
@@ -30,12 +30,8 @@ def run(args: argparse.Namespace) -> int:
     for column in ("run", "state", "step", "last return", "best return", "problems"):
         table.add_column(column, justify="right" if "return" in column else "left")
     for row in rows:
-        returns = (_number(row["last_return"]), _number(row["best_return"]))
+        returns = (number(row["last_return"]), number(row["best_return"]))
         problems = "; ".join(row["problems"])
         table.add_row(row["run_id"], row["state"], str(row["env_step"]), *returns, problems)
     Console().print(table)
     return 0
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"

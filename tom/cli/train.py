@@ -88,9 +88,14 @@ def _print_summary(done: RunReader, as_json: bool) -> None:
         print(json.dumps(row))
         return
     print(
-        f"{row['run_id']}: {row['state']} after {row['env_step']} steps, "
-        f"last return {row['last_return']:.1f}, best {row['best_return']:.1f}: {row['path']}"
+        f"{row['run_id']}: {row['state']} after {row['env_step']} steps, last return "
+        f"{number(row['last_return'])}, best {number(row['best_return'])}: {row['path']}"
     )
+
+
+def number(value: float | None) -> str:
+    """A return for a table or a line; a dash where there was no evaluation yet."""
+    return "-" if value is None else f"{value:.1f}"
 
 
 def _given(arguments: list[str], option: str) -> str:

@@ -1,0 +1,64 @@
+"""Bad input ends with exit code 2 and one line that names the fix; nothing is left behind."""
+
+from pathlib import Path
+
+import pytest
+
+from tom.cli import main
+
+TRAIN = ["train", "--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke"]
+
+
+def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = int(str(stop.code))
+    return code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["train", "--env", "hoper", "--learner", "mle"], "did you mean 'hopper'?"),
+        (["train", "--env", "hopper", "--learner", "pmacs"], "did you mean 'pmac'?"),
+        ([*TRAIN[:-1], "smok"], "did you mean 'smoke'?"),
+        ([*TRAIN, "--sac.batch-size", "-1"], "--sac.batch-size -1: must be greater than"),
+        ([*TRAIN, "--sac.discount", "2"], "--sac.discount 2: must be less than 1"),
+        ([*TRAIN, "--sac.tau", "fast"], "--sac.tau fast: must be a valid number"),
+        ([*TRAIN, "--sac.discont", "0.9"], "did you mean --sac.discount?"),
+        ([*TRAIN, "--run-id", "../escape"], "is no run id"),
+        ([*TRAIN, "--tom.divergence", "chi3"], "--tom.divergence chi3"),
+        (["train", "--learner", "mle"], "--env"),
+        (["trian"], "trian"),
+        ([], "COMMAND"),
+    ],
+)
+def test_bad_input(arguments, named, capsys, tmp_path: Path):
+    store = tmp_path / "store"
+    extra = ["--store", str(store)] if arguments[:1] == ["train"] else []
+    code, message = outcome([*arguments, *extra], capsys)
+    assert code == 2
+    assert named in message
+    assert message.count("\n") == 1
+    assert not store.exists()
+
+
+def test_a_store_that_is_a_file(capsys, tmp_path: Path):
+    store = tmp_path / "store"
+    store.write_text("not a folder")
+    code, message = outcome([*TRAIN, "--store", str(store)], capsys)
+    assert code == 2
+    assert "--store" in message
+    assert message.count("\n") == 1
+    assert store.read_text() == "not a folder"
+
+
+def test_a_run_id_that_is_taken(capsys, tmp_path: Path):
+    arguments = [*TRAIN, "--steps", "50", "--store", str(tmp_path), "--run-id", "mine"]
+    assert outcome(arguments, capsys)[0] == 0
+    before = (tmp_path / "mine" / "metrics.jsonl").read_bytes()
+    code, message = outcome(arguments, capsys)
+    assert code == 2
+    assert "'mine' exists already" in message
+    assert (tmp_path / "mine" / "metrics.jsonl").read_bytes() == before

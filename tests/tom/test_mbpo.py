@@ -1,0 +1,127 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from tom.config import OnlineConfig
+from tom.events import Collected, Evaluation, Event, Metrics, Weights
+from tom.learners import LEARNER_NAMES
+from tom.mbpo import Mbpo
+from tom.presets import resolve
+
+
+def smoke(learner: str = "tom", **changes: object) -> OnlineConfig:
+    config = resolve("inverted-pendulum", learner, "smoke", changes)
+    assert isinstance(config, OnlineConfig)
+    return config
+
+
+def run(config: OnlineConfig) -> tuple[Mbpo, list[Event]]:
+    training = Mbpo(config)
+    return training, list(training.events())
+
+
+def of(events: list[Event], kind: type) -> list:
+    return [e for e in events if isinstance(e, kind)]
+
+
+@pytest.fixture(scope="module")
+def tom_run() -> tuple[Mbpo, list[Event]]:
+    return run(smoke(steps=500))
+
+
+def test_fits_come_every_fit_every_steps_after_exploration(tom_run):
+    assert [w.env_step for w in of(tom_run[1], Weights)] == [200, 300, 400]
+
+
+def test_weights_cover_the_whole_buffer_and_have_mean_one(tom_run):
+    for weights in of(tom_run[1], Weights):
+        assert len(weights.weight) == weights.env_step
+        assert weights.weight.mean() == pytest.approx(1, abs=1e-5)
+
+
+def test_tom_starts_after_its_warm_up_and_weighs_uniformly_until_then(tom_run):
+    first, second, third = of(tom_run[1], Weights)
+    assert np.all(first.weight == 1)
+    assert np.ptp(second.weight) > 0
+    assert first.log_ratio is None
+    assert third.log_ratio is not None
+
+
+def test_every_transition_is_handed_over_once_and_in_order(tom_run):
+    training, events = tom_run
+    parts = of(events, Collected)
+    obs = np.concatenate([p.transitions.numpy().obs for p in parts])
+    np.testing.assert_array_equal(obs, training.replay.transitions().obs.numpy())
+    assert len(obs) == 500
+
+
+def test_consecutive_rows_of_an_episode_join(tom_run):
+    rows = tom_run[0].replay.transitions()
+    ended = (rows.terminated + rows.truncated) > 0
+    for i, (row_ended, _) in enumerate(pairwise(ended)):
+        if not row_ended:
+            assert torch.equal(rows.next_obs[i], rows.obs[i + 1])
+
+
+def test_exploration_is_no_part_of_the_policy_buffer(tom_run):
+    training = tom_run[0]
+    on_policy = training.policy_buffer.transitions()
+    assert len(on_policy) == 300
+    assert torch.equal(on_policy.obs, training.replay.transitions().obs[200:])
+    versions = training.replay.policy_version()
+    assert versions[:200].eq(0).all()
+    assert versions[201:].diff().ge(0).all()
+
+
+def test_a_policy_that_does_not_fall_is_cut_off_as_truncated():
+    """A time limit must bootstrap: the stored row is truncated, not terminated."""
+    training = Mbpo(smoke(steps=60, exploration_steps=60))
+    training.env.unwrapped.model.opt.gravity[:] = 0.0  # nothing falls
+    elapsed = training.env
+    while not hasattr(elapsed, "_max_episode_steps"):
+        elapsed = elapsed.env
+    elapsed._max_episode_steps = 20
+    training._explore_action = lambda: np.zeros(1, np.float32)
+    list(training.events())
+    rows = training.replay.transitions()
+    assert rows.truncated.sum() == 3
+    assert rows.terminated.sum() == 0
+
+
+def test_the_model_buffer_survives_a_fit_when_two_are_retained():
+    training, _ = run(smoke(steps=450, rollout={"starts": 50, "retain": 2}))
+    assert len(training.model_buffer) > 50
+
+
+def test_evaluation_leaves_the_training_alone():
+    """More evaluations change no metric of the training itself."""
+    often = run(smoke("mle", steps=450, evaluation={"every": 50}))[0]
+    seldom = run(smoke("mle", steps=450, evaluation={"every": 450}))[0]
+    assert torch.equal(often.replay.transitions().obs, seldom.replay.transitions().obs)
+    for a, b in zip(often.sac.actor.parameters(), seldom.sac.actor.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("learner", LEARNER_NAMES)
+def test_same_seed_same_bits(learner: str):
+    first, second = (run(smoke(learner, steps=350)) for _ in range(2))
+    for a, b in zip(of(first[1], Metrics), of(second[1], Metrics), strict=True):
+        assert a.env_step == b.env_step
+        np.testing.assert_equal(a.values, b.values)
+    for a, b in zip(of(first[1], Weights), of(second[1], Weights), strict=True):
+        np.testing.assert_array_equal(a.weight, b.weight)
+
+
+def test_it_begins_to_balance():
+    """The short version of `tom bench learn`: soon several times better than random actions."""
+    config = resolve("inverted-pendulum", "mle", "paper", {"steps": 550, "updates_per_step": 6})
+    assert isinstance(config, OnlineConfig)
+    events = run(config)[1]
+    at_random = [
+        e.values["train/length"] for e in of(events, Metrics) if "train/length" in e.values
+    ]
+    evaluations = of(events, Evaluation)
+    best = max(np.mean([e.undiscounted_return for e in v.episodes]) for v in evaluations)
+    assert best > 2.5 * np.mean(at_random[:20])
