@@ -15,6 +15,7 @@ from tom.dynamics.base import DynamicsModel
 from tom.learners.base import FitContext, Weighting
 
 ROWS = 2000  # transitions a one-step error is measured on
+HORIZON = 5  # steps of a rollout error
 RANKED = 20_000  # transitions a rank correlation is measured on
 
 
@@ -40,20 +41,51 @@ def one_step_error(model: DynamicsModel, rows: TensorTransitions, scale: Tensor)
     return float(((predicted - rows.next_obs) / scale).square().mean().sqrt())
 
 
+@torch.no_grad()
+def rollout_error(
+    model: DynamicsModel, rows: TensorTransitions, starts: Tensor, scale: Tensor
+) -> float:
+    """Error of next_obs after `HORIZON` steps of the model's mean under the recorded actions.
+
+    `rows` are in order of collection and `starts` (K,) are rows from which as many more follow in
+    the same episode, so the recording is what the real environment did from the same state.
+    """
+    obs = rows.obs[starts]
+    for step in range(HORIZON):
+        _, obs = model.predict(obs, rows.action[starts + step])
+    return float(((obs - rows.next_obs[starts + HORIZON - 1]) / scale).square().mean().sqrt())
+
+
+def unbroken(rows: TensorTransitions) -> Tensor:
+    """The rows (K,) from which `HORIZON` steps follow without an episode's end."""
+    ended = ((rows.terminated + rows.truncated) > 0).to(torch.float32)
+    if len(rows) < HORIZON:
+        return torch.empty(0, dtype=torch.int64)
+    # An end at the last of the steps does no harm: nothing is predicted beyond it.
+    inner = ended.unfold(0, HORIZON, 1)[:, :-1].sum(1)
+    return torch.nonzero(inner == 0).squeeze(1)
+
+
 def fit_metrics(
     model: DynamicsModel, context: FitContext, weighting: Weighting, generator: torch.Generator
 ) -> dict[str, float]:
-    """Metrics of one model fit: the weights' shape and the errors on and off policy."""
+    """Metrics of one model fit: the weights' shape and the errors on and off policy.
+
+    Errors are in standard deviations of a step's change, so that dimensions and tasks compare.
+    """
     replay = context.replay
     metrics = {**weight_metrics(weighting.weights), "buffer/size": float(len(replay))}
     others = len(replay) - len(context.policy_buffer)  # the policy buffer is the newest rows
     if others < 1 or not len(context.policy_buffer):
         return metrics
-    rows = replay[uniform_indices(others, ROWS, generator)]
-    change = rows.next_obs - rows.obs
-    scale = change.std(0, correction=0).clamp(min=1e-6)
-    return {
-        **metrics,
-        "model/error_policy": one_step_error(model, context.policy_buffer, scale),
-        "model/error_other": one_step_error(model, rows, scale),
-    }
+    sample = replay[uniform_indices(others, ROWS, generator)]
+    scale = (sample.next_obs - sample.obs).std(0, correction=0).clamp(min=1e-6)
+    metrics["model/error_policy"] = one_step_error(model, context.policy_buffer, scale)
+    metrics["model/error_other"] = one_step_error(model, sample, scale)
+    older = replay[max(others - 10 * ROWS, 0) : others]  # enough of them, and nothing copied
+    for name, rows in (("policy", context.policy_buffer), ("other", older)):
+        starts = unbroken(rows)
+        if len(starts):
+            picked = starts[uniform_indices(len(starts), min(ROWS, len(starts)), generator)]
+            metrics[f"model/rollout_error_{name}"] = rollout_error(model, rows, picked, scale)
+    return metrics

@@ -15,6 +15,8 @@ METRICS: dict[str, str] = {
     "model/rounds": "rounds of the fit before it stopped",
     "model/error_policy": "one-step error of the predicted next state on the policy buffer (z-scored)",
     "model/error_other": "one-step error of the predicted next state on the rest of the buffer (z-scored)",
+    "model/rollout_error_policy": "error after 5 modelled steps under the recorded actions, policy buffer (z-scored)",
+    "model/rollout_error_other": "error after 5 modelled steps under the recorded actions, rest of the buffer (z-scored)",
     "model/error_expert": "one-step error on expert data, in full steps (road-and-rocks)",
     "model/error_road": "one-step error on the road under random actions, in full steps",
     "model/error_rocks": "one-step error on the rocks under random actions, in full steps",

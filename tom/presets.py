@@ -11,6 +11,7 @@ from tom.config import OnlineConfig, RoadConfig, RunConfig
 from tom.envs import ENV_NAMES, task
 from tom.errors import unknown
 from tom.learners import LEARNER_NAMES
+from tom.learners.baselines import BASELINES
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
@@ -82,12 +83,17 @@ def resolve(
     """
     if env not in ENV_NAMES:
         raise unknown("environment", env, ENV_NAMES)
-    if learner not in LEARNER_NAMES:
-        raise unknown("learner", learner, LEARNER_NAMES)
+    if learner not in learners(env):
+        raise unknown("learner", learner, learners(env))
     if preset not in PRESETS:
         raise unknown("preset", preset, PRESETS)
     config = _road(preset) if env == "road-and-rocks" else _online(env, learner, preset)
     return config.but(env=env, learner=learner, preset=preset, **(overrides or {}))
+
+
+def learners(env: str) -> tuple[str, ...]:
+    """The learners of an environment; road-and-rocks also has the baselines of its study."""
+    return (*LEARNER_NAMES, *BASELINES) if env == "road-and-rocks" else LEARNER_NAMES
 
 
 def _online(env: str, learner: str, preset: str) -> OnlineConfig:

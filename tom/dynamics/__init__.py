@@ -5,6 +5,7 @@ import torch
 from tom.config import ModelConfig
 from tom.dynamics.base import DynamicsModel, FitReport
 from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
+from tom.dynamics.linear import LinearDynamics
 from tom.dynamics.mdn import Mdn
 
 __all__ = ["DynamicsModel", "FitReport", "make_model"]
@@ -13,6 +14,7 @@ MODELS = {
     "mdn": Mdn,
     "ensemble": GaussianEnsemble,
     "mean-ensemble": MeanEnsemble,
+    "linear": LinearDynamics,
 }
 
 
