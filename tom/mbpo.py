@@ -5,6 +5,7 @@ consumers' affair: this file knows no file, clock or socket.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,10 +14,11 @@ from torch import Tensor
 from tom.config import OnlineConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
-from tom.data.transitions import TensorTransitions
+from tom.data.transitions import TensorTransitions, Transitions
 from tom.diagnostics import fit_metrics
 from tom.dynamics import make_model
 from tom.envs import MujocoTask, task
+from tom.envs.state import capture, restore
 from tom.evaluate import Evaluator
 from tom.events import Collected, Evaluation, Event, Metrics, Notice, Tick, Weights
 from tom.learners import make_learner
@@ -156,6 +158,50 @@ class Mbpo:
         yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
         seed = self.streams.integer(f"evaluation {self.env_step}")
         yield Evaluation(self.env_step, self.evaluator.run(self.policy.mean, seed))
+
+    # Where the run stands
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the rest of the run, at the end of a step: tensors and primitives.
+
+        Of the replay buffer only the rows since the last `Collected` event are in it: the others
+        have been handed over, and come back through `load_state_dict`.
+        """
+        return {
+            "env_step": self.env_step,
+            "policy_version": self.policy_version,
+            "sac": self.sac.state_dict(),
+            "model": self.model.state_dict(),
+            "learner": self.learner.state_dict(),
+            "streams": self.streams.state_dict(),
+            "model_buffer": self.model_buffer.state_dict(),
+            "policy_buffer": self.policy_buffer.state_dict(),
+            "collected": self._flushed,
+            "uncollected": self.replay.tail(self.replay.total_added - self._flushed),
+            "env": capture(self.env),
+            "obs": None if self._obs is None else torch.from_numpy(self._obs),
+            "initial_obs": torch.from_numpy(np.stack(self._initial_obs)),
+            "episode": [self._episode_return, float(self._episode_length)],
+            "sac_metrics": self._sac_metrics,
+        }
+
+    def load_state_dict(
+        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
+    ) -> None:
+        """Go on from `state_dict`; `collected` are all rows handed over until then, in order."""
+        self.env_step, self.policy_version = state["env_step"], state["policy_version"]
+        for part in ("sac", "model", "learner", "streams", "model_buffer", "policy_buffer"):
+            getattr(self, part).load_state_dict(state[part])
+        self.replay.extend(collected.torch(), torch.from_numpy(policy_version))
+        self._flushed = state["collected"]
+        self.replay.restore_tail(state["uncollected"])
+        self.env.reset()  # a wrapper wants one before its counters can be put back
+        restore(self.env, state["env"])
+        self._obs = None if state["obs"] is None else state["obs"].numpy()
+        self._initial_obs = list(state["initial_obs"].numpy())
+        self._episode_return, length = state["episode"]
+        self._episode_length = int(length)
+        self._sac_metrics = state["sac_metrics"]
 
     # Parts
 

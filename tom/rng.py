@@ -4,7 +4,9 @@ A stream depends on the run's seed and the stream's name alone, so adding a stre
 another one, and a member of a fleet draws the same numbers whoever trains beside it.
 """
 
+import json
 from collections.abc import Sequence
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -34,6 +36,21 @@ class Streams:
         if name not in self._numpy:
             self._numpy[name] = np.random.default_rng(self.integer(name))
         return self._numpy[name]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where every stream stands, as tensors and strings."""
+        return {
+            "torch": {name: g.get_state() for name, g in self._torch.items()},
+            # As text: the state of a numpy generator holds integers of 128 bits.
+            "numpy": {n: json.dumps(g.bit_generator.state) for n, g in self._numpy.items()},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Put every stream where it stood; generators handed out before stay the same objects."""
+        for name, value in state["torch"].items():
+            self.torch(name).set_state(value)
+        for name, text in state["numpy"].items():
+            self.numpy(name).bit_generator.state = json.loads(text)
 
     def integer(self, name: str) -> int:
         """A 32-bit seed for a library that wants one (an environment's reset)."""

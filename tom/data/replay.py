@@ -80,6 +80,16 @@ class ReplayBuffer:
         """
         return self.last(max(self.total_added - total, 0))
 
+    def tail(self, n: int) -> dict[str, Tensor]:
+        """The newest n rows and their policy versions, as `restore_tail` takes them."""
+        rows, versions = self._ordered(self._rows), self.policy_version()
+        start = len(rows) - n
+        return {"rows": rows[start:].clone(), "policy_version": versions[start:].clone()}
+
+    def restore_tail(self, tail: dict[str, Tensor]) -> None:
+        """Append the rows of `tail`."""
+        self._extend(tail["rows"], tail["policy_version"])
+
     def clear(self) -> None:
         """Forget every row; `total_added` goes on counting."""
         self._size = self._end = 0
