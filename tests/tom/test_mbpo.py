@@ -3,6 +3,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from gymnasium import Wrapper
+from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.wrappers import TimeLimit
 
 from tom.config import OnlineConfig
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
@@ -78,11 +81,13 @@ def test_exploration_is_no_part_of_the_policy_buffer(tom_run):
 def test_a_policy_that_does_not_fall_is_cut_off_as_truncated():
     """A time limit must bootstrap: the stored row is truncated, not terminated."""
     training = Mbpo(smoke(steps=60, exploration_steps=60))
-    training.env.unwrapped.model.opt.gravity[:] = 0.0  # nothing falls
-    elapsed = training.env
-    while not hasattr(elapsed, "_max_episode_steps"):
-        elapsed = elapsed.env
-    elapsed._max_episode_steps = 20
+    simulator, limit = training.env.unwrapped, training.env
+    assert isinstance(simulator, MujocoEnv)
+    simulator.model.opt.gravity[:] = 0.0  # nothing falls
+    while not isinstance(limit, TimeLimit):
+        assert isinstance(limit, Wrapper)
+        limit = limit.env
+    limit._max_episode_steps = 20
     training._explore_action = lambda: np.zeros(1, np.float32)
     list(training.events())
     rows = training.replay.transitions()

@@ -1,0 +1,67 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from tom.record import checkpoint
+
+
+def state(value: float) -> dict:
+    return {"x": torch.full((1000,), value), "step": 3, "name": "a", "none": None}
+
+
+def test_round_trip_and_only_two_are_kept(tmp_path: Path):
+    for step in (100, 200, 300):
+        checkpoint.save(tmp_path, step, state(step))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["000000200", "000000300"]
+    loaded = checkpoint.load(tmp_path)
+    assert loaded is not None
+    assert loaded.env_step == 300
+    assert torch.equal(loaded.state["x"], state(300)["x"])
+    assert loaded.state["none"] is None
+    assert loaded.problems == []
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate", "no manifest", "newer schema"])
+def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path, damage: str):
+    checkpoint.save(tmp_path, 1, state(1))
+    path = checkpoint.save(tmp_path, 2, state(2))
+    content = (path / "state.pt").read_bytes()
+    middle = len(content) // 2
+    match damage:
+        case "flip":
+            flipped = bytes([content[middle] ^ 1])
+            content = content[:middle] + flipped + content[middle + 1 :]
+            (path / "state.pt").write_bytes(content)
+        case "truncate":
+            (path / "state.pt").write_bytes(content[:middle])
+        case "no manifest":
+            (path / "manifest.json").unlink()
+        case "newer schema":
+            (path / "manifest.json").write_text('{"schema": 99}')
+    loaded = checkpoint.load(tmp_path)
+    assert loaded is not None
+    assert loaded.env_step == 1
+    assert "000000002" in loaded.problems[0]
+
+
+def test_code_in_a_checkpoint_is_not_executed(tmp_path: Path):
+    class Evil:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "executed",))
+
+    checkpoint.save(tmp_path, 1, {"x": Evil()})
+    assert checkpoint.load(tmp_path) is None
+    assert not (tmp_path / "executed").exists()
+
+
+def test_the_same_step_may_be_saved_again(tmp_path: Path):
+    checkpoint.save(tmp_path, 5, state(1))
+    checkpoint.save(tmp_path, 5, state(2))
+    loaded = checkpoint.load(tmp_path)
+    assert loaded is not None
+    assert loaded.state["x"][0] == 2
+
+
+def test_an_empty_folder_has_none(tmp_path: Path):
+    assert checkpoint.load(tmp_path / "nothing") is None
