@@ -85,7 +85,7 @@ class Mbpo:
         weighting = self.learner.weigh(context)
         yield _weights_event(self.env_step, weighting)
         report = self.model.fit(
-            context.replay, weighting.weights, weighting.per_dim, self.streams.torch("fit")
+            context.replay, weighting.row_weights, weighting.per_dim, self.streams.torch("fit")
         )
         rollout_metrics = self.roll_out_model(context.replay, weighting)
         for kind, message in (*weighting.notices, *report.notices):
@@ -101,7 +101,7 @@ class Mbpo:
         config, generator = self.config.rollout, self.streams.torch("rollout")
         weighted = config.weighted_starts and weighting.ready
         starts = start_states(
-            replay, weighting.weights if weighted else None, config.starts, generator
+            replay, weighting.row_weights if weighted else None, config.starts, generator
         )
         return roll_out(
             self.model,

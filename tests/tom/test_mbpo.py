@@ -10,6 +10,7 @@ from gymnasium.wrappers import TimeLimit
 from tom.config import OnlineConfig
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import LEARNER_NAMES
+from tom.learners.base import Weighting
 from tom.mbpo import Mbpo
 from tom.presets import resolve
 
@@ -107,6 +108,13 @@ def test_evaluation_leaves_the_training_alone():
     assert torch.equal(often.replay.transitions().obs, seldom.replay.transitions().obs)
     for a, b in zip(often.sac.actor.parameters(), seldom.sac.actor.parameters(), strict=True):
         assert torch.equal(a, b)
+
+
+def test_a_weight_of_dimensions_does_not_draw_rows_as_well():
+    """Weights that scale the loss and also draw the rows would count squared."""
+    per_dim = torch.tensor([[0.5, 0.5], [1.5, 1.5]])
+    assert Weighting(per_dim.mean(1), per_dim).row_weights.tolist() == [1, 1]
+    assert Weighting(per_dim.mean(1)).row_weights.tolist() == [0.5, 1.5]
 
 
 @pytest.mark.parametrize("learner", LEARNER_NAMES)

@@ -62,6 +62,14 @@ class Weighting:
     metrics: Mapping[str, float] = field(default_factory=dict)
     notices: tuple[tuple[str, str], ...] = ()
 
+    @property
+    def row_weights(self) -> Tensor:
+        """What rows are drawn by, (N,): ones where the dimensions' weights scale the loss.
+
+        A weight that drew a row and scaled its loss as well would count squared.
+        """
+        return self.weights if self.per_dim is None else torch.ones_like(self.weights)
+
 
 def uniform(replay: TensorTransitions, ready: bool) -> Weighting:
     """Weight one for every transition of `replay`."""
