@@ -51,11 +51,27 @@ def _episode(arrays: Arrays, i: int) -> Episode:
     )
 
 
-def transition_arrays(rows: Transitions, policy_version: NDArray) -> dict[str, NDArray]:
+STATE = "state_"
+"""Prefix of the arrays of the simulator's state in `buffer/<first row>.npz`."""
+
+
+def transition_arrays(
+    rows: Transitions, policy_version: NDArray, state: Arrays | None = None
+) -> dict[str, NDArray]:
     """The arrays of `buffer/<first row>.npz`: float32, flags as booleans."""
     arrays = {f.name: np.asarray(getattr(rows, f.name), np.float32) for f in fields(rows)}
     arrays |= {name: arrays[name] != 0 for name in ("terminated", "truncated")}
+    arrays |= {STATE + name: np.asarray(a, np.float32) for name, a in (state or {}).items()}
     return arrays | {"policy_version": np.asarray(policy_version, np.int64)}
+
+
+def state_of(arrays: Arrays) -> dict[str, NDArray]:
+    """The simulator's states in `buffer/<first row>.npz`, where the run kept them."""
+    length = len(arrays["policy_version"])
+    state = {n.removeprefix(STATE): arrays[n] for n in arrays if n.startswith(STATE)}
+    if any(len(array) != length for array in state.values()):
+        raise ValueError("its states and its rows differ in number")
+    return state
 
 
 def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:

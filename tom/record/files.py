@@ -83,6 +83,14 @@ class JsonLines:
             os.ftruncate(self._file, self.path.read_bytes().rfind(b"\n") + 1)
 
 
+def modified(path: Path) -> int:
+    """When `path` was last written, in ns of unix time; 0 when it is not there."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """The JSON object in `path`. Raises OSError, or ValueError when it is something else."""
     content = json.loads(path.read_bytes())
@@ -102,7 +110,7 @@ def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
         if number == len(lines):
             problems.append(f"{path.name}: the last line is half written and was skipped")
             continue
-        row = _row(line)
+        row = parse_json_line(line)
         if row is None:
             problems.append(f"{path.name}: line {number} is damaged and was skipped")
         else:
@@ -110,7 +118,8 @@ def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
     return rows, problems
 
 
-def _row(line: bytes) -> dict[str, Any] | None:
+def parse_json_line(line: bytes) -> dict[str, Any] | None:
+    """The JSON object in a line; None when it holds anything else."""
     try:
         row = json.loads(line)
     except ValueError:

@@ -13,6 +13,7 @@ METRICS = "metrics.jsonl"
 METRICS_TABLE = "metrics.parquet"
 PROFILES = "weights/profiles.jsonl"
 NOTICES = "notices.jsonl"
+POLICY = "policy.npz"
 LOCK = ".writer"
 
 _NUMBERED = re.compile(r"(?:(?P<name>.+)-)?(?P<number>\d{9,18})")

@@ -4,7 +4,7 @@ What cannot be read is left out and named in `problems`; nothing here raises for
 """
 
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from tom.data.transitions import Transitions
 from tom.events import Episode
 from tom.record import decode, layout, status
-from tom.record.files import read_json, read_json_lines
+from tom.record.decode import Arrays
+from tom.record.files import modified, read_json, read_json_lines
 from tom.record.profiles import Profiles
 from tom.record.status import Status
 
@@ -97,7 +98,7 @@ class RunReader:
         The Parquet copy is taken unless the run has gone on since it was written.
         """
         rows, table = self.path / layout.METRICS, self.path / layout.METRICS_TABLE
-        if _modified(table) >= _modified(rows) > 0:
+        if modified(table) >= modified(rows) > 0:
             read = self._read(layout.METRICS_TABLE, _table)
             if read is not None and "env_step" in read:
                 return read
@@ -137,22 +138,20 @@ class RunReader:
         Reading ends at the first segment that is missing or damaged: the rows stay aligned with
         the weights.
         """
-        parts: list[tuple[Transitions, NDArray[np.int64]]] = []
-        row = 0
-        for first in layout.numbers(self.path / "buffer", ".npz"):
-            name = layout.segment(first)
-            if first != row:
-                self._problem(f"{name}: rows {row} to {first} are missing; later rows are left out")
-                break
-            part = self._read(name, lambda p: decode.transitions_of(_arrays(p)))
-            if part is None:
-                break
-            parts.append(part)
-            row += len(part[0])
+        parts = [part for part, _ in self._segments()]
         if not parts:
             return decode.empty_transitions()
         rows = Transitions.concatenate([rows for rows, _ in parts])
         return rows, np.concatenate([version for _, version in parts])
+
+    def buffer_state(self) -> dict[str, NDArray]:
+        """The simulator's state at every row of `buffer()`: `qpos` (N, nq) and `qvel` (N, nv).
+
+        Empty where the run did not keep them.
+        """
+        parts = [state for _, state in self._segments()]
+        kept = set(parts[0]).intersection(*parts) if parts else set()
+        return {name: np.concatenate([part[name] for part in parts]) for name in sorted(kept)}
 
     def field_names(self) -> list[str]:
         """The names of the task's own pictures."""
@@ -168,6 +167,25 @@ class RunReader:
     def rrd_files(self) -> list[Path]:
         """The Rerun recordings, in the order they were written."""
         return layout.rrd_files(self.path)
+
+    def _segments(self) -> Iterator[tuple[tuple[Transitions, NDArray[np.int64]], Arrays]]:
+        """Rows with their policy versions, and states, of every segment up to the first gap."""
+
+        def segment(path: Path) -> tuple[tuple[Transitions, NDArray[np.int64]], Arrays]:
+            arrays = _arrays(path)
+            return decode.transitions_of(arrays), decode.state_of(arrays)
+
+        row = 0
+        for first in layout.numbers(self.path / "buffer", ".npz"):
+            name = layout.segment(first)
+            if first != row:
+                self._problem(f"{name}: rows {row} to {first} are missing; later rows are left out")
+                return
+            part = self._read(name, segment)
+            if part is None:
+                return
+            yield part
+            row += len(part[0][0])
 
     def _lines(self, name: str) -> list[dict[str, Any]]:
         rows, problems = self._read(name, read_json_lines) or ([], [])
@@ -202,13 +220,6 @@ def _table(path: Path) -> pd.DataFrame:
 def _arrays(path: Path) -> dict[str, NDArray]:
     with np.load(path, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
-
-
-def _modified(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:
-        return 0
 
 
 def _short(error: BaseException) -> str:

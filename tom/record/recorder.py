@@ -7,7 +7,17 @@ from typing import Literal, Self
 
 import numpy as np
 
-from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick, Weights
+from tom.events import (
+    Collected,
+    Evaluation,
+    Event,
+    Field,
+    Metrics,
+    Notice,
+    Tick,
+    TrainedPolicy,
+    Weights,
+)
 from tom.record.heartbeat import Heartbeat
 from tom.record.sink import Sink
 from tom.record.writer import RunWriter
@@ -20,7 +30,7 @@ class Recorder:
 
     As a context manager it ends the run's status by itself: `stopped` after Ctrl-C, `failed`
     with the reason after any other exception, `finished` otherwise. `total` is the number of
-    env steps of the run (default: the config's), `clock` gives unix seconds.
+    env steps of the run (default: the config's `total_steps`), `clock` gives unix seconds.
     """
 
     def __init__(
@@ -31,7 +41,7 @@ class Recorder:
         clock: Callable[[], float] = time.time,
     ) -> None:
         config = writer.config
-        self.total = config.steps if total is None else total
+        self.total = config.total_steps if total is None else total
         self._writer = writer
         self._config = config
         self._sink = sink
@@ -60,13 +70,15 @@ class Recorder:
             case Evaluation():
                 self._evaluation(event)
             case Collected():
-                self._writer.rows(event.transitions, event.policy_version)
+                self._writer.rows(event.transitions, event.policy_version, event.state)
             case Field():
                 self._writer.field(event.name, event.env_step, event.arrays)
                 if self._sink:
                     self._sink.field(event)
             case Notice():
                 self._writer.notice(event.env_step, event.kind, event.message)
+            case TrainedPolicy():
+                self._writer.policy(event.arrays)
         self._record_s += time.perf_counter() - begun
 
     def finish(self, state: State, reason: str = "") -> None:

@@ -1,17 +1,35 @@
-"""Opens the live view of a run where there is one to open."""
+"""The Rerun recording of a run, made in the background: training never waits for it.
 
-from collections.abc import Mapping
-from typing import Protocol
+Only `run.rrd` is written here. A live viewer is fed by the studio's hub from the run folder
+(feed.py), so a viewer that is absent, slow or dies is nothing that a training could notice.
+"""
+
+import queue
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tom.config import OnlineConfig, RoadConfig
 from tom.events import Evaluation, Field
+from tom.record import layout
 from tom.record.writer import RunWriter
+
+if TYPE_CHECKING:
+    from tom.record.rerun_view import RerunView
+
+CAPACITY = 256
+"""Entries that wait for the background thread; more are dropped."""
+
+CLOSE_S = 10.0
+"""Seconds that the end of a run waits for its recording."""
 
 
 class Sink(Protocol):
-    """A best-effort view of the run. No method waits for the viewer, none raises."""
+    """A best-effort view of the run. No method waits for the view, none raises."""
 
     def metrics(self, env_step: int, values: Mapping[str, float]) -> None: ...
 
@@ -26,6 +44,87 @@ class Sink(Protocol):
         ...
 
 
-def open_sink(writer: RunWriter) -> Sink | None:
-    """The Rerun view of the run that `writer` writes; None for now."""
-    return None
+class RerunSink:
+    """Writes one run's recording from a thread of its own; drops what does not fit its queue."""
+
+    def __init__(self, path: Path, run_id: str, env: str, every: int) -> None:
+        """Record into `path`, a new file; `every` env steps lie between two evaluations."""
+        self.path = path
+        self.dropped = 0
+        self._error: str | None = None
+        self._queue: queue.Queue[Callable[[RerunView], None] | None] = queue.Queue(CAPACITY)
+        self._thread = threading.Thread(
+            target=self._run, args=(run_id, env, every), name="rerun", daemon=True
+        )
+        self._thread.start()
+
+    def metrics(self, env_step: int, values: Mapping[str, float]) -> None:
+        self._offer(lambda view: view.metrics(env_step, values))
+
+    def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
+        self._offer(lambda view: view.profile(env_step, bins))
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        first = Evaluation(evaluation.env_step, evaluation.episodes[:1])
+        self._offer(lambda view: view.evaluation(first))
+
+    def field(self, field: Field) -> None:
+        self._offer(lambda view: view.field(field))
+
+    def close(self) -> str | None:
+        try:
+            self._queue.put(None, timeout=CLOSE_S)
+            self._thread.join(CLOSE_S)
+        except queue.Full:
+            pass  # the thread hangs: said below
+        if self._thread.is_alive():
+            _leave_behind()
+            return f"{self.path.name} did not take what was recorded and may be incomplete"
+        if self._error:
+            return f"{self.path.name} is incomplete: {self._error}"
+        if self.dropped:
+            return f"{self.path.name} was too slow: {self.dropped} entries were left out"
+        return None
+
+    def _offer(self, entry: Callable[["RerunView"], None]) -> None:
+        try:
+            self._queue.put_nowait(entry)
+        except queue.Full:
+            self.dropped += 1
+
+    def _run(self, run_id: str, env: str, every: int) -> None:
+        """Work through the queue; after the first error only empty it."""
+        view: RerunView | None = None
+        try:
+            view = _view(self.path, run_id, env, every)
+            while (entry := self._queue.get()) is not None:
+                entry(view)
+            view.close(CLOSE_S / 2)
+        except Exception as error:  # whatever Rerun raises, training goes on without it
+            self._error = f"{type(error).__name__}: {error}"
+            while self._queue.get() is not None:
+                self.dropped += 1
+
+
+def open_sink(writer: RunWriter) -> Sink:
+    """The Rerun recording of the run that `writer` writes, in a file of its own."""
+    config = writer.config
+    assert isinstance(config, OnlineConfig | RoadConfig)
+    path = layout.next_rrd(writer.path)
+    return RerunSink(path, writer.run_id, config.env, config.evaluation.every)
+
+
+def _view(path: Path, run_id: str, env: str, every: int) -> "RerunView":
+    # Imported here: it takes half a second that a training need not wait for.
+    import rerun as rr
+
+    from tom.record.rerun_view import RerunView
+
+    return RerunView(run_id, env, every, rr.FileSink(path))
+
+
+def _leave_behind() -> None:
+    """Let the process end although Rerun still holds data that nobody takes."""
+    import rerun as rr
+
+    rr.unregister_shutdown()

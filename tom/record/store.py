@@ -1,11 +1,13 @@
 """The run store: a folder of run folders."""
 
 import os
+import time
 from datetime import datetime
 from pathlib import Path
 
 from tom.errors import UserError
 from tom.record import layout
+from tom.record.files import modified
 from tom.record.reader import RunReader
 
 
@@ -25,6 +27,12 @@ class Store:
         self.problems = []
         readers = [reader for name in self._names() if (reader := self._reader(name))]
         return sorted(readers, key=lambda run: (run.created, run.run_id), reverse=True)
+
+    def recent(self, seconds: float) -> list[str]:
+        """Ids of the runs whose status was written within the last `seconds`; one stat a run."""
+        since = time.time() - seconds
+        names = [name for name in self._names() if layout.RUN_ID.fullmatch(name)]
+        return [n for n in names if modified(self.path / n / layout.STATUS) >= since * 1e9]
 
     def run(self, run_id: str) -> RunReader:
         """The run called `run_id`. Raises UserError when there is none."""

@@ -42,7 +42,7 @@ class RunWriter:
         self._profiles = JsonLines(path / layout.PROFILES)
         self._notices = JsonLines(path / layout.NOTICES)
         self._latest_snapshot: int | None = None
-        self._tail: list[tuple[Transitions, NDArray]] = []
+        self._tail: list[dict[str, NDArray]] = []
         self._tail_first = 0
 
     @classmethod
@@ -54,11 +54,10 @@ class RunWriter:
         matmul: object = None,
         command: str = "",
     ) -> "RunWriter":
-        """Make the run folder, `config.json` first.
+        """Make the run folder, `config.json` first; it appears whole or not at all.
 
-        `matmul` says what the probe for fast matrix products found (anything JSON can hold). The
-        folder appears whole or not at all. Raises UserError when the id is taken or bad, or when the
-        store cannot be written.
+        `matmul` says what the probe for fast matrix products found (anything JSON can hold).
+        Raises UserError when the id is bad or taken, or when the store cannot be written.
         """
         path = store.resolve(run_id)
         store.ensure_writable()
@@ -123,19 +122,24 @@ class RunWriter:
         """Write the evaluation episodes at `env_step`."""
         self._arrays(layout.episodes(env_step), decode.episode_arrays(episodes))
 
-    def rows(self, rows: Transitions, policy_version: NDArray) -> None:
-        """Add rows to the replay buffer on disk."""
+    def rows(
+        self, rows: Transitions, policy_version: NDArray, state: Mapping[str, NDArray] | None = None
+    ) -> None:
+        """Add rows to the replay buffer on disk, with the simulator's state where there is one."""
         if not len(rows):
             return
-        self._tail.append((rows.numpy(), policy_version))
-        joined = Transitions.concatenate([part for part, _ in self._tail])
-        version = np.concatenate([version for _, version in self._tail])
-        name = layout.segment(self._tail_first)
-        self._arrays(name, decode.transition_arrays(joined, version))
-        if len(joined) >= SEGMENT_ROWS:
-            self._tail, self._tail_first = [], self._tail_first + len(joined)
+        self._tail.append(decode.transition_arrays(rows, policy_version, state))
+        joined = {n: np.concatenate([part[n] for part in self._tail]) for n in self._tail[0]}
+        self._arrays(layout.segment(self._tail_first), joined)
+        length = len(joined["policy_version"])
+        if length >= SEGMENT_ROWS:
+            self._tail, self._tail_first = [], self._tail_first + length
         else:
-            self._tail = [(joined, version)]
+            self._tail = [joined]
+
+    def policy(self, arrays: Mapping[str, NDArray]) -> None:
+        """Write the policy that the training ended with."""
+        self._arrays(layout.POLICY, arrays)
 
     def field(self, name: str, env_step: int, arrays: Mapping[str, NDArray]) -> None:
         """Write the arrays of a task's own picture."""

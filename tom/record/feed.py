@@ -1,0 +1,147 @@
+"""Follows the running runs of a store and feeds them to a Rerun hub, for live viewers.
+
+It reads run folders as any reader does: trainings know nothing of it, it may start late, and a
+hub that dies and comes back is fed again from the beginning.
+"""
+
+import logging
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from tom.events import Evaluation, Field
+from tom.record import layout
+from tom.record.files import parse_json_line
+from tom.record.reader import RunReader
+from tom.record.rerun_view import RerunView
+from tom.record.status import DEAD_AFTER_S
+from tom.record.store import Store
+
+POLL_S = 1.0
+FLUSH_S = 2.0
+
+_log = logging.getLogger(__name__)
+
+
+class Tail:
+    """The rows that a JSON lines file has gained since the last look."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """New whole rows; damaged ones are passed over."""
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._offset)
+                text = file.read()
+        except FileNotFoundError:
+            return
+        whole = text[: text.rfind(b"\n") + 1]
+        self._offset += len(whole)
+        for line in whole.splitlines():
+            row = parse_json_line(line)
+            if row is not None and isinstance(row.get("env_step"), int):
+                yield row
+
+
+class Follower:
+    """What one run has shown so far."""
+
+    def __init__(self, run: RunReader, url: str) -> None:
+        self.run = run
+        config = run.config.get("config", {})
+        every = int(config.get("evaluation", {}).get("every", 1000))
+        self._view = RerunView(run.run_id, run.env, every, rr.GrpcSink(url))
+        self._metrics = Tail(run.path / layout.METRICS)
+        self._profiles = Tail(run.path / layout.PROFILES)
+        self._shown: set[tuple[str, int]] = set()
+
+    def follow(self) -> None:
+        """Send what is new."""
+        for row in self._metrics.rows():
+            values = {k: v for k, v in row.items() if k != "env_step" and v is not None}
+            self._view.metrics(row["env_step"], values)
+        for row in self._profiles.rows():
+            self._view.profile(row["env_step"], np.array(row["bins"], np.float64))
+        for name in self.run.field_names():
+            for step in self._new(name, self.run.field_steps(name)):
+                self._view.field(Field(step, name, self.run.field(name, step)))
+        for step in self._new("", self.run.evaluation_steps()):
+            self._view.evaluation(Evaluation(step, self.run.episodes(step)))
+
+    def close(self) -> None:
+        self._view.close(FLUSH_S)
+
+    def _new(self, kind: str, steps: list[int]) -> list[int]:
+        new = [step for step in steps if (kind, step) not in self._shown]
+        self._shown |= {(kind, step) for step in new}
+        return new
+
+
+class Feeder:
+    """Feeds the hub at `host`:`port` with the runs of `store` that are running."""
+
+    def __init__(self, store: Store, host: str, port: int) -> None:
+        self._store = store
+        self._address = (host, port)
+        self._followers: dict[str, Follower] = {}
+        self._done: dict[str, float] = {}  # run id -> when the run that was shown had started
+
+    def run(self, stopping: threading.Event) -> None:
+        """Feed until `stopping`."""
+        while not stopping.wait(POLL_S):
+            if self._hub_answers():
+                self.poll()
+            else:
+                self._forget()
+
+    def poll(self) -> None:
+        """One look at the store."""
+        for run_id in self._store.recent(DEAD_AFTER_S):
+            self._guarded(run_id, self._start)
+        for run_id in list(self._followers):
+            self._guarded(run_id, self._follow)
+
+    def _start(self, run_id: str) -> None:
+        if run_id in self._followers:
+            return
+        run = self._store.run(run_id)
+        if self._done.get(run_id) != run.status.started:
+            host, port = self._address
+            self._followers[run_id] = Follower(run, f"rerun+http://{host}:{port}/proxy")
+
+    def _follow(self, run_id: str) -> None:
+        follower = self._followers[run_id]
+        status = follower.run.status  # before the rows: what comes later is not missed
+        follower.follow()
+        if not status.alive:
+            self._done[run_id] = status.started
+            self._followers.pop(run_id).close()
+
+    def _guarded(self, run_id: str, step: Callable[[str], None]) -> None:
+        """A run that cannot be shown is named once and does not stop the others."""
+        try:
+            step(run_id)
+        except Exception as error:
+            _log.warning("cannot show %s in Rerun: %s", run_id, error)
+            self._followers.pop(run_id, None)
+            self._done[run_id] = RunReader(self._store.path / run_id).status.started
+
+    def _hub_answers(self) -> bool:
+        # Rerun itself would wait 5 s for a hub that is not there.
+        try:
+            with socket.create_connection(self._address, timeout=1):
+                return True
+        except OSError:
+            return False
+
+    def _forget(self) -> None:
+        self._followers.clear()
+        self._done.clear()

@@ -1,0 +1,183 @@
+"""What of a run goes into Rerun, and under which path; how it is laid out is in blueprint.py.
+
+Timelines: `env_step`, on which everything lives (the frames of an evaluation follow its step),
+and `replay`, on which the evaluation episodes follow each other in real time.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from tom.events import Episode, Evaluation, Field
+from tom.record import scene
+from tom.record.blueprint import GROUND, MAP, PROFILE, ROBOT, TRACKED, blueprint
+
+APPLICATION = "tom-studio"
+
+FRAMES_PER_S = 30
+PAUSE_S = 0.5  # between two episodes on the timeline `replay`
+
+GREY = (150, 150, 150)
+ROAD = (120, 130, 145)
+EXPERT = (240, 180, 60)
+LEARNT = (80, 160, 250)
+TRUE = (90, 200, 120)
+MODELLED = (230, 90, 90)
+
+
+class RerunView:
+    """One run's recording. Every method may block as long as its sink does."""
+
+    def __init__(self, run_id: str, env: str, every: int, sink: rr.FileSink | rr.GrpcSink) -> None:
+        """`every` is the number of env steps between two evaluations."""
+        self._env = env
+        self._every = every
+        self._replay_s = 0.0
+        self._floor_drawn = False
+        # Chunks of seconds, not of a fifth of one: a viewer is slow with many small ones.
+        batches = rr.ChunkBatcherConfig(flush_tick=1.0)
+        self._stream = rr.RecordingStream(APPLICATION, recording_id=run_id, batcher_config=batches)
+        self._stream.set_log_tick_enabled(False)
+        self._stream.set_log_time_enabled(False)
+        self._stream.set_sinks(sink, default_blueprint=blueprint(env))
+        self._stream.send_recording_name(run_id)
+
+    def metrics(self, env_step: int, values: Mapping[str, float]) -> None:
+        """Each finite value as a scalar at the metric's path."""
+        self._stream.set_time("env_step", sequence=env_step)
+        for path, value in values.items():
+            if np.isfinite(value):
+                self._stream.log(path, rr.Scalars(value))
+
+    def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
+        """The weight profile as bars; an empty bin has height 0."""
+        self._stream.set_time("env_step", sequence=env_step)
+        self._stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins)))
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        """The first episode, where it has MuJoCo states."""
+        for episode in evaluation.episodes[:1]:
+            if episode.qpos is not None:
+                self._replay(evaluation.env_step, episode, episode.qpos)
+
+    def field(self, field: Field) -> None:
+        """Road-and-rocks: the map, the trajectories and the model's displacements."""
+        self._stream.set_time("env_step", sequence=field.env_step)
+        draw = {"map": self._map, "trajectories": self._trajectories, "model": self._model}
+        if field.name in draw:
+            draw[field.name](field.arrays)
+
+    def close(self, timeout_s: float) -> None:
+        """Write out what is left; raises when the sink does not take it in time."""
+        self._stream.flush(timeout_sec=timeout_s)
+        self._stream.disconnect()
+
+    def _replay(self, env_step: int, episode: Episode, qpos: NDArray) -> None:
+        model = scene.model(self._env)
+        stride = max(1, int(1 / (FRAMES_PER_S * model.dt)))
+        frames = np.arange(0, len(qpos), stride)
+        drawn = scene.geometry(model.mj, qpos[frames])
+        self._draw_ground(drawn.floor)
+        seconds = frames * model.dt
+        steps = env_step + frames * self._every // max(episode.length + 1, self._every)
+        times = (
+            rr.TimeColumn("env_step", sequence=steps),
+            rr.TimeColumn("replay", duration=self._replay_s + seconds),
+        )
+        self._replay_s += float(seconds[-1]) + PAUSE_S
+        self._capsules(times, drawn.capsules)
+        self._ellipsoids(times, drawn.ellipsoids)
+        place = drawn.root * np.array([1, 1, 0], np.float32)
+        self._stream.send_columns(TRACKED, times, rr.Transform3D.columns(translation=place))
+
+    def _capsules(self, times: tuple[rr.TimeColumn, ...], shape: scene.Shape) -> None:
+        frames, count = shape.center.shape[:2]
+        if not count:
+            return
+        radius, half = shape.size.T
+        self._stream.log(
+            f"{ROBOT}/capsules",
+            rr.Capsules3D.from_fields(
+                radii=radius, lengths=2 * half, colors=shape.color, fill_mode="solid"
+            ),
+            static=True,
+        )
+        columns = rr.Capsules3D.columns(
+            translations=shape.capsule_end.reshape(-1, 3),
+            quaternions=shape.quaternion.reshape(-1, 4),
+        )
+        self._stream.send_columns(f"{ROBOT}/capsules", times, columns.partition([count] * frames))
+
+    def _ellipsoids(self, times: tuple[rr.TimeColumn, ...], shape: scene.Shape) -> None:
+        frames, count = shape.center.shape[:2]
+        if not count:
+            return
+        self._stream.log(
+            f"{ROBOT}/ellipsoids",
+            rr.Ellipsoids3D.from_fields(
+                half_sizes=shape.size, colors=shape.color, fill_mode="solid"
+            ),
+            static=True,
+        )
+        columns = rr.Ellipsoids3D.columns(
+            centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
+        )
+        self._stream.send_columns(f"{ROBOT}/ellipsoids", times, columns.partition([count] * frames))
+
+    def _draw_ground(self, height: float | None) -> None:
+        """The floor as a slab with lines a metre apart: they show how fast the robot goes."""
+        if height is None or self._floor_drawn:
+            return
+        self._floor_drawn = True
+        slab = rr.Boxes3D(
+            centers=[(40, 0, height - 0.05)],
+            half_sizes=[(60, 10, 0.045)],
+            colors=[(70, 75, 82)],
+            fill_mode="solid",
+        )
+        along = [[(-20, y, height), (100, y, height)] for y in range(-10, 11)]
+        across = [[(x, -10, height), (x, 10, height)] for x in range(-20, 101)]
+        lines = rr.LineStrips3D(along + across, colors=GREY, radii=0.004)
+        self._stream.log(f"{GROUND}/slab", slab, static=True)
+        self._stream.log(f"{GROUND}/lines", lines, static=True)
+
+    def _map(self, arrays: Mapping[str, NDArray]) -> None:
+        line = arrays["centre_line"]
+        width = float(arrays["road_half_width"])
+        road = rr.LineStrips2D([_up(line)], radii=width, colors=ROAD, draw_order=-2)
+        ends = np.stack([arrays["start"], arrays["goal"]])
+        circles = rr.Ellipses2D(
+            centers=_up(ends[:, :2]),
+            half_sizes=ends[:, 2:].repeat(2, axis=1),
+            colors=[LEARNT, TRUE],
+            labels=["start", "goal"],
+        )
+        corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
+        edge = rr.LineStrips2D([_up(corners)], colors=GREY, radii=0.001)
+        self._stream.log(f"{MAP}/edge", edge, static=True)
+        self._stream.log(f"{MAP}/road", road, static=True)
+        self._stream.log(f"{MAP}/ends", circles, static=True)
+
+    def _trajectories(self, arrays: Mapping[str, NDArray]) -> None:
+        for name, color in (("expert", EXPERT), ("learnt", LEARNT)):
+            strips = [_up(path) for key, path in arrays.items() if key.startswith(f"{name}_")]
+            if strips:
+                drawn = rr.LineStrips2D(strips, colors=color, radii=0.002)
+                self._stream.log(f"{MAP}/{name}", drawn)
+
+    def _model(self, arrays: Mapping[str, NDArray]) -> None:
+        for name, color in (("true", TRUE), ("modelled", MODELLED)):
+            arrows = rr.Arrows2D(
+                origins=_up(arrays["points"]),
+                vectors=_up(arrays[name]),
+                colors=color,
+                radii=0.0015,
+            )
+            self._stream.log(f"{MAP}/{name}", arrows)
+
+
+def _up(points: NDArray) -> NDArray:
+    """Map points (..., 2) for a view in which y runs downwards."""
+    return points * np.array([1.0, -1.0])
