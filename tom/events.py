@@ -4,6 +4,7 @@ A training is a generator of these. It never waits for a consumer's files, clock
 `env_step` counts environment steps (offline: steps of policy optimisation in the model).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,6 +83,7 @@ class Collected:
     env_step: int
     transitions: Transitions
     policy_version: NDArray[np.int64]  # (n,) which policy collected each row; 0 is exploration
+    state: Mapping[str, NDArray] = field(default_factory=dict)  # at obs: qpos (n, nq), qvel (n, nv)
 
 
 @dataclass(frozen=True)
@@ -102,4 +104,12 @@ class Notice:
     message: str
 
 
-Event = Tick | Metrics | Weights | Evaluation | Collected | Field | Notice
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """The policy that a training ended with, as the arrays of `tom.policy_file`."""
+
+    env_step: int
+    arrays: dict[str, NDArray]
+
+
+Event = Tick | Metrics | Weights | Evaluation | Collected | Field | Notice | TrainedPolicy

@@ -5,22 +5,32 @@ from collections.abc import Callable, Iterator, Sequence
 import torch
 
 from tom import offline
-from tom.config import OnlineConfig, RoadConfig
+from tom.config import OnlineConfig, RoadConfig, SacRecordingConfig
 from tom.events import Event
 from tom.matmul import choose_matmul
 from tom.mbpo import Mbpo
 from tom.record import Recorder, RunReader, RunWriter, Store, open_sink
+from tom.sac_recording import SacRecording
 
 Consumer = Callable[[Event], None]
 
 
-def events(config: OnlineConfig | RoadConfig) -> Iterator[Event]:
-    """The events of a training: MBPO in a MuJoCo task, or offline on road-and-rocks."""
-    return offline.train(config) if isinstance(config, RoadConfig) else Mbpo(config).events()
+AnyConfig = OnlineConfig | RoadConfig | SacRecordingConfig
+
+
+def events(config: AnyConfig) -> Iterator[Event]:
+    """The events of a run: MBPO in a MuJoCo task, offline on road-and-rocks, or SAC alone."""
+    match config:
+        case OnlineConfig():
+            return Mbpo(config).events()
+        case RoadConfig():
+            return offline.train(config)
+        case SacRecordingConfig():
+            return SacRecording(config).events()
 
 
 def train(
-    config: OnlineConfig | RoadConfig,
+    config: AnyConfig,
     store: Store,
     run_id: str | None = None,
     rerun: bool = True,

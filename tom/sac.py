@@ -155,11 +155,11 @@ class Sac:
             self.log_temperature.copy_(state["log_temperature"])
 
 
-class MemberPolicy:
-    """One member of a SAC as a policy: a `tom.learners.base.Policy` and its value heads."""
+class GaussianPolicy:
+    """Network `index` of an actor as a policy (`tom.learners.base.Policy`)."""
 
-    def __init__(self, sac: Sac, index: int) -> None:
-        self._sac = sac
+    def __init__(self, actor: StackedMLP, index: int) -> None:
+        self._actor = actor
         self._index = index
 
     @torch.no_grad()
@@ -174,6 +174,18 @@ class MemberPolicy:
         """Mean actions for obs (B, O): (B, A)."""
         return torch.tanh(self._gaussian(obs)[0])
 
+    def _gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        mean, log_std = self._actor.member(self._index, obs).chunk(2, -1)
+        return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
+
+
+class MemberPolicy(GaussianPolicy):
+    """One member of a SAC: its policy and its value heads."""
+
+    def __init__(self, sac: Sac, index: int) -> None:
+        super().__init__(sac.actor, index)
+        self._critic = sac.critic
+
     def value_gradient(self, obs: Tensor) -> Tensor:
         """dV_k/ds of both critics' V_k(s) = Q_k(s, mean action(s)) at obs (B, O): (2, B, O)."""
         state = obs.detach().clone().requires_grad_(True)
@@ -181,16 +193,11 @@ class MemberPolicy:
         heads = [torch.autograd.grad(q[k].sum(), state, retain_graph=k == 0)[0] for k in (0, 1)]
         return torch.stack(heads)
 
-    def _gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        actor, m = self._sac.actor, self._index
-        mean, log_std = actor.member(m, obs).chunk(2, -1)
-        return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
-
     def _values(self, obs: Tensor) -> Tensor:
         action = torch.tanh(self._gaussian(obs)[0])
         x = torch.cat([obs, action], -1)
-        critic = self._sac.critic
-        return torch.stack([critic.member(2 * self._index + k, x).squeeze(-1) for k in (0, 1)])
+        heads = [self._critic.member(2 * self._index + k, x).squeeze(-1) for k in (0, 1)]
+        return torch.stack(heads)
 
 
 def _step(optimiser: torch.optim.Optimizer, loss: Tensor) -> None:

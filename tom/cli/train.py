@@ -15,7 +15,7 @@ from tom.envs import ENV_NAMES
 from tom.learners import LEARNER_NAMES
 from tom.presets import PRESETS, config_type, resolve
 from tom.record import RunReader, Store
-from tom.run import train
+from tom.run import AnyConfig, train
 
 OWN_OPTIONS = {"env", "learner", "preset"}
 
@@ -46,10 +46,17 @@ def run(args: argparse.Namespace) -> int:
         config = resolve(args.env, args.learner, args.preset, overrides(args))
     except ValidationError as error:
         raise one_line(error) from None
+    return record(config, args)
+
+
+def record(config: AnyConfig, args: argparse.Namespace) -> int:
+    """Run `config` under the options that every recorded run shares; the exit code."""
     store = Store(args.store)
     signal.signal(signal.SIGTERM, _interrupt)
     label = f"{config.env} {config.learner} seed {config.seed}"
-    with ProgressReport(label, config.steps, sys.stderr if args.json else sys.stdout) as progress:
+    with ProgressReport(
+        label, config.total_steps, sys.stderr if args.json else sys.stdout
+    ) as progress:
         try:
             done = train(
                 config,

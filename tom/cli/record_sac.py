@@ -1,0 +1,38 @@
+"""`tom record-sac`: SAC alone after as many random steps, its whole replay kept in order."""
+
+import argparse
+
+from pydantic import ValidationError
+
+from tom.cli.parser import add_config_options, add_run_options, leaf_fields, one_line, overrides
+from tom.cli.train import record
+from tom.config import SacRecordingConfig
+from tom.envs import ENVS, task
+
+WITHOUT_MEANING = ("tom.", "pmac.", "vagram.", "bins", "snapshots", "env", "learner", "preset")
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "record-sac",
+        help="record SAC's replay in order, for `tom weigh`",
+        description="Record N random steps, then N steps of soft actor-critic in order, with the "
+        "MuJoCo states and the final policy. `tom weigh RUN --policy RUN` shows what the learners "
+        "make of it.",
+    )
+    parser.add_argument("--env", required=True, metavar="ENV", help=", ".join(ENVS))
+    parser.add_argument("--run-id", help="name of the run folder [env-sac-seed-time]")
+    add_run_options(parser)
+    paths = {path for path, _ in leaf_fields(SacRecordingConfig)}
+    left_out = {path for path in paths if path.startswith(WITHOUT_MEANING)}
+    add_config_options(parser, SacRecordingConfig, leave_out=left_out)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    env = task(args.env).name
+    try:
+        config = SacRecordingConfig(env=env).but(**overrides(args))
+    except ValidationError as error:
+        raise one_line(error) from None
+    return record(config, args)
