@@ -52,10 +52,6 @@ class StackedMLP(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         return self._run(x, list(self.weights), list(self.biases))
 
-    def frozen(self, x: Tensor) -> Tensor:
-        """The same values; gradients reach `x` but not the parameters."""
-        return self._run(x, [w.detach() for w in self.weights], [b.detach() for b in self.biases])
-
     def member(self, index: int, x: Tensor) -> Tensor:
         """Network `index` alone: (B, in) -> (B, out)."""
         weights = [w[index : index + 1] for w in self.weights]

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import relu, softplus
 
+from tom.backprop import forward_trace, input_gradient, set_gradients
 from tom.config import SacConfig
 from tom.data.transitions import TensorTransitions
 from tom.nn import StackedMLP
@@ -52,50 +53,79 @@ class Sac:
         )
         self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), config.lr, fused=True)
         self.critic_optimiser = torch.optim.Adam(self.critic.parameters(), config.lr, fused=True)
-        self.temperature_optimiser = torch.optim.Adam([self.log_temperature], config.lr)
+        self.temperature_optimiser = torch.optim.Adam([self.log_temperature], config.lr, fused=True)
 
-    # The three losses, one number a member: (M,)
-
-    def critic_loss(self, batch: TensorTransitions) -> tuple[Tensor, Tensor]:
-        """Squared Bellman error of both critics; bootstraps through truncation. Also mean Q."""
-        with torch.no_grad():
-            next_action, next_log_prob = self._sample(batch.next_obs)
-            next_q = self._twin_q(self.target_critic, batch.next_obs, next_action).amin(1)
-            soft_value = next_q - self._temperature() * next_log_prob
-            alive = 1.0 - batch.terminated.unsqueeze(-1)
-            target = batch.reward.unsqueeze(-1) + self.config.discount * alive * soft_value
-        q = self._twin_q(self.critic, batch.obs, batch.action)  # (M, 2, B, 1)
-        loss = (q - target.unsqueeze(1)).square().mean((2, 3)).sum(1)
-        return loss, q.detach().mean((1, 2, 3))
-
-    def actor_loss(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        """E[temperature log pi(a|s) - min_k Q_k(s, a)]; also the batch's mean log_prob."""
-        action, log_prob = self._sample(obs)
-        q = self._twin_q(self.critic, obs, action, frozen=True).amin(1)
-        loss = (self._temperature() * log_prob - q).mean((1, 2))
-        return loss, log_prob.detach().mean((1, 2))
-
+    @torch.no_grad()
     def update(self, batch: TensorTransitions) -> dict[str, Tensor]:
-        """One gradient step of critics, actor and temperature on a (M, B, ...) batch."""
-        critic_loss, q = self.critic_loss(batch)
-        _step(self.critic_optimiser, critic_loss)
-        actor_loss, log_prob = self.actor_loss(batch.obs)
-        _step(self.actor_optimiser, actor_loss)
-        temperature_loss = -self.log_temperature * (log_prob + self.target_entropy)
-        _step(self.temperature_optimiser, temperature_loss)
-        with torch.no_grad():
-            torch._foreach_lerp_(  # pyright: ignore[reportPrivateImportUsage]
-                list(self.target_critic.parameters()),
-                list(self.critic.parameters()),
-                self.config.tau,
-            )
+        """One gradient step of critics, actor and temperature on a (M, B, ...) batch.
+
+        Returns what it measured, (M,) each. Gradients are written out by hand (see `backprop`).
+        """
+        critic_loss, q = self.set_critic_gradients(batch)
+        self.critic_optimiser.step()
+        actor_loss, log_prob = self.set_actor_gradients(batch.obs)
+        self.actor_optimiser.step()
+        # d/d log_temperature of -log_temperature * (log_prob + target_entropy)
+        self.log_temperature.grad = -(log_prob + self.target_entropy)
+        self.temperature_optimiser.step()
+        torch._foreach_lerp_(  # pyright: ignore[reportPrivateImportUsage]
+            list(self.target_critic.parameters()),
+            list(self.critic.parameters()),
+            self.config.tau,
+        )
         return {
-            "critic/loss": critic_loss.detach(),
+            "critic/loss": critic_loss,
             "critic/q": q,
-            "actor/loss": actor_loss.detach(),
+            "actor/loss": actor_loss,
             "actor/entropy": -log_prob,
-            "temperature/value": self.log_temperature.detach().exp(),
+            "temperature/value": self.log_temperature.exp(),
         }
+
+    def critic_target(self, batch: TensorTransitions) -> Tensor:
+        """r + g (1 - terminated) (min_k Q'_k(s', a') - temperature log pi(a'|s')), (M, B).
+
+        Bootstraps through truncation, never through termination.
+        """
+        action, log_prob = self._sample(batch.next_obs)
+        next_q = self.target_critic(self._twin_inputs(batch.next_obs, action))
+        soft_value = _twins(next_q).amin(1) - self._temperature() * log_prob.squeeze(-1)
+        return batch.reward + self.config.discount * (1.0 - batch.terminated) * soft_value
+
+    def set_critic_gradients(self, batch: TensorTransitions) -> tuple[Tensor, Tensor]:
+        """Gradients of sum_k E[(Q_k(s, a) - target)^2]; returns the loss and the mean Q, (M,)."""
+        target = self.critic_target(batch)
+        trace = forward_trace(self.critic, self._twin_inputs(batch.obs, batch.action))
+        error = _twins(trace[-1]) - target.unsqueeze(1)  # (M, 2, B)
+        grad = error * (2.0 / error.shape[-1])
+        set_gradients(self.critic, trace, grad.flatten(0, 1).unsqueeze(-1))
+        return error.square().mean(-1).sum(1), _twins(trace[-1]).mean((1, 2))
+
+    def set_actor_gradients(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradients of E[temperature log pi(a|s) - min_k Q_k(s, a)]; the loss, mean log_prob."""
+        trace = forward_trace(self.actor, obs)
+        mean, raw_log_std = trace[-1].chunk(2, -1)
+        log_std = raw_log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
+        noise = normal(self.generators, mean.shape[1:])
+        action, log_prob = squashed_gaussian(mean, log_std, noise)
+        q_trace = forward_trace(self.critic, self._twin_inputs(obs, action))
+        q, lower = _twins(q_trace[-1]).min(1)  # (M, B)
+
+        # -1/B flows into the lower of the two critics, and on to the action.
+        grad_q = torch.zeros_like(_twins(q_trace[-1]))
+        grad_q.scatter_(1, lower.unsqueeze(1), -1.0 / q.shape[-1])
+        grad_input = input_gradient(self.critic, q_trace, grad_q.flatten(0, 1).unsqueeze(-1))
+        grad_action = _twins(grad_input)[..., obs.shape[-1] :].sum(1)
+        # a = tanh(u), u = mean + std noise: da/du = 1 - a^2, d log_prob/du = 2 a, and log_std
+        # also stands in log_prob itself, with slope -1.
+        share = self._temperature().unsqueeze(-1) / q.shape[-1]
+        grad_u = grad_action * (1.0 - action.square()) + 2.0 * share * action
+        grad_log_std = grad_u * log_std.exp() * noise - share
+        grad_log_std.mul_(raw_log_std == log_std)  # nothing flows where it was clamped
+        set_gradients(self.actor, trace, torch.cat([grad_u, grad_log_std], -1))
+
+        log_prob = log_prob.squeeze(-1)
+        loss = (self._temperature() * log_prob - q).mean(1)
+        return loss, log_prob.mean(1)
 
     # Acting
 
@@ -124,15 +154,11 @@ class Sac:
         return squashed_gaussian(mean, log_std, normal(self.generators, mean.shape[1:]))
 
     def _temperature(self) -> Tensor:
-        return self.log_temperature.detach().exp().view(-1, 1, 1)
+        return self.log_temperature.detach().exp().unsqueeze(-1)  # (M, 1)
 
-    def _twin_q(
-        self, critic: StackedMLP, obs: Tensor, action: Tensor, frozen: bool = False
-    ) -> Tensor:
-        """Both critics' values (M, 2, B, 1)."""
-        x = torch.cat([obs, action], -1).repeat_interleave(2, 0)
-        q = critic.frozen(x) if frozen else critic(x)
-        return q.unflatten(0, (-1, 2))
+    def _twin_inputs(self, obs: Tensor, action: Tensor) -> Tensor:
+        """What both critics read, (2 M, B, O + A)."""
+        return torch.cat([obs, action], -1).repeat_interleave(2, 0)
 
     def state_dict(self) -> dict[str, Any]:
         return {
@@ -200,7 +226,6 @@ class MemberPolicy(GaussianPolicy):
         return torch.stack(heads)
 
 
-def _step(optimiser: torch.optim.Optimizer, loss: Tensor) -> None:
-    optimiser.zero_grad(set_to_none=True)
-    loss.sum().backward()  # members share nothing: the sum gives each its own gradient
-    optimiser.step()
+def _twins(x: Tensor) -> Tensor:
+    """(2 M, B, D) -> (M, 2, B, D); a D of one is dropped."""
+    return x.unflatten(0, (-1, 2)).squeeze(-1)

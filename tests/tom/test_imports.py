@@ -7,9 +7,10 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 LEVELS = [
-    {"errors", "rng", "metrics", "config", "events", "nn", "matmul", "data", "envs", "divergences"},
+    {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
+    | {"divergences"},
     {"learners", "sac", "dynamics", "evaluate", "tabular", "planner", "cloning"},
-    {"rollout", "diagnostics", "presets", "road_measure"},
+    {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},
     {"mbpo", "offline", "sweep", "record"},
     {"run"},
     {"cli", "tabular_study", "road_study", "__main__"},

@@ -24,12 +24,3 @@ def test_a_member_starts_the_same_in_any_company():
     together = StackedMLP(4, [4, 8, 1], relu, generators(3, 7))
     for a, b in zip(alone.parameters(), together.parameters(), strict=True):
         torch.testing.assert_close(a, b[2:], rtol=0, atol=0)
-
-
-def test_frozen_passes_gradients_to_the_input_only():
-    net = StackedMLP(1, [3, 4, 1], relu, generators(0))
-    x = torch.randn(1, 6, 3, requires_grad=True)
-    net.frozen(x).sum().backward()
-    assert x.grad is not None
-    assert x.grad.abs().sum() > 0
-    assert all(p.grad is None for p in net.parameters())

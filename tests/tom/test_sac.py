@@ -1,8 +1,13 @@
+from dataclasses import fields
+
+import pytest
 import torch
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
 from tom.config import SacConfig
 from tom.data.transitions import TensorTransitions
+from tom.nn import StackedMLP
+from tom.rng import normal
 from tom.sac import Sac, squashed_gaussian
 
 OBS, ACTION, BATCH = 3, 2, 64
@@ -38,24 +43,84 @@ def test_log_prob_of_the_squashed_gaussian_is_the_transformed_density():
     )
 
 
+def autograd_critic_loss(sac: Sac, rows: TensorTransitions) -> torch.Tensor:
+    """The critics' loss as the paper writes it, for autograd: the slow reference."""
+    with torch.no_grad():
+        target = sac.critic_target(rows)
+    x = torch.cat([rows.obs, rows.action], -1)
+    losses = []
+    for m in range(len(sac.generators)):
+        for k in (0, 1):
+            q = sac.critic.member(2 * m + k, x[m]).squeeze(-1)
+            losses.append((q - target[m]).square().mean())
+    return torch.stack(losses).sum()
+
+
+def autograd_actor_loss(sac: Sac, obs: torch.Tensor) -> torch.Tensor:
+    losses = []
+    mean, log_std = sac.actor(obs).chunk(2, -1)
+    log_std = log_std.clamp(-20, 2)
+    noise = normal(sac.generators, mean.shape[1:])
+    action, log_prob = squashed_gaussian(mean, log_std, noise)
+    for m in range(len(sac.generators)):
+        x = torch.cat([obs[m], action[m]], -1)
+        q = torch.stack([sac.critic.member(2 * m + k, x).squeeze(-1) for k in (0, 1)]).amin(0)
+        temperature = sac.log_temperature[m].detach().exp()
+        losses.append((temperature * log_prob[m].squeeze(-1) - q).mean())
+    return torch.stack(losses).sum()
+
+
+def assert_gradients_match(sac: Sac, net: StackedMLP, loss: torch.Tensor) -> None:
+    expected = torch.autograd.grad(loss, list(net.parameters()))
+    for parameter, gradient in zip(net.parameters(), expected, strict=True):
+        assert parameter.grad is not None
+        torch.testing.assert_close(parameter.grad, gradient, rtol=1e-5, atol=1e-8)
+
+
+def double(sac: Sac, rows: TensorTransitions) -> TensorTransitions:
+    for net in (sac.actor, sac.critic, sac.target_critic):
+        net.double()
+    return TensorTransitions(*(getattr(rows, f.name).double() for f in fields(rows)))
+
+
+@pytest.mark.parametrize("seeds", [(0,), (3, 4, 5)])
+def test_critic_gradients_are_autograds(seeds: tuple[int, ...]):
+    sac = make(*seeds)
+    rows = double(sac, batch(len(seeds), terminated=0.0))
+    before = [g.get_state() for g in sac.generators]
+    with torch.no_grad():
+        loss, _ = sac.set_critic_gradients(rows)
+    for g, state in zip(sac.generators, before, strict=True):
+        g.set_state(state)
+    reference = autograd_critic_loss(sac, rows)
+    torch.testing.assert_close(loss.sum(), reference.detach())
+    assert_gradients_match(sac, sac.critic, reference)
+
+
+@pytest.mark.parametrize("seeds", [(0,), (3, 4, 5)])
+@pytest.mark.parametrize("spread", [0.0, 40.0])  # the second clamps most of log_std
+def test_actor_gradients_are_autograds(seeds: tuple[int, ...], spread: float):
+    sac = make(*seeds)
+    rows = double(sac, batch(len(seeds)))
+    with torch.no_grad():
+        sac.actor.biases[-1][..., ACTION:] += spread * torch.linspace(-1, 1, ACTION)
+        before = [g.get_state() for g in sac.generators]
+        loss, _ = sac.set_actor_gradients(rows.obs)
+    for g, state in zip(sac.generators, before, strict=True):
+        g.set_state(state)
+    reference = autograd_actor_loss(sac, rows.obs)
+    torch.testing.assert_close(loss.sum(), reference.detach())
+    assert_gradients_match(sac, sac.actor, reference)
+
+
 def test_target_bootstraps_through_truncation_but_not_through_termination():
-    losses = {}
-    for name, flags in {
-        "plain": {},
-        "truncated": {"truncated": 1.0},
-        "terminated": {"terminated": 1.0},
-    }.items():
-        losses[name] = float(make(0).critic_loss(batch(**flags))[0].detach())
-    assert losses["truncated"] == losses["plain"]
-    assert losses["terminated"] != losses["plain"]
-
-
-def test_terminated_target_is_the_reward_alone():
-    sac = make(0)
-    rows = batch(terminated=1.0)
-    q = sac._twin_q(sac.critic, rows.obs, rows.action).squeeze(-1)  # (1, 2, B)
-    expected = (q - rows.reward.unsqueeze(1)).square().mean(-1).sum()
-    torch.testing.assert_close(sac.critic_loss(rows)[0][0], expected)
+    plain, truncated, terminated = (
+        make(0).critic_target(batch(**flags)).detach()
+        for flags in ({}, {"truncated": 1.0}, {"terminated": 1.0})
+    )
+    assert torch.equal(truncated, plain)
+    assert torch.equal(terminated, batch().reward)
+    assert not torch.equal(plain, terminated)
 
 
 def test_update_moves_targets_by_tau():
