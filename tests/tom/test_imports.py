@@ -9,11 +9,12 @@ ROOT = Path(__file__).parents[2]
 LEVELS = [
     {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
     | {"divergences"},
-    {"learners", "sac", "dynamics", "evaluate", "tabular", "planner", "cloning"},
+    {"learners", "sac", "dynamics", "evaluate", "tabular", "planner", "cloning"}
+    | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},
-    {"mbpo", "offline", "sweep", "record"},
+    {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
     {"run"},
-    {"cli", "tabular_study", "road_study", "__main__"},
+    {"cli", "tabular_study", "road_study", "reports", "__main__"},
 ]
 LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}
 
