@@ -142,12 +142,14 @@ class TomConfig(Config):
     q_weight_decay: NonNegative = 1e-4
     q_reset: bool = False
     """start Q afresh at every fit (default: go on from the last)"""
-    q_lr_decay: bool = False
-    """decay Q's learning rate to zero over each fit (cosine)"""
+    q_bias_horizon: bool = False
+    """learn Q's output bias 1/(1-discount) times faster: it carries the weights' mean"""
     q_non_negative: bool = False
     """keep Q >= 0 as printed in the paper (halves the mass of the weights)"""
     semi_gradient: bool = False
     """stop the gradient through Q(s', a') (breaks the dual: for comparison only)"""
+    parameter_average: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """r and weights come from both networks' parameters averaged with this decay (0: the last)"""
     action_samples: Count = 1
     """actions averaged for E_{a'~pi}[Q(s', a')] (the paper: one)"""
     warmup: Count = 1000
@@ -158,12 +160,13 @@ class TomConfig(Config):
         # Measured against exact solutions of small MDPs: see docs/learners/tom.md.
         "exact": {
             "action_samples": 10,
-            "discriminator_steps": 1000,
-            "q_steps": 4000,
-            "q_weight_decay": 0.0,
-            "q_reset": True,
+            "discriminator_steps": 2000,
+            "parameter_average": 0.999,
+            "q_bias_horizon": True,
             "q_lr": 1e-3,
-            "q_lr_decay": True,
+            "q_reset": True,
+            "q_steps": 2000,
+            "q_weight_decay": 0.0,
         },
     }
 
@@ -218,6 +221,11 @@ class RunConfig(Config):
     pmac: PmacConfig = PmacConfig()
     vagram: VagramConfig = VagramConfig()
 
+    @property
+    def total_steps(self) -> int:
+        """The step that the run's events count up to."""
+        return self.steps
+
 
 class OnlineConfig(RunConfig):
     """MBPO in a MuJoCo task (Algorithm 2)."""
@@ -239,10 +247,32 @@ class OnlineConfig(RunConfig):
     evaluation: EvaluationConfig = EvaluationConfig()
 
 
+class SacRecordingConfig(RunConfig):
+    """SAC alone in a MuJoCo task after as many random steps, its whole replay kept in order."""
+
+    learner: str = "sac"
+    steps: Count = 200_000
+    """environment steps of SAC; as many random ones come before them"""
+    exploration_steps: Whole = 1000
+    """uniformly random steps at the start of SAC's own"""
+    updates_per_step: Count = 1
+    """SAC updates for each env step"""
+    sac: SacConfig = SacConfig()
+    evaluation: EvaluationConfig = EvaluationConfig(every=5000, episodes=5)
+
+    @property
+    def total_steps(self) -> int:
+        return 2 * self.steps
+
+
 class RoadConfig(RunConfig):
     """Offline model-based RL on road-and-rocks with a linear model (paper, section 5.1)."""
 
     env: str = "road-and-rocks"
+    steps: Count = 2000
+    """steps of policy optimisation in the model"""
+    map_seed: Whole | None = None
+    """seed of the rocks; default the run's seed"""
     turn: float = 180.0
     """mean turn of the steering on rocks, degrees"""
     spread: NonNegative = 90.0
@@ -253,8 +283,20 @@ class RoadConfig(RunConfig):
     """store the expert data before the random data (PMAC's weights follow the order)"""
     updates_per_step: Count = 1
     """SAC updates for each step of policy optimisation"""
-    fit_every: Count = 1000
+    rollout_every: Count = 50
+    """steps of policy optimisation between rollouts in the model"""
+    fit_every: Count = 500
     """steps of policy optimisation between two records of weights and model"""
-    sac: SacConfig = SacConfig()
-    rollout: RolloutConfig = RolloutConfig()
-    evaluation: EvaluationConfig = EvaluationConfig()
+    # A footprint of one trajectory: see docs/road-and-rocks.md.
+    tom: TomConfig = TomConfig(
+        discriminator_steps=1000,
+        discriminator_hidden=128,
+        q_steps=2000,
+        q_hidden=128,
+        action_samples=8,
+        warmup=1,
+    )
+    sac: SacConfig = SacConfig(hidden=64, lr=2e-3, tau=0.02, initial_temperature=0.1)
+    rollout: RolloutConfig = RolloutConfig(starts=1000, length=5, final_length=5, retain=4)
+    """model rollouts; `retain` counts rollouts, not fits"""
+    evaluation: EvaluationConfig = EvaluationConfig(every=100, episodes=20)

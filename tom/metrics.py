@@ -6,6 +6,8 @@ METRICS: dict[str, str] = {
     "eval/return_std": "standard deviation of the return over the evaluation episodes",
     "eval/length": "mean length of the evaluation episodes, steps",
     "eval/success": "share of evaluation episodes that reach the goal (road-and-rocks)",
+    "eval/return_random": "mean return of uniform actions in the same task (road-and-rocks)",
+    "eval/return_expert": "mean return of the noisy expert in the same task (road-and-rocks)",
     "train/return": "undiscounted return of the last finished training episode",
     "train/length": "length of the last finished training episode, steps",
     "model/train_nll": "mean negative log-likelihood (z-scored targets) in the last round of the fit",

@@ -65,12 +65,17 @@ BY_ENV: dict[str, dict[str, dict[str, Any]]] = {
     "smoke": {},
 }
 
-SMOKE_STEPS = {"road-and-rocks": 400}
 ROAD: dict[str, dict[str, Any]] = {
     "paper": {},
     "mbpo": {},
-    "smoke": {"updates_per_step": 1, "evaluation": {"episodes": 2}},
-}
+    "smoke": {
+        "steps": 600,
+        "fit_every": 300,
+        "evaluation": {"every": 150, "episodes": 5},
+        "tom": {"discriminator_steps": 300, "q_steps": 500, "q_hidden": 64,
+                "discriminator_hidden": 64, "action_samples": 4},
+    },
+}  # fmt: skip
 
 
 def resolve(

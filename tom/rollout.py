@@ -1,6 +1,7 @@
 """Rollouts of the policy in the learnt model: what SAC trains on."""
 
 from collections.abc import Callable
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -9,10 +10,19 @@ from tom.config import RolloutConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import WeightedSampler, uniform_indices
 from tom.data.transitions import TensorTransitions
-from tom.dynamics import DynamicsModel
 from tom.learners.base import Policy
 
 Termination = Callable[[Tensor], Tensor]  # next_obs (B, O) -> terminated (B,)
+
+
+class Simulator(Protocol):
+    """What a rollout needs of a dynamics model."""
+
+    def sample(
+        self, obs: Tensor, action: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Draw (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
+        ...
 
 
 def start_states(
@@ -26,7 +36,7 @@ def start_states(
 
 @torch.no_grad()
 def roll_out(
-    model: DynamicsModel,
+    model: Simulator,
     policy: Policy,
     terminated: Termination,
     starts: Tensor,

@@ -1,0 +1,73 @@
+"""Weightings to hold a learner against on road-and-rocks, where one knows who drove."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from tom.config import TomConfig
+from tom.data.sampling import normalise
+from tom.envs.road_data import OfflineData
+from tom.learners.base import FitContext, Weighting
+from tom.learners.discriminator import Discriminator, discriminator_net
+from tom.learners.dual import DualProblem, q_net
+from tom.learners.scaling import Scaling
+
+Baseline = Callable[[OfflineData, FitContext, TomConfig], Weighting]
+
+
+def expert_only(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
+    """All expert trajectories and nothing else."""
+    return _among(data.expert)
+
+
+def footprint_only(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
+    """The one trajectory that TOM is told is the policy's, and nothing else."""
+    return _among(data.footprint)
+
+
+def discriminator_only(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
+    """TOM without its dual Q: w = p/q as the discriminator says it, exp(logit)."""
+    log_ratio, metrics = discriminate(context, config)
+    weights, _ = normalise((log_ratio - log_ratio.max()).exp())
+    return Weighting(weights, log_ratio=log_ratio, metrics=metrics)
+
+
+def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
+    """A control, not a rival: TOM with the discriminator's labels swapped, which negates r."""
+    log_ratio, metrics = discriminate(context, config)
+    replay, generator = context.replay, context.generator
+    scaling = Scaling.of((replay.obs, replay.action))
+    problem = DualProblem(replay, -log_ratio, context.initial_obs, context.policy, config, scaling)
+    net = q_net(*_dims(context), config, generator)
+    optimiser = torch.optim.Adam(net.parameters(), lr=config.q_lr, fused=True)
+    metrics |= problem.minimise(net, optimiser, generator)
+    raw, _ = problem.solution(net, generator)
+    weights, _ = normalise(raw)
+    return Weighting(weights, log_ratio=-log_ratio, metrics=metrics)
+
+
+def discriminate(context: FitContext, config: TomConfig) -> tuple[Tensor, dict[str, float]]:
+    """The logit (N,) of a fresh discriminator between policy buffer and replay, and metrics."""
+    net = discriminator_net(*_dims(context), config, context.generator)
+    judge = Discriminator(net, context.replay, context.policy_buffer)
+    optimiser = torch.optim.Adam(net.parameters(), lr=config.discriminator_lr, fused=True)
+    metrics = judge.train(optimiser, config, context.generator)
+    return judge.log_ratio(), metrics
+
+
+def _dims(context: FitContext) -> tuple[int, int]:
+    return context.replay.obs.shape[1], context.replay.action.shape[1]
+
+
+def _among(chosen: Tensor) -> Weighting:
+    weights, _ = normalise(chosen.float())
+    return Weighting(weights)
+
+
+BASELINES: dict[str, Baseline] = {
+    "expert-only": expert_only,
+    "footprint-only": footprint_only,
+    "discriminator-only": discriminator_only,
+    "labels-swapped": labels_swapped,
+}

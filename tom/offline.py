@@ -1,0 +1,225 @@
+"""Offline model-based RL on road-and-rocks (paper, section 5.1): data, weights, model, policy.
+
+The learner weighs pre-recorded data, a linear model is fitted by those weights, and SAC is
+trained on rollouts in the model alone. `Offline.events()` is a generator: files, clocks and
+sockets are its consumers' affair.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tom.cloning import clone
+from tom.config import RoadConfig
+from tom.data.replay import ReplayBuffer
+from tom.data.sampling import uniform_indices
+from tom.dynamics.linear import LinearModel
+from tom.envs import road, road_data
+from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick, Weights
+from tom.learners import make_learner
+from tom.learners.base import FitContext, Weighting
+from tom.learners.baselines import BASELINES
+from tom.rng import Streams
+from tom.road_measure import (
+    held_out,
+    map_field,
+    model_errors,
+    model_field,
+    plan,
+    reference_returns,
+    returns,
+    trajectory_field,
+    weight_shares,
+)
+from tom.road_policy import RoadSac
+from tom.rollout import roll_out, start_states
+
+START_DRAWS = 1000
+"""draws of the start distribution mu_0 for the dual"""
+FOLLOW_THE_VALUE = ("vagram", "vagram-ensemble")
+"""learners whose weights change with the value function: they weigh again at every record"""
+
+
+class KnownTask:
+    """The learnt dynamics with what is known of the task: its bounds and its reward."""
+
+    def __init__(self, model: LinearModel) -> None:
+        self.model = model
+
+    def sample(
+        self, obs: Tensor, action: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """(reward (B,), next_obs (B, O)); the linear model is deterministic."""
+        next_obs = self.model.predict(obs, action).clamp(0, 1)
+        return road.reward(next_obs), next_obs
+
+
+class Offline:
+    """One run: the data, the learner, the model, the policy."""
+
+    def __init__(self, config: RoadConfig) -> None:
+        self.config = config
+        self.streams = Streams(config.seed)
+        self.data = road_data.collect(config, self.streams)
+        self.test = held_out(self.data.road_map, self.streams.torch("held out"))
+        self.policy = RoadSac(config.sac, self.streams.torch("sac"))
+        self.env_step = 0
+        rollout = config.rollout
+        longest = max(rollout.length, rollout.final_length)
+        self.model_buffer = ReplayBuffer(
+            rollout.starts * rollout.retain * longest, road.OBS_DIM, road.ACTION_DIM
+        )
+        self._sac_metrics: dict[str, Tensor] = {}
+
+    def events(self) -> Iterator[Event]:
+        """The whole run."""
+        config = self.config
+        yield from self.show_data()
+        yield Tick(0, "fit")
+        yield from self.fit(value_gradient=False)
+        yield from self.evaluate()
+        yield from self.drive_plan()
+        yield from self.record()
+        while self.env_step < config.steps:
+            if self.env_step % config.rollout_every == 0:
+                yield Metrics(self.env_step, self.roll_out_model())
+            self.optimise_policy()
+            self.env_step += 1
+            yield Tick(self.env_step, "optimise")
+            last = self.env_step == config.steps
+            if last or self.env_step % config.evaluation.every == 0:
+                yield from self.evaluate()
+            if last or self.env_step % config.fit_every == 0:
+                if config.learner in FOLLOW_THE_VALUE:
+                    yield from self.fit(value_gradient=True)
+                yield from self.record()
+
+    def show_data(self) -> Iterator[Event]:
+        """The map and the recorded transitions."""
+        data = self.data
+        yield Field(0, "map", map_field(data.road_map))
+        marks = {"expert": data.expert.numpy(), "footprint": data.footprint.numpy()}
+        yield Field(0, "data", marks)
+        yield Collected(0, data.rows.numpy(), storage_order(len(data.rows)).numpy())
+        yield Metrics(0, reference_returns(data.road_map, self.streams.torch("references")))
+
+    def fit(self, value_gradient: bool) -> Iterator[Event]:
+        """Weigh the data, then fit the linear model by those weights."""
+        self.weighting = self.weigh(self.context(value_gradient))
+        self.model = fit_model(self.data, self.weighting)
+        for kind, message in self.weighting.notices:
+            yield Notice(self.env_step, kind, message)
+        yield Metrics(
+            self.env_step,
+            {
+                **self.weighting.metrics,
+                **weight_shares(self.data, self.weighting.weights),
+                **model_errors(self.model, self.test),
+            },
+        )
+
+    def weigh(self, context: FitContext) -> Weighting:
+        """How much each transition counts, by the learner or the baseline of that name."""
+        config = self.config
+        if config.learner in BASELINES:
+            return BASELINES[config.learner](self.data, context, config.tom)
+        learner = make_learner(
+            config.learner, config, road.OBS_DIM, road.ACTION_DIM, self.streams.torch("learner")
+        )
+        return learner.weigh(context)
+
+    def context(self, value_gradient: bool = False) -> FitContext:
+        """What a learner may see. The footprint stands for the policy and its last steps."""
+        footprint = self.data.rows[self.data.footprint]
+        return FitContext(
+            replay=self.data.rows,
+            policy_version=storage_order(len(self.data.rows)),
+            policy_buffer=footprint,
+            on_policy_steps=len(footprint),
+            initial_obs=road.start_states(START_DRAWS, self.streams.torch("starts")),
+            policy=clone(footprint, self.streams.torch("clone")),
+            generator=self.streams.torch("weigh"),
+            value_gradient=self.policy.value_gradient if value_gradient else None,
+        )
+
+    def roll_out_model(self) -> dict[str, float]:
+        """Rollouts of the policy in the model from weighted states of the data."""
+        config, generator = self.config.rollout, self.streams.torch("rollout")
+        weights = self.weighting.weights if config.weighted_starts else None
+        return roll_out(
+            KnownTask(self.model),
+            self.policy,
+            road.at_goal,
+            start_states(self.data.rows, weights, config.starts, generator),
+            config.length_at(self.env_step),
+            config,
+            self.model_buffer,
+            generator,
+        )
+
+    def optimise_policy(self) -> None:
+        """Gradient steps of SAC on modelled transitions."""
+        size, generator = self.config.sac.batch_size, self.streams.torch("batches")
+        for _ in range(self.config.updates_per_step):
+            rows = uniform_indices(len(self.model_buffer), size, generator)
+            self._sac_metrics = self.policy.update(self.model_buffer.gather(rows))
+
+    def evaluate(self) -> Iterator[Event]:
+        """Episodes of the mean policy in the real task."""
+        yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
+        self.episodes = road_data.drive(
+            self.data.road_map,
+            self.policy.mean,
+            self.config.evaluation.episodes,
+            self.streams.torch("evaluation"),
+        )
+        yield Evaluation(self.env_step, self.episodes)
+
+    def drive_plan(self) -> Iterator[Event]:
+        """What the model is worth to a planner, driven in the real task."""
+        driven = road_data.drive(
+            self.data.road_map,
+            plan(self.model, self.config.sac.discount),
+            self.config.evaluation.episodes,
+            self.streams.torch("planner"),
+        )
+        mean, success = returns(driven)
+        yield Metrics(self.env_step, {"planner/return": mean, "planner/success": success})
+
+    def record(self) -> Iterator[Event]:
+        """Weights, model and trajectories as they stand."""
+        step, weighting = self.env_step, self.weighting
+        yield Weights(
+            step, _array(weighting.weights), _maybe(weighting.per_dim), _maybe(weighting.log_ratio)
+        )
+        yield Field(step, "model", model_field(self.data.road_map, self.model))
+        yield Field(step, "trajectories", trajectory_field(self.data.demonstrations, self.episodes))
+
+
+def train(config: RoadConfig) -> Iterator[Event]:
+    """The events of an offline run."""
+    return Offline(config).events()
+
+
+def fit_model(data: road_data.OfflineData, weighting: Weighting) -> LinearModel:
+    """The weighted fit; by dimension where the learner weighs dimensions."""
+    by_dim = weighting.per_dim
+    return LinearModel.fit(data.rows, weighting.weights if by_dim is None else by_dim)
+
+
+def storage_order(rows: int) -> Tensor:
+    """Policy versions (N,) of offline data: like online, each row from a policy of its own.
+
+    Nothing else is known of who recorded what, so PMAC takes the order of storage for age.
+    """
+    return torch.arange(rows)
+
+
+def _array(x: Tensor) -> np.ndarray:
+    return x.to(torch.float32).numpy()
+
+
+def _maybe(x: Tensor | None) -> np.ndarray | None:
+    return None if x is None else _array(x)

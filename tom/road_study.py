@@ -1,0 +1,245 @@
+"""Does TOM drive where MLE does not? Road-and-rocks over seeds, with controls and a sweep.
+
+A study is a list of cases; an outcome is what a case came to. `acceptance` and `controls` judge
+outcomes, so a caller may compute them in one process or in many.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from math import nan
+
+import numpy as np
+
+from tom import offline
+from tom.config import RoadConfig
+from tom.events import Evaluation, Event, Metrics
+from tom.road_measure import returns
+
+TURNS = (0.0, 45.0, 90.0, 105.0, 120.0, 135.0, 150.0, 180.0)
+"""mean turns of the sweep, degrees; the spread is half the turn"""
+RATIO_MEDIAN, RATIO_MIN, SHARE_MIN = 10.0, 5.0, 0.85
+EXPERT_ERROR_MAX, ROAD_ERROR_MAX = 0.35, 0.6
+TOM_RETURN_MIN, TOM_SUCCESS_MIN, SEEDS_THAT_DRIVE = 0.8, 0.9, 0.75
+MLE_RETURN_MAX, MLE_SUCCESS_MAX = 0.25, 0.2
+SWAPPED_RATIO_MAX, MEAN_ZERO_RETURN_MIN = 3.0, -30.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A configuration and the name it has in the tables."""
+
+    name: str
+    config: RoadConfig
+    optimise: bool = True
+    """False: only the weights, the model and its planner; SAC is left out"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one case came to; errors in full steps, success as a share of episodes."""
+
+    name: str
+    seed: int
+    turn: float
+    road_ratio: float
+    road_share: float
+    error_expert: float
+    error_road: float
+    error_rocks: float
+    return_random: float
+    return_expert: float
+    planner_return: float
+    planner_success: float
+    sac_return: float = nan
+    sac_success: float = nan
+
+    def normalised(self, value: float) -> float:
+        """(R - R_random) / (R_expert - R_random)."""
+        return (value - self.return_random) / (self.return_expert - self.return_random)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One figure of the acceptance and the bound it is held against."""
+
+    name: str
+    value: float
+    bound: str
+    passed: bool
+
+
+def outcome(case: Case) -> Outcome:
+    """Run a case."""
+    events: Iterator[Event] = offline.train(case.config)
+    if not case.optimise:
+        events = takewhile(lambda event: event.env_step == 0, events)
+    values: dict[str, float] = {}
+    last: Evaluation | None = None
+    for event in events:
+        if isinstance(event, Metrics):
+            values |= event.values
+        if isinstance(event, Evaluation):
+            last = event
+    found = Outcome(
+        name=case.name,
+        seed=case.config.seed,
+        turn=case.config.turn,
+        **{name: values[path] for name, path in _PATHS.items()},
+    )
+    if not case.optimise or last is None:
+        return found
+    sac_return, sac_success = returns(last.episodes)
+    return replace(found, sac_return=sac_return, sac_success=sac_success)
+
+
+_PATHS = {
+    "road_ratio": "weights/road_ratio",
+    "road_share": "weights/road_share",
+    "error_expert": "model/error_expert",
+    "error_road": "model/error_road",
+    "error_rocks": "model/error_rocks",
+    "return_random": "eval/return_random",
+    "return_expert": "eval/return_expert",
+    "planner_return": "planner/return",
+    "planner_success": "planner/success",
+}
+
+
+# The cases
+
+
+def acceptance_cases(seeds: Sequence[int]) -> list[Case]:
+    """MLE beside TOM."""
+    return [_case(name, name, seed) for seed in seeds for name in ("mle", "tom")]
+
+
+def control_cases(seeds: Sequence[int]) -> list[Case]:
+    """What must fail, or flip, for the claim to mean what it says."""
+    return [
+        case
+        for seed in seeds
+        for case in (
+            replace(_case("labels swapped", "labels-swapped", seed), optimise=False),
+            _case("mle, mean-zero rocks", "mle", seed, turn=0.0, spread=180.0),
+            _case("pmac, expert last", "pmac", seed),
+            _case("pmac, expert first", "pmac", seed, expert_first=True),
+        )
+    ]
+
+
+def baseline_cases(seeds: Sequence[int]) -> list[Case]:
+    """Simpler weightings, and TOM whose rollouts start uniformly."""
+    uniform_starts = {"rollout": {"weighted_starts": False}}
+    return [
+        case
+        for seed in seeds
+        for case in (
+            *(
+                _case(name, name, seed)
+                for name in ("expert-only", "footprint-only", "discriminator-only")
+            ),
+            _case("tom, uniform starts", "tom", seed, **uniform_starts),
+        )
+    ]
+
+
+def sweep_cases(seeds: Sequence[int]) -> list[Case]:
+    """MLE beside TOM as the rocks' mean turn grows (planner only: it judges the model)."""
+    return [
+        replace(_case(name, name, seed, turn=turn, spread=turn / 2), optimise=False)
+        for turn in TURNS
+        for seed in seeds
+        for name in ("mle", "tom")
+    ]
+
+
+def _case(name: str, learner: str, seed: int, **changes: object) -> Case:
+    return Case(name, RoadConfig(learner=learner, seed=seed).but(**changes))
+
+
+# The verdicts
+
+
+def acceptance(outcomes: Sequence[Outcome]) -> list[Check]:
+    """The checks of the claim, over MLE's and TOM's outcomes on the same seeds."""
+    tom, mle = _named(outcomes, "tom"), _named(outcomes, "mle")
+    ratio = [o.road_ratio for o in tom]
+    pairs = list(zip(tom, mle, strict=True))
+    return [
+        _at_least("weight ratio road / rocks, median", float(np.median(ratio)), RATIO_MEDIAN),
+        _at_least("weight ratio road / rocks, minimum", min(ratio), RATIO_MIN),
+        _at_least("share of weight on the road", min(o.road_share for o in tom), SHARE_MIN),
+        _at_most(
+            "error on expert data over MLE's",
+            max(t.error_expert / m.error_expert for t, m in pairs),
+            EXPERT_ERROR_MAX,
+        ),
+        _at_most(
+            "error on the road over MLE's",
+            max(t.error_road / m.error_road for t, m in pairs),
+            ROAD_ERROR_MAX,
+        ),
+        _at_least(
+            "error on rocks over MLE's", min(t.error_rocks / m.error_rocks for t, m in pairs), 1.0
+        ),
+        *(check for kind in ("sac", "planner") for check in _driving(tom, mle, kind)),
+    ]
+
+
+def _driving(tom: Sequence[Outcome], mle: Sequence[Outcome], kind: str) -> list[Check]:
+    def result(o: Outcome) -> tuple[float, float]:
+        return o.normalised(getattr(o, f"{kind}_return")), getattr(o, f"{kind}_success")
+
+    drives = [r >= TOM_RETURN_MIN and s >= TOM_SUCCESS_MIN for r, s in map(result, tom)]
+    stuck = [r <= MLE_RETURN_MAX and s <= MLE_SUCCESS_MAX for r, s in map(result, mle)]
+    return [
+        _at_least(
+            f"share of seeds where TOM drives ({kind})", float(np.mean(drives)), SEEDS_THAT_DRIVE
+        ),
+        _at_least(f"share of seeds where MLE does not ({kind})", float(np.mean(stuck)), 1.0),
+    ]
+
+
+def controls(outcomes: Sequence[Outcome]) -> list[Check]:
+    """The checks of the controls."""
+    swapped = _named(outcomes, "labels swapped")
+    mean_zero = _named(outcomes, "mle, mean-zero rocks")
+    last, first = _named(outcomes, "pmac, expert last"), _named(outcomes, "pmac, expert first")
+    return [
+        _at_most(
+            "labels swapped: weight ratio", max(o.road_ratio for o in swapped), SWAPPED_RATIO_MAX
+        ),
+        _at_least(
+            "mean-zero rocks: MLE's return (planner)",
+            float(np.median([o.planner_return for o in mean_zero])),
+            MEAN_ZERO_RETURN_MIN,
+        ),
+        _at_least(
+            "mean-zero rocks: MLE's return (sac)",
+            float(np.median([o.sac_return for o in mean_zero])),
+            MEAN_ZERO_RETURN_MIN,
+        ),
+        _at_least(
+            "PMAC, expert data stored last: success (planner)",
+            float(np.median([o.planner_success for o in last])),
+            TOM_SUCCESS_MIN,
+        ),
+        _at_most(
+            "PMAC, expert data stored first: success (planner)",
+            float(np.median([o.planner_success for o in first])),
+            MLE_SUCCESS_MAX,
+        ),
+    ]
+
+
+def _named(outcomes: Sequence[Outcome], name: str) -> list[Outcome]:
+    return sorted((o for o in outcomes if o.name == name), key=lambda o: o.seed)
+
+
+def _at_least(name: str, value: float, bound: float) -> Check:
+    return Check(name, float(value), f">= {bound:g}", bool(value >= bound))
+
+
+def _at_most(name: str, value: float, bound: float) -> Check:
+    return Check(name, float(value), f"<= {bound:g}", bool(value <= bound))
