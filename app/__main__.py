@@ -1,0 +1,62 @@
+"""`python -m app` (and `tom studio`): the studio's command line."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from app.launcher import Studio, run
+from app.links import WILDCARDS
+from tom.cli.parser import Parser
+from tom.errors import UserError
+from tom.record.store import Store
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Open the studio until Ctrl-C: 0 stopped, 1 a server failed, 2 bad input."""
+    try:
+        args = _parser().parse_args(argv)
+        store = _readable(args.store)
+        if args.screenshots:
+            from app.screenshots import take  # needs playwright, which only the test extra has
+
+            return take(store, args.screenshots)
+        if args.host in WILDCARDS:
+            print(
+                "tom studio: reachable from other machines, without a password: runs can be read "
+                "by everybody who reaches this host",
+                file=sys.stderr,
+            )
+        studio = Studio(store=store, host=args.host, port=args.port, theme=args.theme)
+        return run(studio, browser=not args.no_browser)
+    except UserError as error:
+        print(f"tom studio: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog="tom studio",
+        description="Open the studio in the browser: live training, comparisons, weights, "
+        "road and rocks. It reads the store and writes nothing into it.",
+    )
+    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--host", default="127.0.0.1", help="address to bind to (127.0.0.1)")
+    parser.add_argument("--port", type=int, default=None, metavar="N", help="port (a free one)")
+    parser.add_argument("--theme", choices=("light", "dark"), help="default: as the browser's")
+    parser.add_argument("--no-browser", action="store_true", help="print the address only")
+    parser.add_argument(
+        "--screenshots", type=Path, metavar="DIR", help="write a picture of every page and exit"
+    )
+    return parser
+
+
+def _readable(store: Path) -> Path:
+    if store.exists() and not store.is_dir():
+        raise UserError(f"--store {store} is a file: name a folder")
+    Store(store).runs()
+    return store.absolute()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,81 @@
+"""A run at a glance: who it is, how far it is, how well it does."""
+
+import html
+import time
+from collections.abc import Sequence
+
+import streamlit as st
+
+from app import text
+from app.readers import RunInfo
+from app.theme import learner_colour, learner_label
+
+COLUMNS = 3
+_STATE_TINTS = {
+    "running": "#1f9d55",
+    "finished": "#5f6b80",
+    "stopped": "#8a92a3",
+    "failed": "#d2383f",
+    "dead": "#c77700",
+}
+
+
+def cards(runs: Sequence[RunInfo]) -> None:
+    """One card a run, in rows."""
+    width = min(len(runs), COLUMNS)
+    for first in range(0, len(runs), COLUMNS):
+        row = st.columns(width)
+        for column, run in zip(row, runs[first : first + COLUMNS], strict=False):
+            with column, st.container(border=True, gap="small"):
+                card(run)
+
+
+def card(run: RunInfo) -> None:
+    """Name and state, progress, and the numbers that matter."""
+    status = run.status
+    st.html(head(run))
+    st.progress(status.share, text=text.markdown(progress_line(run)))
+    numbers = st.columns(4, gap="small")
+    speed = status.env_steps_per_s if status.alive else None
+    for column, (label, value) in zip(
+        numbers,
+        (
+            ("last return", text.number(status.last_return)),
+            ("best return", text.number(status.best_return)),
+            ("steps / s", text.number(speed)),
+            ("ETA", text.duration(status.eta_s) if status.alive else "-"),
+        ),
+        strict=True,
+    ):
+        column.metric(label, value)
+    if status.reason:
+        st.caption(text.markdown(status.reason))
+
+
+def progress_line(run: RunInfo) -> str:
+    """Where the run is, and for a dead one since when nothing was heard of it."""
+    status = run.status
+    steps = f"{status.env_step:,} of {status.total:,} steps"
+    if status.alive:
+        return f"{steps} · {status.phase}" if status.phase else steps
+    if status.shown == "dead":
+        return f"{steps} · no sign of life for {text.duration(time.time() - status.heartbeat)}"
+    return steps
+
+
+def head(run: RunInfo) -> str:
+    """The card's first line as HTML; everything that came from a file is escaped."""
+    shown = run.status.shown
+    tint = _STATE_TINTS.get(shown, "#8a92a3")
+    learner = html.escape(learner_label(run.learner))
+    about = html.escape(f"{run.env} · seed {run.seed}")
+    return (
+        '<div style="display:flex;align-items:center;gap:.5rem;min-width:0">'
+        f'<span style="width:.75rem;height:.75rem;border-radius:50%;flex:none;'
+        f'background:{learner_colour(run.learner)}"></span>'
+        f'<b style="white-space:nowrap">{learner}</b>'
+        '<span style="opacity:.7;overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
+        f'title="{html.escape(run.run_id, quote=True)}">{about}</span>'
+        f'<span style="margin-left:auto;flex:none;color:{tint};border:1px solid {tint};'
+        f'border-radius:1rem;padding:0 .55rem;font-size:.8em">{html.escape(shown)}</span></div>'
+    )

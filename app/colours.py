@@ -1,0 +1,21 @@
+"""Numbers to colours outside Plotly: the same scales as the figures use."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Scale = Sequence[tuple[float, str]]
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """`#rrggbb` as three numbers from 0 to 255."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def on_scale(share: NDArray[np.float64], scale: Scale) -> NDArray[np.uint8]:
+    """Positions in [0, 1] as colours: (...,) -> (..., 3), linear between the scale's stops."""
+    stops = np.array([at for at, _ in scale])
+    colours = np.array([rgb(colour) for _, colour in scale], np.float64)
+    channels = [np.interp(share, stops, colours[:, c]) for c in range(3)]
+    return np.stack(channels, -1).round().astype(np.uint8)

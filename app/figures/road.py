@@ -1,0 +1,93 @@
+"""The road-and-rocks map: weights by place, trajectories, real and modelled displacement."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from app.figures.base import styled
+from app.figures.weights import octaves, relative_scale
+from app.pictures import Picture
+from app.roadmap import cell_centres, circle, outline
+from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
+
+GOAL = "#1f9d55"
+START = "#2b6fe0"
+SHOWN_ARROWS = 2
+"""every second point of the recorded displacement field, in both directions"""
+
+
+def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
+    """The map with everything that was recorded at one fit; the legend shows and hides."""
+    colour = learner_colour(picture.learner)
+    middle = cell_centres(len(picture.grid))
+    figure = go.Figure(
+        go.Heatmap(
+            x=middle,
+            y=middle,
+            z=octaves(picture.grid),
+            customdata=picture.grid,
+            hovertemplate="(%{x:.2f}, %{y:.2f})<br>weight %{customdata:.3g}<extra></extra>",
+            name="weights",
+            **relative_scale(mode, flat=True),
+        )
+    )
+    figure.add_trace(_lines(outline(picture.road), "road", TEXT[mode], 1.5))
+    for (x, y, radius), tint in ((picture.road.start, START), (picture.road.goal, GOAL)):
+        figure.add_trace(_lines([circle(x, y, radius)], "", tint, 3))
+    figure.add_trace(_lines(picture.expert, "expert", NEUTRAL, 1, opacity=0.6))
+    name = f"{learner_label(picture.learner)} policy"
+    figure.add_trace(_lines(picture.learnt, name, colour, 2.2))
+    keep = _thinned(len(picture.points))
+    for moves, label, tint in (
+        (picture.true, "real move", TEXT[mode]),
+        (picture.modelled, "modelled move", colour),
+    ):
+        trace = _lines(_darts(picture.points[keep], moves[keep]), label, tint, 1.4)
+        figure.add_trace(trace.update(visible="legendonly"))
+    styled(figure, "", height, keep="road map")
+    square = {"range": [0, 1], "showgrid": False, "showticklabels": False, "ticks": ""}
+    figure.update_xaxes(**square, constrain="domain")
+    figure.update_yaxes(**square, scaleanchor="x", constrain="domain", constraintoward="top")
+    return figure
+
+
+def displacement_error(picture: Picture) -> NDArray[np.float64]:
+    """Distance (G,) between real and modelled displacement at each point of the field."""
+    return np.linalg.norm(picture.modelled - picture.true, axis=-1)
+
+
+def _lines(
+    lines: Sequence[NDArray], name: str, colour: str, width: float, opacity: float = 1.0
+) -> go.Scatter:
+    """Several polylines as one trace, so that the legend has one entry."""
+    gap = np.full((1, 2), np.nan)
+    points = np.concatenate([part for line in lines for part in (line, gap)] or [gap])
+    return go.Scatter(
+        x=points[:, 0],
+        y=points[:, 1],
+        mode="lines",
+        name=name,
+        line={"color": colour, "width": width},
+        opacity=opacity,
+        hoverinfo="skip",
+        showlegend=bool(name) and len(lines) > 0,
+    )
+
+
+def _darts(points: NDArray, moves: NDArray) -> list[NDArray]:
+    """Arrows as polylines: shaft, then the two sides of the head."""
+    tips = points + moves
+    side = np.stack([-moves[:, 1], moves[:, 0]], -1)
+    left, right = tips - 0.3 * moves + 0.18 * side, tips - 0.3 * moves - 0.18 * side
+    return list(np.stack([points, tips, left, tips, right], 1))
+
+
+def _thinned(count: int) -> NDArray[np.int64]:
+    """Indices of every second row and column of a square field of points."""
+    side = int(np.sqrt(count))
+    if side * side != count:
+        return np.arange(count)
+    index = np.arange(count).reshape(side, side)
+    return index[::SHOWN_ARROWS, ::SHOWN_ARROWS].ravel()

@@ -1,0 +1,194 @@
+"""Weights over the buffer's age: the step x bin map, the profile at a step, and what is left."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from app import text
+from app.figures.base import note, styled
+from app.theme import DIVERGING, NEUTRAL, SEQUENTIAL, Mode, faded, learner_colour, learner_label
+from tom.record.profiles import Profiles
+
+MAP_COLUMNS = 400
+"""fits that a map shows at most; what is left out is said on the figure"""
+OCTAVES = 4.0
+"""the map's colours reach from 1/16 to 16 times the uniform weight"""
+
+
+def weight_map(
+    profiles: Profiles, chosen: int, mode: Mode, height: int, *, relative: bool
+) -> go.Figure:
+    """Mean weight of each part of the buffer (upwards: newer) at each fit (to the right).
+
+    `relative` colours by log2 of the weight, the uniform weight in the middle; `chosen` is the
+    index of the fit that is marked.
+    """
+    fits = shown_fits(len(profiles.env_step), chosen)
+    bins = profiles.bins[fits].T  # (bins, F)
+    centres = bin_centres(bins.shape[0])
+    steps = profiles.env_step[fits]
+    figure = go.Figure(
+        go.Heatmap(
+            x=steps,
+            y=centres,
+            z=octaves(bins) if relative else bins,
+            customdata=bins,
+            hovertemplate=(
+                "step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
+                "weight %{customdata:.3g}<extra></extra>"
+            ),
+            **(relative_scale(mode) if relative else linear_scale(bins, mode)),
+        )
+    )
+    figure.add_trace(_click_targets(steps, bins.shape[0]))
+    figure.add_vline(x=int(profiles.env_step[chosen]), line={"color": NEUTRAL, "width": 2})
+    styled(figure, "env steps", height, keep="weight-map")
+    figure.update_yaxes(
+        range=[0, 100], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
+    )
+    if len(fits) < len(profiles.env_step):
+        note(figure, f"{len(fits)} of {len(profiles.env_step)} fits")
+    return figure
+
+
+def weight_profile(
+    bins: NDArray[np.float64], learner: str, height: int, *, log: bool = False
+) -> go.Figure:
+    """The weight of each part of the buffer, oldest to newest, at one fit: bins (100,)."""
+    figure = go.Figure(
+        go.Bar(
+            x=bin_centres(len(bins)),
+            y=bins,
+            width=100 / len(bins),
+            marker={"color": learner_colour(learner), "line": {"width": 0}},
+            name=text.plotly(learner_label(learner)),
+            hovertemplate="%{x:.0f} % of the buffer's age<br>weight %{y:.3g}<extra></extra>",
+        )
+    )
+    _finish_profile(figure, height, log=log)
+    figure.update_layout(showlegend=False, bargap=0)
+    return figure
+
+
+def profile_lines(profiles: Sequence[tuple[str, str, NDArray]], height: int) -> go.Figure:
+    """The last profiles of several runs as stepped lines: (name, learner, bins)."""
+    figure = go.Figure()
+    for name, learner, bins in profiles:
+        figure.add_trace(
+            go.Scatter(
+                x=bin_centres(len(bins)),
+                y=bins,
+                name=text.plotly(name),
+                mode="lines",
+                line={"color": learner_colour(learner), "width": 2, "shape": "hvh"},
+                fill="tozeroy",
+                fillcolor=faded(learner_colour(learner), 0.08),
+                hovertemplate=f"{text.plotly(name)}<br>%{{x:.0f}} % of the buffer's age"
+                "<br>weight %{y:.3g}<extra></extra>",
+            )
+        )
+    return _finish_profile(figure, height, log=False)
+
+
+def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int) -> go.Figure:
+    """Effective sample size and share of zero weights over training, in % of the buffer."""
+    figure = go.Figure()
+    for values, name, dash in (
+        (profiles.ess, "effective sample size", "solid"),
+        (profiles.zeros, "share of zero weights", "dot"),
+    ):
+        figure.add_trace(
+            go.Scatter(
+                x=profiles.env_step,
+                y=100 * values,
+                name=name,
+                mode="lines+markers",
+                line={"color": learner_colour(learner), "width": 2, "dash": dash},
+                marker={"size": 5},
+                unselected={"marker": {"opacity": 1}},
+                hovertemplate=f"{name}: %{{y:.1f}} %<br>step %{{x:,}}<extra></extra>",
+            )
+        )
+    figure.add_vline(x=int(profiles.env_step[chosen]), line={"color": NEUTRAL, "width": 2})
+    styled(figure, "env steps", height, keep="effective-sample")
+    figure.update_yaxes(range=[-3, 103])
+    return figure
+
+
+def octaves(weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """log2 of the weight against the uniform one, clipped to the colours' range; NaN stays."""
+    with np.errstate(divide="ignore"):
+        return np.clip(np.log2(weight), -OCTAVES, OCTAVES)
+
+
+def bin_centres(bins: int) -> NDArray[np.float64]:
+    """The middles (bins,) of equal parts of the buffer, in % of its age from oldest to newest."""
+    return (np.arange(bins) + 0.5) * 100 / bins
+
+
+def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
+    """Indices of at most MAP_COLUMNS fits, evenly spread, `chosen` and both ends among them."""
+    if count <= MAP_COLUMNS:
+        return np.arange(count)
+    spread = np.linspace(0, count - 1, MAP_COLUMNS - 1).astype(np.int64)
+    return np.union1d(spread, [chosen])
+
+
+def relative_scale(mode: Mode, *, flat: bool = False) -> dict:
+    """A heatmap's colours for log2 weights; `flat` lays the colour bar below."""
+    ticks = np.arange(-OCTAVES, OCTAVES + 1, 2)
+    words = [f"{2**t:g}" if t >= 0 else f"1/{2**-t:g}" for t in ticks]
+    bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "times uniform"}}
+    return {
+        "colorscale": DIVERGING[mode],
+        "zmin": -OCTAVES,
+        "zmax": OCTAVES,
+        "colorbar": _bar(bar | _BELOW if flat else bar),
+    }
+
+
+def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict:
+    finite = bins[np.isfinite(bins)]
+    top = float(np.quantile(finite, 0.995)) if len(finite) else 1.0
+    bar = {"title": {"text": "weight"}}
+    return {
+        "colorscale": SEQUENTIAL[mode],
+        "zmin": 0,
+        "zmax": max(top, 1.0),
+        "colorbar": _bar(bar),
+    }
+
+
+_BELOW = {"orientation": "h", "y": 0, "yanchor": "top", "len": 0.9, "ypad": 8}
+
+
+def _bar(more: dict) -> dict:
+    return {"thickness": 12, "outlinewidth": 0, "len": 1.0, "xpad": 6} | more
+
+
+def _click_targets(steps: NDArray[np.int64], bins: int) -> go.Scatter:
+    """Unseen points over the map: Plotly reports clicks on points, not on a heatmap."""
+    rows = bin_centres(min(bins, 12))
+    return go.Scatter(
+        x=np.repeat(steps, len(rows)),
+        y=np.tile(rows, len(steps)),
+        mode="markers",
+        marker={"opacity": 0, "size": 12},
+        selected={"marker": {"opacity": 0}},
+        unselected={"marker": {"opacity": 0}},
+        hoverinfo="none",
+        showlegend=False,
+        name="click",
+    )
+
+
+def _finish_profile(figure: go.Figure, height: int, *, log: bool) -> go.Figure:
+    figure.add_hline(y=1, line={"color": NEUTRAL, "width": 1.5, "dash": "dash"})
+    styled(figure, "position in the buffer", height, keep="profile")
+    figure.update_xaxes(
+        range=[0, 100], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
+    )
+    figure.update_yaxes(type="log" if log else "linear", rangemode="tozero")
+    return figure

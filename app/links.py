@@ -1,0 +1,67 @@
+"""Where the studio's servers are: written by the launcher, read by each of its processes."""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Self
+from urllib.parse import quote
+
+from app.theme import Mode
+from tom.record import hub
+
+VARIABLE = "TOM_STUDIO"
+WILDCARDS = ("0.0.0.0", "::", "")
+
+
+@dataclass(frozen=True)
+class Links:
+    """The store and the addresses of one studio; port 0 means that the server is not there."""
+
+    store: str = "runs"
+    host: str = "127.0.0.1"
+    port: int = 0
+    rerun_port: int = 0
+    """the Rerun hub, where trainings send and viewers listen"""
+    rerun_web_port: int = 0
+    """the Rerun web viewer's page"""
+    viser_port: int = 0
+    control: str = ""
+    """the socket where the pages tell the viser server what to show"""
+    theme: Mode | None = None
+
+    @classmethod
+    def from_environment(cls) -> Self:
+        """The links of this process's studio; the default store and no servers without one."""
+        return cls(**json.loads(os.environ.get(VARIABLE, "{}")))
+
+    def environment(self) -> dict[str, str]:
+        """The environment in which a process of this studio runs."""
+        return {VARIABLE: json.dumps(asdict(self))}
+
+    @property
+    def local_host(self) -> str:
+        """The host as this machine itself reaches it."""
+        return "127.0.0.1" if self.host in WILDCARDS else self.host
+
+    @property
+    def address(self) -> str:
+        """What a user opens."""
+        return f"http://{self.local_host}:{self.port}"
+
+    def rerun_live(self, host: str, mode: Mode) -> str:
+        """The web viewer, following what trains now."""
+        source = hub.hub_url(host, self.rerun_port)
+        return hub.viewer_url(host, self.rerun_web_port, source, mode)
+
+    def rerun_files(self, host: str, run_id: str, names: Sequence[str], mode: Mode) -> str:
+        """The web viewer, showing a run's recordings (one more after each resume)."""
+        folder = f"http://{host}:{self.port}/rrd/{quote(run_id)}"
+        first, *rest = [f"{folder}/{quote(name)}" for name in names]
+        more = "".join(f"&url={quote(url, safe='')}" for url in rest)
+        return hub.viewer_url(host, self.rerun_web_port, first, mode) + more
+
+    def viser(self, host: str, client: str) -> str:
+        """The viser page of the client named `client`, which the control socket speaks of."""
+        socket = quote(f"ws://{host}:{self.viser_port}/{quote(client)}", safe="")
+        return f"http://{host}:{self.viser_port}/?websocket={socket}&hideViserLogo"

@@ -1,0 +1,146 @@
+"""Run folders for the pages: read once, read again when a file changes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+import streamlit as st
+
+from app import pictures
+from app.pictures import Picture
+from tom.errors import UserError
+from tom.record import layout
+from tom.record.profiles import Profiles
+from tom.record.reader import RunReader
+from tom.record.status import Status
+from tom.record.store import Store
+
+Stamp = tuple[int, int]
+"""(mtime_ns, size) of a file: what a cached read depends on."""
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What a page knows about a run without reading its tables."""
+
+    path: str
+    run_id: str
+    env: str
+    learner: str
+    seed: int
+    preset: str
+    created: str
+    status: Status
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The runs of a store, newest first, and what in it could not be read."""
+
+    runs: tuple[RunInfo, ...]
+    problems: tuple[str, ...]
+
+
+def listing(store: str) -> Listing:
+    """Every run of `store`; a store that cannot be read is a problem, not an error."""
+    opened = Store(store)
+    try:
+        readers = opened.runs()
+    except UserError as error:
+        return Listing((), (str(error),))
+    runs = tuple(
+        _info(str(r.path), stamp(r.path / layout.CONFIG), stamp(r.path / layout.STATUS))
+        for r in readers
+    )
+    return Listing(runs, tuple(opened.problems))
+
+
+def metrics(run: RunInfo) -> pd.DataFrame:
+    """A row a recorded step: `env_step` and every metric."""
+    path = Path(run.path)
+    return _metrics(run.path, (stamp(path / layout.METRICS), stamp(path / layout.METRICS_TABLE)))
+
+
+def profiles(run: RunInfo) -> Profiles:
+    """The weight profile of every model fit."""
+    return _profiles(run.path, stamp(Path(run.path) / layout.PROFILES))
+
+
+def notices(run: RunInfo) -> list[dict]:
+    """What the run itself warned of: `env_step`, `kind`, `message`."""
+    return _notices(run.path, stamp(Path(run.path) / layout.NOTICES))
+
+
+def problems(run: RunInfo) -> list[str]:
+    """What is damaged or missing in the parts of a run that every page reads."""
+    names = (layout.CONFIG, layout.STATUS, layout.METRICS, layout.PROFILES, layout.NOTICES)
+    return _problems(run.path, tuple(stamp(Path(run.path) / name) for name in names))
+
+
+def road_steps(run: RunInfo) -> list[int]:
+    """The fits of a road-and-rocks run that can be drawn on its map."""
+    return pictures.steps(RunReader(run.path))
+
+
+def road_picture(run: RunInfo, step: int) -> Picture | None:
+    """One fit of a road-and-rocks run; None when its map cannot be read."""
+    return _road_picture(run.path, step, stamp(Path(run.path) / layout.snapshot(step)))
+
+
+def recordings(run: RunInfo) -> list[str]:
+    """The names of the run's Rerun recordings, in the order they were written."""
+    return [path.name for path in RunReader(run.path).rrd_files()]
+
+
+def stamp(path: Path) -> Stamp:
+    """Changes whenever the file does; (0, 0) while there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return (0, 0)
+    return (found.st_mtime_ns, found.st_size)
+
+
+@st.cache_data(show_spinner=False, max_entries=2048)
+def _info(path: str, config: Stamp, status: Stamp) -> RunInfo:
+    reader = RunReader(path)
+    return RunInfo(
+        path=path,
+        run_id=reader.run_id,
+        env=reader.env,
+        learner=reader.learner,
+        seed=reader.seed,
+        preset=str(reader.config.get("preset", "?")),
+        created=str(reader.config.get("created", "")),
+        status=reader.status,
+        problems=tuple(reader.problems),
+    )
+
+
+@st.cache_data(show_spinner=False, max_entries=512)
+def _metrics(path: str, stamps: Sequence[Stamp]) -> pd.DataFrame:
+    return RunReader(path).metrics()
+
+
+@st.cache_data(show_spinner=False, max_entries=256)
+def _profiles(path: str, changed: Stamp) -> Profiles:
+    return RunReader(path).profiles()
+
+
+@st.cache_data(show_spinner=False, max_entries=512)
+def _notices(path: str, changed: Stamp) -> list[dict]:
+    return RunReader(path).notices()
+
+
+@st.cache_data(show_spinner=False, max_entries=512)
+def _problems(path: str, stamps: Sequence[Stamp]) -> list[str]:
+    reader = RunReader(path)
+    _ = reader.config, reader.status, reader.metrics(), reader.profiles(), reader.notices()
+    return list(reader.problems)
+
+
+@st.cache_data(show_spinner=False, max_entries=64)
+def _road_picture(path: str, step: int, changed: Stamp) -> Picture | None:
+    return pictures.load(RunReader(path), step)

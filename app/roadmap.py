@@ -1,0 +1,127 @@
+"""Road-and-rocks as arrays that both the 2D map and the 3D scene draw. Pure functions."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+CELLS = 40
+"""the heatmap has CELLS x CELLS cells: about six random transitions in each"""
+OUTLINE_POINTS = 24
+
+
+@dataclass(frozen=True)
+class RoadMap:
+    """What `fields/map` says: the road's shape, its start and its goal (x, y, radius)."""
+
+    centre_line: NDArray[np.float32]  # (P, 2)
+    half_width: float
+    start: NDArray[np.float32]  # (3,)
+    goal: NDArray[np.float32]  # (3,)
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray]) -> "RoadMap":
+        """From a run's `map` picture. Raises KeyError where a part is missing."""
+        return cls(
+            arrays["centre_line"],
+            float(arrays["road_half_width"]),
+            arrays["start"],
+            arrays["goal"],
+        )
+
+
+def distance_to_road(points: NDArray, centre_line: NDArray) -> NDArray[np.float64]:
+    """Distance (N,) of points (N, 2) to the nearest point of the centre line (P, 2)."""
+    first, along = centre_line[:-1], np.diff(centre_line, axis=0)  # (P - 1, 2)
+    offset = points[:, None] - first  # (N, P - 1, 2)
+    share = np.clip((offset * along).sum(-1) / np.square(along).sum(-1), 0, 1)
+    return np.linalg.norm(offset - share[..., None] * along, axis=-1).min(-1)
+
+
+def on_road(points: NDArray, road: RoadMap) -> NDArray[np.bool_]:
+    """True (N,) for points (N, 2) on the road."""
+    return distance_to_road(points, road.centre_line) <= road.half_width
+
+
+def weight_grid(
+    obs: NDArray, weight: NDArray, cells: int = CELLS
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Mean weight and number of the transitions that start in each cell of the unit square.
+
+    (N, 2), (N,) -> two (cells, cells), row 0 at the lowest y; the mean of an empty cell is NaN.
+    """
+    cell = np.clip((np.asarray(obs) * cells).astype(int), 0, cells - 1)
+    flat = cell[:, 1] * cells + cell[:, 0]
+    count = np.bincount(flat, minlength=cells * cells)
+    total = np.bincount(flat, weights=np.asarray(weight, np.float64), minlength=cells * cells)
+    mean = np.divide(total, count, out=np.full(cells * cells, np.nan), where=count > 0)
+    return mean.reshape(cells, cells), count.reshape(cells, cells)
+
+
+def cell_centres(cells: int = CELLS) -> NDArray[np.float64]:
+    """The coordinate (cells,) of the cells' middles along one side."""
+    return (np.arange(cells) + 0.5) / cells
+
+
+def road_share(obs: NDArray, weight: NDArray, road: RoadMap) -> tuple[float, float]:
+    """Share of the weight on the road, and mean weight on the road over mean weight on rocks.
+
+    Over every transition, the expert's too; the ratio is NaN where rocks have no weight.
+    """
+    weight = np.asarray(weight, np.float64)
+    inside = on_road(obs, road)
+    if not weight.sum() or inside.all() or not inside.any():
+        return float("nan"), float("nan")
+    off = weight[~inside].mean()
+    return (
+        float(weight[inside].sum() / weight.sum()),
+        float(weight[inside].mean() / off) if off > 0 else float("nan"),
+    )
+
+
+def outline(road: RoadMap) -> list[NDArray[np.float64]]:
+    """The road's edge: one closed line (K, 2) round the points within its half width."""
+    left = _one_side(road.centre_line, road.half_width)
+    right = _one_side(road.centre_line[::-1], road.half_width)
+    edge = np.concatenate([left, right])
+    inside = distance_to_road(edge, road.centre_line) >= road.half_width * (1 - 1e-6)
+    edge = edge[inside]
+    return [np.concatenate([edge, edge[:1]])]
+
+
+def circle(x: float, y: float, radius: float, points: int = 48) -> NDArray[np.float64]:
+    """A closed circle (points + 1, 2)."""
+    turn = np.linspace(0, 2 * np.pi, points + 1)
+    return np.stack([x + radius * np.cos(turn), y + radius * np.sin(turn)], -1)
+
+
+def trajectories(arrays: Mapping[str, NDArray], kind: str) -> list[NDArray]:
+    """The driven lines (H + 1, 2) of a kind, `expert` or `learnt`, in order."""
+    names = [name for name in arrays if name.startswith(f"{kind}_")]
+    return [arrays[name] for name in sorted(names, key=lambda name: int(name.split("_")[1]))]
+
+
+def driven_return(line: NDArray, road: RoadMap) -> bool:
+    """The line ends in the goal."""
+    x, y, radius = road.goal
+    return bool(np.hypot(*(line[-1] - [x, y])) <= radius)
+
+
+def _one_side(line: NDArray, offset: float) -> NDArray[np.float64]:
+    """The points on the left of `line`, with a half circle round its last point and round
+    every corner that bends to the right; what lies inside the road is left in."""
+    parts = []
+    directions = np.diff(line, axis=0)
+    angles = np.arctan2(directions[:, 1], directions[:, 0])
+    for i, angle in enumerate(angles):
+        normal = offset * np.array([-np.sin(angle), np.cos(angle)])
+        share = np.linspace(0, 1, OUTLINE_POINTS)[:, None]
+        parts.append(line[i] + share * directions[i] + normal)
+        following = angles[i + 1] if i + 1 < len(angles) else angle - np.pi
+        bend = (following - angle + np.pi) % (2 * np.pi) - np.pi
+        bend = -np.pi if i + 1 == len(angles) else bend
+        if bend < 0:
+            turn = angle + np.pi / 2 + np.linspace(0, bend, OUTLINE_POINTS)
+            parts.append(line[i + 1] + offset * np.stack([np.cos(turn), np.sin(turn)], -1))
+    return np.concatenate(parts)

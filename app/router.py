@@ -1,0 +1,46 @@
+"""Which page is shown. A new page is one module with TITLE, ICON, PATH and page(), named here."""
+
+import numpy as np
+import streamlit as st
+from numpy.typing import NDArray
+
+from app import readers, session
+from app.colours import rgb
+from app.theme import LEARNER_COLOURS, NEUTRAL
+from app.views import compare, empty, live, road, weights
+
+VIEWS = (live, compare, weights, road)
+BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS["tom"]))
+"""the sign of the studio: heights and colours of a weight profile"""
+LOGO = (
+    '<svg xmlns="http://www.w3.org/2000/svg" width="132" height="24" viewBox="0 0 132 24">'
+    + "".join(
+        f'<rect x="{2 + 6 * i}" y="{22 - h}" width="4.4" height="{h}" rx="1" fill="{colour}"/>'
+        for i, (h, colour) in enumerate(BARS)
+    )
+    + '<text x="32" y="18" font-family="Source Sans, sans-serif" font-size="17" '
+    f'font-weight="700" fill="{LEARNER_COLOURS["tom"]}">TOM Studio</text></svg>'
+)
+
+
+def icon() -> NDArray[np.uint8]:
+    """The tab's icon (48, 48, 4): drawn here, as Streamlit fetches named icons from outside."""
+    image = np.zeros((48, 48, 4), np.uint8)
+    for i, (height, colour) in enumerate(BARS):
+        image[46 - 2 * height : 46, 1 + 12 * i : 10 + 12 * i] = (*rgb(colour), 255)
+    return image
+
+
+def run() -> None:
+    """Draw the page that the address names; the empty store's page while there is no run."""
+    st.set_page_config(page_title="TOM Studio", page_icon=icon(), layout="wide")
+    st.logo(LOGO, size="medium")
+    pages = [
+        st.Page(view.page, title=view.TITLE, icon=view.ICON, url_path=view.PATH, default=i == 0)
+        for i, view in enumerate(VIEWS)
+    ]
+    chosen = st.navigation(pages, position="top")
+    if readers.listing(session.links().store).runs:
+        chosen.run()
+    else:
+        empty.page()

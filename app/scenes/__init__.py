@@ -1,0 +1,1 @@
+"""3D scenes, served by a viser process of their own."""

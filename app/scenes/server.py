@@ -1,0 +1,175 @@
+"""The viser server's process: one scene a browser frame, told what to show by the pages."""
+
+import threading
+from functools import lru_cache
+
+import viser
+
+from app import pictures
+from app.colours import rgb
+from app.links import Links
+from app.pictures import Picture
+from app.scenes import road as scene
+from app.scenes.control import Selection, listen
+from app.theme import LEARNER_COLOURS
+from tom.record.reader import RunReader
+from tom.record.store import Store
+
+CAMERA = (0.5, -0.42, 0.86)
+LOOK_AT = (0.5, 0.42, 0.0)
+PLAY_S = 0.8
+"""seconds that a fit is shown while the slider plays"""
+
+
+@lru_cache(maxsize=64)
+def _picture(path: str, step: int) -> Picture | None:
+    return pictures.load(RunReader(path), step)
+
+
+class Frame:
+    """One connected browser frame: its panel, its scene, what it shows."""
+
+    def __init__(self, client: viser.ClientHandle, store: str, selection: Selection) -> None:
+        self.client = client
+        self.store = store
+        self.mode = selection.mode
+        self._lock = threading.RLock()
+        self._handles: scene.Handles | None = None
+        self._drawn: tuple[str, int] | None = None
+        self._steps: list[int] = []
+        client.gui.configure_theme(
+            dark_mode=selection.mode == "dark",
+            show_logo=False,
+            show_share_button=False,
+            control_width="small",
+            brand_color=rgb(LEARNER_COLOURS["tom"]),
+        )
+        client.gui.set_panel_label("Road and rocks")
+        client.camera.position = CAMERA
+        client.camera.look_at = LOOK_AT
+        self._build_panel()
+        self.show(selection)
+
+    def _build_panel(self) -> None:
+        gui = self.client.gui
+        self.play = gui.add_checkbox("play the fits", initial_value=False)
+        with gui.add_folder("Another run or fit", expand_by_default=False):
+            self.run = gui.add_dropdown("run", tuple(self._runs()) or ("none",))
+            self.fit = gui.add_slider("fit", 0, 1, 1, 0)
+        with gui.add_folder("Layers", expand_by_default=False):
+            self.layers = {
+                name: gui.add_checkbox(label, initial_value=shown)
+                for name, label, shown in (
+                    ("columns", "weights as columns", True),
+                    ("expert", "expert's trajectories", True),
+                    ("learnt", "learnt policy's trajectories", True),
+                    ("true", "real displacement", False),
+                    ("modelled", "modelled displacement", False),
+                    ("boulders", "rocks", True),
+                )
+            }
+        self.run.on_update(lambda _: self._redraw())
+        self.fit.on_update(lambda _: self._redraw())
+        for layer in self.layers.values():
+            layer.on_update(lambda _: self._apply_layers())
+
+    def show(self, selection: Selection) -> None:
+        """Show what a page chose."""
+        with self._lock:
+            runs = self._runs()
+            if not runs:
+                return
+            self.run.options = tuple(runs)
+            self.run.value = selection.run if selection.run in runs else runs[0]
+            self._read_steps()
+            if selection.step in self._steps:
+                self.fit.value = self._steps.index(selection.step)
+            self._redraw()
+
+    def next_fit(self) -> None:
+        """The next fit while the slider plays; after the last the first."""
+        if self.play.value and len(self._steps) > 1:
+            self.fit.value = (int(self.fit.value) + 1) % len(self._steps)
+
+    def _runs(self) -> list[str]:
+        return [run.run_id for run in Store(self.store).runs() if run.env == pictures.ENV]
+
+    def _read_steps(self) -> None:
+        self._steps = pictures.steps(Store(self.store).run(self.run.value))
+        last = max(len(self._steps) - 1, 1)
+        self.fit.max = last
+        self.fit.disabled = len(self._steps) < 2
+        self.fit.value = min(int(self.fit.value), last)
+
+    def _redraw(self) -> None:
+        with self._lock:
+            self._read_steps()
+            if not self._steps:
+                return
+            step = self._steps[min(int(self.fit.value), len(self._steps) - 1)]
+            path = str(Store(self.store).resolve(self.run.value))
+            picture = _picture(path, step)
+            if picture is None or self._drawn == (path, step):
+                return
+            self._drawn = (path, step)
+            with self.client.atomic():
+                self._handles = scene.draw(self.client.scene, picture, self.mode)
+                self._apply_layers()
+
+    def _apply_layers(self) -> None:
+        if self._handles is not None:
+            for name, box in self.layers.items():
+                getattr(self._handles, name).visible = bool(box.value)
+
+
+class SceneServer:
+    """Frames by the name of the page that embeds them."""
+
+    def __init__(self, links: Links) -> None:
+        self.links = links
+        self.chosen: dict[str, Selection] = {}
+        self.frames: dict[int, tuple[str, Frame]] = {}
+        self.server = viser.ViserServer(links.host, links.viser_port, verbose=False)
+        self.server.scene.set_up_direction("+z")
+        self.server.on_client_connect(self._connected)
+        self.server.on_client_disconnect(self._left)
+
+    def select(self, client: str, selection: Selection) -> None:
+        """Remember a page's selection and show it in its frames."""
+        before = self.chosen.get(client)
+        self.chosen[client] = selection
+        if before == selection:
+            return
+        for name, frame in list(self.frames.values()):
+            if name == client:
+                frame.show(selection)
+
+    def _connected(self, client: viser.ClientHandle) -> None:
+        name = self._name(client)
+        selection = self.chosen.get(name, Selection(mode=self.links.theme or "light"))
+        self.frames[client.client_id] = (name, Frame(client, self.links.store, selection))
+
+    def _left(self, client: viser.ClientHandle) -> None:
+        self.frames.pop(client.client_id, None)
+
+    def _name(self, client: viser.ClientHandle) -> str:
+        # viser hands the address on to no public attribute; the path of the frame's own
+        # connection is the one thing that a page can set (`?websocket=` in Links.viser).
+        connection = self.server._websock_server._live_connections[client.client_id]
+        request = connection.request
+        return request.path.strip("/") if request is not None else ""
+
+
+def main() -> None:
+    """Serve until SIGTERM."""
+    links = Links.from_environment()
+    served = SceneServer(links)
+    threading.Thread(target=listen, args=(links.control, served.select), daemon=True).start()
+    while True:
+        threading.Event().wait(PLAY_S)
+        for _, frame in list(served.frames.values()):
+            frame.next_fit()
+
+
+if __name__ == "__main__":
+    main()

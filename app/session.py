@@ -1,0 +1,32 @@
+"""What a page needs to know about its browser and its studio."""
+
+from typing import cast
+from urllib.parse import urlsplit
+from uuid import uuid4
+
+import streamlit as st
+
+from app.links import Links
+from app.theme import Mode
+
+
+def links() -> Links:
+    """The studio's addresses and its store."""
+    return Links.from_environment()
+
+
+def mode() -> Mode:
+    """Light or dark, as this browser shows the page."""
+    shown = st.context.theme.type
+    return cast(Mode, shown) if shown in ("light", "dark") else links().theme or "light"
+
+
+def host() -> str:
+    """The host by which this browser reaches the studio; its other servers are there too."""
+    name = urlsplit(st.context.url or "").hostname or links().local_host
+    return f"[{name}]" if ":" in name else name
+
+
+def client() -> str:
+    """A name for this browser tab, under which its viser frame is known to the viser server."""
+    return st.session_state.setdefault("client", uuid4().hex)

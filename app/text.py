@@ -1,0 +1,35 @@
+"""Words that came from a run's files, made harmless for where they are shown."""
+
+import html
+import math
+import re
+
+_MARKDOWN = re.compile(r"([\\`*_{}\[\]()#+\-.!|~$:<>&])")
+
+
+def markdown(text: object) -> str:
+    """`text` for a Markdown field: shown as it is, no link, image, HTML or icon."""
+    return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
+
+
+def plotly(text: object) -> str:
+    """`text` for Plotly, whose labels know a little HTML."""
+    return html.escape(" ".join(str(text).split()))
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """A number for a reader; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:,.{digits}f}"
+
+
+def duration(seconds: float | None) -> str:
+    """`75` -> `1 min 15 s`; a dash where it is unknown."""
+    if seconds is None or not math.isfinite(seconds) or seconds < 0:
+        return "-"
+    whole = round(seconds)
+    hours, minutes = divmod(whole // 60, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {whole % 60:02d} s" if minutes else f"{whole} s"

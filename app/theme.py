@@ -1,0 +1,99 @@
+"""Colours: one for each learner everywhere, readable on light and dark and by the colour-blind."""
+
+from typing import Any, Literal
+
+from tom.learners import LEARNERS
+
+Mode = Literal["light", "dark"]
+
+# At least 3:1 against both backgrounds; any two differ by 14 or more (CIE 1976) under normal,
+# red-blind, green-blind and blue-blind vision. tests/app/test_theme.py measures both.
+LEARNER_COLOURS: dict[str, str] = {
+    "mle": "#2b6fe0",
+    "pmac": "#0c8577",
+    "tom": "#c8441c",
+    "vagram": "#e056c0",
+    "vagram-ensemble": "#bd8d12",
+}
+_SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
+_SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down")
+NEUTRAL = "#8a92a3"
+BACKGROUND: dict[Mode, str] = {"light": "#ffffff", "dark": "#12151c"}
+SURFACE: dict[Mode, str] = {"light": "#f4f6fa", "dark": "#1b202b"}
+TEXT: dict[Mode, str] = {"light": "#1c2330", "dark": "#e8ecf4"}
+BORDER: dict[Mode, str] = {"light": "#dde2ec", "dark": "#2c3342"}
+
+# Buttons and sliders: no learner's colour, so that colour always means data.
+ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#8fa2d6"}
+
+# Weight against the uniform one: blue counts less, the background as much, orange-red more.
+DIVERGING: dict[Mode, list[tuple[float, str]]] = {
+    "light": [
+        (0.0, "#123c7c"),
+        (0.25, "#6f9fe3"),
+        (0.5, "#f6f5f2"),
+        (0.75, "#ec9067"),
+        (1.0, "#8c2304"),
+    ],
+    "dark": [
+        (0.0, "#8fbaff"),
+        (0.25, "#2f5fae"),
+        (0.5, "#20242e"),
+        (0.75, "#c8541f"),
+        (1.0, "#ffc48f"),
+    ],
+}
+SEQUENTIAL: dict[Mode, list[tuple[float, str]]] = {
+    "light": [(0.0, "#f6f5f2"), (0.35, "#f3b48f"), (0.7, "#d65a26"), (1.0, "#6b1a02")],
+    "dark": [(0.0, "#20242e"), (0.35, "#7a3415"), (0.7, "#e0682f"), (1.0, "#ffd9a8")],
+}
+
+
+def learner_colour(learner: str) -> str:
+    """The colour of a learner, the same wherever it is drawn."""
+    if learner in LEARNER_COLOURS:
+        return LEARNER_COLOURS[learner]
+    return _SPARE_COLOURS[sum(map(ord, learner)) % len(_SPARE_COLOURS)]
+
+
+def learner_symbol(learner: str) -> str:
+    """The marker of a learner: a second cue beside its colour."""
+    names = list(LEARNER_COLOURS)
+    return _SYMBOLS[names.index(learner)] if learner in names else "x"
+
+
+def learner_label(learner: str) -> str:
+    """How a learner is called on a page; its bare name where the registry has none."""
+    return LEARNERS[learner].label if learner in LEARNERS else learner
+
+
+def faded(colour: str, alpha: float) -> str:
+    """`#rrggbb` as a CSS colour of opacity `alpha`."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red}, {green}, {blue}, {alpha:g})"
+
+
+def streamlit_options(theme: Mode | None) -> dict[str, Any]:
+    """Streamlit's theme settings; without a `theme` the browser's preference decides."""
+    options: dict[str, Any] = {"theme.base": theme} if theme else {}
+    options |= {
+        "theme.baseRadius": "medium",
+        "theme.paddingTop": "1rem",
+        "theme.paddingBottom": "2rem",
+        "theme.baseFontSize": 15,
+        "theme.headingFontWeights": [650, 600, 600],
+        "theme.headingFontSizes": ["1.7rem", "1.25rem", "1.05rem"],
+        "theme.metricValueFontSize": "1.35rem",
+        "theme.chartCategoricalColors": list(LEARNER_COLOURS.values()),
+    }
+    for mode in (theme,) if theme else ("light", "dark"):
+        section = "theme" if theme else f"theme.{mode}"
+        options |= {
+            f"{section}.primaryColor": ACCENT[mode],
+            f"{section}.backgroundColor": BACKGROUND[mode],
+            f"{section}.secondaryBackgroundColor": SURFACE[mode],
+            f"{section}.textColor": TEXT[mode],
+            f"{section}.borderColor": BORDER[mode],
+            f"{section}.linkColor": ACCENT[mode],
+        }
+    return options

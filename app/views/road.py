@@ -1,0 +1,126 @@
+"""Road and rocks: the weights over the map, in 3D and flat, and what they are good for."""
+
+import pandas as pd
+import streamlit as st
+
+from app import readers, session, text, widgets
+from app.figures.road import road_map
+from app.pictures import ENV, Picture
+from app.readers import RunInfo
+from app.scenes.control import Selection, tell
+from app.theme import learner_label
+
+TITLE = "Road and rocks"
+ICON = ":material/add_road:"
+PATH = "road"
+
+HEIGHT = 600
+TABLE = {
+    "weights/road_share": "weight on the road",
+    "weights/road_ratio": "road : rocks",
+    "model/error_expert": "error, expert",
+    "model/error_road": "error, road",
+    "model/error_rocks": "error, rocks",
+    "planner/return": "planner return",
+    "eval/return": "policy return",
+    "eval/success": "success",
+}
+
+
+def page() -> None:
+    """A run and a fit; the 3D scene and the map of it; the numbers of every learner."""
+    runs = [r for r in readers.listing(session.links().store).runs if r.env == ENV]
+    shown = [run for run in runs if readers.road_steps(run)]
+    if not shown:
+        st.info("No road-and-rocks run has recorded its weights yet.", icon=":material/add_road:")
+        st.code("tom train --env road-and-rocks --learner tom", language="bash")
+        return
+    st.caption(
+        "A car must follow the road; on the rocks steering is turned, differently in every cell. "
+        "A linear model cannot be right everywhere: the weights decide where it is."
+    )
+    top = st.columns([3, 2], vertical_alignment="bottom")
+    with top[0]:
+        run = widgets.pick_run(shown)
+    with top[1]:
+        step = widgets.pick_step("Record at step", readers.road_steps(run))
+    picture = readers.road_picture(run, step)
+    if picture is None:
+        st.warning("This run's map cannot be read.")
+        widgets.show_problems(run)
+        return
+    _numbers(run, picture)
+    left, right = st.columns([3, 2])
+    with left:
+        _scene(run, step)
+    with right:
+        widgets.chart(road_map(picture, session.mode(), HEIGHT), "road map")
+    st.markdown("**Every learner**: at the last step that was recorded")
+    st.dataframe(comparison(shown), hide_index=True, column_config=_columns())
+    st.caption(
+        "Errors are root mean squared one-step errors in full steps (the task's noise alone makes "
+        "0.07). Planner: value iteration in the learnt model, driven in the real task; policy: SAC "
+        "in the learnt model, driven in the real task."
+    )
+    for each in shown:
+        widgets.show_problems(each)
+
+
+def comparison(runs: list[RunInfo]) -> pd.DataFrame:
+    """A row a run: the last value of each number that the claim rests on."""
+    rows = []
+    for run in runs:
+        frame = readers.metrics(run)
+        row = {"learner": learner_label(run.learner), "seed": run.seed}
+        row |= {name: last_value(frame, metric) for metric, name in TABLE.items()}
+        rows.append(row | {"run": run.run_id})
+    return pd.DataFrame(rows).sort_values(["learner", "seed"])
+
+
+def last_value(frame: pd.DataFrame, metric: str, step: int | None = None) -> float:
+    """The last recorded value of a metric, at or before `step` where one is given."""
+    if metric not in frame:
+        return float("nan")
+    rows = frame if step is None else frame[frame["env_step"] <= step]
+    values = rows[metric].dropna()
+    return float(values.iloc[-1]) if len(values) else float("nan")
+
+
+def _numbers(run: RunInfo, picture: Picture) -> None:
+    frame = readers.metrics(run)
+    columns = st.columns(6)
+
+    def show(at: int, label: str, value: float, digits: int, unit: str, words: str) -> None:
+        columns[at].metric(label, f"{text.number(value, digits)}{unit}", help=words)
+
+    columns[0].metric("learner", learner_label(run.learner))
+    show(1, "weight on the road", 100 * picture.share, 1, " %", "the road is 30 % of the map")
+    ratio = last_value(frame, "weights/road_ratio", picture.step)
+    show(2, "road : rocks", ratio, 1, "", "mean weight on the road over rocks, random data only")
+    expert = last_value(frame, "model/error_expert", picture.step)
+    show(3, "error, expert data", expert, 2, "", "one-step error in full steps")
+    rocks = last_value(frame, "model/error_rocks", picture.step)
+    show(4, "error, rocks", rocks, 2, "", "one-step error in full steps")
+    score = last_value(frame, "eval/return", picture.step)
+    show(5, "policy return", score, 1, "", "mean return of the policy at this step")
+
+
+def _scene(run: RunInfo, step: int) -> None:
+    links = session.links()
+    if not links.viser_port:
+        st.caption("The 3D scene runs when the studio is started with `tom studio`.")
+        return
+    try:
+        tell(links.control, session.client(), Selection(run.run_id, step, session.mode()))
+    except OSError:
+        st.warning("The 3D server does not answer; it is started again by itself.")
+    st.iframe(links.viser(session.host(), session.client()), height=HEIGHT)
+
+
+def _columns() -> dict:
+    number = st.column_config.NumberColumn
+    plain = {name: number(name, format="%.3g") for name in TABLE.values()}
+    return plain | {
+        "weight on the road": number("weight on the road", format="percent"),
+        "success": number("success", format="percent"),
+    }

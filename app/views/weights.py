@@ -1,0 +1,89 @@
+"""Weights: which part of the replay buffer a learner looks at, fit by fit."""
+
+import streamlit as st
+
+from app import readers, session, text, widgets
+from app.figures.weights import effective_sample, weight_map, weight_profile
+from app.readers import RunInfo
+from app.theme import learner_label
+from tom.record.profiles import Profiles
+
+TITLE = "Weights"
+ICON = ":material/gradient:"
+PATH = "weights"
+
+RELATIVE = "against uniform"
+LINEAR = "as they are"
+
+
+def page() -> None:
+    """The step x bin map; beside it the profile at a step; below what is left of the sample."""
+    listing = readers.listing(session.links().store)
+    with_weights = [run for run in listing.runs if len(readers.profiles(run).env_step)]
+    if not with_weights:
+        st.info("No run has fitted a model yet: weights appear after the first fit.")
+        return
+    top = st.columns([3, 2], vertical_alignment="bottom")
+    with top[0]:
+        run = widgets.pick_run(with_weights)
+    scale = top[1].segmented_control(
+        "Colours",
+        [RELATIVE, LINEAR],
+        default=RELATIVE,
+        required=True,
+        key="scale",
+        bind="query-params",
+    )
+    profiles = readers.profiles(run)
+    chosen = _chosen_fit(profiles)
+    _numbers(run, profiles, chosen)
+    left, right = st.columns([3, 2])
+    with left, st.container(border=True):
+        st.markdown("**Every fit**: click one to look at it")
+        figure = weight_map(profiles, chosen, session.mode(), 400, relative=scale == RELATIVE)
+        widgets.clickable(figure, "weight map", _clicked("weight map"))
+    with right, st.container(border=True):
+        step = profiles.env_step[chosen]
+        st.markdown(f"**The fit at step {step:,}**: dashed: every transition counts the same")
+        widgets.chart(weight_profile(profiles.bins[chosen], run.learner, 400), "profile")
+    with st.container(border=True):
+        st.markdown("**How much of the buffer is left**")
+        figure = effective_sample(profiles, run.learner, chosen, 250)
+        widgets.clickable(figure, "effective sample", _clicked("effective sample"))
+    widgets.show_problems(run)
+
+
+def _chosen_fit(profiles: Profiles) -> int:
+    """The index of the fit in the address (`?step=`), the last one without."""
+    steps = [int(step) for step in profiles.env_step]
+    return steps.index(widgets.pick_step("Fit at step", steps))
+
+
+def _clicked(key: str):
+    def picked() -> None:
+        points = st.session_state[key]["selection"]["points"]
+        if points:
+            st.session_state["step"] = int(points[0]["x"])
+
+    return picked
+
+
+def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
+    bins = profiles.bins[chosen]
+    fifth = max(len(bins) // 5, 1)
+    share = bins[-fifth:].sum() / bins.sum() if bins.sum() > 0 else float("nan")
+    columns = st.columns(5)
+    columns[0].metric("learner", learner_label(run.learner))
+    columns[1].metric("transitions", f"{profiles.count[chosen]:,}")
+    columns[2].metric(
+        "effective sample",
+        f"{100 * profiles.ess[chosen]:.1f} %",
+        help="(sum w)² / sum w², as a share of the buffer: 100 % when all count the same",
+    )
+    columns[3].metric("weight zero", f"{100 * profiles.zeros[chosen]:.1f} %")
+    columns[4].metric(
+        "on the newest fifth",
+        f"{text.number(100 * share)} %",
+        help="share of the whole weight that lies on the newest fifth of the buffer; 20 % when "
+        "all count the same",
+    )

@@ -1,0 +1,63 @@
+"""Small parts that several pages are made of."""
+
+from collections.abc import Callable, Sequence
+
+import plotly.graph_objects as go
+import streamlit as st
+
+from app import readers, text
+from app.aggregate import Curve, curve_points
+from app.readers import RunInfo
+
+CHART_CONFIG = {"displaylogo": False, "modeBarButtonsToRemove": ["autoScale2d"]}
+
+
+def chart(figure: go.Figure, key: str) -> None:
+    """A figure that keeps the reader's zoom over refreshes."""
+    st.plotly_chart(figure, key=key, config=CHART_CONFIG)
+
+
+def clickable(figure: go.Figure, key: str, picked: Callable[[], None]) -> None:
+    """A figure whose points can be clicked; `picked` is called after a click."""
+    st.plotly_chart(figure, key=key, config=CHART_CONFIG, on_select=picked, selection_mode="points")
+
+
+def curve(run: RunInfo, metric: str) -> Curve:
+    """One metric of a run against env steps."""
+    step, value = curve_points(readers.metrics(run), metric)
+    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
+
+
+def pick_run(runs: Sequence[RunInfo], label: str = "Run", key: str = "run") -> RunInfo:
+    """A run, chosen here or by the address (`?run=...`)."""
+    by_id = {run.run_id: run for run in runs}
+    chosen = st.selectbox(label, list(by_id), key=key, bind="query-params")
+    return by_id.get(chosen or "", runs[0])
+
+
+def pick_step(label: str, steps: Sequence[int]) -> int:
+    """A recorded step, chosen here, by a click or by the address (`?step=...`); else the last."""
+    if len(steps) == 1:
+        return steps[0]
+    if st.session_state.get("step", steps[-1]) not in steps:
+        del st.session_state["step"]  # it was chosen for another run
+    step = st.select_slider(
+        label, steps, value=steps[-1], key="step", bind="query-params", format_func=str
+    )
+    return int(step)
+
+
+def show_problems(run: RunInfo, problems: Sequence[str] | None = None) -> None:
+    """What is damaged in a run, beside what could be read of it."""
+    for problem in readers.problems(run) if problems is None else problems:
+        st.warning(
+            f"{text.markdown(run.run_id)}: {text.markdown(problem)}", icon=":material/heart_broken:"
+        )
+
+
+def show_store_problems(problems: Sequence[str]) -> None:
+    """What in the store is no run, folded away."""
+    if problems:
+        with st.expander(f"{len(problems)} in this store could not be read as a run"):
+            for problem in problems:
+                st.text(problem)
