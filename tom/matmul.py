@@ -23,7 +23,7 @@ REPEATS = 7
 class MatmulReport:
     """What the probe found; recorded with the run, because it decides the last bits."""
 
-    chosen: Literal["default", "onednn"]
+    chosen: "Backend"
     default_ms: float
     onednn_ms: float
     onednn_error: float
@@ -32,7 +32,11 @@ class MatmulReport:
         return asdict(self)
 
 
-def _switch(backend: Literal["default", "onednn"]) -> None:
+Backend = Literal["default", "onednn"]
+
+
+def use(backend: Backend) -> None:
+    """Send this process's fp32 matrix products to `backend`."""
     precision = "bf16" if backend == "onednn" else "none"
     torch.backends.mkldnn.matmul.fp32_precision = precision  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -58,12 +62,12 @@ def choose_matmul(wanted: Literal["auto", "default", "onednn"] = "auto") -> Matm
     error = float("inf")
     for _ in range(REPEATS):
         for backend in ("default", "onednn"):
-            _switch(backend)
+            use(backend)
             times[backend].append(_milliseconds(lambda: a @ b))
             if backend == "onednn":
                 error = float(((a @ b).double() - exact).abs().max())
     default_ms, onednn_ms = median(times["default"]), median(times["onednn"])
     better = error <= MAX_ERROR and default_ms >= MIN_GAIN * onednn_ms
     chosen = ("onednn" if better else "default") if wanted == "auto" else wanted
-    _switch(chosen)
+    use(chosen)
     return MatmulReport(chosen, default_ms, onednn_ms, error)

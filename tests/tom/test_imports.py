@@ -13,7 +13,7 @@ LEVELS = [
     | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
-    {"run"},
+    {"run", "bench"},
     {"cli", "tabular_study", "road_study", "reports", "__main__"},
 ]
 LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}

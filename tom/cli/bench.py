@@ -4,12 +4,15 @@ import argparse
 import json
 import tempfile
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import torch
 from rich.console import Console
 from rich.table import Table
 
+from tom.matmul import choose_matmul
 from tom.record import Store
 from tom.sweep import Job, run_jobs
 
@@ -23,8 +26,14 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "bench", help="measure this machine", description="Measure parts on this machine."
     )
     parser.add_argument(
-        "what", choices=("learn", "record"), help="learn: does it learn; record: cost of recording"
+        "what",
+        nargs="?",
+        default="parts",
+        choices=("parts", "learn", "record"),
+        help="parts: what each part of a training costs [the default]; record: the cost of "
+        "recording; learn: does inverted pendulum reach 950 within 6000 steps",
     )
+    parser.add_argument("--repeats", type=int, default=9, help="interleaved repeats (parts)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--learner", nargs="+", default=["mle", "tom"], help="(learn)")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="(learn)")
@@ -89,5 +98,5 @@ def _print(title: str, rows: list[dict[str, Any]], as_json: bool) -> None:
 
 def _cell(value: Any) -> str:
     if value is None:
-        return "never"
+        return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

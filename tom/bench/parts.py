@@ -1,0 +1,147 @@
+"""The parts of a Hopper step in the `paper` preset, each as something to time."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import torch
+
+from tom.bench.timing import Part
+from tom.config import ModelConfig, RolloutConfig, SacConfig, TomConfig
+from tom.data.replay import ReplayBuffer
+from tom.data.sampling import WeightedSampler
+from tom.data.transitions import TensorTransitions
+from tom.dynamics import make_model
+from tom.dynamics.neural import NeuralDynamics
+from tom.envs import task
+from tom.learners.base import FitContext
+from tom.learners.tom import TomLearner
+from tom.rollout import roll_out
+from tom.sac import Sac
+
+OBS, ACTION, BATCH = 11, 3, 256
+CHUNKED = 20_000
+"""rows of the parts that scale with the buffer; their cost is printed for the full size"""
+
+
+def parts() -> Iterator[Part]:
+    """Every part that needs nothing but the project itself."""
+    yield _sac()
+    yield _model_step("mdn", 3 * 10)
+    yield _model_step("ensemble", 2)
+    yield from _tom_steps()
+    yield _rollout()
+    yield _sampling()
+    yield _environment()
+
+
+def transitions(n: int, seed: int = 0) -> TensorTransitions:
+    """n random Hopper-sized transitions."""
+    g = torch.Generator().manual_seed(seed)
+    obs = torch.randn(n, OBS, generator=g)
+    action = torch.rand(n, ACTION, generator=g) * 2 - 1
+    next_obs = obs + 0.1 * torch.randn(n, OBS, generator=g)
+    return TensorTransitions(obs, action, obs[:, 0], next_obs, torch.zeros(n), torch.zeros(n))
+
+
+def network_flops(sizes: list[int], rows: int) -> float:
+    """Multiply-adds of one forward pass, times two."""
+    return 2.0 * rows * sum(a * b for a, b in pairwise(sizes))
+
+
+def sac_flops(config: SacConfig) -> float:
+    """Matrix arithmetic of a SAC update.
+
+    Critics: target forward, forward, and two backward products a layer but for the first layer's
+    input; actor: forward at s and s', backward, and the critics' forward and input gradient.
+    """
+    hidden = [config.hidden] * config.layers
+    critic = network_flops([OBS + ACTION, *hidden, 1], BATCH)
+    critic_first = network_flops([OBS + ACTION, config.hidden], BATCH)
+    actor = network_flops([OBS, *hidden, 2 * ACTION], BATCH)
+    actor_first = network_flops([OBS, config.hidden], BATCH)
+    critics = 2 * (critic + critic + 2 * critic - critic_first)
+    return critics + 2 * actor + (2 * actor - actor_first) + 2 * (critic + critic)
+
+
+def _sac() -> Part:
+    config = SacConfig()
+    sac = Sac(OBS, ACTION, config, [torch.Generator().manual_seed(0)])
+    batch = transitions(BATCH)[None]
+    return Part("SAC update", lambda: [sac.update(batch) for _ in range(20)], 20, sac_flops(config))
+
+
+def _model_step(kind: str, outputs_per_dim: int) -> Part:
+    config = ModelConfig.model_validate({"kind": kind, "rounds": 1, "batches_per_round": 20})
+    model = make_model(OBS, ACTION, config, torch.Generator().manual_seed(0))
+    assert isinstance(model, NeuralDynamics)
+    hidden = [config.hidden] * config.layers
+    sizes = [OBS + ACTION, *hidden, (1 + OBS) * outputs_per_dim]
+    forward = network_flops(sizes, BATCH) * model.ensemble
+    first = network_flops(sizes[:2], BATCH) * model.ensemble
+    data = transitions(1000)
+    weights, generator = torch.ones(len(data)), torch.Generator().manual_seed(1)
+    return Part(
+        f"{kind} step (in a fit)",
+        lambda: model.fit(data, weights, None, generator),
+        20,
+        3 * forward - first,
+    )
+
+
+def _tom_steps() -> Iterator[Part]:
+    data = transitions(CHUNKED)
+    policy = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
+
+    def weigh(steps: dict[str, int], rows: int) -> object:
+        config = TomConfig(warmup=1).but(**steps)
+        learner = TomLearner(config, OBS, ACTION, torch.Generator().manual_seed(0))
+        return learner.weigh(
+            FitContext(
+                replay=data[:rows],
+                policy_version=torch.zeros(rows, dtype=torch.int64),
+                policy_buffer=data[-1000:],
+                on_policy_steps=1000,
+                initial_obs=data.obs[:100],
+                policy=policy,
+                generator=torch.Generator().manual_seed(1),
+            )
+        )
+
+    none = {"discriminator_steps": 1, "q_steps": 1}
+    yield Part("discriminator step", lambda: weigh({**none, "discriminator_steps": 40}, 256), 40)
+    yield Part("dual Q step", lambda: weigh({**none, "q_steps": 40}, 256), 40)
+    yield Part("weights, 1000 transitions", lambda: weigh(none, CHUNKED), CHUNKED // 1000)
+
+
+def _rollout() -> Part:
+    model = make_model(OBS, ACTION, ModelConfig(), torch.Generator().manual_seed(0))
+    policy = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
+    buffer = ReplayBuffer(CHUNKED, OBS, ACTION)
+    starts, generator = transitions(CHUNKED).obs, torch.Generator().manual_seed(1)
+    hopper, config = task("hopper"), RolloutConfig()
+    return Part(
+        "rollout, 1000 states",
+        lambda: roll_out(model, policy, hopper.terminated, starts, 1, config, buffer, generator),
+        CHUNKED // 1000,
+    )
+
+
+def _sampling() -> Part:
+    weights, generator = torch.rand(1_000_000), torch.Generator().manual_seed(0)
+    return Part(
+        "100k draws by weight from 1e6", lambda: WeightedSampler(weights, generator).draw(100_000)
+    )
+
+
+def _environment() -> Part:
+    env = task("hopper").make()
+    env.reset(seed=0)
+    action = np.zeros(ACTION, np.float32)
+
+    def step() -> None:
+        for _ in range(200):
+            if env.step(action)[2]:
+                env.reset()
+
+    return Part("Hopper-v5 step", step, 200)

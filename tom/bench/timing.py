@@ -1,0 +1,78 @@
+"""Fair timing on a shared machine: CPU time, interleaved repeats, medians and their spread."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import median
+from time import process_time
+
+import torch
+
+from tom.matmul import Backend, use
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something to time: `run` does it `units` times over.
+
+    `flops` is the arithmetic of one unit's matrix products, where that is its floor; `peer_of`
+    names the part that this one is another library's version of; a peer runs as it comes, with
+    torch's default matrix products.
+    """
+
+    name: str
+    run: Callable[[], object]
+    units: int = 1
+    flops: float | None = None
+    peer_of: str | None = None
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One part's cost: CPU milliseconds a unit, its spread, floor and ratio to the floor."""
+
+    part: str
+    ms: float
+    low_ms: float
+    high_ms: float
+    floor_ms: float | None
+    times_floor: float | None
+    times_ours: float | None
+
+
+def measure(parts: Sequence[Part], repeats: int, backend: Backend) -> tuple[list[Timing], float]:
+    """Time all parts, one repeat of each in turn; also the machine's GFLOP/s in that time.
+
+    The machine's speed is that of a 256^3 product of the chosen backend, measured among the
+    parts, so that the ratios hold when the machine's speed drifts.
+    """
+    a, b = torch.randn(256, 256), torch.randn(256, 256)
+    product = Part("256^3 product", lambda: [a @ b for _ in range(100)], units=100)
+    seconds: dict[str, list[float]] = {p.name: [] for p in (product, *parts)}
+    for repeat in range(repeats + 1):
+        for part in (product, *parts):
+            use("default" if part.peer_of else backend)
+            start = process_time()
+            part.run()
+            if repeat:  # the first is for allocators and kernels' first choice
+                seconds[part.name].append((process_time() - start) / part.units)
+    use(backend)
+    flops_per_s = 2 * 256**3 / median(seconds[product.name])
+    ours = {p.name: median(seconds[p.name]) for p in parts}
+    rows = [_timing(p, seconds[p.name], ours, flops_per_s) for p in parts]
+    return rows, flops_per_s / 1e9
+
+
+def _timing(
+    part: Part, seconds: list[float], medians: dict[str, float], flops_per_s: float
+) -> Timing:
+    middle = median(seconds)
+    floor = None if part.flops is None else part.flops / flops_per_s
+    return Timing(
+        part=part.name,
+        ms=middle * 1e3,
+        low_ms=min(seconds) * 1e3,
+        high_ms=max(seconds) * 1e3,
+        floor_ms=None if floor is None else floor * 1e3,
+        times_floor=None if floor is None else middle / floor,
+        times_ours=None if part.peer_of is None else middle / medians[part.peer_of],
+    )
