@@ -20,9 +20,19 @@ from tom.dynamics import make_model
 from tom.envs import MujocoTask, task
 from tom.envs.state import capture, restore
 from tom.evaluate import Evaluator
-from tom.events import Collected, Evaluation, Event, Metrics, Notice, Tick, Weights
+from tom.events import (
+    Collected,
+    Evaluation,
+    Event,
+    Metrics,
+    Notice,
+    Tick,
+    TrainedPolicy,
+    Weights,
+)
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting
+from tom.policy_file import policy_arrays
 from tom.rng import Streams
 from tom.rollout import roll_out, start_states
 from tom.sac import Sac
@@ -76,6 +86,7 @@ class Mbpo:
                 yield from self.evaluate()
             yield Tick(self.env_step, "optimise")
         yield from self._flush_collected()
+        yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac.actor))
 
     def fit_and_roll_out(self) -> Iterator[Event]:
         """Lines 3-19: weights, weighted model fit, rollouts from weighted start states."""

@@ -4,11 +4,11 @@ import sys
 from collections.abc import Sequence
 
 from tom import __version__
-from tom.cli import bench, demo, record_sac, runs, studio, train
+from tom.cli import bench, demo, record_sac, reproduce, runs, studio, train, weigh
 from tom.cli.parser import Parser
 from tom.errors import UserError
 
-COMMANDS = (demo, train, studio, record_sac, bench, runs)
+COMMANDS = (demo, train, studio, record_sac, weigh, reproduce, bench, runs)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

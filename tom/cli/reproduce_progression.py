@@ -1,0 +1,105 @@
+"""`tom reproduce progression`: the weight progression on an ordered buffer."""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from tom import progression_files
+from tom.cli.progress import ProgressReport
+from tom.envs import task
+from tom.errors import UserError, unknown
+from tom.matmul import choose_matmul
+from tom.progression_study import SAC_SEEDS, Case, Check, cases, checks, recorded, recording_config
+from tom.record import RunReader, Store
+from tom.record.files import plain
+from tom.run import train
+
+PRESETS = ("exact", "paper")
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "progression",
+        help="weights along an ordered replay buffer",
+        description="Record SAC where the store has no such recording, weigh every recording for "
+        "its own policy, for the random policy and with its rows shuffled, and hold the profiles "
+        "against the acceptance. Median over TOM's seeds; the first preset is judged.",
+    )
+    parser.add_argument("--env", nargs="+", default=list(SAC_SEEDS), metavar="ENV")
+    parser.add_argument("--steps", type=int, default=50_000, help="steps of SAC [50000]")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="TOM's [0 1 2]")
+    parser.add_argument("--sac-seeds", nargs="+", type=int, help="of recordings [as accepted]")
+    parser.add_argument("--preset", nargs="+", default=list(PRESETS), help="TOM's [exact paper]")
+    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--out", type=Path, default=Path("reports/progression"))
+    parser.add_argument("--json", action="store_true", help="print the checks as JSON")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    for preset in args.preset:
+        if preset not in PRESETS:
+            raise unknown("preset", preset, PRESETS)
+    if args.steps < 1000 or min(args.seeds) < 0:
+        raise UserError("--steps must be at least 1000 and --seeds at least 0")
+    recordings = [
+        recording_config(env, seed, args.steps)
+        for env in args.env
+        for seed in args.sac_seeds or SAC_SEEDS.get(task(env).name, (0,))
+    ]
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make {args.out}: {error.strerror}; name another --out") from error
+    store = Store(args.store)
+    runs = [_recording(store, config) for config in recordings]
+    torch.set_num_threads(1)
+    choose_matmul()
+    done: list[Case] = []
+    for reader in runs:
+        for case in cases(reader, args.preset, args.seeds):
+            progression_files.keep_weights(args.out, case)
+            done.append(case)
+            _say(f"{case.recording}: TOM {case.preset}, {case.condition}")
+    found = checks(done)
+    progression_files.write(args.out, done, found, args.preset[0])
+    _print(found, args)
+    return 0 if all(c.met is not False for c in found if c.preset == args.preset[0]) else 1
+
+
+def _recording(store: Store, config) -> RunReader:
+    have = recorded(store, config)
+    if have is not None:
+        return have
+    label = f"{config.env} sac seed {config.seed}"
+    with ProgressReport(label, config.total_steps, sys.stderr) as progress:
+        return train(config, store, watchers=(progress.consume,), rerun=False)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _print(found: Sequence[Check], args: argparse.Namespace) -> None:
+    if args.json:
+        rows = [{**asdict(c), "median": c.median, "met": c.met} for c in found]
+        print(json.dumps(plain({"checks": rows, "out": str(args.out)}), allow_nan=False))
+        return
+    table = Table(title="Weight progression, median over TOM's seeds (by seed)")
+    for column in ("recording", "TOM", "policy", "learner", "quantity", "median", "bound", "met"):
+        table.add_column(column, justify="right" if column == "median" else "left")
+    for c in found:
+        by_seed = " ".join(f"{v:.2f}" for v in c.values)
+        bound = "" if c.bound is None else f"{c.bound[0]} {c.bound[1]:g}"
+        met = {None: "", True: "yes", False: "NO"}[c.met]
+        value = f"{c.median:.2f} ({by_seed})"
+        table.add_row(c.recording, c.preset, c.condition, c.learner, c.quantity, value, bound, met)
+    Console(width=None if Console().is_terminal else 160).print(table)
+    print(args.out)

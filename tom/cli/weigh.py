@@ -1,0 +1,156 @@
+"""`tom weigh`: what each learner makes of recorded data, given a policy of interest."""
+
+import argparse
+import json
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+from pydantic import ValidationError
+from rich.console import Console
+from rich.table import Table
+
+from tom import weighing_files
+from tom.cli.parser import add_config_options, leaf_fields, one_line, overrides
+from tom.config import RunConfig, TomConfig
+from tom.envs import ENVS, task
+from tom.errors import UserError, unknown
+from tom.matmul import choose_matmul
+from tom.record import Store
+from tom.record.files import plain
+from tom.weighing import (
+    RANDOM,
+    WEIGHERS,
+    OrderedData,
+    Weighed,
+    after_random,
+    load_data,
+    load_policy,
+    policy_env,
+    weigh,
+)
+
+PRESETS = ("exact", "paper")
+SETTINGS = ("tom.", "pmac.", "threads", "matmul")
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "weigh",
+        help="weigh recorded data by a policy",
+        description="Weigh recorded data, oldest first, as each learner would if POLICY were the "
+        "policy of interest. Writes weights.parquet, profile.csv, profile.png, profile.svg and "
+        "report.json.",
+    )
+    parser.add_argument("data", help="a run (id or folder), a D4RL file or a Minari folder")
+    parser.add_argument(
+        "--policy", required=True, help=f"a run (id or folder), its policy.npz, or {RANDOM}"
+    )
+    parser.add_argument(
+        "--learner", nargs="+", default=["tom", "pmac", "mle"], metavar="LEARNER",
+        help=", ".join(WEIGHERS) + " [tom pmac mle]",
+    )  # fmt: skip
+    parser.add_argument("--env", help="the task of a dataset: " + ", ".join(ENVS))
+    parser.add_argument("--random", help="random data put first, as much as DATA has")
+    parser.add_argument("--seeds", nargs="+", type=_whole, default=[0, 1, 2], metavar="N")
+    parser.add_argument("--bins", type=_count, default=100, metavar="N", help="of a profile [100]")
+    parser.add_argument(
+        "--footprint", type=_count, default=1000, metavar="N",
+        help="real transitions of the policy that TOM compares with [1000]",
+    )  # fmt: skip
+    parser.add_argument("--preset", default="exact", help="TOM's: exact or paper [exact]")
+    parser.add_argument("--out", type=Path, help="new folder [weighings/DATA-by-POLICY-TIME]")
+    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    paths = {path for path, _ in leaf_fields(RunConfig)}
+    left_out = {path for path in paths if not path.startswith(SETTINGS)}
+    add_config_options(parser, RunConfig, leave_out=left_out)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    data, env = _data(args, store)
+    known = task(env)
+    config = _config(args, env)
+    policy = load_policy(args.policy, store, known)
+    for name in args.learner:
+        if name not in WEIGHERS:
+            raise unknown("learner", name, WEIGHERS)
+    out = args.out or _default_out(data, args.policy)
+    weighing_files.check_free(out)
+    torch.set_num_threads(config.threads)
+    choose_matmul(config.matmul)
+    found: list[Weighed] = []
+    learners, seeds = list(dict.fromkeys(args.learner)), list(dict.fromkeys(args.seeds))
+    for one in weigh(data, policy, known, config, learners, seeds, args.footprint):
+        found.append(one)
+        print(f"{data.name}: {one.learner} seed {one.seed}", file=sys.stderr, flush=True)
+    report = {
+        "policy": args.policy,
+        "preset": args.preset,
+        "footprint": args.footprint,
+        "config": {"tom": config.tom.model_dump(), "pmac": config.pmac.model_dump()},
+        **weighing_files.summary(data, found),
+    }
+    weighing_files.write(out, data, found, args.bins, report)
+    _print(report, out, args.json)
+    return 0
+
+
+def _data(args: argparse.Namespace, store: Store) -> tuple[OrderedData, str]:
+    env = args.env or policy_env(args.policy, store)
+    data = load_data(args.data, store, env)
+    if data.env != (env or data.env):
+        raise UserError(f"{data.name} is of {data.env}, not of {env}: name a policy of {data.env}")
+    if args.random:
+        data = after_random(load_data(args.random, store, data.env), data)
+    assert data.env is not None
+    return data, data.env
+
+
+def _config(args: argparse.Namespace, env: str) -> RunConfig:
+    if args.preset not in PRESETS:
+        raise unknown("preset", args.preset, PRESETS)
+    try:
+        config = RunConfig(env=env, learner="tom", tom=TomConfig.preset(args.preset))
+        return config.but(**overrides(args))
+    except ValidationError as error:
+        raise one_line(error) from None
+
+
+def _default_out(data: OrderedData, policy: str) -> Path:
+    by = Path(policy).parent.name if policy.endswith(".npz") else Path(policy).name
+    name = f"{data.name}-by-{by}" if by != data.name else f"{data.name}-by-its-own"
+    return Path("weighings") / f"{name}-{datetime.now():%y%m%d-%H%M%S}"
+
+
+def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(plain({**report, "out": str(out)}), allow_nan=False))
+        return
+    table = Table(title=f"{report['data']}, weighed by {report['policy']}")
+    columns = ("random_mean", "last_two", "spearman", "first_rise", "ess")
+    for column in ("learner", "seed", *columns):
+        table.add_column(column, justify="left" if column == "learner" else "right")
+    for row in report["results"]:
+        cells = ("-" if row[c] is None else f"{row[c]:.3g}" for c in columns)
+        table.add_row(row["learner"], str(row["seed"]), *cells)
+    Console().print(table)
+    print(out)
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: must be at least 0")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text}: must be at least 1")
+    return value

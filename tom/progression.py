@@ -1,0 +1,84 @@
+"""What a weight profile over an ordered buffer says: do the weights follow the policy?
+
+The buffer's first part is random data, its second part comes from a policy that was learning, in
+order (paper, section 5.2, "Analysis of TOM Importance Weights"). Pure functions of weights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from tom.data.sampling import bin_means, ess
+
+BINS = 20
+DECILES = 10
+LATE = 2  # deciles, and bins, that count as the very end
+
+
+@dataclass(frozen=True)
+class Progression:
+    """One learner's weights along one ordered buffer; every mean in units of the mean weight.
+
+    `random_mean` is None where the buffer has no random part. `first_rise` is the first decile
+    (1 to 10) of the ordered part that counts more than a uniform weight would, None if none does.
+    """
+
+    random_mean: float | None
+    deciles: tuple[float, ...]  # mean weight of each tenth of the ordered part
+    last_two: float  # mean weight of the last two of 20 bins of the whole buffer
+    spearman: float  # rank correlation of the deciles with their order
+    first_rise: int | None
+    ess: float  # share of the buffer
+    zeros: float  # share of the buffer
+
+    @property
+    def rises_before_end(self) -> bool:
+        """Whether an early decile already counts more than a uniform weight would."""
+        return self.first_rise is not None and self.first_rise <= DECILES - LATE
+
+    def row(self) -> dict[str, Any]:
+        """Every number, for a table or JSON."""
+        return {**asdict(self), "rises_before_end": self.rises_before_end}
+
+
+def progression(weights: NDArray, ordered_from: int) -> Progression:
+    """Summary of weights (N,), oldest first, whose first `ordered_from` rows are random data."""
+    if not 0 <= ordered_from < len(weights):
+        raise ValueError(f"no ordered rows from {ordered_from} on among {len(weights)}")
+    w = np.asarray(weights, np.float64)
+    w = w / w.mean() if w.mean() > 0 else w
+    deciles = bin_means(w[ordered_from:], DECILES).numpy()
+    above = np.flatnonzero(deciles > 1)
+    return Progression(
+        random_mean=float(w[:ordered_from].mean()) if ordered_from else None,
+        deciles=tuple(float(d) for d in deciles),
+        last_two=float(bin_means(w, BINS)[-LATE:].mean()),
+        spearman=rank_correlation(np.arange(DECILES), deciles),
+        first_rise=int(above[0]) + 1 if len(above) else None,
+        ess=ess(w),
+        zeros=float((w == 0).mean()),
+    )
+
+
+def rank_correlation(x: NDArray, y: NDArray) -> float:
+    """Spearman's rank correlation of x and y (n,), ties ranked alike; 0 where one is constant."""
+    if np.ptp(x) == 0 or np.ptp(y) == 0:
+        return 0.0
+    return float(np.corrcoef(rankdata(x), rankdata(y))[0, 1])
+
+
+def same_profile(weights: NDArray, others: NDArray) -> float:
+    """Rank correlation of two weightings of the same rows (N,) over 20 bins."""
+    return rank_correlation(bin_means(weights, BINS).numpy(), bin_means(others, BINS).numpy())
+
+
+def medians(reports: Sequence[Progression]) -> dict[str, float | None]:
+    """Median over seeds of the numbers that the acceptance looks at."""
+    names = ("random_mean", "last_two", "spearman", "ess", "zeros")
+    columns = {name: [getattr(report, name) for report in reports] for name in names}
+    return {name: None if None in values else median(values) for name, values in columns.items()}

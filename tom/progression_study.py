@@ -1,0 +1,197 @@
+"""The weight progression study: does TOM's weight follow the policy, whatever the position?
+
+Every recording of SAC (random half, ordered half) is weighed three times: for its own trained
+policy, for the random policy (the profile must turn round), and for its own policy with the rows
+stored in another order (TOM's profile must stay, PMAC's, which goes by position, must not).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Literal
+
+import numpy as np
+
+from tom.config import RunConfig, SacRecordingConfig, TomConfig
+from tom.envs import task
+from tom.policy_file import NAME, UniformPolicy, read_policy
+from tom.progression import DECILES, Progression, progression, same_profile
+from tom.record import RunReader, Store
+from tom.weighing import Weighed, of_run, weigh
+
+Condition = Literal["own", "random", "shuffled"]
+Preset = Literal["paper", "exact"]
+
+SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
+"""The recordings of the acceptance; other tasks have one."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """All seeds and learners under one condition, weights in the order of collection."""
+
+    recording: str
+    env: str
+    ordered_from: int
+    condition: Condition
+    preset: Preset
+    found: tuple[Weighed, ...]
+
+    def of(self, learner: str) -> list[Weighed]:
+        """One learner's results, by seed."""
+        return [one for one in self.found if one.learner == learner]
+
+    def reports(self, learner: str) -> list[Progression]:
+        """One learner's summaries, by seed."""
+        return [progression(one.weights, self.ordered_from) for one in self.of(learner)]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One number of the acceptance, by seed; the median is judged."""
+
+    recording: str
+    preset: Preset
+    condition: Condition
+    learner: str
+    quantity: str
+    values: tuple[float, ...]
+    bound: tuple[Literal["<=", ">=", "<"], float] | None
+
+    @property
+    def median(self) -> float:
+        return median(self.values)
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the bound holds; None where there is none."""
+        if self.bound is None:
+            return None
+        sign, limit = self.bound
+        at_most = self.median < limit if sign == "<" else self.median <= limit
+        return self.median >= limit if sign == ">=" else at_most
+
+
+BOUNDS: dict[str, tuple[float, float, float]] = {
+    "halfcheetah": (0.30, 4.0, 0.9),
+    "hopper": (0.60, 2.5, 0.5),
+}
+"""Random half at most, last two of 20 bins at least, Spearman over the ordered half at least."""
+TURNED = (1.25, 0.3)
+"""For the random policy: random half at least, last two of 20 bins at most."""
+SAME = 0.9
+"""Rank correlation over 20 bins from which on two profiles are the same."""
+
+
+NEVER = DECILES + 1
+RISE = f"first decile above 1 ({NEVER}: none)"
+
+
+def recording_config(env: str, seed: int, steps: int) -> SacRecordingConfig:
+    """The settings of a recording of the study."""
+    return SacRecordingConfig(env=task(env).name, seed=seed, steps=steps)
+
+
+def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
+    """The newest finished recording with these settings, None where there is none."""
+    wanted = config.model_dump(mode="json", include=_DECISIVE)
+    for run in store.runs():
+        same = {name: run.config.get("config", {}).get(name) for name in wanted} == wanted
+        if run.learner == config.learner and same and run.status.state == "finished":
+            return run
+    return None
+
+
+_DECISIVE = {"env", "seed", "steps", "exploration_steps", "updates_per_step", "sac"}
+
+
+def cases(run: RunReader, presets: Sequence[Preset], seeds: Sequence[int]) -> Iterator[Case]:
+    """The three conditions of one recording, under every preset of TOM."""
+    data = of_run(run)
+    known = task(run.env)
+    own, at_random = read_policy(run.path / NAME), UniformPolicy(known.obs_dim, known.action_dim)
+    order = np.random.default_rng(0).permutation(len(data))
+    shuffled = data.in_order(order)
+    both = ("tom", "pmac")
+    for preset in presets:
+        config = RunConfig(env=run.env, learner="tom", tom=TomConfig.preset(preset))
+        stored = weigh(shuffled, own, known, config, both, seeds)
+        parts: tuple[tuple[Condition, Iterator[Weighed]], ...] = (
+            ("own", weigh(data, own, known, config, both, seeds)),
+            ("random", weigh(data, at_random, known, config, ("tom",), seeds)),
+            ("shuffled", (one.in_order(order) for one in stored)),
+        )
+        for condition, found in parts:
+            kept = tuple(found)
+            yield Case(run.run_id, run.env, data.ordered_from, condition, preset, kept)
+
+
+def checks(done: Sequence[Case]) -> list[Check]:
+    """Every number of the acceptance, of TOM and of PMAC beside it."""
+    found: list[Check] = []
+    for case in done:
+        if case.condition == "own":
+            found += _progress(case)
+        elif case.condition == "random":
+            found += _turned(case)
+        else:
+            (own,) = (
+                other
+                for other in done
+                if (other.recording, other.preset) == (case.recording, case.preset)
+                and other.condition == "own"
+            )
+            found += _moved(case, own)
+    return found
+
+
+def _progress(case: Case) -> list[Check]:
+    random, last, spearman = BOUNDS.get(case.env, (None, None, None))
+    tom, pmac = case.reports("tom"), case.reports("pmac")
+    return [
+        _check(case, "tom", "random half", [r.random_mean for r in tom], "<=", random),
+        _check(case, "tom", "last two of 20 bins", [r.last_two for r in tom], ">=", last),
+        _check(case, "tom", "Spearman, ordered half", [r.spearman for r in tom], ">=", spearman),
+        _check(case, "tom", RISE, [r.first_rise or NEVER for r in tom]),
+        _check(case, "tom", "ESS", [r.ess for r in tom]),
+        _check(case, "pmac", "random half", [r.random_mean for r in pmac]),
+        _check(case, "pmac", "last two of 20 bins", [r.last_two for r in pmac]),
+        _check(case, "pmac", RISE, [r.first_rise or NEVER for r in pmac]),
+        _check(case, "pmac", "ESS", [r.ess for r in pmac]),
+    ]
+
+
+def _turned(case: Case) -> list[Check]:
+    tom = case.reports("tom")
+    return [
+        _check(case, "tom", "random half", [r.random_mean for r in tom], ">=", TURNED[0]),
+        _check(case, "tom", "last two of 20 bins", [r.last_two for r in tom], "<=", TURNED[1]),
+    ]
+
+
+def _moved(case: Case, own: Case) -> list[Check]:
+    kept = {
+        learner: [
+            same_profile(a.weights, b.weights)
+            for a, b in zip(own.of(learner), case.of(learner), strict=True)
+        ]
+        for learner in ("tom", "pmac")
+    }
+    quantity = "Spearman with its profile in order"
+    return [
+        _check(case, "tom", quantity, kept["tom"], ">=", SAME),
+        _check(case, "pmac", quantity, kept["pmac"], "<", SAME),
+    ]
+
+
+def _check(
+    case: Case,
+    learner: str,
+    quantity: str,
+    values: Sequence[float | None],
+    sign: Literal["<=", ">=", "<"] = "<=",
+    limit: float | None = None,
+) -> Check:
+    numbers = tuple(float("nan") if v is None else float(v) for v in values)
+    bound = None if limit is None else (sign, limit)
+    return Check(case.recording, case.preset, case.condition, learner, quantity, numbers, bound)

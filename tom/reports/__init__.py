@@ -1,0 +1,1 @@
+"""Figures for paper and docs: pure functions from data to a Matplotlib figure."""

@@ -1,0 +1,120 @@
+"""What a weighing leaves behind: weights, profiles, figure and report, all of them or nothing."""
+
+import csv
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from tom.data.sampling import bin_means
+from tom.errors import UserError
+from tom.learners import LEARNERS
+from tom.progression import medians, progression
+from tom.record.files import replace_json
+from tom.reports.progression import Panel, profile_figure
+from tom.reports.style import save
+from tom.weighing import OrderedData, Weighed
+
+WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
+
+
+def check_free(out: Path) -> None:
+    """Raises UserError when `out` holds something already or cannot be made."""
+    if out.is_dir() and not any(out.iterdir()):
+        return
+    if os.path.lexists(out):
+        raise UserError(f"{out} exists already: name another folder with --out")
+    parent = next(p for p in out.absolute().parents if p.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        raise UserError(f"cannot make {out} in {parent}: name another folder with --out")
+
+
+def summary(data: OrderedData, found: Sequence[Weighed]) -> dict[str, Any]:
+    """The report on all learners and seeds, ready for JSON."""
+    results = [
+        {
+            "learner": one.learner,
+            "seed": one.seed,
+            **progression(one.weights, data.ordered_from).row(),
+            "footprint_return": one.footprint_return,
+            "metrics": one.metrics,
+            "notices": [message for _, message in one.notices],
+        }
+        for one in found
+    ]
+    return {
+        "data": data.name,
+        "env": data.env,
+        "rows": len(data),
+        "ordered_from": data.ordered_from,
+        "results": results,
+        "medians": {
+            name: medians([progression(one.weights, data.ordered_from) for one in of])
+            for name, of in by_learner(found).items()
+        },
+    }
+
+
+def by_learner(found: Sequence[Weighed]) -> dict[str, list[Weighed]]:
+    """The results of each learner, in the order of first appearance."""
+    groups: dict[str, list[Weighed]] = {}
+    for one in found:
+        groups.setdefault(one.learner, []).append(one)
+    return groups
+
+
+def profiles(of: Sequence[Weighed], bins: int) -> NDArray[np.float64]:
+    """The weight profiles of several seeds, (S, bins)."""
+    return np.stack([bin_means(one.weights, bins).numpy() for one in of])
+
+
+def write(
+    out: Path, data: OrderedData, found: Sequence[Weighed], bins: int, report: dict[str, Any]
+) -> None:
+    """Make the folder `out` with everything in it. Raises UserError when it cannot be made."""
+    unfinished = out.absolute().with_name(f".{out.absolute().name}.{os.getpid()}.tmp")
+    try:
+        unfinished.mkdir(parents=True)
+        write_weights(unfinished / WEIGHTS, found)
+        write_profiles(unfinished / PROFILE, found, bins)
+        panels = [
+            Panel(LEARNERS[name].label, name, profiles(of, bins))
+            for name, of in by_learner(found).items()
+        ]
+        share = data.ordered_from / len(data)
+        save(profile_figure({data.name: panels}, {data.name: share}), unfinished, FIGURE)
+        replace_json(unfinished / REPORT, report, sync=False)
+        unfinished.rename(out.absolute())
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {error.strerror}; name another --out") from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def write_weights(path: Path, found: Sequence[Weighed]) -> None:
+    """One float32 column for each learner and seed, a row a transition, oldest first."""
+    columns: dict[str, NDArray[np.float32]] = {}
+    for one in found:
+        columns[f"{one.learner}-s{one.seed}"] = one.weights
+        if one.log_ratio is not None:
+            columns[f"{one.learner}-s{one.seed}-log_ratio"] = one.log_ratio
+    pq.write_table(
+        pa.table(columns), path, compression="zstd", use_dictionary=False,
+        use_byte_stream_split=True,
+    )  # fmt: skip
+
+
+def write_profiles(path: Path, found: Sequence[Weighed], bins: int) -> None:
+    """A line for each learner, seed and bin (0 is the oldest): its mean weight."""
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["learner", "seed", "bin", "mean_weight"])
+        for one in found:
+            for number, mean in enumerate(bin_means(one.weights, bins).tolist()):
+                table.writerow([one.learner, one.seed, number, f"{mean:.6g}"])
