@@ -46,9 +46,27 @@ def run(args: argparse.Namespace) -> int:
         rows = learn(args.learner, args.seeds, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {LEARN_STEPS} steps", rows, args.json)
         return 0 if all(row["reached_at"] is not None for row in rows) else 1
+    return _record(args.json) if args.what == "record" else _parts(args.repeats, args.json)
+
+
+def _parts(repeats: int, as_json: bool) -> int:
+    from tom.bench import parts, peers, timing
+
+    torch.set_num_threads(1)
+    backend = choose_matmul().chosen
+    measured = [*parts.parts(), *peers.peers()]
+    rows, gflops = timing.measure(measured, max(repeats, 1), backend)
+    title = f"CPU ms, one thread; {gflops:.0f} GFLOP/s in 256^3 products ({backend})"
+    _print(title, [asdict(row) for row in rows], as_json)
+    if peers.missing() and not as_json:
+        print(f"not measured, because not installed: {', '.join(peers.missing())}")
+    return 0
+
+
+def _record(as_json: bool) -> int:
     from tom.record.bench import cost
 
-    _print("cost of recording", list(cost()), args.json)
+    _print("cost of recording", list(cost()), as_json)
     return 0
 
 
