@@ -41,7 +41,7 @@ def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) ->
     problem = DualProblem(replay, -log_ratio, context.initial_obs, context.policy, config, scaling)
     net = q_net(*_dims(context), config, generator)
     optimiser = torch.optim.Adam(net.parameters(), lr=config.q_lr, fused=True)
-    metrics |= problem.minimise(net, optimiser, generator)
+    net, _ = problem.minimise(net, optimiser, generator)
     raw, _ = problem.solution(net, generator)
     weights, _ = normalise(raw)
     return Weighting(weights, log_ratio=-log_ratio, metrics=metrics)

@@ -1,0 +1,128 @@
+from dataclasses import replace
+
+import pytest
+
+from tom.road_study import (
+    TURNS,
+    Outcome,
+    acceptance,
+    acceptance_cases,
+    baseline_cases,
+    control_cases,
+    controls,
+    outcome,
+    sweep_cases,
+)
+
+TOM = Outcome(
+    name="tom",
+    seed=0,
+    turn=180.0,
+    road_ratio=60.0,
+    road_share=0.98,
+    error_expert=0.08,
+    error_road=0.1,
+    error_rocks=1.4,
+    return_random=-130.0,
+    return_expert=-22.0,
+    planner_return=-18.0,
+    planner_success=1.0,
+    sac_return=-19.0,
+    sac_success=1.0,
+)
+MLE = replace(
+    TOM,
+    name="mle",
+    road_ratio=1.0,
+    road_share=0.3,
+    error_expert=1.0,
+    error_road=0.8,
+    error_rocks=0.8,
+    planner_return=-140.0,
+    planner_success=0.0,
+    sac_return=-150.0,
+    sac_success=0.0,
+)
+
+
+def failed(tom: list[Outcome], mle: list[Outcome]) -> list[str]:
+    rows = [replace(o, seed=i) for side in (tom, mle) for i, o in enumerate(side)]
+    return [check.name for check in acceptance(rows) if not check.passed]
+
+
+def test_normalised_return_by_hand():
+    assert TOM.normalised(-130.0) == 0
+    assert TOM.normalised(-22.0) == 1
+    assert TOM.normalised(-76.0) == pytest.approx(0.5)
+
+
+def test_acceptance_passes_and_fails_where_it_says():
+    assert failed([TOM] * 4, [MLE] * 4) == []
+    stuck = replace(TOM, sac_return=-110.0, sac_success=0.0)
+    assert failed([TOM, TOM, TOM, stuck], [MLE] * 4) == []  # three of four seeds will do
+    assert failed([TOM, TOM, stuck, stuck], [MLE] * 4) == ["share of seeds where TOM drives (sac)"]
+    slow = replace(TOM, planner_success=0.85)
+    assert failed([slow] * 4, [MLE] * 4) == ["share of seeds where TOM drives (planner)"]
+    low = replace(TOM, road_ratio=4.9)
+    assert failed([TOM, TOM, TOM, low], [MLE] * 4) == ["weight ratio road / rocks, minimum"]
+    blind = replace(TOM, error_expert=0.36)
+    assert failed([blind] * 4, [MLE] * 4) == ["error on expert data over MLE's"]
+    keen = replace(TOM, error_rocks=0.79)
+    assert failed([keen] * 4, [MLE] * 4) == ["error on rocks over MLE's"]
+    lucky = replace(MLE, sac_success=0.3)
+    assert failed([TOM] * 4, [MLE, MLE, MLE, lucky]) == ["share of seeds where MLE does not (sac)"]
+
+
+def test_controls_fail_where_the_claim_would_mean_nothing():
+    good = [
+        replace(TOM, name="labels swapped", road_ratio=0.8),
+        replace(MLE, name="mle, mean-zero rocks", planner_return=-20.0, sac_return=-21.0),
+        replace(TOM, name="pmac, expert last"),
+        replace(MLE, name="pmac, expert first"),
+    ]
+    assert all(check.passed for check in controls(good))
+    bad = [
+        replace(good[0], road_ratio=30.0),
+        replace(good[1], planner_return=-140.0, sac_return=-140.0),
+        replace(good[2], planner_success=0.0),
+        replace(good[3], planner_success=1.0),
+    ]
+    assert not any(check.passed for check in controls(bad))
+
+
+def test_the_cases_differ_in_what_they_say():
+    assert [(c.name, c.config.seed) for c in acceptance_cases([4, 5])] == [
+        ("mle", 4),
+        ("tom", 4),
+        ("mle", 5),
+        ("tom", 5),
+    ]
+    by_name = {case.name: case.config for case in control_cases([0])}
+    assert by_name["mle, mean-zero rocks"].spread == 180
+    assert by_name["pmac, expert first"].expert_first
+    assert not by_name["pmac, expert last"].expert_first
+    uniform = {c.name: c.config for c in baseline_cases([0])}["tom, uniform starts"]
+    assert not uniform.rollout.weighted_starts
+    sweep = sweep_cases([0])
+    assert len(sweep) == 2 * len(TURNS)
+    assert all(case.config.spread == case.config.turn / 2 for case in sweep)
+
+
+def test_an_outcome_without_optimisation_stops_at_the_planner():
+    case = replace(acceptance_cases([0])[0], optimise=False)
+    found = outcome(case)
+    assert found.planner_return < -100
+    assert found.sac_return != found.sac_return  # not measured
+    assert found.return_random < -110 < -25 < found.return_expert
+
+
+@pytest.mark.slow
+def test_acceptance_on_seeds_that_nothing_was_tuned_on():
+    outcomes = [outcome(case) for case in acceptance_cases([4, 5, 6, 7])]
+    assert [check for check in acceptance(outcomes) if not check.passed] == []
+
+
+@pytest.mark.slow
+def test_controls_on_seeds_that_nothing_was_tuned_on():
+    outcomes = [outcome(case) for case in control_cases([4, 5])]
+    assert [check for check in controls(outcomes) if not check.passed] == []
