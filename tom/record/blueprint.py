@@ -12,30 +12,33 @@ ROBOT = f"{SCENE}/robot"
 GROUND = f"{SCENE}/ground"
 MAP = "map"
 
-PLOTS = {
-    "Return": ("eval/return", "eval/return_max", "planner/return"),
-    "Dynamics model: loss": (
-        "model/train_nll",
-        "model/holdout_nll",
-        "model/holdout_nll_uniform",
-        "model/error_road",
-        "model/error_rocks",
-        "model/error_expert",
-    ),
-    "Policy: losses": ("critic/loss", "actor/loss"),
-    "Weights": ("weights/ess", "weights/zeros", "weights/age_correlation", "weights/road_share"),
-    "TOM: discriminator and dual Q": ("discriminator/loss", "dual/loss", "dual/q_mean"),
+FIT = "fit"  # what a single fit measured, as text
+
+RETURN = {"Return": ("eval/return", "eval/return_max")}
+POLICY = {"Policy: losses": ("critic/loss", "actor/loss")}
+MODEL = {
+    "Dynamics model: loss": ("model/train_nll", "model/holdout_nll", "model/holdout_nll_uniform"),
+    "Weights": ("weights/ess", "weights/zeros", "weights/age_correlation"),
 }
+TOM = {"TOM: discriminator and dual Q": ("discriminator/loss", "dual/loss", "dual/q_mean")}
 
 
-def blueprint(env: str) -> rrb.Blueprint:
-    """Robot or map and the weight profile on the left, curves on the right."""
-    picture = _robot() if env in ENVS else _map()
+def blueprint(env: str, learner: str) -> rrb.Blueprint:
+    """Robot or maps and the weight profile on the left, curves on the right."""
+    online = env in ENVS
+    picture = _robot() if online else _maps()
     profile = rrb.BarChartView(origin=PROFILE, name="Mean weight, oldest to newest transitions")
-    plots = rrb.Vertical(*(_plot(name, paths) for name, paths in PLOTS.items()))
+    shown = (
+        RETURN | MODEL | POLICY | (TOM if learner == "tom" else {}) if online else RETURN | POLICY
+    )
+    plots = [_plot(name, paths) for name, paths in shown.items()]
+    # Offline there is one fit: its numbers are a table, not curves.
+    text = [] if online else [rrb.TextDocumentView(origin=FIT, name="Fit")]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(picture, profile, row_shares=[3, 2]), plots, column_shares=[3, 2]
+            rrb.Vertical(picture, profile, row_shares=[3, 2]),
+            rrb.Vertical(*plots, *text),
+            column_shares=[3, 2],
         ),
         rrb.TimePanel(state="collapsed", timeline="env_step", fps=100.0, play_state="following"),
         rrb.BlueprintPanel(state="hidden"),
@@ -54,10 +57,21 @@ def _robot() -> rrb.Spatial3DView:
     )
 
 
-def _map() -> rrb.Spatial2DView:
+def _maps() -> rrb.Horizontal:
+    arrows = [f"/{MAP}/{name}" for name in ("true", "modelled")]
+    weights = ["$origin/**", *(f"- {path}" for path in arrows)]
+    ground = [f"/{MAP}/{name}" for name in ("edge", "road")]
+    return rrb.Horizontal(
+        _map("Weights: red counts most", weights),
+        _map("Steps: true green, modelled red", [f"+ {p}" for p in (*ground, *arrows)]),
+    )
+
+
+def _map(name: str, contents: list[str]) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin=f"/{MAP}",
-        name="Road and rocks",
+        contents=contents,
+        name=name,
         visual_bounds=rrb.VisualBounds2D(x_range=[-0.05, 1.05], y_range=[-1.05, 0.05]),
     )
 
@@ -66,10 +80,12 @@ def _plot(name: str, paths: tuple[str, ...]) -> rrb.TimeSeriesView:
     everything = rr.TimeRange(
         start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
     )
+    # A metric with one value yet is a point and no line: points are shown always.
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"+ /{path}" for path in paths],
         name=name,
         axis_x=rrb.TimeAxis(view_range=everything),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        interaction=rrb.PlotInteraction(points_display="Always"),
     )

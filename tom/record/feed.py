@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from tom.envs import ENVS
 from tom.events import Evaluation, Field
 from tom.record import layout
 from tom.record.files import parse_json_line
@@ -58,9 +59,10 @@ class Follower:
         self.run = run
         config = run.config.get("config", {})
         every = int(config.get("evaluation", {}).get("every", 1000))
-        self._view = RerunView(run.run_id, run.env, every, rr.GrpcSink(url))
+        self._view = RerunView(run.run_id, run.env, run.learner, every, rr.GrpcSink(url))
         self._metrics = Tail(run.path / layout.METRICS)
         self._profiles = Tail(run.path / layout.PROFILES)
+        self._placed = False
         self._shown: set[tuple[str, int]] = set()
 
     def follow(self) -> None:
@@ -70,11 +72,23 @@ class Follower:
             self._view.metrics(row["env_step"], values)
         for row in self._profiles.rows():
             self._view.profile(row["env_step"], np.array(row["bins"], np.float64))
+        if self.run.env not in ENVS:
+            self._follow_weights()
         for name in self.run.field_names():
             for step in self._new(name, self.run.field_steps(name)):
                 self._view.field(Field(step, name, self.run.field(name, step)))
         for step in self._new("", self.run.evaluation_steps()):
             self._view.evaluation(Evaluation(step, self.run.episodes(step)))
+
+    def _follow_weights(self) -> None:
+        if not self._placed:
+            rows, _ = self.run.buffer()
+            if not len(rows):
+                return
+            self._view.places(np.asarray(rows.obs))
+            self._placed = True
+        for step in self._new("weights", self.run.snapshot_steps()):
+            self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
 
     def close(self) -> None:
         self._view.close(FLUSH_S)

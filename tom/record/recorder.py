@@ -71,6 +71,8 @@ class Recorder:
                 self._evaluation(event)
             case Collected():
                 self._writer.rows(event.transitions, event.policy_version, event.state)
+                if self._sink:
+                    self._sink.rows(event.transitions)
             case Field():
                 self._writer.field(event.name, event.env_step, event.arrays)
                 if self._sink:
@@ -140,7 +142,7 @@ class Recorder:
             self._next_snapshot = gap * (weights.env_step // gap + 1)
         self._writer.snapshot(weights, keep=chosen)
         if self._sink:
-            self._sink.profile(weights.env_step, bins)
+            self._sink.weights(weights, bins)
 
     def _evaluation(self, evaluation: Evaluation) -> None:
         self._writer.episodes(evaluation.env_step, evaluation.episodes)

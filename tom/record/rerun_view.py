@@ -10,9 +10,11 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from tom.envs import ENVS
 from tom.events import Episode, Evaluation, Field
+from tom.metrics import describe
 from tom.record import scene
-from tom.record.blueprint import GROUND, MAP, PROFILE, ROBOT, TRACKED, blueprint
+from tom.record.blueprint import FIT, GROUND, MAP, PROFILE, ROBOT, TRACKED, blueprint
 
 APPLICATION = "tom-studio"
 
@@ -20,7 +22,7 @@ FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
 
 GREY = (150, 150, 150)
-ROAD = (120, 130, 145)
+TARMAC = (120, 130, 145)
 EXPERT = (240, 180, 60)
 LEARNT = (80, 160, 250)
 TRUE = (90, 200, 120)
@@ -30,18 +32,21 @@ MODELLED = (230, 90, 90)
 class RerunView:
     """One run's recording. Every method may block as long as its sink does."""
 
-    def __init__(self, run_id: str, env: str, every: int, sink: rr.FileSink | rr.GrpcSink) -> None:
+    def __init__(
+        self, run_id: str, env: str, learner: str, every: int, sink: rr.FileSink | rr.GrpcSink
+    ) -> None:
         """`every` is the number of env steps between two evaluations."""
         self._env = env
         self._every = every
         self._replay_s = 0.0
         self._floor_drawn = False
+        self._places = 0
         # Chunks of seconds, not of a fifth of one: a viewer is slow with many small ones.
         batches = rr.ChunkBatcherConfig(flush_tick=1.0)
         self._stream = rr.RecordingStream(APPLICATION, recording_id=run_id, batcher_config=batches)
         self._stream.set_log_tick_enabled(False)
         self._stream.set_log_time_enabled(False)
-        self._stream.set_sinks(sink, default_blueprint=blueprint(env))
+        self._stream.set_sinks(sink, default_blueprint=blueprint(env, learner))
         self._stream.send_recording_name(run_id)
 
     def metrics(self, env_step: int, values: Mapping[str, float]) -> None:
@@ -50,11 +55,26 @@ class RerunView:
         for path, value in values.items():
             if np.isfinite(value):
                 self._stream.log(path, rr.Scalars(value))
+        if self._env not in ENVS and any(path.startswith("model/") for path in values):
+            self._stream.log(FIT, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
 
     def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
         """The weight profile as bars; an empty bin has height 0."""
         self._stream.set_time("env_step", sequence=env_step)
         self._stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins)))
+
+    def places(self, places: NDArray) -> None:
+        """Where the transitions lie on the map, (N, 2); drawn once."""
+        self._places = len(places)
+        points = rr.Points2D.from_fields(positions=_up(places), radii=0.004, draw_order=-1)
+        self._stream.log(f"{MAP}/data", points, static=True)
+
+    def weights(self, env_step: int, weight: NDArray) -> None:
+        """Each transition on the map in the colour of its weight, (N,)."""
+        if self._places != len(weight):
+            return
+        self._stream.set_time("env_step", sequence=env_step)
+        self._stream.log(f"{MAP}/data", rr.Points2D.from_fields(colors=heat(weight)))
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """The first episode, where it has MuJoCo states."""
@@ -146,7 +166,9 @@ class RerunView:
     def _map(self, arrays: Mapping[str, NDArray]) -> None:
         line = arrays["centre_line"]
         width = float(arrays["road_half_width"])
-        road = rr.LineStrips2D([_up(line)], radii=width, colors=ROAD, draw_order=-2)
+        # A strip for each piece: their round ends make a round corner.
+        pieces = _up(np.stack([line[:-1], line[1:]], axis=1))
+        road = rr.LineStrips2D(pieces, radii=width, colors=TARMAC, draw_order=-2)
         ends = np.stack([arrays["start"], arrays["goal"]])
         circles = rr.Ellipses2D(
             centers=_up(ends[:, :2]),
@@ -176,6 +198,26 @@ class RerunView:
                 radii=0.0015,
             )
             self._stream.log(f"{MAP}/{name}", arrows)
+
+
+def heat(weight: NDArray) -> NDArray[np.uint8]:
+    """Colours (N, 4) of weights (N,): blue below the mean of 1, grey at it, red above.
+
+    The scale is logarithmic and ends at a tenth and at ten times the mean.
+    """
+    share = np.log10(np.clip(weight, 0.1, 10.0))[:, None]  # -1 to 1
+    low, mean, high = np.array([(50, 90, 200), (170, 170, 170), (220, 60, 40)], float)
+    color = np.where(share < 0, mean + share * (mean - low), mean + share * (high - mean))
+    alpha = np.full((len(weight), 1), 200.0)
+    return np.concatenate([color, alpha], axis=1).astype(np.uint8)
+
+
+def _table(values: Mapping[str, float]) -> str:
+    """What a fit measured, as a table."""
+    groups = ("weights/", "model/", "planner/", "discriminator/", "dual/")
+    rows = [(path, value) for path, value in values.items() if path.startswith(groups)]
+    lines = [f"| {path} | {value:.4g} | {describe(path)} |" for path, value in sorted(rows)]
+    return "\n".join(["| metric | value | meaning |", "|---|---|---|", *lines])
 
 
 def _up(points: NDArray) -> NDArray:

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tom.config import OnlineConfig, RoadConfig
-from tom.events import Evaluation, Field
+from tom.config import EvaluationConfig
+from tom.data.transitions import Transitions
+from tom.envs import ENVS
+from tom.events import Evaluation, Field, Weights
 from tom.record import layout
 from tom.record.writer import RunWriter
 
@@ -33,7 +35,9 @@ class Sink(Protocol):
 
     def metrics(self, env_step: int, values: Mapping[str, float]) -> None: ...
 
-    def profile(self, env_step: int, bins: NDArray[np.float64]) -> None: ...
+    def weights(self, weights: Weights, bins: NDArray[np.float64]) -> None: ...
+
+    def rows(self, rows: Transitions) -> None: ...
 
     def evaluation(self, evaluation: Evaluation) -> None: ...
 
@@ -47,22 +51,29 @@ class Sink(Protocol):
 class RerunSink:
     """Writes one run's recording from a thread of its own; drops what does not fit its queue."""
 
-    def __init__(self, path: Path, run_id: str, env: str, every: int) -> None:
+    def __init__(self, path: Path, run_id: str, env: str, learner: str, every: int) -> None:
         """Record into `path`, a new file; `every` env steps lie between two evaluations."""
         self.path = path
+        self._mapped = env not in ENVS
         self.dropped = 0
         self._error: str | None = None
         self._queue: queue.Queue[Callable[[RerunView], None] | None] = queue.Queue(CAPACITY)
         self._thread = threading.Thread(
-            target=self._run, args=(run_id, env, every), name="rerun", daemon=True
+            target=self._run, args=(run_id, env, learner, every), name="rerun", daemon=True
         )
         self._thread.start()
 
     def metrics(self, env_step: int, values: Mapping[str, float]) -> None:
         self._offer(lambda view: view.metrics(env_step, values))
 
-    def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
-        self._offer(lambda view: view.profile(env_step, bins))
+    def weights(self, weights: Weights, bins: NDArray[np.float64]) -> None:
+        self._offer(lambda view: view.profile(weights.env_step, bins))
+        if self._mapped:
+            self._offer(lambda view: view.weights(weights.env_step, weights.weight))
+
+    def rows(self, rows: Transitions) -> None:
+        if self._mapped:  # the map's data come at once, before everything else
+            self._offer(lambda view: view.places(np.asarray(rows.obs)))
 
     def evaluation(self, evaluation: Evaluation) -> None:
         first = Evaluation(evaluation.env_step, evaluation.episodes[:1])
@@ -92,11 +103,11 @@ class RerunSink:
         except queue.Full:
             self.dropped += 1
 
-    def _run(self, run_id: str, env: str, every: int) -> None:
+    def _run(self, run_id: str, env: str, learner: str, every: int) -> None:
         """Work through the queue; after the first error only empty it."""
         view: RerunView | None = None
         try:
-            view = _view(self.path, run_id, env, every)
+            view = _view(self.path, run_id, env, learner, every)
             while (entry := self._queue.get()) is not None:
                 entry(view)
             view.close(CLOSE_S / 2)
@@ -109,18 +120,18 @@ class RerunSink:
 def open_sink(writer: RunWriter) -> Sink:
     """The Rerun recording of the run that `writer` writes, in a file of its own."""
     config = writer.config
-    assert isinstance(config, OnlineConfig | RoadConfig)
+    evaluation = getattr(config, "evaluation", None) or EvaluationConfig()
     path = layout.next_rrd(writer.path)
-    return RerunSink(path, writer.run_id, config.env, config.evaluation.every)
+    return RerunSink(path, writer.run_id, config.env, config.learner, evaluation.every)
 
 
-def _view(path: Path, run_id: str, env: str, every: int) -> "RerunView":
+def _view(path: Path, run_id: str, env: str, learner: str, every: int) -> "RerunView":
     # Imported here: it takes half a second that a training need not wait for.
     import rerun as rr
 
     from tom.record.rerun_view import RerunView
 
-    return RerunView(run_id, env, every, rr.FileSink(path))
+    return RerunView(run_id, env, learner, every, rr.FileSink(path))
 
 
 def _leave_behind() -> None:
