@@ -1,7 +1,7 @@
 """The discriminator: which transitions does the current policy make? Its logit is r.
 
 Trained with label 1 on the policy buffer and 0 on the replay buffer in balanced batches, its best
-logit is log(p/q), p the policy's and q the replay's distribution (paper, appendix A.2).
+logit is log(p/q), p the policy's and q the replay's distribution (paper, eq. 26).
 """
 
 from collections.abc import Iterator
@@ -13,6 +13,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 from tom.config import TomConfig
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import TensorTransitions
+from tom.learners.averaging import Average
 from tom.learners.scaling import Scaling
 from tom.nn import StackedMLP
 
@@ -46,7 +47,11 @@ class Discriminator:
     def train(
         self, optimiser: torch.optim.Optimizer, config: TomConfig, generator: torch.Generator
     ) -> dict[str, float]:
-        """Gradient steps on the cross entropy; loss and accuracy over the last tenth of them."""
+        """Gradient steps on the cross entropy; loss and accuracy over the last tenth of them.
+
+        From then on `net` is the average network, where the config asks for one.
+        """
+        average = Average(self.net, config.parameter_average)
         tail = max(config.discriminator_steps // 10, 1)
         losses, correct = [], []
         for step, (positive, negative) in enumerate(self._batches(config, generator)):
@@ -59,9 +64,11 @@ class Discriminator:
                 loss.backward()
             optimiser.step()
             optimiser.zero_grad()
+            average.update()
             if step >= config.discriminator_steps - tail:
                 losses.append(loss.detach())
                 correct.append(accuracy(logits.detach()))
+        self.net = average.net
         if not losses:
             return {}
         return {
@@ -100,7 +107,7 @@ class Discriminator:
 def cross_entropy(logits: Tensor, smoothing: float) -> Tensor:
     """Mean cross entropy of 2B logits: B policy rows (label 1), then B replay rows (smoothing).
 
-    -(E_p[log c] + E_q[log(1 - c)]) / 2; as printed, appendix A.2 has the sign reversed.
+    -(E_p[log c] + E_q[log(1 - c)]) / 2; as printed, eq. 26 has the sign reversed.
     """
     positive, negative = logits.chunk(2)
     if smoothing == 0:

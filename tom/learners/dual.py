@@ -1,4 +1,4 @@
-"""The dual problem of TOM (paper, eq. 14) over a network Q, and the weights at its Q (eq. 15)."""
+"""The dual problem of TOM (paper, eq. 16) over a network Q, and the weights at its Q (eq. 17)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from tom.config import TomConfig
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.divergences import divergence
+from tom.learners.averaging import Average
 from tom.learners.base import Policy
 from tom.learners.scaling import Scaling
 from tom.nn import StackedMLP
@@ -75,7 +76,7 @@ def dual_argument(values: Values, log_ratio: Tensor, terminated: Tensor, discoun
 
 
 def dual_loss(values: Values, batch: Batch, config: TomConfig) -> Tensor:
-    """(1-g) E_{mu0,pi}[Q(s0, a0)] + E_q[f*(y)] (paper, eq. 14), a scalar."""
+    """(1-g) E_{mu0,pi}[Q(s0, a0)] + E_q[f*(y)] (paper, eq. 16), a scalar."""
     f = divergence(config.divergence, config.conjugate)
     y = dual_argument(values, batch.log_ratio, batch.terminated, config.discount)
     return (1 - config.discount) * values.start.mean() + f.dual_term(y)
@@ -94,17 +95,18 @@ class DualProblem:
 
     def minimise(
         self, net: StackedMLP, optimiser: torch.optim.Optimizer, generator: torch.Generator
-    ) -> dict[str, float]:
-        """Gradient steps on the dual, in place; its mean over the last tenth of them."""
-        losses = []
+    ) -> tuple[StackedMLP, float]:
+        """Gradient steps on the dual: Q's (average) network, and the last tenth's mean loss."""
+        average, losses = Average(net, self.config.parameter_average), []
         for batch in self._batches(generator):
             loss = dual_loss(self._values(net, batch), batch, self.config)
             loss.backward()
             optimiser.step()
             optimiser.zero_grad()
+            average.update()
             losses.append(loss.detach())
         tail = losses[-max(len(losses) // 10, 1) :]
-        return {"dual/loss": float(torch.stack(tail).mean())}
+        return average.net, float(torch.stack(tail).mean())
 
     @torch.no_grad()
     def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:

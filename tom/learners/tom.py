@@ -33,13 +33,19 @@ class Occupancy:
 
 
 class Trained:
-    """A network and the optimiser that goes on with it from fit to fit."""
+    """A network and the optimiser that goes on with it from fit to fit.
 
-    def __init__(self, net: StackedMLP, lr: float, weight_decay: float = 0.0) -> None:
+    `bias_lr` is the learning rate of the output bias.
+    """
+
+    def __init__(
+        self, net: StackedMLP, lr: float, bias_lr: float, weight_decay: float = 0.0
+    ) -> None:
         self.net = net
-        self.optimiser = torch.optim.Adam(
-            net.parameters(), lr=lr, weight_decay=weight_decay, fused=True
-        )
+        bias = net.biases[-1]
+        rest = [p for p in net.parameters() if p is not bias]
+        groups = [{"params": rest, "lr": lr}, {"params": [bias], "lr": bias_lr}]
+        self.optimiser = torch.optim.Adam(groups, weight_decay=weight_decay, fused=True)
 
     def state_dict(self) -> dict[str, Any]:
         return {"net": self.net.state_dict(), "optimiser": self.optimiser.state_dict()}
@@ -68,11 +74,16 @@ class Networks:
 
     def restart_discriminator(self, generator: torch.Generator) -> None:
         net = discriminator_net(*self.dims, self.config, generator).to(self.device)
-        self.discriminator = Trained(net, self.config.discriminator_lr)
+        lr = self.config.discriminator_lr
+        self.discriminator = Trained(net, lr, lr)
 
     def restart_q(self, generator: torch.Generator) -> None:
         net = q_net(*self.dims, self.config, generator).to(self.device)
-        self.q = Trained(net, self.config.q_lr, self.config.q_weight_decay)
+        config = self.config
+        # A shift of Q by c moves every y by (1 - g) c: without help the weights' mean, which hangs
+        # on it, needs 1 / (1 - g) times as many steps as all the rest.
+        horizon = 1 / (1 - config.discount) if config.q_bias_horizon else 1.0
+        self.q = Trained(net, config.q_lr, config.q_lr * horizon, config.q_weight_decay)
 
 
 def estimate(
@@ -94,10 +105,14 @@ def estimate(
         log_ratio = membership_reward(replay, policy_buffer)
     scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, log_ratio, initial_obs, policy, config, scaling)
-    metrics |= problem.minimise(networks.q.net, networks.q.optimiser, generator)
-    raw, q = problem.solution(networks.q.net, generator)
+    net, loss = problem.minimise(networks.q.net, networks.q.optimiser, generator)
+    raw, q = problem.solution(net, generator)
     weights, degenerate = normalise(raw)
-    metrics |= {"weights/raw_mean": float(raw.mean()), "dual/q_mean": float(q.mean())}
+    metrics |= {
+        "dual/loss": loss,
+        "dual/q_mean": float(q.mean()),
+        "weights/raw_mean": float(raw.mean()),
+    }
     return Occupancy(weights, log_ratio, metrics, (DEGENERATE,) if degenerate else ())
 
 
@@ -111,8 +126,8 @@ def occupancy_weights(
 ) -> Occupancy:
     """Weigh `buffer` by how much the policy's own transitions look like each of its rows.
 
-    w = f*'(r + g E_{a'~pi}[Q(s', a')] - Q(s, a)) at the Q that minimises the dual (paper, eqs. 14
-    and 15), scaled to mean 1. `buffer` holds N transitions, `policy_buffer` those the policy made
+    w = f*'(r + g E_{a'~pi}[Q(s', a')] - Q(s, a)) at the Q that minimises the dual (paper, eqs. 16
+    and 17), scaled to mean 1. `buffer` holds N transitions, `policy_buffer` those the policy made
     lately; both may be numpy arrays or tensors. `policy(obs, n, generator)` returns (n, B, A)
     actions for obs (B, O); with a method `support(obs) -> (actions (K, B, A), probs (K, B))` the
     expectation over a' is exact. `initial_obs` (M0, O) are draws of the start distribution. Both
