@@ -213,6 +213,8 @@ class RunConfig(Config):
     """threads of torch (one is fastest for one run; give other cores to other seeds)"""
     matmul: Literal["auto", "default", "onednn"] = "auto"
     """fp32 matrix products on a CPU: probe, torch's default, or oneDNN"""
+    checkpoint_every: Whole = 2000
+    """steps between two checkpoints (0: only at the end or when stopped)"""
     bins: Count = 100
     """bins of a weight profile, oldest to newest"""
     snapshots: Whole = 12

@@ -17,10 +17,15 @@ FloatArray = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Tick:
-    """One environment step was taken (or a phase of the work began)."""
+    """One environment step is complete, or a longer phase of the work begins."""
 
     env_step: int
-    phase: str  # "explore", "fit", "optimise", "evaluate"
+    phase: str  # "explore" and "optimise" end a step; "fit" and "evaluate" begin something longer
+
+    @property
+    def ends_step(self) -> bool:
+        """Whether the training may be put down here (`state_dict`)."""
+        return self.phase in ("explore", "optimise")
 
 
 @dataclass(frozen=True)

@@ -5,17 +5,19 @@ import json
 import shlex
 import signal
 import sys
-from typing import Any, NoReturn
+from collections.abc import Callable
+from typing import Any
 
 from pydantic import ValidationError
 
 from tom.cli.parser import add_config_options, add_run_options, one_line, overrides
 from tom.cli.progress import ProgressReport
 from tom.envs import ENV_NAMES
+from tom.errors import UserError
 from tom.learners import LEARNER_NAMES
 from tom.presets import PRESETS, config_type, resolve
 from tom.record import RunReader, Store
-from tom.run import AnyConfig, train
+from tom.run import AnyConfig, Stop, recorded_config, resume, train
 
 OWN_OPTIONS = {"env", "learner", "preset"}
 
@@ -28,12 +30,19 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--env (default hopper); road-and-rocks has its own: tom train --env road-and-rocks "
         "--help.",
     )
-    parser.add_argument("--env", required=True, metavar="ENV", help=", ".join(ENV_NAMES))
+    goes_on = any(word.split("=")[0] == "--resume" for word in arguments)
+    parser.add_argument("--env", required=not goes_on, metavar="ENV", help=", ".join(ENV_NAMES))
     parser.add_argument(
-        "--learner", required=True, metavar="LEARNER", help=", ".join(LEARNER_NAMES)
+        "--learner", required=not goes_on, metavar="LEARNER", help=", ".join(LEARNER_NAMES)
     )
     parser.add_argument(
         "--preset", default="paper", metavar="PRESET", help=", ".join(PRESETS) + " [paper]"
+    )
+    parser.add_argument(
+        "--resume",
+        metavar="RUN|auto",
+        help="go on with a run from its last checkpoint (with --steps: to that step); auto: the "
+        "newest unfinished run of this very command, or a new one",
     )
     parser.add_argument("--run-id", help="name of the run folder [env-learner-seed-time]")
     add_run_options(parser)
@@ -42,35 +51,74 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    given = overrides(args)
+    if args.resume and args.resume != "auto":
+        return _resume(args, args.resume, _steps(given))
+    if not (args.env and args.learner):
+        raise UserError("--resume auto needs the --env and --learner of the run")
     try:
-        config = resolve(args.env, args.learner, args.preset, overrides(args))
+        config = resolve(args.env, args.learner, args.preset, given)
     except ValidationError as error:
         raise one_line(error) from None
-    return record(config, args)
+    unfinished = _same_run(Store(args.store), config) if args.resume else None
+    return _resume(args, unfinished) if unfinished else record(config, args)
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
     """Run `config` under the options that every recorded run shares; the exit code."""
     store = Store(args.store)
-    signal.signal(signal.SIGTERM, _interrupt)
+    return _watched(args, config, lambda **how: train(config, store, args.run_id, **how))
+
+
+def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> int:
+    store = Store(args.store)
+    config = recorded_config(store.run(run_id))
+    if steps is not None:
+        config = config.but(steps=steps)
+    return _watched(args, config, lambda **how: resume(store, run_id, steps, **how))
+
+
+def _watched(
+    args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
+) -> int:
+    """Run `training` with progress on the terminal; Ctrl-C and SIGTERM stop it cleanly."""
+    stop = Stop()
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, stop)
     label = f"{config.env} {config.learner} seed {config.seed}"
-    with ProgressReport(
-        label, config.total_steps, sys.stderr if args.json else sys.stdout
-    ) as progress:
+    stream = sys.stderr if args.json else sys.stdout
+    with ProgressReport(label, config.total_steps, stream) as progress:
         try:
-            done = train(
-                config,
-                store,
-                args.run_id,
+            done = training(
                 rerun=not args.no_rerun,
                 watchers=(progress.consume,),
                 command=shlex.join(["tom", *sys.argv[1:]]),
+                stop=stop,
             )
         except KeyboardInterrupt:
-            print(f"{label}: stopped", file=sys.stderr)
+            print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
             return 1
     _print_summary(done, args.json)
-    return 0
+    return 0 if done.status.state == "finished" else 1
+
+
+def _steps(given: dict[str, Any]) -> int | None:
+    """The only value that may change when a run goes on."""
+    if set(given) - {"steps"}:
+        raise UserError("--resume takes --steps alone: a run goes on with its own settings")
+    steps = given.get("steps")
+    if steps is not None and not (str(steps).isdigit() and int(steps) > 0):
+        raise UserError(f"--steps {steps}: must be a whole number above 0")
+    return None if steps is None else int(steps)
+
+
+def _same_run(store: Store, config: AnyConfig) -> str | None:
+    """The newest run with the same settings that did not finish."""
+    for reader in store.runs():
+        same = reader.config.get("config") == config.model_dump(mode="json")
+        if same and reader.status.state != "finished" and not reader.status.alive:
+            return reader.run_id
+    return None
 
 
 def summary(done: RunReader) -> dict[str, Any]:
@@ -112,7 +160,3 @@ def _given(arguments: list[str], option: str) -> str:
         if word == option and index + 1 < len(arguments):
             return arguments[index + 1]
     return ""
-
-
-def _interrupt(*_: object) -> NoReturn:
-    raise KeyboardInterrupt

@@ -18,6 +18,7 @@ from typing import Any
 import torch
 
 SCHEMA = 1
+FOLDER = "checkpoint"
 KEPT = 2
 STATE, MANIFEST = "state.pt", "manifest.json"
 

@@ -72,6 +72,16 @@ class JsonLines:
             os.ftruncate(self._file, size)
             raise OSError(f"cannot write {self.path}: is the disk full?")
 
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return os.fstat(self._file).st_size
+
+    def cut(self, size: int) -> None:
+        """Drop what lies behind the first `size` bytes."""
+        if size < self.size:
+            os.ftruncate(self._file, size)
+
     def close(self) -> None:
         if self._file >= 0:
             os.close(self._file)

@@ -47,6 +47,19 @@ class Heartbeat:
             self.status = replace(self.status, last_return=value, best_return=best)
         return best
 
+    @property
+    def returns(self) -> tuple[float | None, float | None]:
+        """The last and the best return."""
+        return self.status.last_return, self.status.best_return
+
+    def go_on(self, env_step: int, last: float | None, best: float | None) -> None:
+        """The run was resumed at `env_step` with these returns behind it."""
+        with self._lock:
+            self._samples = deque([(self._clock(), env_step)])
+            self.status = replace(
+                self.status, env_step=env_step, last_return=last, best_return=best
+            )
+
     def beat(self) -> None:
         """Write the status with a fresh heartbeat, speed and time left."""
         with self._lock:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -39,7 +39,9 @@ class Recorder:
         sink: Sink | None = None,
         total: int | None = None,
         clock: Callable[[], float] = time.time,
+        mark: Mapping[str, Any] | None = None,
     ) -> None:
+        """`mark` is what `Recorder.mark` gave at the checkpoint that the training goes on from."""
         config = writer.config
         self.total = config.total_steps if total is None else total
         self._writer = writer
@@ -54,6 +56,27 @@ class Recorder:
         self._next_snapshot = 0.0 if config.snapshots else np.inf
         self._finished = False
         self._heartbeat = Heartbeat(writer, self.total, clock)
+        if mark:
+            self._go_on(mark)
+
+    def mark(self) -> dict[str, Any]:
+        """Where the record stands; part of a checkpoint, taken right after a `Tick`."""
+        return {
+            "env_step": self._heartbeat.status.env_step,
+            "wall_s": self._clock() - self._started,
+            "record_s": self._record_s,
+            "next_snapshot": self._next_snapshot,
+            "returns": self._heartbeat.returns,
+            "files": self._writer.mark(),
+        }
+
+    def _go_on(self, mark: Mapping[str, Any]) -> None:
+        self._writer.rewind(mark["files"])
+        self._started -= mark["wall_s"]
+        self._last_row = (self._clock(), mark["env_step"])
+        self._record_s = mark["record_s"]
+        self._next_snapshot = mark["next_snapshot"]
+        self._heartbeat.go_on(mark["env_step"], *mark["returns"])
 
     def consume(self, event: Event) -> None:
         """Record one event."""

@@ -19,7 +19,7 @@ from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.events import Episode, Weights
 from tom.record import decode, layout
-from tom.record.files import JsonLines, read_json_lines, replace, replace_json
+from tom.record.files import JsonLines, read_json, read_json_lines, replace, replace_json
 from tom.record.profiles import effective_share, profile, zero_share
 from tom.record.status import Status
 from tom.record.store import Store
@@ -76,6 +76,43 @@ class RunWriter:
                 raise UserError(f"cannot make run {run_id}: {error}") from error
             raise
         return cls(path, config)
+
+    def mark(self) -> dict[str, Any]:
+        """Where the files stand, for `rewind`."""
+        return {
+            "lines": [lines.size for lines in self._lines()],
+            "segment": self._tail_first,
+            "segment_rows": sum(len(part["policy_version"]) for part in self._tail),
+            "latest_snapshot": self._latest_snapshot,
+        }
+
+    def rewind(self, mark: Mapping[str, Any]) -> None:
+        """Go back to `mark`: a resumed training writes what came after it once more."""
+        for lines, size in zip(self._lines(), mark["lines"], strict=True):
+            lines.cut(size)
+        (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
+        self._latest_snapshot = mark["latest_snapshot"]
+        self._tail_first, self._tail = mark["segment"], []
+        if mark["segment_rows"]:
+            with np.load(self.path / layout.segment(self._tail_first), allow_pickle=False) as held:
+                self._tail = [{name: held[name][: mark["segment_rows"]] for name in held.files}]
+
+    def resumed(self, config: RunConfig, command: str) -> None:
+        """Note in `config.json` that the run goes on, with which code, and until which step."""
+        description = read_json(self.path / layout.CONFIG)
+        description["config"] = config.model_dump(mode="json")
+        description.setdefault("resumes", []).append(
+            {
+                "at": datetime.now(UTC).isoformat(),
+                "command": command,
+                "versions": versions(),
+                "git_commit": git_commit(),
+            }
+        )
+        replace_json(self.path / layout.CONFIG, description, sync=True)
+
+    def _lines(self) -> tuple[JsonLines, ...]:
+        return self._metrics, self._profiles, self._notices
 
     def status(self, status: Status) -> None:
         """Replace `status.json`; a final state is also synced to the disk."""
@@ -153,7 +190,7 @@ class RunWriter:
 
     def close(self) -> None:
         """Close the files and let go of the folder."""
-        for lines in (self._metrics, self._profiles, self._notices):
+        for lines in self._lines():
             lines.close()
         if self._lock >= 0:
             os.close(self._lock)

@@ -1,0 +1,152 @@
+"""A run stopped, or killed, and resumed leaves the folder of a run that was never interrupted."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tom.config import OnlineConfig
+from tom.errors import UserError
+from tom.events import Event
+from tom.presets import resolve
+from tom.record import RunReader, Store, checkpoint
+from tom.run import Stop, resume, train
+
+STEPS, STOP = 420, 333
+
+
+def config(**changes: object) -> OnlineConfig:
+    given = {"steps": STEPS, "tom": {"warmup": 50}, "checkpoint_every": 100, **changes}
+    made = resolve("hopper", "tom", "smoke", given)
+    assert isinstance(made, OnlineConfig)
+    return made
+
+
+def stopping_at(step: int) -> tuple[Stop, tuple]:
+    stop = Stop()
+
+    def watch(event: Event) -> None:
+        if event.env_step == step:
+            stop()
+
+    return stop, (watch,)
+
+
+def untimed(run: RunReader) -> pd.DataFrame:
+    table = run.metrics()
+    return table[[name for name in table if not name.startswith("time/")]]
+
+
+def assert_same_record(first: RunReader, second: RunReader) -> None:
+    pd.testing.assert_frame_equal(untimed(first), untimed(second), check_like=True)
+    np.testing.assert_array_equal(first.profiles().bins, second.profiles().bins)
+    assert first.snapshot_steps() == second.snapshot_steps()
+    for step in first.snapshot_steps():
+        pd.testing.assert_frame_equal(first.snapshot(step), second.snapshot(step))
+    (a, versions_a), (b, versions_b) = first.buffer(), second.buffer()
+    np.testing.assert_array_equal(a.obs, b.obs)
+    np.testing.assert_array_equal(a.terminated, b.terminated)
+    np.testing.assert_array_equal(versions_a, versions_b)
+    assert first.evaluation_steps() == second.evaluation_steps()
+    assert second.problems == []
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
+    store = Store(tmp_path_factory.mktemp("undisturbed"))
+    return train(config(), store, "whole", rerun=False)
+
+
+def test_stopped_and_resumed_is_the_run_that_was_never_interrupted(undisturbed, tmp_path: Path):
+    store = Store(tmp_path)
+    stop, watchers = stopping_at(STOP)
+    stopped = train(config(), store, "a", rerun=False, watchers=watchers, stop=stop)
+    assert stopped.status.state == "stopped"
+    assert stopped.status.env_step == STOP
+    assert "--resume a" in stopped.status.reason
+    resumed = resume(store, "a", rerun=False, command="tom train --resume a")
+    assert resumed.status.state == "finished"
+    assert resumed.config["resumes"][0]["command"] == "tom train --resume a"
+    assert_same_record(undisturbed, resumed)
+
+
+def test_a_run_whose_last_checkpoint_is_damaged_goes_on_from_the_one_before(
+    undisturbed, tmp_path: Path
+):
+    store = Store(tmp_path)
+    stop, watchers = stopping_at(STOP)
+    stopped = train(config(), store, "a", rerun=False, watchers=watchers, stop=stop)
+    newest = stopped.path / checkpoint.FOLDER / f"{STOP:09d}" / "state.pt"
+    newest.write_bytes(newest.read_bytes()[:-100])
+    resumed = resume(store, "a", rerun=False)
+    assert_same_record(undisturbed, resumed)
+    assert any(f"{STOP:09d}" in notice["message"] for notice in resumed.notices())
+
+
+def test_a_finished_run_goes_on_when_it_is_given_more_steps(undisturbed, tmp_path: Path):
+    store = Store(tmp_path)
+    train(config(steps=STOP), store, "a", rerun=False)
+    with pytest.raises(UserError, match="--steps"):
+        resume(store, "a", rerun=False)
+    longer = resume(store, "a", steps=STEPS, rerun=False)
+    assert longer.status.total == STEPS
+    np.testing.assert_array_equal(longer.buffer()[0].obs, undisturbed.buffer()[0].obs)
+
+
+def test_a_run_without_a_checkpoint_says_so(tmp_path: Path):
+    store = Store(tmp_path)
+    train(config(steps=50, checkpoint_every=0), store, "a", rerun=False)
+    for folder in (tmp_path / "a" / checkpoint.FOLDER).iterdir():
+        (folder / "manifest.json").unlink()
+    with pytest.raises(UserError, match="no checkpoint"):
+        resume(store, "a", rerun=False)
+
+
+def start(store: Path, *more: str) -> subprocess.Popen[bytes]:
+    settings = [f"--{name.replace('_', '-')}={value}" for name, value in {
+        "steps": STEPS, "tom.warmup": 50, "checkpoint_every": 100}.items()]  # fmt: skip
+    which = ["--env", "hopper", "--learner", "tom", "--preset", "smoke", "--no-rerun"]
+    return subprocess.Popen(
+        [sys.executable, "-m", "tom", "train", *which, "--store", str(store), *settings, *more],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_a_process_killed_or_stopped_and_started_again_with_resume_auto(
+    undisturbed, tmp_path: Path, how: signal.Signals
+):
+    process = start(tmp_path, "--resume", "auto", "--run-id", "a")
+    wait_for_step(tmp_path / "a", 220)
+    process.send_signal(how)
+    process.wait(60)
+    if how is signal.SIGKILL:  # a reader takes it for alive until its heartbeat is 30 s old
+        age_heartbeat(tmp_path / "a")
+    assert start(tmp_path, "--resume", "auto").wait(120) == 0
+    assert [run.run_id for run in Store(tmp_path).runs()] == ["a"]
+    assert_same_record(undisturbed, Store(tmp_path).run("a"))
+
+
+def wait_for_step(path: Path, step: int) -> None:
+    for _ in range(1200):
+        folder = path / checkpoint.FOLDER
+        if folder.is_dir() and any(p.name.isdigit() and int(p.name) >= step - 100
+                                   for p in folder.iterdir()):  # fmt: skip
+            return
+        time.sleep(0.05)
+    pytest.fail("the training did not get there")
+
+
+def age_heartbeat(path: Path) -> None:
+    status = path / "status.json"
+    beat = RunReader(path).status.heartbeat
+    status.write_text(status.read_text().replace(repr(beat), repr(beat - 3600)))
