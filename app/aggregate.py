@@ -60,13 +60,22 @@ class Group:
         """Steps (T,) that all n runs reach."""
         return self.count == self.n
 
+    @property
+    def interpolated(self) -> bool:
+        """Not every run was recorded at every step of the grid that it covers."""
+        last = [
+            self.step[(self.step >= c.step[0]) & (self.step <= c.step[-1])] for c in self.curves
+        ]
+        return any(len(grid) > len(c.step) for grid, c in zip(last, self.curves, strict=True))
+
 
 def curve_points(frame: pd.DataFrame, metric: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The steps and values of `metric` where it was recorded."""
     if metric not in frame or frame.empty:
         return np.zeros(0, np.int64), np.zeros(0)
-    rows = frame[["env_step", metric]].dropna()
-    return rows["env_step"].to_numpy(np.int64), rows[metric].to_numpy(np.float64)
+    value = np.asarray(frame[metric], np.float64)
+    here = np.isfinite(value)
+    return np.asarray(frame["env_step"], np.int64)[here], value[here]
 
 
 def groups(curves: Sequence[Curve]) -> list[Group]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import streamlit as st
-from numpy.typing import NDArray
+from PIL import Image
 
 from app import readers, session
 from app.colours import rgb
@@ -23,12 +23,12 @@ LOGO = (
 )
 
 
-def icon() -> NDArray[np.uint8]:
-    """The tab's icon (48, 48, 4): drawn here, as Streamlit fetches named icons from outside."""
+def icon() -> Image.Image:
+    """The tab's icon: drawn here, as Streamlit fetches named icons from outside."""
     image = np.zeros((48, 48, 4), np.uint8)
     for i, (height, colour) in enumerate(BARS):
         image[46 - 2 * height : 46, 1 + 12 * i : 10 + 12 * i] = (*rgb(colour), 255)
-    return image
+    return Image.fromarray(image)
 
 
 def run() -> None:

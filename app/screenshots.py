@@ -82,11 +82,11 @@ def settled_picture(page: "Page") -> bytes:
     """The whole page once it has stopped changing."""
     page.wait_for_selector('[data-testid="stMainBlockContainer"]')
     page.wait_for_timeout(3000)
-    _grow(page)
     deadline = time.monotonic() + SETTLE_S
     before, now = b"", page.screenshot()
     while before != now and time.monotonic() < deadline:
-        page.wait_for_timeout(2000)
+        _grow(page)
+        page.wait_for_timeout(2500)
         before, now = now, page.screenshot()
     return now
 

@@ -26,23 +26,26 @@ BORDER: dict[Mode, str] = {"light": "#dde2ec", "dark": "#2c3342"}
 # Buttons and sliders: no learner's colour, so that colour always means data.
 ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#8fa2d6"}
 
-# Weight against the uniform one: blue counts less, the background as much, orange-red more.
+# Weight against the uniform one. Ink follows attention: pale blue counts less, the page's own
+# tone as much, strong orange more.
 DIVERGING: dict[Mode, list[tuple[float, str]]] = {
     "light": [
-        (0.0, "#123c7c"),
-        (0.25, "#6f9fe3"),
-        (0.5, "#f6f5f2"),
+        (0.0, "#8fb4ea"),
+        (0.25, "#c3d7f3"),
+        (0.5, "#f3f1ed"),
         (0.75, "#ec9067"),
         (1.0, "#8c2304"),
     ],
     "dark": [
-        (0.0, "#8fbaff"),
-        (0.25, "#2f5fae"),
-        (0.5, "#20242e"),
+        (0.0, "#2a5496"),
+        (0.25, "#26406b"),
+        (0.5, "#272b35"),
         (0.75, "#c8541f"),
         (1.0, "#ffc48f"),
     ],
 }
+# The same for solid things under light, on either background.
+COLUMNS = [(0.0, "#6f9fe8"), (0.5, "#c6cad3"), (0.75, "#f0803c"), (1.0, "#c22c06")]
 SEQUENTIAL: dict[Mode, list[tuple[float, str]]] = {
     "light": [(0.0, "#f6f5f2"), (0.35, "#f3b48f"), (0.7, "#d65a26"), (1.0, "#6b1a02")],
     "dark": [(0.0, "#20242e"), (0.35, "#7a3415"), (0.7, "#e0682f"), (1.0, "#ffd9a8")],

@@ -2,6 +2,8 @@
 
 import plotly.graph_objects as go
 
+DASHES = ("solid", "dash", "dot", "dashdot")
+"""for lines of one colour"""
 GRID = "rgba(128, 138, 158, 0.22)"
 
 

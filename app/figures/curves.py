@@ -7,13 +7,12 @@ import plotly.graph_objects as go
 
 from app import text
 from app.aggregate import Curve, Group, decimate
-from app.figures.base import note, styled
+from app.figures.base import DASHES, note, styled
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 from tom.metrics import describe
 
 POINTS = 1500
 """points of a line at most; what is left out is said on the figure"""
-_DASHES = ("solid", "dash", "dot", "dashdot")
 
 
 def metric_title(metric: str) -> str:
@@ -23,10 +22,11 @@ def metric_title(metric: str) -> str:
 
 
 def run_curves(curves: Sequence[Curve], metric: str, height: int, *, legend: bool) -> go.Figure:
-    """One line a run, coloured by learner."""
+    """One line a run, coloured by learner; the runs of one learner differ in their dashes."""
     figure = go.Figure()
     thinned = False
-    for curve in curves:
+    learners = [curve.learner for curve in curves]
+    for i, curve in enumerate(curves):
         step, value, cut = decimate(curve.step, curve.value, POINTS)
         thinned |= cut
         figure.add_trace(
@@ -36,7 +36,11 @@ def run_curves(curves: Sequence[Curve], metric: str, height: int, *, legend: boo
                 name=text.plotly(f"{learner_label(curve.learner)} s{curve.seed}"),
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
-                line={"color": learner_colour(curve.learner), "width": 2},
+                line={
+                    "color": learner_colour(curve.learner),
+                    "width": 2,
+                    "dash": DASHES[learners[:i].count(curve.learner) % len(DASHES)],
+                },
                 marker={"size": 5, "symbol": learner_symbol(curve.learner)},
                 hovertemplate=_hover(curve),
                 showlegend=legend,
@@ -56,7 +60,7 @@ def group_curves(groups: Sequence[Group], metric: str, height: int, *, singles: 
                 figure.add_trace(_single(curve))
         if group.n > 1:
             figure.add_trace(_band(group))
-        dash = _DASHES[presets.index(group.preset) % len(_DASHES)]
+        dash = DASHES[presets.index(group.preset) % len(DASHES)]
         figure.add_traces(_mean(group, group_name(group, several_presets=len(presets) > 1), dash))
     return styled(figure, "env steps", height, keep=metric)
 
@@ -109,10 +113,11 @@ def _mean(group: Group, name: str, dash: str) -> list[go.Scatter]:
         rest = ~full | np.roll(~full, -1) | np.roll(~full, 1)
         value = np.where(rest, group.mean, np.nan)
         parts.append(go.Scatter(x=group.step, y=value, customdata=group.count))
+    marked = len(group.step) < 40 and not group.interpolated
     for i, part in enumerate(parts):
         part.update(
             name=text.plotly(name) if i == 0 else "fewer runs than n",
-            mode="lines+markers" if len(group.step) < 40 and i == 0 else "lines",
+            mode="lines+markers" if marked and i == 0 else "lines",
             line={
                 "color": learner_colour(group.learner),
                 "width": 2.6 if i == 0 else 1.6,

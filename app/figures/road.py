@@ -12,9 +12,11 @@ from app.pictures import Picture
 from app.roadmap import cell_centres, circle, outline
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 
+NO_DATA: dict[Mode, str] = {"light": "#c4c9d3", "dark": "#414858"}
+"""cells without a transition: neither of the scale's colours"""
 GOAL = "#1f9d55"
 START = "#2b6fe0"
-SHOWN_ARROWS = 2
+ARROW_STRIDE = 2
 """every second point of the recorded displacement field, in both directions"""
 
 
@@ -30,7 +32,7 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
             customdata=picture.grid,
             hovertemplate="(%{x:.2f}, %{y:.2f})<br>weight %{customdata:.3g}<extra></extra>",
             name="weights",
-            **relative_scale(mode, flat=True),
+            **relative_scale(picture.grid, mode, flat=True),
         )
     )
     figure.add_trace(_lines(outline(picture.road), "road", TEXT[mode], 1.5))
@@ -47,6 +49,7 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
         trace = _lines(_darts(picture.points[keep], moves[keep]), label, tint, 1.4)
         figure.add_trace(trace.update(visible="legendonly"))
     styled(figure, "", height, keep="road map")
+    figure.update_layout(plot_bgcolor=NO_DATA[mode])
     square = {"range": [0, 1], "showgrid": False, "showticklabels": False, "ticks": ""}
     figure.update_xaxes(**square, constrain="domain")
     figure.update_yaxes(**square, scaleanchor="x", constrain="domain", constraintoward="top")
@@ -90,4 +93,4 @@ def _thinned(count: int) -> NDArray[np.int64]:
     if side * side != count:
         return np.arange(count)
     index = np.arange(count).reshape(side, side)
-    return index[::SHOWN_ARROWS, ::SHOWN_ARROWS].ravel()
+    return index[::ARROW_STRIDE, ::ARROW_STRIDE].ravel()

@@ -7,8 +7,8 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import note, styled
-from app.theme import DIVERGING, NEUTRAL, SEQUENTIAL, Mode, faded, learner_colour, learner_label
+from app.figures.base import DASHES, note, styled
+from app.theme import DIVERGING, NEUTRAL, SEQUENTIAL, Mode, learner_colour, learner_label
 from tom.record.profiles import Profiles
 
 MAP_COLUMNS = 400
@@ -39,14 +39,14 @@ def weight_map(
                 "step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
                 "weight %{customdata:.3g}<extra></extra>"
             ),
-            **(relative_scale(mode) if relative else linear_scale(bins, mode)),
+            **(relative_scale(bins, mode) if relative else linear_scale(bins, mode)),
         )
     )
     figure.add_trace(_click_targets(steps, bins.shape[0]))
     figure.add_vline(x=int(profiles.env_step[chosen]), line={"color": NEUTRAL, "width": 2})
     styled(figure, "env steps", height, keep="weight-map")
     figure.update_yaxes(
-        range=[0, 100], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
+        range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
     )
     if len(fits) < len(profiles.env_step):
         note(figure, f"{len(fits)} of {len(profiles.env_step)} fits")
@@ -75,16 +75,20 @@ def weight_profile(
 def profile_lines(profiles: Sequence[tuple[str, str, NDArray]], height: int) -> go.Figure:
     """The last profiles of several runs as stepped lines: (name, learner, bins)."""
     figure = go.Figure()
-    for name, learner, bins in profiles:
+    learners = [learner for _, learner, _ in profiles]
+    for i, (name, learner, bins) in enumerate(profiles):
         figure.add_trace(
             go.Scatter(
                 x=bin_centres(len(bins)),
                 y=bins,
                 name=text.plotly(name),
                 mode="lines",
-                line={"color": learner_colour(learner), "width": 2, "shape": "hvh"},
-                fill="tozeroy",
-                fillcolor=faded(learner_colour(learner), 0.08),
+                line={
+                    "color": learner_colour(learner),
+                    "width": 1.8,
+                    "shape": "hvh",
+                    "dash": DASHES[learners[:i].count(learner) % len(DASHES)],
+                },
                 hovertemplate=f"{text.plotly(name)}<br>%{{x:.0f}} % of the buffer's age"
                 "<br>weight %{y:.3g}<extra></extra>",
             )
@@ -136,15 +140,23 @@ def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
     return np.union1d(spread, [chosen])
 
 
-def relative_scale(mode: Mode, *, flat: bool = False) -> dict:
-    """A heatmap's colours for log2 weights; `flat` lays the colour bar below."""
-    ticks = np.arange(-OCTAVES, OCTAVES + 1, 2)
+def span(weight: NDArray[np.float64]) -> float:
+    """How many octaves round the uniform weight the colours must reach: 1 to OCTAVES."""
+    reach = np.abs(octaves(weight[np.isfinite(weight)]))
+    needed = np.ceil(np.quantile(reach, 0.98)) if len(reach) else 1.0
+    return float(np.clip(needed, 1.0, OCTAVES))
+
+
+def relative_scale(weight: NDArray[np.float64], mode: Mode, *, flat: bool = False) -> dict:
+    """A heatmap's colours for log2 of these weights; `flat` lays the colour bar below."""
+    reach = span(weight)
+    ticks = np.arange(-reach, reach + 1, 2 if reach == OCTAVES else 1)
     words = [f"{2**t:g}" if t >= 0 else f"1/{2**-t:g}" for t in ticks]
     bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "times uniform"}}
     return {
         "colorscale": DIVERGING[mode],
-        "zmin": -OCTAVES,
-        "zmax": OCTAVES,
+        "zmin": -reach,
+        "zmax": reach,
         "colorbar": _bar(bar | _BELOW if flat else bar),
     }
 
@@ -188,7 +200,7 @@ def _finish_profile(figure: go.Figure, height: int, *, log: bool) -> go.Figure:
     figure.add_hline(y=1, line={"color": NEUTRAL, "width": 1.5, "dash": "dash"})
     styled(figure, "position in the buffer", height, keep="profile")
     figure.update_xaxes(
-        range=[0, 100], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
+        range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
     )
     figure.update_yaxes(type="log" if log else "linear", rangemode="tozero")
     return figure

@@ -8,15 +8,15 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.colours import on_scale, rgb
+from app.colours import linear, on_scale, rgb
 from app.figures.weights import OCTAVES, octaves
 from app.pictures import Picture
 from app.roadmap import CELLS, RoadMap, cell_centres, circle, on_road, outline
-from app.theme import DIVERGING, NEUTRAL, Mode, learner_colour
+from app.theme import COLUMNS, NEUTRAL, Mode, learner_colour
 
 GROUND_PIXELS = 400
 BOULDERS = 240
-TALLEST = 0.32
+TALLEST = 0.13
 """height of a column whose weight is 16 times the uniform one or more"""
 LIFT = 0.006
 """lines lie this much above what they are drawn on"""
@@ -47,7 +47,7 @@ class Handles:
     boulders: viser.SceneNodeHandle
 
 
-def columns(grid: NDArray[np.float64], mode: Mode) -> Columns:
+def columns(grid: NDArray[np.float64]) -> Columns:
     """The weights as columns: height by the square root, so that light cells are seen too."""
     y, x = np.nonzero(np.nan_to_num(grid) >= 2**-OCTAVES)
     weight = grid[y, x]
@@ -56,7 +56,7 @@ def columns(grid: NDArray[np.float64], mode: Mode) -> Columns:
     return Columns(
         position=np.stack([middle[x], middle[y], height / 2], -1).astype(np.float32),
         scale=np.stack([np.full(len(x), 0.86 / CELLS)] * 2 + [height], -1).astype(np.float32),
-        colour=on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, DIVERGING[mode]),
+        colour=on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS),
     )
 
 
@@ -97,7 +97,7 @@ def draw(scene: viser.SceneApi, picture: Picture, mode: Mode) -> Handles:
     """Draw all of a picture; nodes of an earlier one of the same name are replaced."""
     _draw_map(scene, picture.road, mode)
     colour = rgb(learner_colour(picture.learner))
-    bars = columns(picture.grid, mode)
+    bars = columns(picture.grid)
     vertices, faces = _unit_box()
     return Handles(
         columns=scene.add_batched_meshes_simple(
@@ -107,12 +107,12 @@ def draw(scene: viser.SceneApi, picture: Picture, mode: Mode) -> Handles:
             batched_wxyzs=_upright(len(bars.position)),
             batched_positions=bars.position,
             batched_scales=bars.scale,
-            batched_colors=bars.colour,
+            batched_colors=linear(bars.colour),  # viser takes instance colours as intensities
             flat_shading=True,
             lod="off",
         ),
-        expert=_lines(scene, "/expert", picture.expert, rgb(NEUTRAL), LIFT, 1.6),
-        learnt=_lines(scene, "/learnt", picture.learnt, colour, TALLEST * 0.12, 3.0),
+        expert=_lines(scene, "/expert", picture.expert, rgb(NEUTRAL), TALLEST + LIFT, 1.4),
+        learnt=_lines(scene, "/learnt", picture.learnt, colour, TALLEST + 2 * LIFT, 3.5),
         true=_arrows(scene, "/true", picture.points, picture.true, rgb(NEUTRAL)),
         modelled=_arrows(scene, "/modelled", picture.points, picture.modelled, colour),
         boulders=_draw_boulders(scene, picture.road, mode),
@@ -148,7 +148,7 @@ def _draw_boulders(scene: viser.SceneApi, road: RoadMap, mode: Mode) -> viser.Sc
         batched_wxyzs=turn / np.linalg.norm(turn, axis=1, keepdims=True),
         batched_positions=position,
         batched_scales=size,
-        batched_colors=_BOULDER[mode],
+        batched_colors=linear(np.array(_BOULDER[mode], np.uint8)),
         flat_shading=True,
         lod="off",
     )
@@ -163,9 +163,8 @@ def _lines(
     thickness: float,
 ) -> viser.SceneNodeHandle:
     points = segments(lines, height)
-    colours = np.full((len(points), 2, 3), colour, np.uint8)
     return scene.add_line_segments(
-        name, points, colours, thickness=thickness, thickness_units="screen"
+        name, points, colour, thickness=thickness, thickness_units="screen"
     )
 
 

@@ -11,12 +11,14 @@ from app.links import Links
 from app.pictures import Picture
 from app.scenes import road as scene
 from app.scenes.control import Selection, listen
-from app.theme import LEARNER_COLOURS
+from app.theme import LEARNER_COLOURS, Mode
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
-CAMERA = (0.5, -0.42, 0.86)
-LOOK_AT = (0.5, 0.42, 0.0)
+CAMERA = (0.5, -0.12, 0.82)
+LOOK_AT = (0.5, 0.45, 0.0)
+GLOW: dict[Mode, float] = {"light": 0.45, "dark": 0.3}
+"""brightness of the light from all sides"""
 PLAY_S = 0.8
 """seconds that a fit is shown while the slider plays"""
 
@@ -32,7 +34,7 @@ class Frame:
     def __init__(self, client: viser.ClientHandle, store: str, selection: Selection) -> None:
         self.client = client
         self.store = store
-        self.mode = selection.mode
+        self.mode: Mode = selection.mode
         self._lock = threading.RLock()
         self._handles: scene.Handles | None = None
         self._drawn: tuple[str, int] | None = None
@@ -45,6 +47,7 @@ class Frame:
             brand_color=rgb(LEARNER_COLOURS["tom"]),
         )
         client.gui.set_panel_label("Road and rocks")
+        client.scene.configure_environment_map("studio", environment_intensity=GLOW[selection.mode])
         client.camera.position = CAMERA
         client.camera.look_at = LOOK_AT
         self._build_panel()

@@ -112,6 +112,8 @@ def _remarks(grouped: Sequence[Group], curves: Sequence[Curve]) -> None:
         words.append("One seed has no band: a single run says little.")
     if any(not group.complete.all() for group in grouped):
         words.append("Dotted: not all n runs reach these steps.")
+    if any(group.interpolated for group in grouped):
+        words.append("Runs that were recorded at other steps are interpolated between theirs.")
     if any(len({c.seed for c in g.curves}) < g.n for g in grouped):
         words.append("A seed that was run twice counts twice.")
     if empty := sum(not len(curve.step) for curve in curves):
@@ -147,7 +149,7 @@ def _shown(table: pd.DataFrame) -> pd.DataFrame:
             f"{text.number(a)} to {text.number(b)}" if np.isfinite(a) else "-"
             for a, b in zip(low, high, strict=True)
         ]
-        shown.insert(shown.columns.get_loc(name) + 1, f"{name}, 95 %", words)
+        shown.insert(list(shown.columns).index(name) + 1, f"{name}, 95 %", words)
     return shown
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import streamlit as st
 
 from app import readers, session, text, widgets
+from app.aggregate import curve_points
 from app.cards import cards
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
@@ -19,7 +20,6 @@ ICON = ":material/monitor_heart:"
 PATH = ""
 
 REFRESH_S = 2
-SHOWN_WHEN_IDLE = 3
 MOURNED_S = 900
 """a dead run stays on the page for so long"""
 MAIN_METRIC = "eval/return"
@@ -60,11 +60,12 @@ def page() -> None:
 
 
 def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
-    """The chosen runs; without a choice those in training; without any the newest of one task."""
+    """The chosen runs; else those in training; else each learner's newest of one task."""
     picked = [run for run in runs if run.run_id in chosen]
     picked = picked or [run for run in runs if run.status.alive or _just_died(run)]
     if not picked and runs:
-        picked = [run for run in runs if run.env == runs[0].env][:SHOWN_WHEN_IDLE]
+        newest = {run.learner: run for run in reversed(runs) if run.env == runs[0].env}
+        picked = list(newest.values())
     return sorted(picked, key=lambda run: (run.env, run.learner, run.seed, run.run_id))
 
 
@@ -81,12 +82,8 @@ def _just_died(run: RunInfo) -> bool:
 
 def available(runs: Sequence[RunInfo]) -> list[str]:
     """Every metric that one of the runs has recorded, the preferred ones first."""
-    names = {
-        name
-        for run in runs
-        for name, values in readers.metrics(run).items()
-        if values.notna().any()
-    }
+    tables = [readers.metrics(run) for run in runs]
+    names = {str(name) for table in tables for name in table if len(curve_points(table, name)[0])}
     names -= {"env_step", MAIN_METRIC}
     first = [name for name in PREFERRED if name in names]
     return first + sorted(names.difference(first))

@@ -4,6 +4,7 @@ import pandas as pd
 import streamlit as st
 
 from app import readers, session, text, widgets
+from app.aggregate import curve_points
 from app.figures.road import road_map
 from app.pictures import ENV, Picture
 from app.readers import RunInfo
@@ -14,7 +15,7 @@ TITLE = "Road and rocks"
 ICON = ":material/add_road:"
 PATH = "road"
 
-HEIGHT = 600
+HEIGHT = 620
 TABLE = {
     "weights/road_share": "weight on the road",
     "weights/road_ratio": "road : rocks",
@@ -50,7 +51,7 @@ def page() -> None:
         widgets.show_problems(run)
         return
     _numbers(run, picture)
-    left, right = st.columns([3, 2])
+    left, right = st.columns([5, 4])
     with left:
         _scene(run, step)
     with right:
@@ -79,11 +80,9 @@ def comparison(runs: list[RunInfo]) -> pd.DataFrame:
 
 def last_value(frame: pd.DataFrame, metric: str, step: int | None = None) -> float:
     """The last recorded value of a metric, at or before `step` where one is given."""
-    if metric not in frame:
-        return float("nan")
-    rows = frame if step is None else frame[frame["env_step"] <= step]
-    values = rows[metric].dropna()
-    return float(values.iloc[-1]) if len(values) else float("nan")
+    at, values = curve_points(frame, metric)
+    values = values if step is None else values[at <= step]
+    return float(values[-1]) if len(values) else float("nan")
 
 
 def _numbers(run: RunInfo, picture: Picture) -> None:
