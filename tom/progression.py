@@ -67,9 +67,11 @@ def progression(weights: NDArray, ordered_from: int) -> Progression:
 
 def rank_correlation(x: NDArray, y: NDArray) -> float:
     """Spearman's rank correlation of x and y (n,), ties ranked alike; 0 where one is constant."""
-    if np.ptp(x) == 0 or np.ptp(y) == 0:
+    # Mean weights are of order one: bins that differ by rounding alone are ties.
+    ranks = rankdata(np.round(x, 9)), rankdata(np.round(y, 9))
+    if min(np.ptp(r) for r in ranks) == 0:
         return 0.0
-    return float(np.corrcoef(rankdata(x), rankdata(y))[0, 1])
+    return float(np.corrcoef(*ranks)[0, 1])
 
 
 def same_profile(weights: NDArray, others: NDArray) -> float:

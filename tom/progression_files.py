@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tom.data.sampling import bin_means
+from tom.learners import LEARNERS
 from tom.progression_study import Case, Check
 from tom.reports.progression import Panel, profile_figure
 from tom.reports.style import save
@@ -28,9 +29,9 @@ def keep_weights(folder: Path, case: Case) -> None:
 
 
 def write(folder: Path, done: Sequence[Case], found: Sequence[Check], preset: str) -> None:
-    """Write `profiles.csv`, `checks.csv` and the figure of TOM's `preset`."""
+    """Write `profiles.csv`, `checks.csv`, `checks.md` and the figure of TOM's `preset`."""
     _write_profiles(folder / "profiles.csv", done)
-    write_checks(folder / "checks.csv", found)
+    _write_table(folder, table(found))
     by_recording: dict[str, dict[tuple[str, str], Case]] = {}
     for case in done:
         if case.preset == preset:
@@ -47,30 +48,40 @@ def write(folder: Path, done: Sequence[Case], found: Sequence[Check], preset: st
     save(profile_figure(panels, shares), folder, FIGURE)
 
 
-def write_checks(path: Path, found: Sequence[Check]) -> None:
-    """The acceptance table as CSV."""
-    with path.open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(
-            ["recording", "preset", "policy", "learner", "quantity", "median", "by_seed", "bound",
-             "met"]
-        )  # fmt: skip
-        for c in found:
-            bound = "" if c.bound is None else f"{c.bound[0]} {c.bound[1]:g}"
-            met = {None: "", True: "yes", False: "no"}[c.met]
-            by_seed = " ".join(f"{v:.4g}" for v in c.values)
-            table.writerow(
-                [c.recording, c.preset, c.condition, c.learner, c.quantity, f"{c.median:.4g}",
-                 by_seed, bound, met]
-            )  # fmt: skip
+def table(found: Sequence[Check]) -> list[list[str]]:
+    """The checks as rows of text, the first one the titles: TOM's presets stand side by side."""
+    presets = list(dict.fromkeys(c.preset for c in found))
+    lines: dict[tuple[str, ...], dict[str, str]] = {}
+    for c in found:
+        if c.learner == "pmac" and c.preset != presets[0]:
+            continue  # it has no preset
+        bound = "" if c.bound is None else f"{c.bound[0]} {c.bound[1]:g}"
+        key = (c.recording, c.condition, LEARNERS[c.learner].label, c.quantity, bound)
+        lines.setdefault(key, {})[c.preset] = _value(c)
+    titles = ["recording", "policy", "learner", "quantity", "bound", *presets]
+    return [titles, *([*key, *(of.get(p, "") for p in presets)] for key, of in lines.items())]
+
+
+def _value(c: Check) -> str:
+    by_seed = " ".join(f"{v:.2f}" for v in c.values)
+    verdict = {None: "", True: " yes", False: " **no**"}[c.met]
+    return f"{c.median:.2f} ({by_seed}){verdict}"
+
+
+def _write_table(folder: Path, rows: Sequence[Sequence[str]]) -> None:
+    with (folder / "checks.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    titles, *rest = (f"| {' | '.join(row)} |" for row in rows)
+    rule = "|" + "---|" * len(rows[0])
+    (folder / "checks.md").write_text("\n".join([titles, rule, *rest]) + "\n")
 
 
 def _write_profiles(path: Path, done: Sequence[Case]) -> None:
     with path.open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["recording", "preset", "policy", "learner", "seed", "bin", "mean_weight"])
+        lines = csv.writer(file)
+        lines.writerow(["recording", "preset", "policy", "learner", "seed", "bin", "mean_weight"])
         for case in done:
             for one in case.found:
                 key = [case.recording, case.preset, case.condition, one.learner, one.seed]
                 for number, mean in enumerate(bin_means(one.weights, BINS).tolist()):
-                    table.writerow([*key, number, f"{mean:.6g}"])
+                    lines.writerow([*key, number, f"{mean:.6g}"])

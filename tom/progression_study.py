@@ -14,9 +14,11 @@ import numpy as np
 
 from tom.config import RunConfig, SacRecordingConfig, TomConfig
 from tom.envs import task
+from tom.errors import UserError
 from tom.policy_file import NAME, UniformPolicy, read_policy
 from tom.progression import DECILES, Progression, progression, same_profile
 from tom.record import RunReader, Store
+from tom.run import recorded_config
 from tom.weighing import Weighed, of_run, weigh
 
 Condition = Literal["own", "random", "shuffled"]
@@ -94,15 +96,19 @@ def recording_config(env: str, seed: int, steps: int) -> SacRecordingConfig:
 
 def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
     """The newest finished recording with these settings, None where there is none."""
-    wanted = config.model_dump(mode="json", include=_DECISIVE)
     for run in store.runs():
-        same = {name: run.config.get("config", {}).get(name) for name in wanted} == wanted
-        if run.learner == config.learner and same and run.status.state == "finished":
+        if run.learner == config.learner and run.status.state == "finished" and _like(run, config):
             return run
     return None
 
 
-_DECISIVE = {"env", "seed", "steps", "exploration_steps", "updates_per_step", "sac"}
+def _like(run: RunReader, config: SacRecordingConfig) -> bool:
+    try:
+        theirs = recorded_config(run)
+    except UserError:  # another version's: not to be compared
+        return False
+    decisive = ("env", "seed", "steps", "exploration_steps", "updates_per_step", "sac")
+    return all(getattr(theirs, name) == getattr(config, name) for name in decisive)
 
 
 def cases(run: RunReader, presets: Sequence[Preset], seeds: Sequence[int]) -> Iterator[Case]:
@@ -123,7 +129,8 @@ def cases(run: RunReader, presets: Sequence[Preset], seeds: Sequence[int]) -> It
         )
         for condition, found in parts:
             kept = tuple(found)
-            yield Case(run.run_id, run.env, data.ordered_from, condition, preset, kept)
+            name = f"{run.env}-s{run.seed}"
+            yield Case(name, run.env, data.ordered_from, condition, preset, kept)
 
 
 def checks(done: Sequence[Case]) -> list[Check]:

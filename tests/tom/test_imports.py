@@ -13,8 +13,9 @@ LEVELS = [
     | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
-    {"run", "bench"},
-    {"cli", "tabular_study", "road_study", "reports", "__main__"},
+    {"run", "bench", "weighing"},
+    {"cli", "tabular_study", "road_study", "reports", "__main__"}
+    | {"weighing_files", "progression_study", "progression_files"},
 ]
 LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}
 

@@ -9,7 +9,8 @@ from tom.cli.train import record
 from tom.config import SacRecordingConfig
 from tom.envs import ENVS, task
 
-WITHOUT_MEANING = ("tom.", "pmac.", "vagram.", "bins", "snapshots", "env", "learner", "preset")
+OWN_OPTIONS = ("env", "learner", "preset")
+WITHOUT_MEANING = ("tom.", "pmac.", "vagram.", "bins", "snapshots", "checkpoint_every", "device")
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -24,7 +25,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--run-id", help="name of the run folder [env-sac-seed-time]")
     add_run_options(parser)
     paths = {path for path, _ in leaf_fields(SacRecordingConfig)}
-    left_out = {path for path in paths if path.startswith(WITHOUT_MEANING)}
+    left_out = {path for path in paths if path.startswith((*OWN_OPTIONS, *WITHOUT_MEANING))}
     add_config_options(parser, SacRecordingConfig, leave_out=left_out)
     parser.set_defaults(run=run)
 

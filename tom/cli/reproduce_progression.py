@@ -92,14 +92,11 @@ def _print(found: Sequence[Check], args: argparse.Namespace) -> None:
         rows = [{**asdict(c), "median": c.median, "met": c.met} for c in found]
         print(json.dumps(plain({"checks": rows, "out": str(args.out)}), allow_nan=False))
         return
-    table = Table(title="Weight progression, median over TOM's seeds (by seed)")
-    for column in ("recording", "TOM", "policy", "learner", "quantity", "median", "bound", "met"):
-        table.add_column(column, justify="right" if column == "median" else "left")
-    for c in found:
-        by_seed = " ".join(f"{v:.2f}" for v in c.values)
-        bound = "" if c.bound is None else f"{c.bound[0]} {c.bound[1]:g}"
-        met = {None: "", True: "yes", False: "NO"}[c.met]
-        value = f"{c.median:.2f} ({by_seed})"
-        table.add_row(c.recording, c.preset, c.condition, c.learner, c.quantity, value, bound, met)
-    Console(width=None if Console().is_terminal else 160).print(table)
+    titles, *rows = progression_files.table(found)
+    shown = Table(title="Weight progression: median over TOM's seeds (by seed)")
+    for title in titles:
+        shown.add_column(title)
+    for row in rows:
+        shown.add_row(*(cell.replace("**no**", "NO") for cell in row))
+    Console(width=None if Console().is_terminal else 160).print(shown)
     print(args.out)

@@ -1,0 +1,201 @@
+"""`tom weigh` and `tom reproduce progression` on small real runs and files."""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from tom.cli import main
+from tom.cli.weigh import WEIGHERS
+from tom.data.sampling import bin_means
+from tom.envs import task
+from tom.learners.pmac import recency_probabilities
+from tom.record import RunReader, Store
+from tom.weighing import after_random, load_data, to_unit_range
+
+QUICK = [
+    "--preset", "paper", "--tom.q-hidden", "16", "--tom.q-steps", "20",
+    "--tom.discriminator-hidden", "16", "--tom.discriminator-steps", "20",
+]  # fmt: skip
+STEPS = 300
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of SAC called `sac` and an ordinary training called `trained`."""
+    path = tmp_path_factory.mktemp("store")
+    shared = ["--env", "inverted-pendulum", "--store", str(path), "--no-rerun"]
+    small = ["--sac.hidden", "16", "--evaluation.episodes", "1"]
+    sac = ["--steps", str(STEPS), "--exploration-steps", "100", "--run-id", "sac", *small]
+    assert main(["record-sac", *shared, *sac]) == 0
+    online = ["--learner", "mle", "--preset", "smoke", "--steps", "250", "--run-id", "trained"]
+    assert main(["train", *shared, *online]) == 0
+    return path
+
+
+def weigh(store: Path, *arguments: str) -> int:
+    try:
+        return main(["weigh", *arguments, "--store", str(store), *QUICK])
+    except SystemExit as stop:
+        return int(str(stop.code))
+
+
+def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
+    out = tmp_path / "out"
+    code = weigh(store, "sac", "--policy", "sac", "--seeds", "0", "5", "--bins", "50",
+                 "--out", str(out), "--json")  # fmt: skip
+    assert code == 0
+    report = json.loads(capsys.readouterr().out)
+    assert {p.name for p in out.iterdir()} == {
+        "weights.parquet", "profile.csv", "profile.png", "profile.svg", "report.json",
+    }  # fmt: skip
+    weights = pq.read_table(out / "weights.parquet").to_pandas()
+    assert len(weights) == 2 * STEPS
+    for seed in (0, 5):
+        for learner in ("tom", "pmac", "mle"):
+            assert weights[f"{learner}-s{seed}"].dtype == np.float32
+            assert weights[f"{learner}-s{seed}"].mean() == pytest.approx(1, abs=1e-4)
+        assert f"tom-s{seed}-log_ratio" in weights
+    assert not np.array_equal(weights["tom-s0"], weights["tom-s5"])
+    _, version = RunReader(store / "sac").buffer()
+    by_recency = recency_probabilities(torch.from_numpy(version), 0.996) * len(version)
+    np.testing.assert_allclose(weights["pmac-s0"], by_recency, rtol=1e-5)
+    lines = (out / "profile.csv").read_text().splitlines()
+    assert len(lines) == 1 + 6 * 50
+    expected = bin_means(weights["tom-s0"].to_numpy(copy=True), 50)
+    assert float(lines[1].split(",")[3]) == pytest.approx(float(expected[0]), rel=1e-5)
+    assert report["ordered_from"] == STEPS
+    assert report["medians"]["mle"]["random_mean"] == pytest.approx(1)
+    assert report["medians"]["pmac"]["last_two"] > report["medians"]["pmac"]["random_mean"]
+
+
+def test_same_seed_same_bits(store: Path, tmp_path: Path):
+    for name in ("a", "b"):
+        arguments = ("--learner", "tom", "--seeds", "0", "--out", str(tmp_path / name))
+        assert weigh(store, "sac", "--policy", str(store / "sac" / "policy.npz"), *arguments) == 0
+    a, b = (pq.read_table(tmp_path / name / "weights.parquet") for name in ("a", "b"))
+    assert a.equals(b)
+
+
+def test_an_ordinary_training_leaves_its_policy(store: Path, tmp_path: Path, capsys):
+    arguments = ("--seeds", "0", "--footprint", "40", "--out", str(tmp_path / "out"), "--json")
+    assert weigh(store, "trained", "--policy", "trained", *arguments) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["ordered_from"] == 200  # its exploration steps
+    assert report["rows"] == 250
+
+
+def write_d4rl(path: Path, run: RunReader, scale: float) -> Path:
+    rows = run.buffer()[0].numpy()
+    with h5py.File(path, "w") as file:
+        file["observations"], file["next_observations"] = rows.obs, rows.next_obs
+        file["actions"] = np.asarray(rows.action) * scale
+        file["rewards"], file["terminals"] = rows.reward, rows.terminated
+        file["timeouts"] = rows.truncated
+    return path
+
+
+def test_a_d4rl_file_in_the_tasks_own_units(store: Path, tmp_path: Path):
+    run = RunReader(store / "sac")
+    path = write_d4rl(tmp_path / "pendulum.hdf5", run, scale=3.0)  # InvertedPendulum: +-3
+    data = load_data(str(path), Store(store), "inverted-pendulum")
+    np.testing.assert_allclose(data.transitions.action, run.buffer()[0].action, atol=1e-6)
+    assert data.ordered_from == 0
+    random_first = after_random(data, data)
+    assert random_first.ordered_from == len(data)
+    assert random_first.policy_version[len(data)] == 1
+    out = tmp_path / "out"
+    assert weigh(store, str(path), "--policy", "sac", "--seeds", "0", "--out", str(out)) == 0
+    assert json.loads((out / "report.json").read_text())["results"][0]["random_mean"] is None
+    both = ("--random", str(path), "--env", "inverted-pendulum", "--out", str(tmp_path / "both"))
+    assert weigh(store, str(path), "--policy", "random", "--seeds", "0", *both) == 0
+    report = json.loads((tmp_path / "both" / "report.json").read_text())
+    assert report["rows"] == 2 * report["ordered_from"] == 4 * STEPS
+
+
+def test_humanoids_control_range():
+    action = np.array([[-0.4, 0.0, 0.4] + [0.2] * 14])
+    expected = np.array([[-1.0, 0.0, 1.0] + [0.5] * 14])
+    np.testing.assert_allclose(to_unit_range(action, task("humanoid")), expected, atol=1e-6)
+
+
+def test_shuffled_rows_come_back_in_order(store: Path):
+    """PMAC follows the storage; a row's own weight comes back to its place."""
+    from tom.config import RunConfig
+    from tom.policy_file import UniformPolicy
+    from tom.weighing import of_run, weigh
+
+    data, known = of_run(RunReader(store / "sac")), task("inverted-pendulum")
+    order = np.random.default_rng(0).permutation(len(data))
+    shuffled = data.in_order(order)
+    np.testing.assert_array_equal(shuffled.transitions.obs, data.transitions.obs[order])
+    config = RunConfig(env=known.name, learner="pmac")
+    (one,) = weigh(shuffled, UniformPolicy(4, 1), known, config, ["pmac"], [0], 10)
+    back = one.in_order(order)
+    np.testing.assert_array_equal(back.weights[order], one.weights)
+    assert back.weights[order[-1]] == one.weights.max()  # the last one stored counts most
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["nothing", "--policy", "random", "--env", "hopper"], "no data 'nothing'"),
+        (["sac", "--policy", "nothing"], "no policy at nothing"),
+        (["sac", "--policy", "random", "--learner", "vagram"], "Known: " + ", ".join(WEIGHERS)),
+        (["sac", "--policy", "random", "--learner", "tmo"], "did you mean 'tom'?"),
+        (["sac", "--policy", "random", "--env", "hopper"], "is of inverted-pendulum, not of"),
+        (["sac", "--policy", "random", "--seeds", "-1"], "must be at least 0"),
+        (["sac", "--policy", "random", "--bins", "0"], "must be at least 1"),
+        (["sac", "--policy", "random", "--tom.discount", "1"], "--tom.discount 1"),
+        (["sac"], "--policy"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_made(store, tmp_path, arguments, named, capsys):
+    out = tmp_path / "out"
+    assert weigh(store, *arguments, "--out", str(out)) == 2
+    message = capsys.readouterr().err
+    assert named in message
+    assert message.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_data_of_another_task(store: Path, tmp_path: Path, capsys):
+    path = write_d4rl(tmp_path / "data.hdf5", RunReader(store / "sac"), scale=3.0)
+    out = ("--out", str(tmp_path / "out"))
+    assert weigh(store, str(path), "--policy", "random", *out) == 2
+    assert "add --env" in capsys.readouterr().err
+    assert weigh(store, str(path), "--policy", "random", "--env", "hopper", *out) == 2
+    assert "has 4 observations and 1 actions, hopper has 11 and 3" in capsys.readouterr().err
+    assert weigh(store, str(path), "--policy", "random", "--env", "hoper", *out) == 2
+    assert "did you mean 'hopper'?" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["data.hdf5"]
+
+
+def test_a_folder_that_holds_something_is_left_alone(store: Path, tmp_path: Path, capsys):
+    (tmp_path / "note").write_text("mine")
+    assert weigh(store, "sac", "--policy", "sac", "--out", str(tmp_path)) == 2
+    assert "--out" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["note"]
+
+
+def test_reproduce_knows_its_studies(capsys, tmp_path: Path):
+    for arguments, named in (
+        (["reproduce"], "STUDY"),
+        (["reproduce", "progresion"], "progresion"),
+        (["reproduce", "progression", "--env", "hoper"], "did you mean 'hopper'?"),
+        (["reproduce", "progression", "--preset", "exactly"], "did you mean 'exact'?"),
+    ):
+        out = ["--out", str(tmp_path / "out")] if len(arguments) > 2 else []
+        try:
+            code = main([*arguments, *out])
+        except SystemExit as stop:
+            code = int(str(stop.code))
+        message = capsys.readouterr().err
+        assert code == 2
+        assert named in message
+        assert message.count("\n") == 1
+    assert not (tmp_path / "out").exists()
