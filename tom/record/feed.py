@@ -108,10 +108,15 @@ class Feeder:
         self._followers: dict[str, Follower] = {}
         self._done: dict[str, float] = {}  # run id -> when the run that was shown had started
 
+    @property
+    def followed(self) -> list[str]:
+        """The runs that are being shown."""
+        return list(self._followers)
+
     def run(self, stopping: threading.Event) -> None:
         """Feed until `stopping`."""
         while not stopping.wait(POLL_S):
-            if self._hub_answers():
+            if self.hub_answers():
                 self.poll()
             else:
                 self._forget()
@@ -148,7 +153,8 @@ class Feeder:
             self._followers.pop(run_id, None)
             self._done[run_id] = RunReader(self._store.path / run_id).status.started
 
-    def _hub_answers(self) -> bool:
+    def hub_answers(self) -> bool:
+        """The hub is there."""
         # Rerun itself would wait 5 s for a hub that is not there.
         try:
             with socket.create_connection(self._address, timeout=1):

@@ -36,6 +36,11 @@ def command(host: str, port: int, web_port: int, store: Path | str) -> list[str]
     return [sys.executable, "-m", "tom.record.hub", *given]
 
 
+def binary() -> Path:
+    """Rerun's own program: killing the Python wrapper in the wheel would orphan it."""
+    return Path(rerun_cli.__file__).with_name("rerun")
+
+
 def viewer_url(host: str, web_port: int, source: str, theme: str = "dark") -> str:
     """The web viewer's address showing `source`: a hub's `hub_url` or a recording's http URL."""
     query = f"url={quote(source, safe='')}&hide_welcome_screen&persist=false&notebook=false"
@@ -63,8 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _serve(args: argparse.Namespace, folder: Path, stopping: threading.Event) -> int:
-    inner = _free_port(args.host)
-    rerun = _start(args.host, args.port, inner, args.web_port, _without_analytics(folder))
+    inner = free_port(args.host)
+    rerun = _start(args.host, args.port, inner, args.web_port, without_analytics(folder))
     try:
         page = web.serve(args.host, args.web_port, inner)
         feeder = threading.Thread(
@@ -93,31 +98,25 @@ def _feed(store: Path, port: int, stopping: threading.Event) -> None:
 def _start(
     host: str, port: int, inner: int, web_port: int, environment: Mapping[str, str]
 ) -> subprocess.Popen[bytes]:
-    # The binary itself: killing the Python wrapper in the wheel would orphan it.
-    binary = Path(rerun_cli.__file__).with_name("rerun")
     options = ["--serve-web", "--bind", host, "--port", str(port)]
     options += ["--web-viewer-port", str(inner), "--server-memory-limit", MEMORY]
     if host not in ("127.0.0.1", "localhost"):
         options += ["--cors-allow-origin", f"http://*:{web_port}"]
     return subprocess.Popen(
-        [str(binary), *options],
-        env={**os.environ, **environment},
+        [str(binary()), *options],
+        env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         preexec_fn=_die_with_parent if sys.platform == "linux" else None,
     )
 
 
-def _without_analytics(folder: Path) -> dict[str, str]:
+def without_analytics(folder: Path) -> dict[str, str]:
     """The environment in which Rerun sends no usage statistics; the user's own is untouched."""
-    environment = {"XDG_CONFIG_HOME": str(folder), "XDG_DATA_HOME": str(folder)}
-    binary = Path(rerun_cli.__file__).with_name("rerun")
-    subprocess.run(
-        [str(binary), "analytics", "disable"],
-        env={**os.environ, **environment},
-        check=True,
-        capture_output=True,
-    )
+    settings = {"XDG_CONFIG_HOME": str(folder), "XDG_DATA_HOME": str(folder)}
+    environment = {**os.environ, **settings}
+    command = [str(binary()), "analytics", "disable"]
+    subprocess.run(command, env=environment, check=True, capture_output=True)
     return environment
 
 
@@ -130,7 +129,8 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def _free_port(host: str) -> int:
+def free_port(host: str) -> int:
+    """A port of `host` that nobody listens on."""
     with socket.socket() as probe:
         probe.bind((host, 0))
         return probe.getsockname()[1]

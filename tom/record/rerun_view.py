@@ -84,6 +84,8 @@ class RerunView:
 
     def field(self, field: Field) -> None:
         """Road-and-rocks: the map, the trajectories and the model's displacements."""
+        if self._env in ENVS:
+            return
         self._stream.set_time("env_step", sequence=field.env_step)
         draw = {"map": self._map, "trajectories": self._trajectories, "model": self._model}
         if field.name in draw:

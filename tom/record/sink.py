@@ -7,8 +7,9 @@ Only `run.rrd` is written here. A live viewer is fed by the studio's hub from th
 import queue
 import threading
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ from tom.record.writer import RunWriter
 
 if TYPE_CHECKING:
     from tom.record.rerun_view import RerunView
+
+T = TypeVar("T")
 
 CAPACITY = 256
 """Entries that wait for the background thread; more are dropped."""
@@ -57,7 +60,7 @@ class RerunSink:
         self._mapped = env not in ENVS
         self.dropped = 0
         self._error: str | None = None
-        self._queue: queue.Queue[Callable[[RerunView], None] | None] = queue.Queue(CAPACITY)
+        self._queue: queue.Queue[Callable[[RerunView], object] | None] = queue.Queue(CAPACITY)
         self._thread = threading.Thread(
             target=self._run, args=(run_id, env, learner, every), name="rerun", daemon=True
         )
@@ -97,24 +100,27 @@ class RerunSink:
             return f"{self.path.name} was too slow: {self.dropped} entries were left out"
         return None
 
-    def _offer(self, entry: Callable[["RerunView"], None]) -> None:
+    def _offer(self, entry: Callable[["RerunView"], object]) -> None:
         try:
             self._queue.put_nowait(entry)
         except queue.Full:
             self.dropped += 1
 
     def _run(self, run_id: str, env: str, learner: str, every: int) -> None:
-        """Work through the queue; after the first error only empty it."""
-        view: RerunView | None = None
+        """Work through the queue; an entry that Rerun refuses does not stop the others."""
+        view = self._attempt(lambda: _view(self.path, run_id, env, learner, every))
+        while (entry := self._queue.get()) is not None:
+            if view is not None:
+                self._attempt(partial(entry, view))
+        if view is not None:
+            self._attempt(lambda: view.close(CLOSE_S / 2))
+
+    def _attempt(self, step: Callable[[], T]) -> T | None:
         try:
-            view = _view(self.path, run_id, env, learner, every)
-            while (entry := self._queue.get()) is not None:
-                entry(view)
-            view.close(CLOSE_S / 2)
+            return step()
         except Exception as error:  # whatever Rerun raises, training goes on without it
-            self._error = f"{type(error).__name__}: {error}"
-            while self._queue.get() is not None:
-                self.dropped += 1
+            self._error = self._error or f"{type(error).__name__}: {error}"
+            return None
 
 
 def open_sink(writer: RunWriter) -> Sink:

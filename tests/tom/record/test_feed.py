@@ -1,0 +1,91 @@
+"""A hub is fed with what running runs write, whenever it comes up."""
+
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from recorded import Config, events, logged
+
+from tom.record import Recorder, RunWriter, Store
+from tom.record.feed import Feeder, Tail
+from tom.record.hub import binary, free_port, without_analytics
+
+
+@contextmanager
+def hub(path: Path, port: int) -> Iterator[None]:
+    """A real Rerun server that saves what it is sent to `path`."""
+    environment = without_analytics(path.parent)
+    command = [str(binary()), "--bind", "127.0.0.1", "--port", str(port), "--save", str(path)]
+    process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def wait(found: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not found():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_a_hub_that_comes_late_gets_the_whole_run_and_follows_it(store: Store, tmp_path: Path):
+    port, saved = free_port("127.0.0.1"), tmp_path / "saved.rrd"
+    feeder = Feeder(store, "127.0.0.1", port)
+    assert not feeder.hub_answers()
+    recorder = Recorder(RunWriter.create(store, "run", Config))
+    given = events()
+    for event in given[:600]:
+        recorder.consume(event)
+    with hub(saved, port):
+        wait(feeder.hub_answers)
+        feeder.poll()
+        for event in given[600:]:
+            recorder.consume(event)
+        recorder.finish("finished")
+        feeder.poll()
+        assert feeder.followed == []
+        feeder.poll()  # the run is over: it is not sent again
+        assert feeder.followed == []
+        wait(lambda: saved.exists() and len(logged(saved, "weights/profile")) == 10)
+    want = store.run("run").metrics()
+    table = logged(saved, "model/holdout_nll")
+    assert table["env_step"].tolist() == want["env_step"].tolist()
+    values = [value[0] for value in table["Scalars:scalars"]]
+    np.testing.assert_allclose(values, want["model/holdout_nll"])
+
+
+def test_a_run_that_cannot_be_shown_does_not_stop_the_others(store: Store, tmp_path: Path):
+    port, saved = free_port("127.0.0.1"), tmp_path / "saved.rrd"
+    feeder = Feeder(store, "127.0.0.1", port)
+    recorders = [Recorder(RunWriter.create(store, run_id, Config)) for run_id in ("a", "b")]
+    for recorder in recorders:
+        for event in events():
+            recorder.consume(event)
+    with (store.path / "a" / "weights" / "profiles.jsonl").open("a") as file:
+        file.write('{"env_step": 7, "bins": "none"}\n')
+    with hub(saved, port):
+        wait(feeder.hub_answers)
+        feeder.poll()
+        assert feeder.followed == ["b"]
+        for recorder in recorders:
+            recorder.finish("finished")
+        feeder.poll()
+    assert feeder.followed == []
+
+
+def test_a_tail_gives_each_whole_row_once(tmp_path: Path):
+    path = tmp_path / "m"
+    tail = Tail(path)
+    assert list(tail.rows()) == []
+    path.write_bytes(b'{"env_step":1}\n{"env_st')
+    assert list(tail.rows()) == [{"env_step": 1}]
+    assert list(tail.rows()) == []
+    with path.open("ab") as file:
+        file.write(b'ep":2}\nrubbish\n{"env_step":3}\n')
+    assert list(tail.rows()) == [{"env_step": 2}, {"env_step": 3}]

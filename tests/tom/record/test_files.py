@@ -1,0 +1,84 @@
+import json
+import resource
+import signal
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tom.record.files import JsonLines, read_json_lines, replace, replace_json
+
+
+def test_a_replacement_that_fails_leaves_the_old_file_alone(tmp_path):
+    path = tmp_path / "status.json"
+    path.write_text("old")
+
+    def half(file):
+        file.write(b"ne")
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        replace(path, half, sync=True)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_json_holds_null_for_what_is_not_finite(tmp_path):
+    content = {"a": np.float32("nan"), "b": [np.inf, np.int64(3)], "c": {"d": np.array([1.5])}}
+    replace_json(tmp_path / "x", content, sync=False)
+    assert json.loads((tmp_path / "x").read_text()) == {
+        "a": None,
+        "b": [None, 3],
+        "c": {"d": [1.5]},
+    }
+
+
+def test_a_row_is_one_line_and_reads_back(tmp_path):
+    lines = JsonLines(tmp_path / "m")
+    lines.append({"env_step": 1, "loss": -np.inf})
+    lines.append({"env_step": 2, "loss": np.float32(0.5)})
+    lines.close()
+    assert read_json_lines(tmp_path / "m") == (
+        [{"env_step": 1, "loss": None}, {"env_step": 2, "loss": 0.5}],
+        [],
+    )
+
+
+def test_half_a_last_line_is_skipped_by_readers_and_cut_off_by_the_next_writer(tmp_path):
+    path = tmp_path / "m"
+    path.write_bytes(b'{"env_step":1}\n{"env_st')
+    rows, problems = read_json_lines(path)
+    assert rows == [{"env_step": 1}]
+    assert problems == ["m: the last line is half written and was skipped"]
+    lines = JsonLines(path)
+    lines.append({"env_step": 2})
+    lines.close()
+    assert read_json_lines(path) == ([{"env_step": 1}, {"env_step": 2}], [])
+
+
+def test_damaged_lines_are_named_and_the_others_kept(tmp_path):
+    path = tmp_path / "m"
+    path.write_bytes(b'{"a":1}\n\xff\x00\n[1]\n{"a":4}\n')
+    rows, problems = read_json_lines(path)
+    assert rows == [{"a": 1}, {"a": 4}]
+    assert problems == [f"m: line {n} is damaged and was skipped" for n in (2, 3)]
+
+
+def _write_within_40_bytes(path: Path) -> None:
+    # The operating system then writes a part of a row, as it does on a full disk.
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40, resource.RLIM_INFINITY))
+    lines = JsonLines(path)
+    lines.append({"env_step": 1})
+    with pytest.raises(OSError, match="is the disk full"):
+        lines.append({"env_step": 2, "text": "x" * 100})
+    lines.append({"env_step": 3})
+
+
+def test_a_row_that_does_not_fit_the_disk_leaves_no_part_of_itself(tmp_path: Path):
+    writer = get_context("fork").Process(target=_write_within_40_bytes, args=(tmp_path / "m",))
+    writer.start()
+    writer.join()
+    assert writer.exitcode == 0
+    assert read_json_lines(tmp_path / "m") == ([{"env_step": 1}, {"env_step": 3}], [])

@@ -1,0 +1,163 @@
+"""Damaged, half-written and foreign files: named in `problems`, the rest is read."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+from recorded import FIT, STEPS
+
+from tom.record import RunReader
+
+
+def cut(path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def problem(run: RunReader) -> str:
+    assert len(run.problems) == 1, run.problems
+    return run.problems[0]
+
+
+def test_truncated_episodes(record):
+    run = record()
+    cut(run.path / "episodes" / "000000500.npz")
+    assert run.episodes(500) == []
+    assert len(run.episodes(1000)) == 2
+    assert problem(run).startswith("episodes/000000500.npz cannot be read")
+
+
+def test_a_pickle_in_an_array_file_is_not_loaded(record):
+    run = record()
+    np.savez(run.path / "episodes" / "000000500.npz", reward_0=np.array([print], dtype=object))
+    assert run.episodes(500) == []
+    assert "allow_pickle=False" in problem(run)
+
+
+def test_truncated_snapshot(record):
+    run = record()
+    cut(run.path / "weights" / "snapshot-000000400.parquet")
+    assert len(run.snapshot(400)) == 0
+    assert len(run.snapshot(700)) == 700
+    assert problem(run).startswith("weights/snapshot-000000400.parquet cannot be read")
+
+
+def test_a_truncated_parquet_copy_gives_way_to_the_rows(record):
+    run = record()
+    cut(run.path / "metrics.parquet")
+    assert len(run.metrics()) == STEPS // FIT
+    assert problem(run).startswith("metrics.parquet cannot be read")
+
+
+def test_rows_that_came_after_the_parquet_copy_are_read(record):
+    run = record()
+    rows = run.path / "metrics.jsonl"
+    with rows.open("a") as file:
+        file.write('{"env_step":1100,"critic/loss":2.5}\n')
+    later = (run.path / "metrics.parquet").stat().st_mtime_ns + 1
+    os.utime(rows, ns=(later, later))
+    assert run.metrics()["critic/loss"].iloc[-1] == 2.5
+
+
+def test_later_rows_of_a_step_win_and_steps_are_in_order(record):
+    run = record(given=[])
+    (run.path / "metrics.parquet").unlink()
+    rows = [{"env_step": 2, "a": 1}, {"env_step": 1, "a": 5}, {"env_step": 2, "a": 3, "b": None}]
+    (run.path / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    table = run.metrics()
+    assert table[["env_step", "a"]].to_numpy().tolist() == [[1, 5], [2, 3]]
+    assert table["b"].isna().all()
+
+
+def test_damaged_metric_and_profile_rows(record):
+    run = record()
+    (run.path / "metrics.parquet").unlink()
+    for name in ("metrics.jsonl", "weights/profiles.jsonl"):
+        path = run.path / name
+        lines = path.read_bytes().splitlines()
+        lines[1] = b'{"env_step": 5, "bins": "x"}' if "profiles" in name else b"\x00\x01"
+        path.write_bytes(b"\n".join(lines))  # the last line is without its end
+    assert run.metrics()["env_step"].tolist() == [100, *range(300, 1000, 100)]
+    assert run.profiles().env_step.tolist() == [100, *range(300, 1000, 100)]
+    assert run.problems == [
+        "metrics.jsonl: line 2 is damaged and was skipped",
+        "metrics.jsonl: the last line is half written and was skipped",
+        "profiles.jsonl: the last line is half written and was skipped",
+        "weights/profiles.jsonl: 1 unusable rows were skipped",
+    ]
+
+
+def test_the_buffer_ends_where_a_segment_is_missing_or_damaged(record):
+    run = record()
+    folder = run.path / "buffer"
+    with np.load(folder / "000000000.npz") as file:
+        arrays = dict(file)
+    for first, rows in ((0, slice(400)), (400, slice(400, 700)), (700, slice(700, None))):
+        part = {name: array[rows] for name, array in arrays.items()}
+        np.savez(folder / f"{first:09d}.npz", **part)
+    assert len(run.buffer()[0]) == STEPS
+    (folder / "000000400.npz").unlink()
+    assert len(run.buffer()[0]) == 400
+    assert "rows 400 to 700 are missing" in problem(run)
+    run = RunReader(run.path)
+    cut(folder / "000000000.npz")
+    rows, version = run.buffer()
+    assert (len(rows), len(version)) == (0, 0)
+    assert problem(run).startswith("buffer/000000000.npz cannot be read")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"state": 3}', '{"heartbeat": "now"}', "\x00"])
+def test_a_damaged_status_is_unknown(record, text: str):
+    run = record()
+    (run.path / "status.json").write_text(text)
+    assert run.status.state == "unknown"
+    assert not run.status.alive
+    assert problem(run).startswith("status.json cannot be read")
+
+
+@pytest.mark.parametrize(("age", "shown"), [(0, "running"), (20, "running"), (31, "dead")])
+def test_a_run_whose_heart_stopped_is_dead(record, age: float, shown: str):
+    run = record()
+    path = run.path / "status.json"
+    content = json.loads(path.read_text())
+    content |= {"state": "running", "heartbeat": content["heartbeat"] - age}
+    path.write_text(json.dumps(content))
+    assert run.status.shown == shown
+    assert run.status.alive == (shown == "running")
+
+
+def test_a_newer_run_is_read_as_far_as_possible_and_said_to_be_newer(record):
+    run = record()
+    content = json.loads((run.path / "config.json").read_text()) | {"schema": 2}
+    (run.path / "config.json").write_text(json.dumps(content))
+    run = RunReader(run.path)
+    assert run.is_run
+    assert len(run.metrics()) == STEPS // FIT
+    assert "newer version (schema 2" in problem(run)
+
+
+def test_what_is_not_there_is_empty(tmp_path):
+    run = RunReader(tmp_path / "nothing")
+    assert (run.env, run.learner, run.seed, run.created) == ("?", "?", 0, "")
+    assert len(run.metrics()) == len(run.snapshot(1)) == len(run.profiles().bins) == 0
+    assert len(run.buffer()[0]) == 0
+    assert run.episodes(1) == run.snapshot_steps() == run.notices() == run.rrd_files() == []
+    assert run.field("map", 1) == {}
+    assert run.status.state == "unknown"
+
+
+def test_a_file_that_is_a_link_out_of_the_run_is_not_read(record, tmp_path):
+    run = record()
+    secret = tmp_path / "secret.jsonl"
+    secret.write_text('{"env_step": 1, "secret": 1}\n')
+    (run.path / "notices.jsonl").unlink()
+    (run.path / "notices.jsonl").symlink_to(secret)
+    assert run.notices() == []
+    assert problem(run) == "notices.jsonl leads out of the run folder and was not read"
+
+
+def test_recordings_are_in_the_order_they_were_written(record):
+    run = record()
+    for name in ("run-10.rrd", "run.rrd", "run-2.rrd", "run-x.rrd"):
+        (run.path / name).touch()
+    assert [path.name for path in run.rrd_files()] == ["run.rrd", "run-2.rrd", "run-10.rrd"]

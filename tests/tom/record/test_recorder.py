@@ -1,0 +1,227 @@
+import json
+import threading
+import time
+
+import numpy as np
+import pytest
+from recorded import (
+    ACTION,
+    EVALUATE,
+    FIT,
+    STEPS,
+    Config,
+    episodes,
+    events,
+    transitions,
+    weights,
+)
+
+from tom.config import OnlineConfig
+from tom.errors import UserError
+from tom.events import Evaluation, Metrics, Tick, Weights
+from tom.record import Recorder, RunWriter, Store
+from tom.record import heartbeat as heartbeat_module
+
+EVERY_FIT = list(range(FIT, STEPS + 1, FIT))
+
+
+def test_metrics_are_one_row_a_step(record):
+    table = record().metrics()
+    assert table["env_step"].tolist() == EVERY_FIT
+    np.testing.assert_allclose(table["model/holdout_nll"], -np.array(EVERY_FIT) / 10)
+    assert table["critic/q"].isna().all()
+    assert (np.diff(table["time/wall_s"]) >= 0).all()
+    assert (table["time/record_s"] >= 0).all()
+
+
+def test_evaluations_become_metrics_with_a_running_maximum(record):
+    table = record().metrics().set_index("env_step").loc[[EVALUATE, STEPS]]
+    # Episodes of 4 and 6 steps with a reward of 500, later of -1000, each step.
+    assert table["eval/return"].tolist() == [2500, -5000]
+    assert table["eval/return_max"].tolist() == [2500, 2500]
+    assert table["eval/return_std"].tolist() == [500, 1000]
+    assert table["eval/length"].tolist() == [5, 5]
+    assert table["eval/success"].tolist() == [0.5, 0.5]
+
+
+def test_the_parquet_copy_holds_the_same_table(record):
+    run = record()
+    copied = run.metrics()
+    (run.path / "metrics.parquet").unlink()
+    assert copied.equals(run.metrics()[copied.columns])
+
+
+def test_a_profile_for_every_fit(record):
+    profiles = record().profiles()
+    assert profiles.env_step.tolist() == EVERY_FIT
+    assert profiles.count.tolist() == EVERY_FIT
+    assert profiles.bins.shape == (10, 100)
+    np.testing.assert_allclose(profiles.bins[1], np.arange(100) * 2 + 1.5)
+    n = np.array(EVERY_FIT)
+    np.testing.assert_allclose(profiles.ess, 1.5 * (n + 1) / (2 * n + 1))
+    assert not profiles.zeros.any()
+
+
+def test_snapshots_are_spread_over_the_run_and_the_last_is_there(record):
+    run = record()
+    assert run.snapshot_steps() == [100, 400, 700, 1000]
+    table = run.snapshot(400)
+    np.testing.assert_array_equal(table["weight"], np.arange(400) + 1)
+    np.testing.assert_array_equal(table["log_ratio"], -np.arange(400))
+
+
+def test_a_run_without_chosen_snapshots_keeps_the_last(store: Store):
+    config = Config.but(snapshots=0)
+    with Recorder(RunWriter.create(store, "run", config)) as recorder:
+        for step in EVERY_FIT:
+            recorder.consume(weights(step))
+    assert store.run("run").snapshot_steps() == [1000]
+
+
+def test_weights_of_each_dimension_are_kept(store: Store):
+    per_dim = np.arange(20, dtype=np.float32).reshape(10, 2)
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        recorder.consume(Weights(100, per_dim.mean(1), per_dim=per_dim))
+    table = store.run("run").snapshot(100)
+    np.testing.assert_array_equal(table[["dim_0", "dim_1"]], per_dim)
+
+
+def test_episodes_come_back_whole(record):
+    run = record()
+    assert run.evaluation_steps() == [EVALUATE, STEPS]
+    for got, want in zip(run.episodes(EVALUATE), episodes(EVALUATE), strict=True):
+        for name in ("reward", "action", "obs", "qpos", "qvel"):
+            np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
+        assert (got.terminated, got.truncated) == (want.terminated, want.truncated)
+        assert got.info == want.info
+
+
+def test_the_buffer_comes_back_in_order_with_its_policies(record):
+    rows, version = record().buffer()
+    want = transitions(0, STEPS)
+    for name in ("obs", "action", "reward", "next_obs", "terminated", "truncated"):
+        np.testing.assert_array_equal(getattr(rows, name), getattr(want, name))
+    assert rows.action.shape == (STEPS, ACTION)
+    np.testing.assert_array_equal(version, np.arange(STEPS) // FIT + 1)
+
+
+def test_a_large_buffer_is_few_files(store: Store):
+    writer = RunWriter.create(store, "run", Config)
+    for first in range(0, 10_000, 250):
+        writer.rows(transitions(first, 250), np.full(250, first))
+    writer.close()
+    run = store.run("run")
+    assert len(list((run.path / "buffer").iterdir())) == 3
+    np.testing.assert_array_equal(run.buffer()[0].reward, np.arange(10_000))
+
+
+def test_fields_and_notices_come_back(record):
+    run = record()
+    assert run.field_names() == ["map"]
+    assert run.field_steps("map") == [EVALUATE, STEPS]
+    np.testing.assert_array_equal(run.field("map", STEPS)["gain"], np.full((2, 3), STEPS))
+    assert run.notices()[0] == {
+        "env_step": EVALUATE,
+        "kind": "weights",
+        "message": "all of them are zero",
+    }
+
+
+def test_config_says_what_was_run_and_with_what(record):
+    run = record()
+    assert (run.env, run.learner, run.seed) == ("hopper", "tom", 3)
+    assert OnlineConfig.model_validate(run.config["config"]) == Config
+    assert run.config["versions"]["torch"].startswith("2.")
+    assert run.config["command"] == "tom train"
+    assert run.problems == []
+
+
+def test_the_status_of_a_finished_run(record):
+    status = record().status
+    assert (status.state, status.shown, status.alive) == ("finished", "finished", False)
+    assert (status.env_step, status.total, status.share) == (STEPS, STEPS, 1.0)
+    assert (status.last_return, status.best_return) == (-5000, 2500)
+
+
+def test_speed_and_time_left_follow_the_clock(store: Store):
+    now = [1000.0]
+    recorder = Recorder(RunWriter.create(store, "run", Config), clock=lambda: now[0])
+    recorder.consume(Tick(300, "explore"))
+    now[0] += 1
+    recorder.consume(Tick(301, "optimise"))  # the exploration's speed is forgotten here
+    now[0] += 20
+    recorder.consume(Tick(401, "optimise"))
+    recorder._heartbeat.beat()
+    status = store.run("run").status
+    assert (status.phase, status.env_step, status.heartbeat) == ("optimise", 401, 1021.0)
+    assert status.env_steps_per_s == 5.0
+    assert status.eta_s == (STEPS - 401) / 5
+    recorder.finish("finished")
+
+
+def test_the_heart_beats_while_training_is_busy(store: Store, monkeypatch):
+    monkeypatch.setattr(heartbeat_module, "BEAT_S", 0.01)
+    recorder = Recorder(RunWriter.create(store, "run", Config))
+    first = store.run("run").status
+    assert first.alive
+    deadline = time.monotonic() + 10
+    while store.run("run").status.heartbeat == first.heartbeat:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    recorder.finish("finished")
+    assert "heartbeat" not in [thread.name for thread in threading.enumerate()]
+
+
+@pytest.mark.parametrize(
+    ("error", "state", "reason"),
+    [
+        (KeyboardInterrupt(), "stopped", "interrupted"),
+        (ValueError("loss is nan"), "failed", "ValueError: loss is nan"),
+    ],
+)
+def test_what_ended_a_run_is_in_its_status(store: Store, error, state, reason):
+    def train() -> None:
+        with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+            for event in events()[:300]:
+                recorder.consume(event)
+            raise error
+
+    with pytest.raises(type(error)):
+        train()
+    run = store.run("run")
+    assert (run.status.state, run.status.reason) == (state, reason)
+    assert run.metrics()["env_step"].tolist() == [100, 200]
+
+
+def test_a_row_is_on_disk_as_soon_as_its_step_is_over(store: Store):
+    recorder = Recorder(RunWriter.create(store, "run", Config))
+    recorder.consume(Metrics(7, {"critic/loss": 1.0}))
+    recorder.consume(Evaluation(7, episodes(1)))
+    recorder.consume(Tick(7, "optimise"))
+    row = json.loads((store.path / "run" / "metrics.jsonl").read_text())
+    assert (row["env_step"], row["critic/loss"], row["eval/return"]) == (7, 1.0, 5.0)
+    recorder.finish("stopped")
+
+
+def test_two_writers_of_one_run_are_refused(store: Store):
+    writer = RunWriter.create(store, "run", Config)
+    with pytest.raises(UserError, match="exists already"):
+        RunWriter.create(store, "run", Config)
+    with pytest.raises(UserError, match="written by another process"):
+        RunWriter(store.path / "run", Config)
+    writer.close()
+    RunWriter(store.path / "run", Config).close()
+
+
+def test_a_run_that_cannot_be_made_leaves_nothing(store: Store, monkeypatch):
+    store.path.parent.mkdir(exist_ok=True)
+    store.path.write_text("a file where the store should be")
+    with pytest.raises(UserError, match="--store"):
+        RunWriter.create(store, "run", Config)
+    store.path.unlink()
+    monkeypatch.setenv("PATH", "")  # no git: still fine
+    circular: list[object] = []
+    circular.append(circular)
+    with pytest.raises(RecursionError):
+        RunWriter.create(store, "run", Config, matmul=circular)
+    assert list(store.path.iterdir()) == []

@@ -1,0 +1,158 @@
+"""The recording holds the right numbers; without it, or when it is slow, training goes on."""
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import Config, events, logged, transitions
+
+from tom.config import RoadConfig
+from tom.events import Collected, Episode, Evaluation, Field, Metrics, Weights
+from tom.record import Recorder, RunReader, RunWriter, Store, open_sink, scene, sink
+from tom.record.rerun_view import heat
+
+mj = scene._mj
+
+
+@pytest.fixture
+def hopper(store: Store) -> RunReader:
+    """The small run, with real hopper positions in its episodes."""
+    writer = RunWriter.create(store, "run", Config)
+    with Recorder(writer, open_sink(writer)) as recorder:
+        for event in events():
+            recorder.consume(_with_real_positions(event))
+    run = store.run("run")
+    assert run.notices()[-1]["kind"] != "rerun", run.notices()[-1]
+    return run
+
+
+def _with_real_positions(event):
+    if not isinstance(event, Evaluation):
+        return event
+    qpos = scene.model("hopper").mj.qpos0 + np.arange(9)[:, None] * 0.05
+    reward, wide = np.ones(8, np.float32), np.zeros((9, 1), np.float32)
+    return Evaluation(event.env_step, [Episode(reward, wide[1:], wide, qpos.astype(np.float32))])
+
+
+def test_metrics_are_scalars_over_env_steps(hopper: RunReader):
+    [path] = hopper.rrd_files()
+    for name in ("model/holdout_nll", "eval/return_max"):
+        table = logged(path, name)
+        want = hopper.metrics()[["env_step", name]].dropna()
+        assert table["env_step"].tolist() == want["env_step"].tolist()
+        np.testing.assert_allclose([v[0] for v in table["Scalars:scalars"]], want[name])
+    assert logged(path, "critic/q").empty  # infinite in every row
+
+
+def test_the_profile_is_bars(hopper: RunReader):
+    table = logged(hopper.rrd_files()[0], "weights/profile")
+    assert table["env_step"].tolist() == hopper.profiles().env_step.tolist()
+    bars = table["BarChart:values"].iloc[1][0]["buffer"]
+    np.testing.assert_allclose(bars, hopper.profiles().bins[1])
+
+
+def test_the_robot_stands_where_mujoco_puts_it(hopper: RunReader):
+    table = logged(hopper.rrd_files()[0], "scene/robot/capsules")
+    # 9 positions 0.008 s apart at 30 frames a second: every fourth is drawn.
+    assert table["env_step"].tolist() == [500, 504, 508, 1000, 1004, 1008]
+    model = scene.model("hopper").mj
+    data = mj.MjData(model)
+    qpos = hopper.episodes(500)[0].qpos
+    assert qpos is not None
+    for drawn, frame in zip(table["Capsules3D:translations"], (0, 4, 8), strict=False):
+        data.qpos[:] = qpos[frame]
+        mj.mj_forward(model, data)
+        for k, geom in enumerate(np.flatnonzero(model.geom_type == scene.CAPSULE)):
+            axis = data.geom_xmat[geom].reshape(3, 3)[:, 2]
+            end = data.geom_xpos[geom] - axis * model.geom_size[geom, 1]
+            np.testing.assert_allclose(drawn[k], end, atol=1e-5)
+
+
+def test_the_camera_follows_the_robot(hopper: RunReader):
+    places = logged(hopper.rrd_files()[0], "scene/place")["Transform3D:translation"]
+    np.testing.assert_allclose([p[0][0] for p in places][:3], [0.0, 0.2, 0.4], atol=1e-6)
+
+
+def test_road_and_rocks_is_a_map(store: Store):
+    config = RoadConfig(learner="tom", steps=10)
+    writer = RunWriter.create(store, "road", config)
+    places = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6], [0.7, 0.8]], np.float32)
+    rows = replace(transitions(0, 4), obs=places)
+    line = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9]])
+    ground = {"centre_line": line, "road_half_width": np.array(0.1)}
+    ground |= {"start": np.array([0.1, 0.1, 0.02]), "goal": np.array([0.9, 0.9, 0.07])}
+    paths = {"expert_0": line, "learnt_0": line[::-1], "learnt_1": line}
+    arrows = {"points": places, "true": places / 10, "modelled": -places / 10}
+    with Recorder(writer, open_sink(writer)) as recorder:
+        recorder.consume(Field(0, "map", ground))
+        recorder.consume(Collected(0, rows, np.zeros(4, np.int64)))
+        recorder.consume(Weights(5, np.array([0, 1, 1, 2], np.float32)))
+        recorder.consume(Field(5, "model", arrows))
+        recorder.consume(Field(5, "trajectories", paths))
+        recorder.consume(Metrics(5, {"model/error_road": 0.25}))
+    run = store.run("road")
+    assert run.notices() == []
+    [path] = run.rrd_files()
+    drawn = logged(path, "map/learnt")["LineStrips2D:strips"].iloc[0]
+    np.testing.assert_allclose(np.stack(drawn[0]), line[::-1] * [1, -1])
+    assert len(drawn) == 2
+    vectors = logged(path, "map/modelled")["Arrows2D:vectors"].iloc[0]
+    np.testing.assert_allclose(np.stack(vectors), -places / 10 * [1, -1], atol=1e-7)
+    assert len(logged(path, "map/data")["Points2D:colors"].iloc[0]) == 4
+    text = logged(path, "fit")["TextDocument:text"].iloc[0][0]
+    assert "| model/error_road | 0.25 |" in text
+
+
+def test_weights_are_blue_below_the_mean_and_red_above():
+    red, green, blue, _ = heat(np.array([0.0, 1.0, 100.0])).T.astype(int)
+    assert blue[0] > red[0]
+    assert red[1] == green[1] == blue[1]
+    assert red[2] > blue[2]
+
+
+def test_a_second_recording_of_a_run_is_a_file_of_its_own(store: Store):
+    writer = RunWriter.create(store, "run", Config)
+    for _ in range(2):
+        assert open_sink(writer).close() is None
+    writer.close()
+    assert [path.name for path in store.run("run").rrd_files()] == ["run.rrd", "run-2.rrd"]
+
+
+def test_a_recording_that_cannot_be_written_costs_training_nothing(store: Store):
+    writer = RunWriter.create(store, "run", Config)
+    nowhere = sink.RerunSink(store.path / "no" / "run.rrd", "run", "hopper", "tom", 500)
+    with Recorder(writer, nowhere) as recorder:
+        for event in events():
+            recorder.consume(event)
+    run = store.run("run")
+    assert run.status.state == "finished"
+    assert len(run.metrics()) == 10
+    assert run.notices()[-1]["kind"] == "rerun"
+    assert "run.rrd is incomplete" in run.notices()[-1]["message"]
+
+
+def test_what_rerun_does_not_take_is_dropped_and_counted(tmp_path: Path):
+    stalled = sink.RerunSink(tmp_path / "run.rrd", "run", "hopper", "tom", 500)
+    release = threading.Event()
+    stalled._offer(lambda _: release.wait())
+    for step in range(2 * sink.CAPACITY):
+        stalled.metrics(step, {"critic/loss": 1.0})  # returns at once although nobody takes it
+    assert stalled.dropped >= sink.CAPACITY
+    release.set()
+    message = stalled.close()
+    assert message == f"run.rrd was too slow: {stalled.dropped} entries were left out"
+    kept = logged(tmp_path / "run.rrd", "critic/loss")
+    assert len(kept) == 2 * sink.CAPACITY - stalled.dropped
+
+
+def test_a_viewer_that_hangs_holds_the_end_of_a_run_up_for_a_moment_only(tmp_path, monkeypatch):
+    monkeypatch.setattr(sink, "CLOSE_S", 0.1)
+    hanging = sink.RerunSink(tmp_path / "run.rrd", "run", "hopper", "tom", 500)
+    release = threading.Event()
+    hanging._offer(lambda _: release.wait())
+    message = hanging.close()
+    release.set()
+    assert message is not None
+    assert "may be incomplete" in message

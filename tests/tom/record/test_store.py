@@ -1,0 +1,118 @@
+import json
+import os
+from pathlib import Path
+
+import pytest
+from recorded import Config
+
+from tom.errors import UserError
+from tom.record import RunReader, RunWriter, Store
+
+
+def test_runs_come_newest_first(store: Store):
+    for run_id in ("b", "c", "a"):
+        RunWriter.create(store, run_id, Config).close()
+    assert [run.run_id for run in store.runs()] == ["a", "c", "b"]
+    assert store.problems == []
+
+
+def test_a_store_that_is_not_there_is_empty(tmp_path: Path):
+    store = Store(tmp_path / "none")
+    assert store.runs() == []
+    assert not store.path.exists()
+
+
+def test_what_is_no_run_is_named_and_does_not_stop_the_others(store: Store, tmp_path: Path):
+    RunWriter.create(store, "good", Config).close()
+    RunWriter.create(store, "newer", Config).close()
+    newer = json.loads((store.path / "newer" / "config.json").read_text()) | {"schema": 9}
+    (store.path / "newer" / "config.json").write_text(json.dumps(newer))
+    (store.path / "empty").mkdir()
+    (store.path / "half").mkdir()
+    (store.path / "half" / "config.json").write_text('{"schema": 1, "env": "hop')
+    (store.path / "foreign").mkdir()
+    (store.path / "foreign" / "config.json").write_text('{"model_type": "bert"}')
+    (store.path / "bad name").mkdir()
+    (store.path / ".trash").mkdir()
+    (store.path / "README.md").touch()
+    (tmp_path / "outside").mkdir()
+    (store.path / "link").symlink_to(tmp_path / "outside")
+    assert [run.run_id for run in store.runs()] == ["newer", "good"]
+    problems = "\n".join(store.problems)
+    assert len(store.problems) == 5
+    assert "empty: no run (config.json is missing)" in problems
+    assert "half: no run (config.json cannot be read" in problems
+    assert "foreign: no run (its config.json is not a run's)" in problems
+    assert "'bad name' is no run id" in problems
+    assert "'link' is a link" in problems
+    assert "newer version" in next(run for run in store.runs() if run.run_id == "newer").problems[0]
+
+
+@pytest.mark.parametrize(
+    "run_id",
+    [
+        *("", ".", "..", "../x", "a/../../x", "/etc/passwd", "a/b", ".hidden", "-x"),
+        *("a\0b", "a\n", "a" * 101, "ä", "a b", "<script>"),
+    ],
+)
+def test_ids_that_could_leave_the_store_are_refused(store: Store, run_id: str):
+    with pytest.raises(UserError, match="no run id"):
+        store.run(run_id)
+    with pytest.raises(UserError, match="no run id"):
+        RunWriter.create(store, run_id, Config)
+    assert not store.path.exists()
+
+
+def test_a_link_out_of_the_store_is_not_followed(store: Store, tmp_path: Path):
+    RunWriter.create(Store(tmp_path / "other"), "run", Config).close()
+    store.path.mkdir()
+    (store.path / "run").symlink_to(tmp_path / "other" / "run")
+    with pytest.raises(UserError, match="is a link"):
+        store.run("run")
+    with pytest.raises(UserError, match="is a link"):
+        RunWriter.create(store, "run", Config)
+
+
+def test_a_store_behind_a_link_is_fine(store: Store, tmp_path: Path):
+    RunWriter.create(store, "run", Config).close()
+    (tmp_path / "link").symlink_to(store.path)
+    assert Store(tmp_path / "link").run("run").run_id == "run"
+
+
+def test_an_unknown_run_names_those_there_are(store: Store):
+    RunWriter.create(store, "here", Config).close()
+    with pytest.raises(UserError, match=r"no run 'there' in .*newest: here"):
+        store.run("there")
+
+
+def test_a_store_that_is_a_file(tmp_path: Path):
+    (tmp_path / "file").touch()
+    store = Store(tmp_path / "file")
+    with pytest.raises(UserError, match=r"cannot read the store .*--store"):
+        store.runs()
+    with pytest.raises(UserError, match=r"cannot make the store .*--store"):
+        RunWriter.create(store, "run", Config)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_store_that_may_not_be_written(store: Store):
+    store.path.mkdir(mode=0o555)
+    with pytest.raises(UserError, match=r"cannot write to the store .*--store"):
+        RunWriter.create(store, "run", Config)
+
+
+def test_new_ids_are_free_and_say_what_they_are(store: Store):
+    taken = set()
+    for _ in range(3):
+        run_id = store.new_run_id("hopper", "tom", 4)
+        assert run_id.startswith("hopper-tom-s4-")
+        RunWriter.create(store, run_id, Config).close()
+        taken.add(run_id)
+    assert len(taken) == 3
+
+
+def test_recent_runs_are_those_whose_status_was_just_written(record, store: Store):
+    runs: list[RunReader] = [record("old"), record("new")]
+    long_ago = runs[0].status.heartbeat - 100
+    os.utime(runs[0].path / "status.json", (long_ago, long_ago))
+    assert store.recent(30) == ["new"]
