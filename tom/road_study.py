@@ -10,10 +10,11 @@ from itertools import takewhile
 from math import nan
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tom import offline
 from tom.config import RoadConfig
-from tom.events import Evaluation, Event, Metrics
+from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.road_measure import returns
 
 TURNS = (0.0, 45.0, 90.0, 105.0, 120.0, 135.0, 150.0, 180.0)
@@ -69,28 +70,51 @@ class Check:
     passed: bool
 
 
+@dataclass(frozen=True)
+class Story:
+    """An outcome, the returns on the way there, and what the weights looked like."""
+
+    outcome: Outcome
+    returns: list[tuple[int, float]]  # (step of policy optimisation, mean return)
+    places: NDArray[np.float32] | None = None  # (N, 2) of the transitions
+    weights: NDArray[np.float32] | None = None  # (N,)
+
+
 def outcome(case: Case) -> Outcome:
-    """Run a case."""
+    """Run a case: what it came to."""
+    return tell(case).outcome
+
+
+def tell(case: Case) -> Story:
+    """Run a case and keep its curve; the weights are kept too, for the map."""
     events: Iterator[Event] = offline.train(case.config)
     if not case.optimise:
         events = takewhile(lambda event: event.env_step == 0, events)
     values: dict[str, float] = {}
+    curve: list[tuple[int, float]] = []
     last: Evaluation | None = None
+    places, weights = None, None
     for event in events:
-        if isinstance(event, Metrics):
-            values |= event.values
-        if isinstance(event, Evaluation):
-            last = event
+        match event:
+            case Metrics():
+                values |= event.values
+            case Evaluation():
+                last = event
+                curve.append((event.env_step, returns(event.episodes)[0]))
+            case Collected():
+                places = np.asarray(event.transitions.obs, np.float32)
+            case Weights():
+                weights = event.weight
     found = Outcome(
         name=case.name,
         seed=case.config.seed,
         turn=case.config.turn,
         **{name: values[path] for name, path in _PATHS.items()},
     )
-    if not case.optimise or last is None:
-        return found
-    sac_return, sac_success = returns(last.episodes)
-    return replace(found, sac_return=sac_return, sac_success=sac_success)
+    if case.optimise and last is not None:
+        sac_return, sac_success = returns(last.episodes)
+        found = replace(found, sac_return=sac_return, sac_success=sac_success)
+    return Story(found, curve, places, weights)
 
 
 _PATHS = {

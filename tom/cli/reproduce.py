@@ -1,8 +1,8 @@
 """`tom reproduce`: a claim of the paper, computed again and held against its acceptance."""
 
-from tom.cli import reproduce_progression
+from tom.cli import reproduce_progression, reproduce_road
 
-STUDIES = (reproduce_progression,)
+STUDIES = (reproduce_road, reproduce_progression)
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:

@@ -1,0 +1,151 @@
+"""`tom reproduce road`: where TOM drives and MLE does not, with controls and the sweep."""
+
+import argparse
+import csv
+import json
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from tom.errors import UserError
+from tom.matmul import choose_matmul
+from tom.record.files import plain
+from tom.reports import road as figures
+from tom.reports.style import save
+from tom.road_study import (
+    Case,
+    Check,
+    Outcome,
+    Story,
+    acceptance,
+    acceptance_cases,
+    baseline_cases,
+    control_cases,
+    controls,
+    sweep_cases,
+    tell,
+)
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "road",
+        help="road-and-rocks: TOM beside MLE and PMAC, controls, baselines, the sweep over turn",
+        description="Train road-and-rocks over seeds and hold the outcome against the acceptance; "
+        "controls that must fail, simpler baselines, and the sweep that says where the claim "
+        "holds. Writes figures (PNG, SVG) and the numbers behind them (CSV).",
+    )
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(range(8)), help="[0 .. 7]")
+    parser.add_argument(
+        "--sweep-seeds", nargs="+", type=int, default=[4, 5], help="seeds of the sweep [4 5]"
+    )
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--out", type=Path, default=Path("reports/road"))
+    parser.add_argument("--json", action="store_true", help="print the checks as JSON")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    if min([*args.seeds, *args.sweep_seeds]) < 0 or args.jobs < 1:
+        raise UserError("--seeds and --sweep-seeds must be at least 0 and --jobs at least 1")
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make {args.out}: {error.strerror}; name another --out") from error
+    main = [*acceptance_cases(args.seeds), *control_cases(args.seeds)]
+    stories = _tell_all([*main, *baseline_cases(args.seeds)], args.jobs)
+    sweep = [s.outcome for s in _tell_all(sweep_cases(args.sweep_seeds), args.jobs)]
+    outcomes = [s.outcome for s in stories]
+    checks = [*acceptance(outcomes), *controls(outcomes)]
+    _write(args.out, stories, sweep, checks)
+    _print(checks, outcomes, args)
+    return 0 if all(check.passed for check in checks) else 1
+
+
+def _tell_all(cases: Sequence[Case], jobs: int) -> list[Story]:
+    """The stories of all cases, each in a single-threaded process."""
+    with ProcessPoolExecutor(jobs, get_context("spawn"), _prepare) as pool:
+        stories = []
+        for story in pool.map(tell, cases):
+            stories.append(story)
+            o = story.outcome
+            print(f"{o.name} seed {o.seed} turn {o.turn:g}", file=sys.stderr, flush=True)
+        return stories
+
+
+def _prepare() -> None:
+    torch.set_num_threads(1)
+    choose_matmul()
+
+
+def _write(
+    out: Path, stories: Sequence[Story], sweep: Sequence[Outcome], checks: Sequence[Check]
+) -> None:
+    _csv(out / "outcomes.csv", (asdict(s.outcome) for s in stories))
+    _csv(out / "sweep.csv", (asdict(o) for o in sweep))
+    _csv(out / "checks.csv", (asdict(c) for c in checks))
+    curves = (
+        {"name": s.outcome.name, "seed": s.outcome.seed, "step": step, "return": value}
+        for s in stories
+        for step, value in s.returns
+    )
+    _csv(out / "returns.csv", curves)
+    save(figures.return_figure(stories), out, "returns")
+    save(figures.sweep_figure(sweep), out, "sweep")
+    told = [s for s in stories if s.places is not None]
+    if told:
+        save(figures.map_figure(told), out, "weights")
+
+
+def _csv(path: Path, rows: Iterable[dict[str, object]]) -> None:
+    listed = list(rows)
+    with path.open("w", newline="") as file:
+        if listed:
+            writer = csv.DictWriter(file, list(listed[0]))
+            writer.writeheader()
+            writer.writerows(listed)
+
+
+def _print(checks: Sequence[Check], outcomes: Sequence[Outcome], args: argparse.Namespace) -> None:
+    if args.json:
+        rows = [asdict(c) for c in checks]
+        print(json.dumps(plain({"checks": rows, "out": str(args.out)}), allow_nan=False))
+        return
+    console = Console(width=None if Console().is_terminal else 140)
+    shown = Table(title=f"Road-and-rocks, seeds {' '.join(map(str, args.seeds))}")
+    for title in ("figure", "value", "bound", "met"):
+        shown.add_column(title)
+    for check in checks:
+        shown.add_row(
+            check.name, f"{check.value:.3g}", check.bound, "yes" if check.passed else "NO"
+        )
+    console.print(shown)
+    console.print(_by_seed(outcomes))
+    print(args.out)
+
+
+def _by_seed(outcomes: Sequence[Outcome]) -> Table:
+    """Every case's returns and successes, seed by seed."""
+    table = Table(title="By seed: return and success of SAC in the model, and of the planner")
+    for title in ("case", "seed", "ratio", "share", "SAC", "success", "planner", "success"):
+        table.add_column(title, justify="left" if title == "case" else "right")
+    for o in sorted(outcomes, key=lambda o: (o.name, o.seed)):
+        table.add_row(
+            o.name,
+            str(o.seed),
+            f"{o.road_ratio:.1f}",
+            f"{o.road_share:.2f}",
+            f"{o.sac_return:.1f}",
+            f"{o.sac_success:.2f}",
+            f"{o.planner_return:.1f}",
+            f"{o.planner_success:.2f}",
+        )
+    return table
