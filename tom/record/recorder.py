@@ -106,6 +106,10 @@ class Recorder:
                 self._writer.policy(event.arrays)
         self._record_s += time.perf_counter() - begun
 
+    def beat(self) -> None:
+        """Write the status now, as a background thread does every two seconds."""
+        self._heartbeat.beat()
+
     def finish(self, state: State, reason: str = "") -> None:
         """End the run: final status, the metrics' Parquet copy, nothing left open."""
         if self._finished:

@@ -151,7 +151,7 @@ def test_speed_and_time_left_follow_the_clock(store: Store):
     recorder.consume(Tick(301, "optimise"))  # the exploration's speed is forgotten here
     now[0] += 20
     recorder.consume(Tick(401, "optimise"))
-    recorder._heartbeat.beat()
+    recorder.beat()
     status = store.run("run").status
     assert (status.phase, status.env_step, status.heartbeat) == ("optimise", 401, 1021.0)
     assert status.env_steps_per_s == 5.0
