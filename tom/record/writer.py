@@ -93,6 +93,9 @@ class RunWriter:
         (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
         self._latest_snapshot = mark["latest_snapshot"]
         self._tail_first, self._tail = mark["segment"], []
+        for first in layout.numbers(self.path / "buffer", ".npz"):
+            if first > self._tail_first:
+                (self.path / layout.segment(first)).unlink()
         if mark["segment_rows"]:
             with np.load(self.path / layout.segment(self._tail_first), allow_pickle=False) as held:
                 self._tail = [{name: held[name][: mark["segment_rows"]] for name in held.files}]

@@ -18,7 +18,7 @@ from recorded import (
 
 from tom.config import OnlineConfig
 from tom.errors import UserError
-from tom.events import Evaluation, Metrics, Tick, Weights
+from tom.events import Collected, Evaluation, Metrics, Tick, Weights
 from tom.record import Recorder, RunWriter, Store
 from tom.record import heartbeat as heartbeat_module
 
@@ -113,6 +113,32 @@ def test_a_large_buffer_is_few_files(store: Store):
     run = store.run("run")
     assert len(list((run.path / "buffer").iterdir())) == 3
     np.testing.assert_array_equal(run.buffer()[0].reward, np.arange(10_000))
+
+
+def test_going_back_to_a_mark_leaves_nothing_of_what_came_after(store: Store):
+    recorder = Recorder(RunWriter.create(store, "run", Config))
+    given = events()
+    for event in given:
+        if event == Tick(350, "optimise"):
+            break
+        recorder.consume(event)
+    mark = recorder.mark()
+    recorder.consume(
+        Collected(400, transitions(300, 5000), np.zeros(5000, int))
+    )  # ends the segment
+    recorder.consume(Collected(400, transitions(5300, 50), np.zeros(50, int)))
+    recorder.consume(Metrics(400, {"lost": 1.0}))
+    recorder.finish("failed", "killed")
+    again = Recorder(RunWriter(store.path / "run", Config), mark=mark)
+    for event in given[given.index(Tick(350, "optimise")) :]:
+        again.consume(event)
+    again.finish("finished")
+    run = store.run("run")
+    assert run.metrics()["env_step"].tolist() == EVERY_FIT
+    assert "lost" not in run.metrics()
+    assert run.profiles().env_step.tolist() == EVERY_FIT
+    np.testing.assert_array_equal(run.buffer()[0].reward, np.arange(STEPS))
+    assert run.problems == []
 
 
 def test_fields_and_notices_come_back(record):
