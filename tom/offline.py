@@ -6,6 +6,7 @@ sockets are its consumers' affair.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from tom.cloning import clone
 from tom.config import RoadConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
+from tom.data.transitions import Transitions
 from tom.dynamics.linear import LinearModel
 from tom.envs import road, road_data
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick, Weights
@@ -74,27 +76,33 @@ class Offline:
         self._sac_metrics: dict[str, Tensor] = {}
 
     def events(self) -> Iterator[Event]:
-        """The whole run."""
+        """The run, from where it stands to its last step."""
         config = self.config
+        if self.env_step == 0:
+            yield from self.begin()
+        while self.env_step < config.steps:
+            if self.env_step % config.rollout_every == 0:
+                yield Metrics(self.env_step, self.roll_out_model())
+            self.optimise_policy()
+            self.env_step += 1
+            last = self.env_step == config.steps
+            recorded = last or self.env_step % config.fit_every == 0
+            if recorded or self.env_step % config.evaluation.every == 0:
+                yield from self.evaluate()
+            if recorded:
+                if config.learner in FOLLOW_THE_VALUE:
+                    yield from self.fit(value_gradient=True)
+                yield from self.record()
+            yield Tick(self.env_step, "optimise")
+
+    def begin(self) -> Iterator[Event]:
+        """The data, the first weighted fit, and what its model is worth before SAC starts."""
         yield from self.show_data()
         yield Tick(0, "fit")
         yield from self.fit(value_gradient=False)
         yield from self.evaluate()
         yield from self.drive_plan()
         yield from self.record()
-        while self.env_step < config.steps:
-            if self.env_step % config.rollout_every == 0:
-                yield Metrics(self.env_step, self.roll_out_model())
-            self.optimise_policy()
-            self.env_step += 1
-            yield Tick(self.env_step, "optimise")
-            last = self.env_step == config.steps
-            if last or self.env_step % config.evaluation.every == 0:
-                yield from self.evaluate()
-            if last or self.env_step % config.fit_every == 0:
-                if config.learner in FOLLOW_THE_VALUE:
-                    yield from self.fit(value_gradient=True)
-                yield from self.record()
 
     def show_data(self) -> Iterator[Event]:
         """The map and the recorded transitions."""
@@ -196,6 +204,35 @@ class Offline:
         )
         yield Field(step, "model", model_field(self.data.road_map, self.model))
         yield Field(step, "trajectories", trajectory_field(self.data.demonstrations, self.episodes))
+
+    # Where the run stands
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the rest of the run; the data come again from the seed."""
+        weighting = self.weighting
+        return {
+            "env_step": self.env_step,
+            "collected": 0,
+            "policy": self.policy.state_dict(),
+            "streams": self.streams.state_dict(),
+            "model_buffer": self.model_buffer.state_dict(),
+            "weights": weighting.weights,
+            "per_dim": weighting.per_dim,
+            "log_ratio": weighting.log_ratio,
+            "coefficients": self.model.coefficients,
+            "sac_metrics": self._sac_metrics,
+        }
+
+    def load_state_dict(
+        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
+    ) -> None:
+        """Go on from `state_dict`."""
+        self.env_step = state["env_step"]
+        for part in ("policy", "streams", "model_buffer"):
+            getattr(self, part).load_state_dict(state[part])
+        self.weighting = Weighting(state["weights"], state["per_dim"], state["log_ratio"])
+        self.model = LinearModel(state["coefficients"])
+        self._sac_metrics = state["sac_metrics"]
 
 
 def train(config: RoadConfig) -> Iterator[Event]:

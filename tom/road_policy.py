@@ -5,6 +5,7 @@ rocks: SAC needs several times the updates.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -28,6 +29,12 @@ class RoadSac:
         """One gradient step of everything on a (B, ...) batch; metrics (1,) each."""
         seen = replace(rows, obs=_seen(rows.obs), next_obs=_seen(rows.next_obs))
         return self._sac.update(seen[None])
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._sac.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self._sac.load_state_dict(state)
 
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """n sampled actions for obs (B, 2): (n, B, 2)."""

@@ -80,7 +80,7 @@ def test_what_a_run_records(tom_events: list[Event]):
         assert event.weight.mean() == pytest.approx(1.0, abs=1e-4)
         assert event.log_ratio is not None
     evaluations = [e for e in tom_events if isinstance(e, Evaluation)]
-    assert [e.env_step for e in evaluations] == [0, 20, 40, 60]
+    assert [e.env_step for e in evaluations] == [0, 20, 30, 40, 60]  # at records too
     assert {e.info["success"] for v in evaluations for e in v.episodes} <= {0.0, 1.0}
     expected = """planner/return planner/success weights/road_share weights/ess critic/loss
         model/error_expert rollout/reward eval/return_random eval/return_expert"""

@@ -99,6 +99,18 @@ def test_a_finished_run_goes_on_when_it_is_given_more_steps(undisturbed, tmp_pat
     np.testing.assert_array_equal(longer.buffer()[0].obs, undisturbed.buffer()[0].obs)
 
 
+@pytest.mark.parametrize("learner", ["mle", "pmac", "tom", "vagram"])
+def test_road_and_rocks_stopped_and_resumed(tmp_path: Path, learner: str):
+    given = {"steps": 250, "fit_every": 100, "tom": {"q_steps": 50, "discriminator_steps": 50}}
+    made = resolve("road-and-rocks", learner, "smoke", given)
+    store = Store(tmp_path)
+    whole = train(made, store, "whole", rerun=False)
+    stop, watchers = stopping_at(123)
+    stopped = train(made, store, "a", rerun=False, watchers=watchers, stop=stop)
+    assert stopped.status.env_step == 123
+    assert_same_record(whole, resume(store, "a", rerun=False))
+
+
 def test_a_run_without_a_checkpoint_says_so(tmp_path: Path):
     store = Store(tmp_path)
     train(config(steps=50, checkpoint_every=0), store, "a", rerun=False)
