@@ -40,7 +40,7 @@ def stopping_at(step: int) -> tuple[Stop, tuple]:
 
 def untimed(run: RunReader) -> pd.DataFrame:
     table = run.metrics()
-    return table[[name for name in table if not name.startswith("time/")]]
+    return table.drop(columns=[name for name in table if name.startswith("time/")])
 
 
 def assert_same_record(first: RunReader, second: RunReader) -> None:

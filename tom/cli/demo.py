@@ -8,9 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
+from tom.cli.tables import show
 from tom.cli.train import number, summary
 from tom.record import RunReader, Store
 from tom.sweep import Job, run_jobs
@@ -76,13 +74,19 @@ def _train_all(store: Store, args: argparse.Namespace) -> int:
 
 
 def _print_table(runs: list[RunReader]) -> None:
-    table = Table(title="What was trained")
-    for column in ("environment", "learner", "steps", "last return", "best return", "run"):
-        table.add_column(column, justify="right" if "return" in column else "left")
-    for row in map(summary, runs):
-        returns = [number(row["last_return"]), number(row["best_return"])]
-        table.add_row(row["env"], row["learner"], str(row["env_step"]), *returns, row["run_id"])
-    Console().print(table)
+    columns = ("environment", "learner", "steps", "last return", "best return", "run")
+    rows = [
+        (
+            row["env"],
+            row["learner"],
+            str(row["env_step"]),
+            number(row["last_return"]),
+            number(row["best_return"]),
+            row["run_id"],
+        )
+        for row in map(summary, runs)
+    ]
+    show("What was trained", columns, rows)
 
 
 @contextmanager

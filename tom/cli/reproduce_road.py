@@ -12,9 +12,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import torch
-from rich.console import Console
-from rich.table import Table
 
+from tom.cli.tables import show
 from tom.errors import UserError
 from tom.matmul import choose_matmul
 from tom.record.files import plain
@@ -119,26 +118,20 @@ def _print(checks: Sequence[Check], outcomes: Sequence[Outcome], args: argparse.
         rows = [asdict(c) for c in checks]
         print(json.dumps(plain({"checks": rows, "out": str(args.out)}), allow_nan=False))
         return
-    console = Console(width=None if Console().is_terminal else 140)
-    shown = Table(title=f"Road-and-rocks, seeds {' '.join(map(str, args.seeds))}")
-    for title in ("figure", "value", "bound", "met"):
-        shown.add_column(title)
-    for check in checks:
-        shown.add_row(
-            check.name, f"{check.value:.3g}", check.bound, "yes" if check.passed else "NO"
-        )
-    console.print(shown)
-    console.print(_by_seed(outcomes))
+    title = f"Road-and-rocks, seeds {' '.join(map(str, args.seeds))}"
+    show(
+        title,
+        ("figure", "value", "bound", "met"),
+        [(c.name, f"{c.value:.3g}", c.bound, "yes" if c.passed else "NO") for c in checks],
+    )
+    _show_seeds(outcomes)
     print(args.out)
 
 
-def _by_seed(outcomes: Sequence[Outcome]) -> Table:
+def _show_seeds(outcomes: Sequence[Outcome]) -> None:
     """Every case's returns and successes, seed by seed."""
-    table = Table(title="By seed: return and success of SAC in the model, and of the planner")
-    for title in ("case", "seed", "ratio", "share", "SAC", "success", "planner", "success"):
-        table.add_column(title, justify="left" if title == "case" else "right")
-    for o in sorted(outcomes, key=lambda o: (o.name, o.seed)):
-        table.add_row(
+    rows = [
+        (
             o.name,
             str(o.seed),
             f"{o.road_ratio:.1f}",
@@ -148,4 +141,7 @@ def _by_seed(outcomes: Sequence[Outcome]) -> Table:
             f"{o.planner_return:.1f}",
             f"{o.planner_success:.2f}",
         )
-    return table
+        for o in sorted(outcomes, key=lambda o: (o.name, o.seed))
+    ]
+    columns = ("case", "seed", "ratio", "share", "SAC", "success", "planner", "success")
+    show("By seed: return and success of SAC in the model, and of the planner", columns, rows)

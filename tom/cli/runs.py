@@ -4,9 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
+from tom.cli.tables import show
 from tom.cli.train import number, summary
 from tom.record import Store
 
@@ -26,12 +24,17 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(rows))
         return 0
-    table = Table()
-    for column in ("run", "state", "step", "last return", "best return", "problems"):
-        table.add_column(column, justify="right" if "return" in column else "left")
-    for row in rows:
-        returns = (number(row["last_return"]), number(row["best_return"]))
-        problems = "; ".join(row["problems"])
-        table.add_row(row["run_id"], row["state"], str(row["env_step"]), *returns, problems)
-    Console().print(table)
+    columns = ("run", "state", "step", "last return", "best return", "problems")
+    cells = [
+        (
+            row["run_id"],
+            row["state"],
+            str(row["env_step"]),
+            number(row["last_return"]),
+            number(row["best_return"]),
+            "; ".join(row["problems"]),
+        )
+        for row in rows
+    ]
+    show(f"{len(rows)} runs in {args.store}", columns, cells)
     return 0

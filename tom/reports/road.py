@@ -74,10 +74,10 @@ def map_figure(stories: Sequence[Story]) -> Figure:
     with rc_context({**STYLE, "axes.grid": False}):
         figure = new_figure(3.1 * len(chosen) + 0.6, 3.3)
         axes = figure.subplots(1, len(chosen), squeeze=False)[0]
+        images = [_map(ax, story) for ax, (_, story) in zip(axes, chosen, strict=True)]
         for ax, (label, story) in zip(axes, chosen, strict=True):
-            image = _map(ax, story)
             ax.set_title(f"{label}, seed {story.outcome.seed}")
-        figure.colorbar(image, ax=list(axes), label="mean weight", shrink=0.8)
+        figure.colorbar(images[0], ax=list(axes), label="mean weight", shrink=0.8)
     return figure
 
 
