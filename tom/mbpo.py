@@ -63,7 +63,7 @@ class Mbpo:
         self.env = self.task.make()
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
         self.env_step = 0
-        self.policy_version = 0
+        self.policy_version = 1  # 0 is exploration
         self._obs: np.ndarray | None = None
         self._initial_obs: list[np.ndarray] = []
         self._episode_return = 0.0
