@@ -1,7 +1,7 @@
-"""Follows the running runs of a store and feeds them to a Rerun hub, for live viewers.
+"""Turns run folders into live Rerun recordings: one a viewer, or all of them for a hub.
 
-It reads run folders as any reader does: trainings know nothing of it, it may start late, and a
-hub that dies and comes back is fed again from the beginning.
+It reads as any reader does: trainings know nothing of it, and it may start late. A hub that dies
+and comes back is fed again from the beginning.
 """
 
 import logging
@@ -55,11 +55,11 @@ class Tail:
 class Follower:
     """What one run has shown so far."""
 
-    def __init__(self, run: RunReader, url: str) -> None:
+    def __init__(self, run: RunReader, sink: rr.GrpcSink | None = None) -> None:
         self.run = run
         config = run.config.get("config", {})
         every = int(config.get("evaluation", {}).get("every", 1000))
-        self._view = RerunView(run.run_id, run.env, run.learner, every, rr.GrpcSink(url))
+        self._view = RerunView(run.run_id, run.env, run.learner, every, sink)
         self._metrics = Tail(run.path / layout.METRICS)
         self._profiles = Tail(run.path / layout.PROFILES)
         self._placed = False
@@ -90,6 +90,10 @@ class Follower:
         for step in self._new("weights", self.run.snapshot_steps()):
             self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
 
+    def read(self) -> bytes:
+        """What was sent since the last call, where there is no sink."""
+        return self._view.read()
+
     def close(self) -> None:
         self._view.close(FLUSH_S)
 
@@ -97,6 +101,18 @@ class Follower:
         new = [step for step in steps if (kind, step) not in self._shown]
         self._shown |= {(kind, step) for step in new}
         return new
+
+
+def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
+    """The bytes of a recording that grows with the run and ends with it."""
+    follower = Follower(run)
+    while not stopping.is_set():
+        alive = run.status.alive  # before the rows: what comes later is not missed
+        follower.follow()
+        yield follower.read()
+        if not alive:
+            return
+        stopping.wait(POLL_S)
 
 
 class Feeder:
@@ -134,7 +150,8 @@ class Feeder:
         run = self._store.run(run_id)
         if self._done.get(run_id) != run.status.started:
             host, port = self._address
-            self._followers[run_id] = Follower(run, f"rerun+http://{host}:{port}/proxy")
+            sink = rr.GrpcSink(f"rerun+http://{host}:{port}/proxy")
+            self._followers[run_id] = Follower(run, sink)
 
     def _follow(self, run_id: str) -> None:
         follower = self._followers[run_id]

@@ -1,8 +1,8 @@
 """The Rerun hub of a studio: one process that a launcher starts, watches and ends.
 
 `python -m tom.record.hub` runs Rerun's own hub (viewers and SDKs connect to `port`), serves the
-web viewer's page (`web_port`) and feeds the store's running runs to the hub. It listens on
-127.0.0.1 unless told otherwise, and ends with its parent.
+web viewer's page and every run's growing recording (`web_port`), and feeds the store's running
+runs to the hub. It listens on 127.0.0.1 unless told otherwise, and ends with its parent.
 """
 
 import argparse
@@ -14,7 +14,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
@@ -42,7 +43,7 @@ def binary() -> Path:
 
 
 def viewer_url(host: str, web_port: int, source: str, theme: str = "dark") -> str:
-    """The web viewer's address showing `source`: a hub's `hub_url` or a recording's http URL."""
+    """The web viewer's address showing `source`: a `live_url`, a `hub_url` or a file's URL."""
     query = f"url={quote(source, safe='')}&hide_welcome_screen&persist=false&notebook=false"
     return f"http://{host}:{web_port}/?{query}&theme={theme}"
 
@@ -50,6 +51,11 @@ def viewer_url(host: str, web_port: int, source: str, theme: str = "dark") -> st
 def hub_url(host: str, port: int) -> str:
     """Where viewers and SDKs reach a hub."""
     return f"rerun+http://{host}:{port}/proxy"
+
+
+def live_url(host: str, web_port: int, run_id: str) -> str:
+    """The recording of one run of the store, made on the spot; it grows while the run trains."""
+    return f"http://{host}:{web_port}/live/{quote(run_id)}.rrd"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -71,7 +77,8 @@ def _serve(args: argparse.Namespace, folder: Path, stopping: threading.Event) ->
     inner = free_port(args.host)
     rerun = _start(args.host, args.port, inner, args.web_port, without_analytics(folder))
     try:
-        page = web.serve(args.host, args.web_port, inner)
+        page = web.Server(args.host, args.web_port, inner, partial(_live, args.store, stopping))
+        page.start()
         feeder = threading.Thread(
             target=_feed, args=(args.store, args.port, stopping), name="feed", daemon=True
         )
@@ -93,6 +100,13 @@ def _feed(store: Path, port: int, stopping: threading.Event) -> None:
     from tom.record.store import Store
 
     Feeder(Store(store), "127.0.0.1", port).run(stopping)
+
+
+def _live(store: Path, stopping: threading.Event, run_id: str) -> Iterator[bytes]:
+    from tom.record.feed import stream
+    from tom.record.store import Store
+
+    return stream(Store(store).run(run_id), stopping)
 
 
 def _start(

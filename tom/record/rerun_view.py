@@ -16,8 +16,6 @@ from tom.metrics import describe
 from tom.record import scene
 from tom.record.blueprint import FIT, GROUND, MAP, PROFILE, ROBOT, TRACKED, blueprint
 
-APPLICATION = "tom-studio"
-
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
 
@@ -33,21 +31,37 @@ class RerunView:
     """One run's recording. Every method may block as long as its sink does."""
 
     def __init__(
-        self, run_id: str, env: str, learner: str, every: int, sink: rr.FileSink | rr.GrpcSink
+        self,
+        run_id: str,
+        env: str,
+        learner: str,
+        every: int,
+        sink: rr.FileSink | rr.GrpcSink | None = None,
     ) -> None:
-        """`every` is the number of env steps between two evaluations."""
+        """`every` env steps lie between two evaluations; without a sink, `read` the bytes."""
         self._env = env
         self._every = every
         self._replay_s = 0.0
         self._floor_drawn = False
         self._places = 0
+        # Viewers keep one layout for an application: runs that differ in theirs differ in it.
+        application = f"tom-studio {env} {learner}"
         # Chunks of seconds, not of a fifth of one: a viewer is slow with many small ones.
         batches = rr.ChunkBatcherConfig(flush_tick=1.0)
-        self._stream = rr.RecordingStream(APPLICATION, recording_id=run_id, batcher_config=batches)
+        self._stream = rr.RecordingStream(application, recording_id=run_id, batcher_config=batches)
         self._stream.set_log_tick_enabled(False)
         self._stream.set_log_time_enabled(False)
-        self._stream.set_sinks(sink, default_blueprint=blueprint(env, learner))
+        self._bytes: rr.BinaryStream | None = None
+        if sink is None:
+            self._bytes = self._stream.binary_stream()
+            self._stream.send_blueprint(blueprint(env, learner))
+        else:
+            self._stream.set_sinks(sink, default_blueprint=blueprint(env, learner))
         self._stream.send_recording_name(run_id)
+
+    def read(self) -> bytes:
+        """What was recorded since the last call, where there is no sink."""
+        return (self._bytes.read() if self._bytes else None) or b""
 
     def metrics(self, env_step: int, values: Mapping[str, float]) -> None:
         """Each finite value as a scalar at the metric's path."""

@@ -6,10 +6,15 @@ statistics. It is served here without the fonts and with a `fetch` that knows lo
 
 import re
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.metadata import version
+from urllib.parse import unquote
+
+from tom.errors import UserError
 
 FONTS = re.compile(rb"<link[^>]*fonts\.(?:googleapis|gstatic)\.com[^>]*>")
 
@@ -23,6 +28,9 @@ LOCAL_ONLY = b"""<script>
   };
 </script>
 """
+
+WILDCARDS = ("0.0.0.0", "::", "")
+LIVE = re.compile(r"/live/([^/]+)\.rrd")
 
 ETAG = f'"rerun-{version("rerun-sdk")}-1"'
 
@@ -40,38 +48,78 @@ def local_page(html: bytes) -> bytes:
     return FONTS.sub(b"", html).replace(b"<head>", b"<head>\n" + LOCAL_ONLY, 1)
 
 
-def serve(host: str, port: int, upstream: int) -> ThreadingHTTPServer:
-    """Serve the viewer that listens on 127.0.0.1:`upstream`, from a thread, until `shutdown`.
+class Server(ThreadingHTTPServer):
+    """Serves the viewer that listens on 127.0.0.1:`upstream`, and growing recordings.
 
-    Raises OSError when the port is taken.
+    `live` gives the bytes of a run's recording for as long as it grows; UserError where there is
+    no such run. Raises OSError when the port is taken.
     """
-    assets: dict[str, Asset] = {}
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            path = self.path.partition("?")[0]
-            if self.headers.get("If-None-Match") == ETAG:
-                self.send_response(304)
-                self.end_headers()
-                return
-            try:
-                asset = assets.get(path) or assets.setdefault(path, _fetch(upstream, path))
-            except OSError:
-                self.send_error(502, "the Rerun hub does not answer")
-                return
-            self.send_response(200)
-            for name, value in asset.headers.items():
-                self.send_header(name, value)
+    daemon_threads = True
+
+    def __init__(
+        self, host: str, port: int, upstream: int, live: Callable[[str], Iterator[bytes]]
+    ) -> None:
+        self.upstream = upstream
+        self.live = live
+        self.assets: dict[str, Asset] = {}
+        # A page on another name for this address could otherwise read what is recorded here.
+        self.names = None if host in WILDCARDS else {host, "127.0.0.1", "localhost"}
+        super().__init__((host, port), Handler)
+
+    def start(self) -> None:
+        """Serve from a thread of its own until `shutdown`."""
+        threading.Thread(target=self.serve_forever, name="rerun-page", daemon=True).start()
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers one request."""
+
+    server: Server  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def do_GET(self) -> None:
+        path = self.path.partition("?")[0]
+        name = self.headers.get("Host", "").rpartition(":")[0]
+        if self.server.names is not None and name not in self.server.names:
+            self.send_error(403, "this address is served under its own name only")
+        elif run := LIVE.fullmatch(path):
+            self._stream(unquote(run[1]))
+        elif self.headers.get("If-None-Match") == ETAG:
+            self.send_response(304)
             self.end_headers()
-            self.wfile.write(asset.body)
+        else:
+            self._asset(path)
 
-        def log_message(self, format: str, *args: object) -> None:
-            """Requests are not worth a line each."""
+    def _asset(self, path: str) -> None:
+        assets = self.server.assets
+        try:
+            asset = assets.get(path) or assets.setdefault(path, _fetch(self.server.upstream, path))
+        except OSError:
+            self.send_error(502, "the Rerun hub does not answer")
+            return
+        self.send_response(200)
+        for name, value in asset.headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(asset.body)
 
-    server = ThreadingHTTPServer((host, port), Handler)
-    server.daemon_threads = True
-    threading.Thread(target=server.serve_forever, name="rerun-page", daemon=True).start()
-    return server
+    def _stream(self, run_id: str) -> None:
+        try:
+            parts = self.server.live(run_id)
+        except UserError as error:
+            self.send_error(404, str(error)[:200])
+            return
+        self.send_response(200)
+        self.send_header("Content-Type", "application/octet-stream")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        with suppress(ConnectionError):  # the viewer was closed
+            for part in parts:
+                self.wfile.write(part)
+                self.wfile.flush()
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Requests are not worth a line each."""
 
 
 def _fetch(upstream: int, path: str) -> Asset:

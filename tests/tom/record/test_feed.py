@@ -1,6 +1,7 @@
 """A hub is fed with what running runs write, whenever it comes up."""
 
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,7 +11,7 @@ import numpy as np
 from recorded import Config, events, logged
 
 from tom.record import Recorder, RunWriter, Store
-from tom.record.feed import Feeder, Tail
+from tom.record.feed import Feeder, Tail, stream
 from tom.record.hub import binary, free_port, without_analytics
 
 
@@ -77,6 +78,29 @@ def test_a_run_that_cannot_be_shown_does_not_stop_the_others(store: Store, tmp_p
             recorder.finish("finished")
         feeder.poll()
     assert feeder.followed == []
+
+
+def test_a_stream_grows_with_the_run_and_ends_with_it(store: Store, tmp_path: Path):
+    recorder = Recorder(RunWriter.create(store, "run", Config))
+    given = events()
+    for event in given[:600]:
+        recorder.consume(event)
+    parts = stream(store.run("run"), threading.Event())
+    first = next(parts)
+    for event in given[600:]:
+        recorder.consume(event)
+    recorder.finish("finished")
+    rest = list(parts)
+    want = store.run("run").profiles().env_step.tolist()
+    got = [_steps(part, tmp_path / f"{i}.rrd") for i, part in enumerate([first, *rest])]
+    assert got[0] == want[: len(got[0])] != want
+    assert [step for steps in got for step in steps] == want
+
+
+def _steps(part: bytes, path: Path) -> list[int]:
+    path.write_bytes(part)
+    table = logged(path, "weights/profile")
+    return [] if table.empty else table["env_step"].tolist()
 
 
 def test_a_tail_gives_each_whole_row_once(tmp_path: Path):

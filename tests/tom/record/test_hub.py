@@ -67,6 +67,9 @@ def test_the_hub_serves_the_viewer_and_takes_its_child_along(running):
     assert (status, len(script)) == (200, int(headers["Content-Length"]))
     assert get(web_port, "/re_viewer.js", **{"If-None-Match": headers["ETag"]})[:2] == (304, b"")
     assert get(web_port, "/../secret")[0] in (404, 502)
+    assert get(web_port, Host="evil.example:80")[0] == 403
+    assert get(web_port, "/live/nothing.rrd")[0] == 404
+    assert get(web_port, "/live/..%2Fsecret.rrd")[0] == 404
     [child] = _children(process.pid)
     process.send_signal(signal.SIGTERM)
     assert process.wait(10) == 0
