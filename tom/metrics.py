@@ -34,6 +34,8 @@ METRICS: dict[str, str] = {
     "discriminator/accuracy": "share of transitions the discriminator puts on the right side",
     "dual/loss": "TOM's dual objective, last steps",
     "dual/q_mean": "mean of TOM's dual Q over the buffer",
+    "dual/start_gap": "how far TOM's dual Q at start states lies below its range on the buffer, in "
+    "widths of that range (above 1: it runs away)",
     "critic/loss": "SAC: sum of the twin critics' squared errors",
     "critic/q": "SAC: mean Q of the minibatch",
     "actor/loss": "SAC: temperature * log_prob - min Q",
@@ -46,7 +48,6 @@ METRICS: dict[str, str] = {
     "buffer/size": "transitions in the replay buffer",
     "time/wall_s": "seconds since the run started (resumes added up)",
     "time/env_steps_per_s": "environment steps a second since the last row",
-    "time/fit_s": "seconds of the last model fit, weights included",
     "time/record_s": "seconds spent recording so far",
 }
 

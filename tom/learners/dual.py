@@ -123,6 +123,19 @@ class DualProblem:
         f = divergence(self.config.divergence, self.config.conjugate)
         return f.weights(torch.cat(y)), torch.cat(now)
 
+    @torch.no_grad()
+    def start_gap(self, net: StackedMLP, q: Tensor, generator: torch.Generator) -> float:
+        """How far Q(s0, a ~ pi) lies below Q on the replay, `q` (N,), in widths of its range.
+
+        Near zero where the replay covers the policy's starts. Where it does not, nothing holds Q
+        there, the dual is unbounded below and this grows from fit to fit.
+        """
+        starts = self.initial_obs[:CHUNK]
+        inputs, probs = self._policy_inputs(starts, 1, generator)
+        q_start = (probs * self._q(net, inputs.flatten(0, 1)).view_as(probs)).sum(0)
+        low, high = torch.quantile(q, 0.001), torch.quantile(q, 0.999)
+        return float((low - q_start).clamp(min=0).mean() / (1 + high - low))
+
     def _batches(self, generator: torch.Generator) -> Iterator[Batch]:
         """`q_steps` batches, drawn uniformly with replacement, gathered a block at a time."""
         size, samples = self.config.q_batch, self.config.action_samples

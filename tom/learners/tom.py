@@ -21,6 +21,14 @@ from tom.nn import StackedMLP
 
 __all__ = ["Occupancy", "TomConfig", "TomLearner", "occupancy_weights"]
 
+MAX_START_GAP = 1.0  # a covered start lies within Q's range; an uncovered one soon far below it
+RUNAWAY = (
+    "runaway-dual",
+    "TOM's dual Q falls without bound at the start states: the replay buffer does not hold what "
+    "the policy does there, and the weights cannot be trusted",
+)
+"""The notice of a fit whose dual problem has no solution."""
+
 
 @dataclass(frozen=True)
 class Occupancy:
@@ -81,8 +89,10 @@ class Networks:
         net = q_net(*self.dims, self.config, generator).to(self.device)
         config = self.config
         # A shift of Q by c moves every y by (1 - g) c: without help the weights' mean, which hangs
-        # on it, needs 1 / (1 - g) times as many steps as all the rest.
-        horizon = 1 / (1 - config.discount) if config.q_bias_horizon else 1.0
+        # on it, needs 1 / (1 - g) times as many steps as all the rest. Under KL it hangs on
+        # nothing, and the bias would only wander.
+        help_bias = config.q_bias_horizon and config.divergence != "kl"
+        horizon = 1 / (1 - config.discount) if help_bias else 1.0
         self.q = Trained(net, config.q_lr, config.q_lr * horizon, config.q_weight_decay)
 
 
@@ -108,12 +118,16 @@ def estimate(
     net, loss = problem.minimise(networks.q.net, networks.q.optimiser, generator)
     raw, q = problem.solution(net, generator)
     weights, degenerate = normalise(raw)
+    start_gap = problem.start_gap(net, q, generator)
     metrics |= {
         "dual/loss": loss,
         "dual/q_mean": float(q.mean()),
+        "dual/start_gap": start_gap,
         "weights/raw_mean": float(raw.mean()),
     }
-    return Occupancy(weights, log_ratio, metrics, (DEGENERATE,) if degenerate else ())
+    found = ((DEGENERATE, degenerate), (RUNAWAY, start_gap > MAX_START_GAP))
+    notices = tuple(notice for notice, holds in found if holds)
+    return Occupancy(weights, log_ratio, metrics, notices)
 
 
 def occupancy_weights(
