@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from app.launcher import Studio, servers
 from app.theme import Mode
-from app.views import compare, live, road, weights
 from tom.errors import UserError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-PAGES = {"live": live.PATH, "compare": compare.PATH, "weights": weights.PATH, "road": road.PATH}
+PAGES = {"live": "", "compare": "compare", "weights": "weights", "road": "road"}
+"""name of the picture: path of the page"""
 WIDTHS = (1280, 1920)
 MODES: tuple[Mode, ...] = ("light", "dark")
 SETTLE_S = 45.0

@@ -15,6 +15,12 @@ LEARNER_COLOURS: dict[str, str] = {
     "vagram": "#e056c0",
     "vagram-ensemble": "#bd8d12",
 }
+# Road-and-rocks' baselines are no learners: muted, beside them.
+BASELINE_COLOURS: dict[str, str] = {
+    "expert-only": "#6d7686",
+    "footprint-only": "#98815f",
+    "discriminator-only": "#8c6d9e",
+}
 _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
 _SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down")
 NEUTRAL = "#8a92a3"
@@ -54,8 +60,9 @@ SEQUENTIAL: dict[Mode, list[tuple[float, str]]] = {
 
 def learner_colour(learner: str) -> str:
     """The colour of a learner, the same wherever it is drawn."""
-    if learner in LEARNER_COLOURS:
-        return LEARNER_COLOURS[learner]
+    known = LEARNER_COLOURS | BASELINE_COLOURS
+    if learner in known:
+        return known[learner]
     return _SPARE_COLOURS[sum(map(ord, learner)) % len(_SPARE_COLOURS)]
 
 

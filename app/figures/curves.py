@@ -83,7 +83,7 @@ def _single(curve: Curve) -> go.Scatter:
         line={"color": learner_colour(curve.learner), "width": 1},
         opacity=0.35,
         hovertemplate=_hover(curve),
-        legendgroup=f"{curve.learner} {curve.preset}",
+        legendgroup=text.plotly(f"{curve.learner} {curve.preset}"),
         showlegend=False,
     )
 
@@ -100,7 +100,7 @@ def _band(group: Group) -> go.Scatter:
         line={"width": 0},
         mode="lines",
         hoverinfo="skip",
-        legendgroup=f"{group.learner} {group.preset}",
+        legendgroup=text.plotly(f"{group.learner} {group.preset}"),
         showlegend=False,
     )
 
@@ -110,7 +110,7 @@ def _mean(group: Group, name: str, dash: str) -> list[go.Scatter]:
     parts = [go.Scatter(x=group.step[full], y=group.mean[full], customdata=group.count[full])]
     if not full.all():
         # Joined to the solid part, so that the eye sees one line that gets less certain.
-        rest = ~full | np.roll(~full, -1) | np.roll(~full, 1)
+        rest = np.convolve(~full, [1, 1, 1], mode="same") > 0
         value = np.where(rest, group.mean, np.nan)
         parts.append(go.Scatter(x=group.step, y=value, customdata=group.count))
     marked = len(group.step) < 40 and not group.interpolated
@@ -126,7 +126,7 @@ def _mean(group: Group, name: str, dash: str) -> list[go.Scatter]:
             marker={"size": 6, "symbol": learner_symbol(group.learner)},
             hovertemplate=f"<b>{text.plotly(learner_label(group.learner))}</b> mean of "
             "%{customdata} runs<br>%{x:,} steps: %{y:.4g}<extra></extra>",
-            legendgroup=f"{group.learner} {group.preset}",
+            legendgroup=text.plotly(f"{group.learner} {group.preset}"),
             showlegend=i == 0,
         )
     return parts

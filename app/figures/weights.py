@@ -13,6 +13,8 @@ from tom.record.profiles import Profiles
 
 MAP_COLUMNS = 400
 """fits that a map shows at most; what is left out is said on the figure"""
+TARGETS = 4000
+TARGET_ROWS = 12
 OCTAVES = 4.0
 """the map's colours reach from 1/16 to 16 times the uniform weight"""
 
@@ -34,17 +36,14 @@ def weight_map(
             x=steps,
             y=centres,
             z=octaves(bins) if relative else bins,
-            customdata=bins,
-            hovertemplate=(
-                "step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
-                "weight %{customdata:.3g}<extra></extra>"
-            ),
+            hoverinfo="skip",
             **(relative_scale(bins, mode) if relative else linear_scale(bins, mode)),
         )
     )
-    figure.add_trace(_click_targets(steps, bins.shape[0]))
+    figure.add_trace(_targets(steps, bins))
     figure.add_vline(x=int(profiles.env_step[chosen]), line={"color": NEUTRAL, "width": 2})
     styled(figure, "env steps", height, keep="weight-map")
+    figure.update_layout(hoverdistance=-1)
     figure.update_yaxes(
         range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
     )
@@ -180,19 +179,27 @@ def _bar(more: dict) -> dict:
     return {"thickness": 12, "outlinewidth": 0, "len": 1.0, "xpad": 6} | more
 
 
-def _click_targets(steps: NDArray[np.int64], bins: int) -> go.Scatter:
-    """Unseen points over the map: Plotly reports clicks on points, not on a heatmap."""
-    rows = bin_centres(min(bins, 12))
+def _targets(steps: NDArray[np.int64], bins: NDArray[np.float64]) -> go.Scatter:
+    """Unseen points over the map (bins, F): Plotly reports clicks on points, not on a heatmap.
+
+    The nearest one answers, also to the pointer; where fits are many, only some bins have one.
+    """
+    rows = len(bins) if len(bins) * len(steps) <= TARGETS else TARGET_ROWS
+    shown = np.linspace(0, len(bins) - 1, min(rows, len(bins))).astype(np.int64)
     return go.Scatter(
-        x=np.repeat(steps, len(rows)),
-        y=np.tile(rows, len(steps)),
+        x=np.repeat(steps, len(shown)),
+        y=np.tile(bin_centres(len(bins))[shown], len(steps)),
+        customdata=bins[shown].T.ravel(),
         mode="markers",
-        marker={"opacity": 0, "size": 12},
+        marker={"opacity": 0, "size": 4},
         selected={"marker": {"opacity": 0}},
         unselected={"marker": {"opacity": 0}},
-        hoverinfo="none",
+        hovertemplate=(
+            "step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
+            "weight %{customdata:.3g}<extra></extra>"
+        ),
         showlegend=False,
-        name="click",
+        name="fits",
     )
 
 

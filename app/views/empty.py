@@ -1,5 +1,7 @@
 """What a store without runs shows: how to get some."""
 
+import shlex
+
 import streamlit as st
 
 from app import readers, session, widgets
@@ -10,9 +12,9 @@ def page() -> None:
     store = session.links().store
     st.header("Nothing recorded yet", anchor=False)
     st.write("Training fills this studio. In another terminal:")
-    st.code("tom demo", language="bash")
+    option = f" --store {shlex.quote(store)}"
+    st.code(f"tom demo{option}", language="bash")
     st.caption("Road and rocks with three learners, then inverted pendulum: about five minutes.")
-    option = f" --store {store}"
     st.code(f"tom train --env inverted-pendulum --learner tom{option}", language="bash")
     st.code(f"tom train --env road-and-rocks --learner tom{option}", language="bash")
     st.caption("One training. It appears on the Live page as soon as it has begun.")

@@ -92,7 +92,7 @@ def _numbers(run: RunInfo, picture: Picture) -> None:
     def show(at: int, label: str, value: float, digits: int, unit: str, words: str) -> None:
         columns[at].metric(label, f"{text.number(value, digits)}{unit}", help=words)
 
-    columns[0].metric("learner", learner_label(run.learner))
+    columns[0].metric("learner", text.markdown(learner_label(run.learner)))
     show(1, "weight on the road", 100 * picture.share, 1, " %", "the road is 30 % of the map")
     ratio = last_value(frame, "weights/road_ratio", picture.step)
     show(2, "road : rocks", ratio, 1, "", "mean weight on the road over rocks, random data only")

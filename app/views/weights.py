@@ -73,7 +73,7 @@ def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     fifth = max(len(bins) // 5, 1)
     share = bins[-fifth:].sum() / bins.sum() if bins.sum() > 0 else float("nan")
     columns = st.columns(5)
-    columns[0].metric("learner", learner_label(run.learner))
+    columns[0].metric("learner", text.markdown(learner_label(run.learner)))
     columns[1].metric("transitions", f"{profiles.count[chosen]:,}")
     columns[2].metric(
         "effective sample",

@@ -1,0 +1,46 @@
+"""A store of real runs, recorded once for all of the studio's tests."""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import streamlit as st
+from studio_runs import RUNS
+
+from app.links import Links
+from tom.presets import resolve
+from tom.record.store import Store
+from tom.run import train
+
+
+@pytest.fixture(scope="session")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The runs; made by whichever worker comes first."""
+    base = tmp_path_factory.getbasetemp()
+    # The workers of a session have a folder each, in one that they share.
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "studio"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "complete").exists():
+            _record(folder / "store")
+            (folder / "complete").touch()
+    return folder / "store"
+
+
+def _record(path: Path) -> None:
+    for run_id, env, learner, values in RUNS:
+        config = resolve(env, learner, "smoke", {**values, "matmul": "default"})
+        train(config, Store(path), run_id, rerun=env != "road-and-rocks" or learner == "tom")
+
+
+@pytest.fixture
+def studio(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Links]:
+    """Pages of this process show the store; no other server is there."""
+    links = Links(store=str(store))
+    for name, value in links.environment().items():
+        monkeypatch.setenv(name, value)
+    yield links
+    st.cache_data.clear()

@@ -1,0 +1,40 @@
+"""Draws a page without a browser and reads the numbers that its figures show."""
+
+import base64
+import json
+from typing import Any
+
+import numpy as np
+from streamlit.testing.v1 import AppTest
+
+TIMEOUT_S = 60
+
+
+def draw(view: str, **query: str) -> AppTest:
+    """The page of `app.views.<view>` with these query parameters, after its first run."""
+    script = f"from app.views import {view}\n{view}.page()\n"
+    app = AppTest.from_string(script, default_timeout=TIMEOUT_S)
+    for name, value in query.items():
+        app.query_params[name] = value
+    app.run()
+    assert not app.exception, app.exception[0].message
+    return app
+
+
+def figures(app: AppTest) -> list[dict[str, Any]]:
+    """Every Plotly figure of the page, top to bottom."""
+    return [json.loads(chart.proto.spec) for chart in app.get("plotly_chart")]
+
+
+def array(values: Any) -> np.ndarray:
+    """Numbers of a figure: a list, or Plotly's packed form."""
+    if not isinstance(values, dict):
+        return np.array([np.nan if value is None else value for value in values])
+    flat = np.frombuffer(base64.b64decode(values["bdata"]), values["dtype"])
+    shape = values.get("shape")
+    return flat.reshape([int(n) for n in str(shape).split(",")]) if shape else flat
+
+
+def trace(figure: dict[str, Any], **wanted: str) -> dict[str, Any]:
+    """The first trace of a figure with these properties."""
+    return next(t for t in figure["data"] if all(t.get(k) == v for k, v in wanted.items()))

@@ -1,0 +1,172 @@
+"""The numbers in the figures are the numbers in the run folders."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+
+from app import pictures, readers, widgets
+from app.aggregate import Curve, aggregate
+from app.figures.curves import POINTS, group_curves, run_curves
+from app.figures.road import displacement_error, road_map
+from app.figures.weights import (
+    MAP_COLUMNS,
+    bin_centres,
+    effective_sample,
+    octaves,
+    profile_lines,
+    shown_fits,
+    span,
+    weight_map,
+    weight_profile,
+)
+from app.theme import learner_colour
+from tom.record.profiles import Profiles
+from tom.record.reader import RunReader
+
+
+@pytest.fixture
+def profiles(store: Path) -> Profiles:
+    return readers.profiles(info(store, PENDULUM_TOM))
+
+
+def traces(figure: go.Figure) -> list[Any]:
+    return list(figure.data)
+
+
+def notes(figure: go.Figure) -> list[str]:
+    return [note["text"] for note in figure.to_dict()["layout"].get("annotations", [])]
+
+
+def long_curve(points: int, seed: int = 0) -> Curve:
+    value = np.random.default_rng(seed).normal(size=points)
+    return Curve(f"run-{seed}", "hopper", "tom", "paper", seed, np.arange(points), value)
+
+
+def test_a_curve_shows_what_was_recorded(store: Path) -> None:
+    curve = widgets.curve(info(store, PENDULUM_TOM), "eval/return")
+    (line,) = traces(run_curves([curve], "eval/return", 300, legend=True))
+    frame = RunReader(store / PENDULUM_TOM).metrics()[["env_step", "eval/return"]].dropna()
+    assert line.x.tolist() == frame["env_step"].tolist()
+    assert line.y.tolist() == frame["eval/return"].tolist()
+    assert line.line.color == learner_colour("tom")
+    assert PENDULUM_TOM in line.hovertemplate
+
+
+def test_a_long_curve_is_thinned_and_says_so() -> None:
+    figure = run_curves([long_curve(100_000)], "critic/loss", 300, legend=False)
+    assert len(traces(figure)[0].x) <= POINTS
+    assert str(POINTS) in notes(figure)[0]
+    whole = run_curves([long_curve(100)], "critic/loss", 300, legend=False)
+    assert not notes(whole)
+
+
+def test_seeds_of_one_learner_share_its_colour_but_not_their_dash() -> None:
+    figure = run_curves([long_curve(50, s) for s in (0, 1)], "x", 300, legend=True)
+    assert len({line.line.color for line in traces(figure)}) == 1
+    assert len({line.line.dash for line in traces(figure)}) == 2
+
+
+def test_a_group_has_single_runs_a_band_and_a_mean() -> None:
+    group = aggregate([long_curve(50, seed) for seed in range(3)])
+    figure = group_curves([group], "eval/return", 300, singles=True)
+    *faint, band, mean = traces(figure)
+    assert [line.meta for line in faint] == ["run-0", "run-1", "run-2"]
+    assert max(line.opacity for line in faint) < 0.5
+    assert mean.name == "TOM (n = 3)"
+    assert mean.y.tolist() == group.mean.tolist()
+    assert band.y.tolist() == [*group.high, *group.low[::-1]]
+    assert len(traces(group_curves([group], "x", 300, singles=False))) == 2
+
+
+def test_one_seed_is_said_to_be_one() -> None:
+    figure = group_curves([aggregate([long_curve(5)])], "x", 300, singles=True)
+    assert [line.name for line in traces(figure)] == ["TOM (1 seed, no band)"]
+
+
+def test_where_runs_are_missing_the_mean_is_dotted() -> None:
+    group = aggregate([long_curve(10, 0), long_curve(20, 1)])
+    solid, dotted = traces(group_curves([group], "x", 300, singles=False))[1:]
+    assert solid.x.tolist() == list(range(10))
+    assert dotted.line.dash == "dot"
+    shown = dotted.x[np.isfinite(dotted.y)]
+    assert shown.tolist() == list(range(9, 20))
+    assert dotted.customdata[-1] == 1
+
+
+def test_the_map_has_a_column_a_fit_and_a_row_a_bin(profiles: Profiles) -> None:
+    heat = traces(weight_map(profiles, 1, "light", 300, relative=False))[0]
+    assert heat.x.tolist() == profiles.env_step.tolist()
+    assert heat.z.tolist() == profiles.bins.T.tolist()
+    assert heat.y[0] == 0.5  # the oldest hundredth at the bottom
+
+
+def test_relative_colours_are_octaves_of_the_weight(profiles: Profiles) -> None:
+    heat = traces(weight_map(profiles, 0, "dark", 300, relative=True))[0]
+    assert heat.z == pytest.approx(np.log2(profiles.bins.T).clip(-4, 4))
+    assert -heat.zmin == heat.zmax == span(profiles.bins)
+
+
+def test_octaves_clip_and_keep_gaps() -> None:
+    assert octaves(np.array([0, 0.5, 1, 64, np.nan])).tolist()[:4] == [-4, -1, 0, 4]
+    assert span(np.array([1.0, 1.1])) == 1
+    assert span(np.array([0.01, 50.0])) == 4
+
+
+def test_a_click_on_the_map_hits_a_recorded_fit(profiles: Profiles) -> None:
+    targets = traces(weight_map(profiles, 0, "light", 300, relative=True))[1]
+    assert set(targets.x) == set(profiles.env_step)
+    assert targets.marker.opacity == targets.unselected.marker.opacity == 0
+    assert targets.customdata.reshape(profiles.bins.shape).tolist() == profiles.bins.tolist()
+    where = (targets.x == profiles.env_step[1]) & (targets.y == 99.5)
+    assert targets.customdata[where] == [profiles.bins[1, -1]]
+
+
+def test_where_fits_are_many_some_bins_answer_the_pointer() -> None:
+    bins = np.random.default_rng(0).random((300, 100))
+    step, one = np.arange(300), np.ones(300)
+    many = Profiles(step, bins, step, one, one)
+    targets = traces(weight_map(many, 0, "light", 300, relative=True))[1]
+    assert len(targets.x) == 300 * 12
+    at = (targets.x == 7) & (targets.y == 0.5)
+    assert targets.customdata[at] == [bins[7, 0]]
+
+
+def test_many_fits_are_thinned_and_the_chosen_one_stays() -> None:
+    fits = shown_fits(5000, 1234)
+    assert len(fits) <= MAP_COLUMNS
+    assert {0, 1234, 4999} <= set(fits.tolist())
+    assert shown_fits(7, 3).tolist() == list(range(7))
+
+
+def test_a_profile_shows_the_bins(profiles: Profiles) -> None:
+    bars = traces(weight_profile(profiles.bins[-1], "pmac", 300))[0]
+    assert bars.y.tolist() == profiles.bins[-1].tolist()
+    assert bars.x.tolist() == bin_centres(100).tolist()
+    assert bars.marker.color == learner_colour("pmac")
+    (line,) = traces(profile_lines([("a", "tom", profiles.bins[-1])], 300))
+    assert line.y.tolist() == profiles.bins[-1].tolist()
+
+
+def test_effective_sample_in_percent(profiles: Profiles) -> None:
+    ess, zeros = traces(effective_sample(profiles, "tom", 0, 300))
+    assert ess.y == pytest.approx(100 * profiles.ess)
+    assert zeros.y == pytest.approx(100 * profiles.zeros)
+
+
+def test_the_road_map_shows_the_picture(store: Path) -> None:
+    run = RunReader(store / ROAD_TOM)
+    picture = pictures.load(run, run.snapshot_steps()[-1])
+    assert picture is not None
+    named = {t.name: t for t in traces(road_map(picture, "light", 500))}
+    assert np.array_equal(named["weights"].customdata, picture.grid, equal_nan=True)
+    learnt = np.stack([named["TOM policy"].x, named["TOM policy"].y], -1)
+    assert learnt[: len(picture.learnt[0])] == pytest.approx(picture.learnt[0])
+    arrow = np.stack([named["modelled move"].x, named["modelled move"].y], -1)[:2]
+    assert arrow[1] - arrow[0] == pytest.approx(picture.modelled[0], abs=1e-6)
+    on_road = np.abs(picture.points[:, 1] - 0.12) < 0.05
+    error = displacement_error(picture)
+    assert error[on_road].mean() < 0.5 * error[~on_road].mean()

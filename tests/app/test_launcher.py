@@ -1,0 +1,139 @@
+"""The launcher: one address, errors in one line, and an end without orphans."""
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from studio_runs import ROAD_TOM
+
+from app.__main__ import main
+from app.processes import free_port, is_free
+
+START_S = 90
+
+
+def descendants(pid: int) -> set[int]:
+    """The processes under `pid`, by what the kernel says."""
+    parents: dict[int, int] = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            parents[int(entry.name)] = int(fields[1])
+    found = {pid}
+    while more := {child for child, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found - {pid}
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
+    port = free_port("127.0.0.1")
+    command = [sys.executable, "-m", "app", "--store", str(store), "--port", str(port)]
+    studio = subprocess.Popen(
+        [*command, "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        assert studio.stdout is not None
+        line = studio.stdout.readline()
+        assert f"http://127.0.0.1:{port}" in line, line
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/health", timeout=10) as answer:
+            assert str(store) in answer.read().decode()
+        address = f"http://127.0.0.1:{port}/rrd/{ROAD_TOM}/run.rrd"
+        with urllib.request.urlopen(address, timeout=10) as answer:
+            assert answer.read() == (store / ROAD_TOM / "run.rrd").read_bytes()
+            assert answer.headers["Access-Control-Allow-Origin"].startswith("http://127.0.0.1:")
+        children = descendants(studio.pid)
+        assert len(children) >= 4  # Streamlit, viser, the hub and Rerun itself
+        assert listening_elsewhere(children) == set()
+    finally:
+        studio.send_signal(signal.SIGTERM)
+        assert studio.wait(30) == 0
+    deadline = time.monotonic() + 10
+    while any(map(alive, children)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not [pid for pid in children if alive(pid)]
+    assert is_free("127.0.0.1", port)
+
+
+def listening_elsewhere(processes: set[int]) -> set[str]:
+    """Addresses other than the loopback on which one of the processes listens."""
+    sockets = set()
+    for pid in processes:
+        for link in Path(f"/proc/{pid}/fd").glob("*"):
+            try:
+                target = str(link.readlink())
+            except OSError:
+                continue
+            sockets |= {target[8:-1]} if target.startswith("socket:[") else set()
+    found = set()
+    for table, loopback in (("tcp", "0100007F"), ("tcp6", "0" * 24 + "01000000")):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and fields[9] in sockets and fields[1].split(":")[0] != loopback:
+                found.add(fields[1])
+    return found
+
+
+def test_a_port_that_is_taken_is_one_line_and_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["--store", str(tmp_path), "--port", str(port), "--no-browser"]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert f"port {port} is taken" in message
+    assert "--port" in message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--port", "99999"], "--port 99999"),
+        (["--port", "-1"], "--port -1"),
+        (["--host", "203.0.113.7"], "--host 203.0.113.7"),
+        (["--host", "no such host"], "--host no such host"),
+    ],
+)
+def test_bad_addresses_are_one_line_and_code_2(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--store", str(tmp_path), "--no-browser", *arguments]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert words in message
+
+
+def test_a_store_that_is_a_file_is_one_line_and_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs").write_text("")
+    assert main(["--store", str(tmp_path / "runs"), "--no-browser"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["--prot", "1"], ["--theme", "pink"], ["--port", "x"]])
+def test_unknown_arguments_are_code_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,76 @@
+"""The cached readers: what is on the disk now, a damaged run beside the others."""
+
+import json
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from studio_runs import PENDULUM_TOM, RUNS, info
+
+from app import readers
+from tom.record.reader import RunReader
+
+
+@pytest.fixture
+def own(store: Path, tmp_path: Path) -> Path:
+    """A copy of one run that a test may damage."""
+    shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    return tmp_path
+
+
+def test_every_run_is_listed(store: Path) -> None:
+    found = readers.listing(str(store))
+    assert {run.run_id for run in found.runs} == {run_id for run_id, *_ in RUNS}
+    assert found.problems == ()
+    run = info(store, PENDULUM_TOM)
+    assert (run.env, run.learner, run.seed, run.preset) == ("inverted-pendulum", "tom", 0, "smoke")
+    assert run.status.state == "finished"
+
+
+def test_tables_are_the_readers(store: Path) -> None:
+    run, reader = info(store, PENDULUM_TOM), RunReader(store / PENDULUM_TOM)
+    assert readers.metrics(run).equals(reader.metrics())
+    assert readers.profiles(run).bins.tolist() == reader.profiles().bins.tolist()
+    assert readers.recordings(run) == ["run.rrd"]
+    assert readers.problems(run) == []
+
+
+def test_a_new_row_is_seen(own: Path) -> None:
+    (own / PENDULUM_TOM / "metrics.parquet").unlink()
+    run = info(own, PENDULUM_TOM)
+    before = readers.metrics(run)
+    with (own / PENDULUM_TOM / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"env_step": 99_999, "eval/return": 7.5}) + "\n")
+    after = readers.metrics(run)
+    assert len(after) == len(before) + 1
+    assert after["eval/return"].iloc[-1] == 7.5
+
+
+def test_a_new_status_is_seen(own: Path) -> None:
+    path = own / PENDULUM_TOM / "status.json"
+    status = json.loads(path.read_text())
+    path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time()}))
+    assert info(own, PENDULUM_TOM).status.alive
+    path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time() - 31}))
+    assert info(own, PENDULUM_TOM).status.shown == "dead"
+
+
+def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:
+    shutil.copytree(own / PENDULUM_TOM, own / "damaged")
+    (own / "damaged" / "status.json").write_text("{")
+    with (own / "damaged" / "metrics.jsonl").open("a") as file:
+        file.write('{"env_step": 12')
+    (own / "damaged" / "metrics.parquet").unlink()
+    (own / "notes").mkdir()
+    found = readers.listing(str(own))
+    assert {run.run_id for run in found.runs} == {PENDULUM_TOM, "damaged"}
+    assert any("notes" in problem for problem in found.problems)
+    words = " ".join(readers.problems(info(own, "damaged")))
+    assert "status.json" in words
+    assert "metrics.jsonl" in words
+    assert readers.problems(info(own, PENDULUM_TOM)) == []
+
+
+def test_a_store_that_is_not_there_is_empty(tmp_path: Path) -> None:
+    assert readers.listing(str(tmp_path / "none")).runs == ()

@@ -1,0 +1,115 @@
+"""The 3D scene: what is drawn, and that a frame shows what its page chose."""
+
+import socket
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import viser
+from studio_runs import ROAD_MLE, ROAD_TOM
+
+from app import pictures
+from app.processes import free_port
+from app.roadmap import CELLS, on_road
+from app.scenes import road as scene
+from app.scenes.control import Selection, listen, tell
+from tom.record.reader import RunReader
+
+
+@pytest.fixture(scope="module")
+def picture(store: Path) -> pictures.Picture:
+    found = pictures.load(RunReader(store / ROAD_TOM), 60)
+    assert found is not None
+    return found
+
+
+def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
+    columns = scene.columns(picture.grid)
+    heavy = np.nan_to_num(picture.grid) >= 1 / 16
+    assert len(columns.position) == heavy.sum() > 100
+    i = int(np.argmax(columns.scale[:, 2]))
+    x, y = (columns.position[i, :2] * CELLS).astype(int)
+    assert picture.grid[y, x] >= 16 or picture.grid[y, x] == np.nanmax(picture.grid)
+    assert columns.position[:, 2] == pytest.approx(columns.scale[:, 2] / 2)
+    assert columns.scale[:, 2].max() <= scene.TALLEST + 1e-6
+
+
+def test_toms_columns_stand_on_the_road(picture: pictures.Picture) -> None:
+    columns = scene.columns(picture.grid)
+    tall = columns.scale[:, 2] > scene.TALLEST / 2
+    assert on_road(columns.position[tall, :2], picture.road).mean() > 0.9
+
+
+def test_height_and_colour_grow_with_the_weight() -> None:
+    grid = np.full((CELLS, CELLS), np.nan)
+    grid[0, :4] = [0.01, 1, 4, 100]
+    columns = scene.columns(grid)
+    assert len(columns.scale) == 3
+    assert columns.scale[:, 2] == pytest.approx(scene.TALLEST * np.array([0.25, 0.5, 1]))
+    assert columns.colour[2].tolist() == [194, 44, 6]
+
+
+def test_stones_lie_beside_the_road(picture: pictures.Picture) -> None:
+    position, size = scene.boulders(picture.road)
+    assert len(position) == len(size) > 100
+    assert not on_road(position[:, :2], picture.road).any()
+
+
+def test_arrows_point_where_the_model_says(picture: pictures.Picture) -> None:
+    arrows = scene.arrows(picture.points, picture.modelled, 0.1)
+    assert arrows[:, 1, :2] - arrows[:, 0, :2] == pytest.approx(picture.modelled, abs=1e-6)
+    assert (arrows[..., 2] == np.float32(0.1)).all()
+
+
+def test_lines_become_segments() -> None:
+    line = np.array([[0, 0], [1, 0], [1, 1]])
+    assert scene.segments([line, line[:1]], 0.5).tolist() == [
+        [[0, 0, 0.5], [1, 0, 0.5]],
+        [[1, 0, 0.5], [1, 1, 0.5]],
+    ]
+    assert scene.segments([], 0).shape == (0, 2, 3)
+
+
+def test_the_scene_is_drawn_and_replaced(picture: pictures.Picture, store: Path) -> None:
+    server = viser.ViserServer("127.0.0.1", free_port("127.0.0.1"), verbose=False)
+    try:
+        handles = scene.draw(server.scene, picture, "light")
+        assert handles.columns.visible
+        assert not handles.modelled.visible
+        other = pictures.load(RunReader(store / ROAD_MLE), 60)
+        assert other is not None
+        again = scene.draw(server.scene, other, "dark")
+        assert again.columns is not handles.columns
+    finally:
+        server.stop()
+
+
+def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
+    heard: list[tuple[str, Selection]] = []
+    arrived = threading.Event()
+
+    def select(client: str, selection: Selection) -> None:
+        heard.append((client, selection))
+        arrived.set()
+
+    path = str(tmp_path / "control")
+    threading.Thread(target=listen, args=(path, select), daemon=True).start()
+    wanted = Selection(ROAD_TOM, 60, "dark")
+    for _ in range(100):
+        try:
+            tell(path, "page", wanted)
+            break
+        except OSError:
+            arrived.wait(0.05)
+    assert arrived.wait(10)
+    assert heard == [("page", wanted)]
+
+
+def test_a_server_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        tell(str(tmp_path / "none"), "page", Selection())
+    with socket.socket(socket.AF_UNIX) as lone:
+        lone.bind(str(tmp_path / "deaf"))
+        with pytest.raises(ConnectionRefusedError):
+            tell(str(tmp_path / "deaf"), "page", Selection())

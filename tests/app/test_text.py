@@ -1,0 +1,37 @@
+"""Words from files do no harm; numbers are readable."""
+
+import pytest
+
+from app import text
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    ["![x](http://evil/x.png)", "<script>alert(1)</script>", ":material/delete:", "$x$", "**b**"],
+)
+def test_markdown_shows_what_it_is_given(hostile: str) -> None:
+    shown = text.markdown(hostile)
+    unescaped = shown.replace("\\", "")
+    assert unescaped == hostile
+    for i, character in enumerate(shown):
+        if character in "[]()<>*!:$_":
+            assert shown[i - 1] == "\\"
+
+
+def test_plotly_has_no_tags() -> None:
+    assert text.plotly('<a href="x">y</a>\nz') == "&lt;a href=&quot;x&quot;&gt;y&lt;/a&gt; z"
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(None, "-"), (float("nan"), "-"), (1234.56, "1,234.6"), (-0.04, "-0.0")]
+)
+def test_number(value: float | None, shown: str) -> None:
+    assert text.number(value) == shown
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [(None, "-"), (4.4, "4 s"), (75, "1 min 15 s"), (7260, "2 h 01 min"), (-1, "-")],
+)
+def test_duration(seconds: float | None, shown: str) -> None:
+    assert text.duration(seconds) == shown

@@ -1,0 +1,92 @@
+"""Colours can be told apart and read."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from app.colours import linear, on_scale, rgb
+from app.theme import (
+    BACKGROUND,
+    DIVERGING,
+    LEARNER_COLOURS,
+    Mode,
+    learner_colour,
+    learner_label,
+)
+from tom.learners import LEARNERS
+
+# Machado, Oliveira and Fernandes (2009), severity 1.
+VISION = {
+    "normal": np.eye(3),
+    "red-blind": np.array(
+        [[0.1523, 1.0526, -0.2049], [0.1145, 0.7863, 0.0992], [-0.0039, -0.0481, 1.0520]]
+    ),
+    "green-blind": np.array(
+        [[0.3673, 0.8606, -0.2280], [0.2801, 0.6725, 0.0474], [-0.0118, 0.0429, 0.9689]]
+    ),
+    "blue-blind": np.array(
+        [[1.2555, -0.0767, -0.1788], [-0.0784, 0.9308, 0.1476], [0.0047, 0.6914, 0.3039]]
+    ),
+}
+TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+
+def light(colour: str) -> np.ndarray:
+    share = np.array(rgb(colour)) / 255
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+
+
+def contrast(first: str, second: str) -> float:
+    low, high = sorted(float(TO_XYZ[1] @ light(c)) for c in (first, second))
+    return (high + 0.05) / (low + 0.05)
+
+
+def lab(intensity: np.ndarray) -> np.ndarray:
+    white = np.array([0.9505, 1.0, 1.089])
+    share = np.cbrt(np.maximum(TO_XYZ @ np.clip(intensity, 0, 1) / white, 0.008856))
+    x, y, z = share
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def test_every_learner_of_the_registry_has_its_own_colour() -> None:
+    assert set(LEARNER_COLOURS) == set(LEARNERS)
+    assert len(set(LEARNER_COLOURS.values())) == len(LEARNERS)
+
+
+@pytest.mark.parametrize("background", BACKGROUND.values())
+def test_learners_stand_out_from_the_page(background: str) -> None:
+    assert min(contrast(colour, background) for colour in LEARNER_COLOURS.values()) >= 3.0
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_learners_differ_for_every_eye(vision: str) -> None:
+    seen = [lab(VISION[vision] @ light(colour)) for colour in LEARNER_COLOURS.values()]
+    assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) >= 14
+
+
+def test_an_unknown_learner_keeps_one_colour_and_its_name() -> None:
+    assert learner_colour("mine") == learner_colour("mine")
+    assert learner_colour("mine") not in LEARNER_COLOURS.values()
+    assert learner_label("mine") == "mine"
+
+
+def test_a_scale_is_linear_between_its_stops() -> None:
+    scale = [(0.0, "#000000"), (0.5, "#6432c8"), (1.0, "#ffffff")]
+    assert on_scale(np.array([0.0, 0.25, 0.5]), scale).tolist() == [
+        [0, 0, 0],
+        [50, 25, 100],
+        [100, 50, 200],
+    ]
+
+
+def test_linear_light_of_srgb() -> None:
+    assert linear(np.array([0, 128, 255], np.uint8)).tolist() == [0, 55, 255]
+
+
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_heavy_weights_stand_out_more_than_light_ones(mode: Mode) -> None:
+    ends = dict(DIVERGING[mode])
+    page = BACKGROUND[mode]
+    assert contrast(ends[1.0], page) > 2 * contrast(ends[0.0], page)
+    assert contrast(ends[0.0], page) > 1.05 * contrast(ends[0.5], page)
