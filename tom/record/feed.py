@@ -70,6 +70,7 @@ class Follower:
         for row in self._metrics.rows():
             values = {k: v for k, v in row.items() if k != "env_step" and v is not None}
             self._view.metrics(row["env_step"], values)
+        self._view.flush()
         for row in self._profiles.rows():
             self._view.profile(row["env_step"], np.array(row["bins"], np.float64))
         if self.run.env not in ENVS:

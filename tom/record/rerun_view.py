@@ -16,6 +16,8 @@ from tom.metrics import describe
 from tom.record import scene
 from tom.record.blueprint import FIT, GROUND, MAP, PROFILE, ROBOT, TRACKED, blueprint
 
+ROWS = 16  # of metrics that are sent together
+
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
 
@@ -44,6 +46,8 @@ class RerunView:
         self._replay_s = 0.0
         self._floor_drawn = False
         self._places = 0
+        self._scalars: dict[str, list[tuple[int, float]]] = {}
+        self._rows = 0
         # Viewers keep one layout for an application: runs that differ in theirs differ in it.
         application = f"tom-studio {env} {learner}"
         # Chunks of seconds, not of a fifth of one: a viewer is slow with many small ones.
@@ -64,13 +68,25 @@ class RerunView:
         return (self._bytes.read() if self._bytes else None) or b""
 
     def metrics(self, env_step: int, values: Mapping[str, float]) -> None:
-        """Each finite value as a scalar at the metric's path."""
-        self._stream.set_time("env_step", sequence=env_step)
+        """Each finite value as a scalar at the metric's path; sent with the next `flush`."""
         for path, value in values.items():
             if np.isfinite(value):
-                self._stream.log(path, rr.Scalars(value))
+                self._scalars.setdefault(path, []).append((env_step, value))
+        self._rows += 1
+        if self._rows >= ROWS:
+            self.flush()
         if self._env not in ENVS and any(path.startswith("model/") for path in values):
+            self._stream.set_time("env_step", sequence=env_step)
             self._stream.log(FIT, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
+
+    def flush(self) -> None:
+        """Send the metrics that wait: a value alone would cost a kilobyte and slow the viewer."""
+        for path, points in self._scalars.items():
+            steps, values = zip(*points, strict=True)
+            times = rr.TimeColumn("env_step", sequence=np.array(steps))
+            columns = rr.Scalars.columns(scalars=np.array(values))
+            self._stream.send_columns(path, [times], columns)
+        self._scalars, self._rows = {}, 0
 
     def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
         """The weight profile as bars; an empty bin has height 0."""
@@ -107,6 +123,7 @@ class RerunView:
 
     def close(self, timeout_s: float) -> None:
         """Write out what is left; raises when the sink does not take it in time."""
+        self.flush()
         self._stream.flush(timeout_sec=timeout_s)
         self._stream.disconnect()
 
