@@ -271,7 +271,7 @@ class RoadConfig(RunConfig):
     """Offline model-based RL on road-and-rocks with a linear model (paper, section 5.1)."""
 
     env: str = "road-and-rocks"
-    steps: Count = 2000
+    steps: Count = 3000
     """steps of policy optimisation in the model"""
     map_seed: Whole | None = None
     """seed of the rocks; default the run's seed"""
@@ -298,7 +298,7 @@ class RoadConfig(RunConfig):
         action_samples=8,
         warmup=1,
     )
-    sac: SacConfig = SacConfig(hidden=64, lr=2e-3, tau=0.02, initial_temperature=0.1)
-    rollout: RolloutConfig = RolloutConfig(starts=1000, length=5, final_length=5, retain=4)
-    """model rollouts; `retain` counts rollouts, not fits"""
+    sac: SacConfig = SacConfig(hidden=128, lr=2e-3, tau=0.02, initial_temperature=0.1)
+    rollout: RolloutConfig = RolloutConfig(starts=1000, length=5, final_length=5, retain=60)
+    """model rollouts; `retain` counts rollouts, not fits: the model stays, so all may stay"""
     evaluation: EvaluationConfig = EvaluationConfig(every=100, episodes=20)

@@ -72,6 +72,7 @@ ROAD: dict[str, dict[str, Any]] = {
         "steps": 600,
         "fit_every": 300,
         "evaluation": {"every": 150, "episodes": 5},
+        "sac": {"hidden": 64},
         "tom": {"discriminator_steps": 300, "q_steps": 500, "q_hidden": 64,
                 "discriminator_hidden": 64, "action_samples": 4},
     },

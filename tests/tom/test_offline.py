@@ -21,6 +21,7 @@ TINY: dict[str, Any] = {
     "expert_trajectories": 3,
     "evaluation": {"every": 20, "episodes": 3},
     "rollout": {"starts": 100},
+    "sac": {"hidden": 16, "batch_size": 64},
     "tom": {"discriminator_steps": 20, "q_steps": 20, "q_hidden": 16, "action_samples": 2},
 }
 
