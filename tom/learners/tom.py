@@ -176,7 +176,7 @@ class TomLearner:
 
     def weigh(self, context: FitContext) -> Weighting:
         config, networks = self.config, self.networks
-        if context.on_policy_steps < config.warmup or len(context.policy_buffer) == 0:
+        if context.on_policy_steps < config.warmup:
             return uniform(context.replay, ready=False)
         if config.discriminator_reset:
             networks.restart_discriminator(context.generator)

@@ -1,0 +1,86 @@
+import pytest
+import torch
+from made import QUICK, generator, rows
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from tom.config import TomConfig
+from tom.data.transitions import TensorTransitions
+from tom.learners.discriminator import (
+    Discriminator,
+    accuracy,
+    cross_entropy,
+    discriminator_net,
+    membership_reward,
+)
+from tom.learners.tom import Trained
+
+SHIFT = 1.0
+CONFIG = QUICK.but(discriminator_steps=300, discriminator_lr=1e-3, parameter_average=0.99)
+
+
+def trained(
+    replay: TensorTransitions, policy_buffer: TensorTransitions, config: TomConfig = CONFIG
+) -> tuple[Discriminator, dict[str, float]]:
+    g = generator(1)
+    net = discriminator_net(replay.obs.shape[1], replay.action.shape[1], config, g)
+    found = Discriminator(net, replay, policy_buffer)
+    fresh = Trained(net, config.discriminator_lr, config.discriminator_lr)
+    return found, found.train(fresh.optimiser, config, g)
+
+
+def exact(batch: TensorTransitions) -> torch.Tensor:
+    """log p/q of unit normals around SHIFT and 0, in each dimension."""
+    return (SHIFT * batch.obs - SHIFT**2 / 2).sum(1)
+
+
+def correlation(x: torch.Tensor, y: torch.Tensor) -> float:
+    return float(torch.corrcoef(torch.stack((x, y)))[0, 1])
+
+
+def test_the_logit_is_the_log_ratio_and_swapped_labels_reverse_it():
+    replay, lately = rows(4000, seed=0), rows(4000, seed=1, shift=SHIFT)
+    forward, metrics = trained(replay, lately)
+    r = forward.log_ratio()
+    assert correlation(r, exact(replay)) > 0.97
+    slope = float((r * exact(replay)).mean() / exact(replay).square().mean())
+    assert slope == pytest.approx(1.0, abs=0.2)  # its size too, not the order alone
+    assert metrics["discriminator/accuracy"] > 0.75
+    assert metrics["discriminator/loss"] < 0.5
+    backward, _ = trained(lately, replay)
+    backward.replay = replay
+    assert correlation(backward.log_ratio(), exact(replay)) < -0.97
+
+
+def test_a_policy_that_is_the_replays_gets_a_logit_near_zero():
+    found, metrics = trained(rows(4000, seed=0), rows(4000, seed=1))
+    assert float(found.log_ratio().abs().mean()) < 0.3
+    assert metrics["discriminator/accuracy"] == pytest.approx(0.5, abs=0.06)
+
+
+def test_a_gradient_penalty_compresses_the_logit():
+    replay, lately = rows(2000, seed=0), rows(2000, seed=1, shift=SHIFT)
+    config = CONFIG.but(discriminator_steps=150)
+    free, _ = trained(replay, lately, config)
+    held, _ = trained(replay, lately, config.but(gradient_penalty=10.0))
+    assert float(held.log_ratio().std()) < 0.8 * float(free.log_ratio().std())
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.1])
+def test_cross_entropy_labels_policy_one_and_replay_the_smoothing(smoothing):
+    logits = torch.randn(20, generator=generator())
+    target = torch.cat((torch.ones(10), torch.full((10,), smoothing)))
+    expected = binary_cross_entropy_with_logits(logits, target)
+    torch.testing.assert_close(cross_entropy(logits, smoothing), expected)
+
+
+def test_accuracy_counts_both_sides():
+    assert float(accuracy(torch.tensor([2.0, -1.0, -3.0, -4.0]))) == pytest.approx(0.75)
+
+
+def test_membership_is_one_exactly_on_the_policy_buffers_rows():
+    replay = rows(1000)
+    chosen = torch.tensor([3, 500, 999])
+    found = membership_reward(replay, replay[chosen])
+    assert found[chosen].tolist() == [1.0, 1.0, 1.0]
+    assert float(found.sum()) == 3.0
+    assert float(membership_reward(replay, rows(50, seed=9)).sum()) == 0.0

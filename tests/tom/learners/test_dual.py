@@ -1,0 +1,140 @@
+from dataclasses import replace
+
+import pytest
+import torch
+from made import ACTION, OBS, QUICK, ended, generator, rows, uniform_policy
+from torch import Tensor
+
+from tom.config import TomConfig
+from tom.data.transitions import TensorTransitions
+from tom.learners.dual import (
+    Batch,
+    DualProblem,
+    Values,
+    dual_argument,
+    dual_loss,
+    policy_actions,
+    q_net,
+)
+from tom.learners.scaling import Scaling
+from tom.learners.tom import Trained
+from tom.nn import StackedMLP
+
+
+class TwoActions:
+    """All at 0.25 with action (-1, -1), else (1, 1); sampling is refused."""
+
+    def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        raise AssertionError("a policy with a support need not be sampled")
+
+    def support(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        actions = torch.tensor([-1.0, 1.0])[:, None, None].expand(2, len(obs), ACTION)
+        return actions, torch.tensor([[0.25], [0.75]]).expand(2, len(obs))
+
+
+def problem(replay: TensorTransitions, config: TomConfig = QUICK, policy=uniform_policy):
+    scaling = Scaling.of((replay.obs, replay.action))
+    r = torch.linspace(-1, 1, len(replay))
+    return DualProblem(replay, r, replay.obs[:20], policy, config, scaling)
+
+
+def net(config: TomConfig = QUICK) -> StackedMLP:
+    return q_net(OBS, ACTION, config, generator(7))
+
+
+def batch(terminated: float = 0.0) -> Batch:
+    r = torch.tensor([0.5, -0.5])
+    return Batch(torch.empty(0), torch.empty(0), torch.empty(0), r, torch.full((2,), terminated))
+
+
+VALUES = Values(
+    now=torch.tensor([1.0, 2.0]), following=torch.tensor([3.0, 1.0]), start=torch.tensor([4.0, 6.0])
+)
+
+
+def test_dual_loss_by_hand():
+    config = TomConfig(discount=0.9)
+    # y = 0.5 + 0.9 * 3 - 1 = 2.2 and -0.5 + 0.9 * 1 - 2 = -1.6, which the clamp turns into -1/2
+    expected = 0.1 * 5 + (((3.2**2 - 1) / 2) + (-0.5)) / 2
+    assert float(dual_loss(VALUES, batch(), config)) == pytest.approx(expected, rel=1e-5)
+    released = 0.1 * 5 + (2.2**2 / 2 + 2.2 + 1.6**2 / 2 - 1.6) / 2
+    config = config.but(conjugate="released")
+    assert float(dual_loss(VALUES, batch(), config)) == pytest.approx(released, rel=1e-5)
+
+
+def test_termination_masks_the_next_value():
+    y = dual_argument(VALUES, torch.zeros(2), torch.tensor([0.0, 1.0]), 0.9)
+    torch.testing.assert_close(y, torch.tensor([0.9 * 3 - 1, -2.0]))
+
+
+def test_truncation_masks_nothing_and_termination_does():
+    replay = rows(64)
+    plain, truncated, terminated = (
+        problem(r, policy=TwoActions()).solution(net(), generator())[0]
+        for r in (replay, ended(replay, "truncated"), ended(replay, "terminated"))
+    )
+    assert torch.equal(plain, truncated)
+    assert not torch.allclose(plain, terminated)
+
+
+def test_the_exact_expectation_weighs_every_action_by_its_probability():
+    replay, q = rows(64), net()
+    found = problem(replay, QUICK.but(discount=0.9), TwoActions())
+    weights, now = found.solution(q, generator())
+
+    def value(obs: Tensor, action: Tensor) -> Tensor:
+        return q(found.scaling(torch.cat((obs, action), 1))[None])[0, :, 0].detach()
+
+    down, up = torch.full((64, ACTION), -1.0), torch.ones(64, ACTION)
+    following = 0.25 * value(replay.next_obs, down) + 0.75 * value(replay.next_obs, up)
+    y = found.log_ratio + 0.9 * following - value(replay.obs, replay.action)
+    torch.testing.assert_close(weights, (1 + y).clamp(min=0), atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(now, value(replay.obs, replay.action), atol=1e-5, rtol=1e-4)
+
+
+def test_sampled_actions_share_the_probability():
+    actions, probs = policy_actions(uniform_policy, torch.zeros(5, OBS), 4, generator())
+    assert actions.shape == (4, 5, ACTION)
+    torch.testing.assert_close(probs, torch.full((4, 5), 0.25))
+
+
+def test_the_gradient_runs_through_the_next_value_unless_it_is_stopped():
+    replay = rows(64)
+    slopes = []
+    for semi in (False, True):
+        q = net()
+        found = problem(replay, QUICK.but(semi_gradient=semi, q_batch=16), TwoActions())
+        first = next(iter(found._batches(generator())))
+        following = found._values(q, first).following
+        slopes.append(following.requires_grad)
+    assert slopes == [True, False]
+
+
+def test_minimising_lowers_the_dual_and_lets_the_flow_hold():
+    config = QUICK.but(q_steps=400, q_lr=1e-3, discount=0.9, action_samples=4)
+    found, q = problem(rows(2000), config), net(config)
+    optimiser = Trained(q, config.q_lr, config.q_lr / 0.1).optimiser
+    _, early = replace(found, config=config.but(q_steps=10)).minimise(q, optimiser, generator())
+    _, late = found.minimise(q, optimiser, generator())
+    assert late < early - 0.01
+    raw, _ = found.solution(q, generator())
+    assert float(raw.mean()) == pytest.approx(1.0, abs=0.05)
+
+
+def test_q_is_never_negative_where_the_paper_prints_it_so():
+    config = QUICK.but(q_non_negative=True)
+    _, q = problem(rows(64), config).solution(net(config), generator())
+    assert (q >= 0).all()
+
+
+def test_start_gap_tells_uncovered_starts_from_covered_ones():
+    replay = rows(1000)
+    config = QUICK.but(q_steps=400, q_lr=3e-3, discount=0.9)
+    gaps = []
+    for starts in (replay.obs[:50], torch.full((50, OBS), 8.0)):
+        q = net(config)
+        found = replace(problem(replay, config), initial_obs=starts)
+        fitted, _ = found.minimise(q, Trained(q, config.q_lr, config.q_lr).optimiser, generator())
+        gaps.append(found.start_gap(fitted, found.solution(fitted, generator())[1], generator()))
+    assert gaps[0] < 0.1
+    assert gaps[1] > 1

@@ -1,0 +1,58 @@
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from made import context, rows
+from torch import Tensor
+
+from tom.config import PmacConfig
+from tom.learners.pmac import PmacLearner, recency_probabilities
+
+
+def by_recursion(policy_version: Tensor, decay: float) -> Tensor:
+    """The paper's recursion as it reads, one policy change at a time."""
+    versions = sorted(set(policy_version.tolist()))
+    p = torch.zeros(len(policy_version), dtype=torch.float64)
+    p[policy_version == versions[0]] = 1.0 / int((policy_version == versions[0]).sum())
+    for version in versions[1:]:
+        current = policy_version == version
+        p *= decay
+        p[current] = (1 - decay) / int(current.sum())
+    return p
+
+
+@given(
+    counts=st.lists(st.integers(0, 4), min_size=1, max_size=30).filter(any),
+    decay=st.floats(0.05, 0.999),
+)
+def test_closed_form_is_the_recursion_and_sums_to_one(counts, decay):
+    version = torch.repeat_interleave(torch.arange(len(counts)), torch.tensor(counts))
+    p = recency_probabilities(version, decay)
+    torch.testing.assert_close(p, by_recursion(version, decay), rtol=1e-10, atol=0)
+    assert float(p.sum()) == pytest.approx(1.0)
+
+
+def test_the_newest_policys_transitions_share_what_is_left():
+    version = torch.tensor([0] * 5 + [1] * 3 + [2] * 4)
+    p = recency_probabilities(version, 0.996)
+    assert float(p[version == 2].sum()) == pytest.approx(0.004)
+    assert float(p[version == 1].sum()) == pytest.approx(0.004 * 0.996)
+    assert float(p[version == 0].sum()) == pytest.approx(0.996**2)
+
+
+def test_weights_follow_the_version_not_the_position():
+    version = torch.tensor([2, 0, 1, 0, 2])
+    p = recency_probabilities(version, 0.5)
+    torch.testing.assert_close(p, by_recursion(version, 0.5))
+
+
+def test_learner_has_mean_one_and_a_single_policy_is_uniform():
+    learner = PmacLearner(PmacConfig(decay=0.9))
+    version = torch.arange(40) // 10
+    found = learner.weigh(context(rows(40), policy_version=version))
+    assert found.ready
+    assert found.weights.dtype == torch.float32
+    assert float(found.weights.mean()) == pytest.approx(1.0)
+    assert found.weights[-1] < found.weights[0]  # 0.1 of the mass against 0.9^3 of it
+    alone = learner.weigh(context(rows(40)))
+    torch.testing.assert_close(alone.weights, torch.ones(40))

@@ -1,0 +1,42 @@
+import pytest
+import torch
+from made import ACTION, OBS, QUICK, context, generator, rows
+
+from tom.config import OnlineConfig
+from tom.errors import UserError
+from tom.learners import LEARNER_NAMES, LEARNERS, make_learner
+
+
+def config(name: str) -> OnlineConfig:
+    return OnlineConfig(env="hopper", learner=name, tom=QUICK)
+
+
+def test_names_and_labels():
+    assert LEARNER_NAMES == ("mle", "pmac", "tom", "vagram", "vagram-ensemble")
+    labels = [entry.label for entry in LEARNERS.values()]
+    assert labels == ["MLE", "PMAC", "TOM", "VaGram (MDN)", "VaGram (Ensemble)"]
+
+
+@pytest.mark.parametrize("name", LEARNER_NAMES)
+def test_every_learner_weighs_a_buffer(name):
+    learner = make_learner(name, config(name), OBS, ACTION, generator())
+    assert learner.name == name
+    version = torch.arange(100) // 25
+    found = learner.weigh(
+        context(
+            rows(100),
+            policy_version=version,
+            value_gradient=lambda s: torch.ones(2, *s.shape),
+        )
+    )
+    assert found.ready
+    assert found.weights.shape == (100,)
+    assert float(found.weights.mean()) == pytest.approx(1.0, abs=1e-4)
+    again = make_learner(name, config(name), OBS, ACTION, generator(1))
+    again.load_state_dict(learner.state_dict())
+    assert (name == "mle") == bool((found.weights == 1).all() and found.per_dim is None)
+
+
+def test_an_unknown_learner_offers_the_nearest():
+    with pytest.raises(UserError, match="did you mean 'pmac'"):
+        make_learner("pmacs", config("pmac"), OBS, ACTION, generator())

@@ -1,0 +1,219 @@
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from made import ACTION, OBS, QUICK, context, generator, rows, uniform_policy
+
+from tom.config import TomConfig
+from tom.data.transitions import Transitions
+from tom.learners.tom import Occupancy, TomLearner, occupancy_weights
+from tom.tabular import (
+    OccupancyProblem,
+    OneHotPolicy,
+    random_mdp,
+    random_policy,
+    sample_starts,
+    sample_transitions,
+    solve,
+    transition_occupancy,
+)
+
+
+def learner(config: TomConfig = QUICK) -> TomLearner:
+    return TomLearner(config, OBS, ACTION, generator(5))
+
+
+def weigh(replay: Transitions, lately: Transitions, config: TomConfig = QUICK) -> Occupancy:
+    return occupancy_weights(
+        replay, lately, uniform_policy, torch.zeros(4, OBS), config, generator(2)
+    )
+
+
+def test_uniform_and_not_ready_until_the_warm_up_is_over():
+    tom = learner(QUICK.but(warmup=1000))
+    for steps in (0, 999):
+        found = tom.weigh(context(rows(200), on_policy_steps=steps))
+        assert not found.ready
+        assert (found.weights == 1).all()
+        assert found.log_ratio is None
+    found = tom.weigh(context(rows(200), on_policy_steps=1000))
+    assert found.ready
+    assert found.weights.std() > 0
+    assert found.log_ratio is not None
+
+
+@pytest.mark.parametrize("divergence", ["chi2", "full-chi2", "kl"])
+@pytest.mark.parametrize("discriminator", [True, False])
+def test_weights_have_mean_one_and_favour_the_policys_region(divergence, discriminator):
+    near, far = rows(300, seed=1, shift=2.0), rows(900, seed=2, shift=-1.0)
+    config = QUICK.but(divergence=divergence, discriminator=discriminator, q_steps=150)
+    replay = Transitions.concatenate([near, far])
+    found = weigh(replay, near[:200], config)
+    assert float(found.weights.mean()) == pytest.approx(1.0, abs=1e-4)
+    assert (found.weights >= 0).all()
+    assert found.weights[:300].mean() > found.weights[300:].mean()
+    assert found.log_ratio.shape == (1200,)
+
+
+def test_numpy_and_tensors_give_the_same_bits_and_seeds_decide_them():
+    replay, lately = rows(300), rows(60, seed=3)
+    tensors = weigh(replay, lately)
+    arrays = weigh(replay.numpy(), lately.numpy())
+    for name in ("weights", "log_ratio"):
+        assert torch.equal(getattr(tensors, name), getattr(arrays, name))
+    float64 = Transitions(*(np.asarray(x, np.float64) for x in vars(replay.numpy()).values()))
+    assert torch.equal(weigh(float64, lately).weights, tensors.weights)
+    other = occupancy_weights(
+        replay, lately, uniform_policy, torch.zeros(4, OBS), QUICK, generator(3)
+    )
+    assert not torch.equal(other.weights, tensors.weights)
+
+
+def test_the_inputs_are_left_as_they_were():
+    replay, lately = rows(300), rows(60, seed=3)
+    before = replay.copy()
+    weigh(replay, lately)
+    for name, value in vars(before).items():
+        assert torch.equal(getattr(replay, name), value)
+
+
+def test_state_holds_all_that_goes_on():
+    tom = learner(QUICK.but(discriminator_reset=False))
+    again = TomLearner(tom.config, OBS, ACTION, generator(99))
+    tom.weigh(context(rows(200)))
+    again.load_state_dict(deepcopy(tom.state_dict()))
+    first, second = (t.weigh(context(rows(200), seed=8)) for t in (tom, again))
+    assert torch.equal(first.weights, second.weights)
+
+
+def test_q_goes_on_from_fit_to_fit_unless_reset():
+    for reset in (False, True):
+        tom = learner(QUICK.but(q_reset=reset))
+        before = tom.networks.q
+        tom.weigh(context(rows(200)))
+        assert (tom.networks.q is before) is not reset
+
+
+@pytest.mark.parametrize("bias", [1e6, float("nan")])
+def test_unusable_weights_fall_back_to_uniform_are_counted_and_told(bias):
+    tom = learner()
+    for fits in (1, 2):
+        with torch.no_grad():  # y = r - (1 - g) Q far below -1 everywhere, or not a number
+            tom.networks.q.net.biases[-1].fill_(bias)
+        found = tom.weigh(context(rows(200)))
+        assert not found.ready
+        assert (found.weights == 1).all()
+        assert found.metrics["weights/degenerate"] == fits
+        assert "degenerate-weights" in dict(found.notices)
+
+
+def test_starts_that_the_replay_never_saw_are_told():
+    config = QUICK.but(q_steps=400, q_lr=3e-3, discount=0.9)
+    found = occupancy_weights(
+        rows(1000),
+        rows(100, seed=1),
+        uniform_policy,
+        torch.full((20, OBS), 8.0),
+        config,
+        generator(),
+    )
+    assert "runaway-dual" in dict(found.notices)
+    assert found.metrics["dual/start_gap"] > 1
+
+
+SMALL = {
+    "q_hidden": 64,
+    "discriminator_hidden": 64,
+    "q_steps": 500,
+    "discriminator_steps": 500,
+    "discriminator_lr": 1e-3,
+    "parameter_average": 0.99,
+}
+
+
+@pytest.mark.parametrize(("divergence", "support"), [("chi2", True), ("kl", True), ("chi2", False)])
+def test_estimates_exact_weights_of_a_small_mdp(divergence, support):
+    rng = np.random.default_rng(0)
+    mdp = random_mdp(5, 2, 2, 0.9, rng)
+    target, behaviour = random_policy(mdp, rng), random_policy(mdp, rng, uniform=0.3)
+    q = transition_occupancy(mdp, behaviour)
+    problem = OccupancyProblem.of(mdp, target, q)
+    buffer, index = sample_transitions(mdp, q, 20_000, rng)
+    lately, _ = sample_transitions(mdp, transition_occupancy(mdp, target), 5000, rng)
+    policy = OneHotPolicy(torch.from_numpy(target).float())
+    config = TomConfig.preset("exact").but(discount=0.9, divergence=divergence, **SMALL)
+    found = occupancy_weights(
+        buffer,
+        lately,
+        policy if support else policy.__call__,
+        torch.from_numpy(sample_starts(mdp, 1000, rng)),
+        config.but(action_samples=5),
+        generator(),
+    )
+    exact = np.zeros(q.shape)
+    exact[problem.index] = solve(problem, divergence).weights
+    expected = exact[tuple(index.T)]
+    assert np.abs(found.weights.numpy() - expected).mean() < (0.12 if support else 0.25)
+    assert np.corrcoef(found.weights.numpy(), expected)[0, 1] > 0.95
+    assert found.metrics["weights/raw_mean"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_replays_own_policy_weighs_everything_about_one():
+    rng = np.random.default_rng(1)
+    mdp = random_mdp(5, 2, 2, 0.9, rng)
+    target = random_policy(mdp, rng)
+    q = transition_occupancy(mdp, target)
+    buffer, lately = (sample_transitions(mdp, q, n, rng)[0] for n in (20_000, 5000))
+    found = occupancy_weights(
+        buffer,
+        lately,
+        OneHotPolicy(torch.from_numpy(target).float()),
+        torch.from_numpy(sample_starts(mdp, 1000, rng)),
+        TomConfig.preset("exact").but(discount=0.9, **SMALL),
+        generator(),
+    )
+    assert float((found.weights - 1).abs().mean()) < 0.08
+
+
+def test_terminal_states_end_the_flow():
+    """Terminated rows are masked: read as truncated ones, the weights are further off."""
+    rng = np.random.default_rng(2)
+    mdp = random_mdp(5, 2, 2, 0.9, rng)
+    terminal = np.arange(5) == 4
+    alive = np.where(terminal, 0.0, mdp.transition + 1e-3)
+    alive *= 0.9 / alive.sum(2, keepdims=True)
+    start = np.where(terminal, 0.0, mdp.start)
+    mdp = replace(
+        mdp, terminal=terminal, transition=alive + 0.1 * terminal, start=start / start.sum()
+    )
+    target, behaviour = random_policy(mdp, rng), random_policy(mdp, rng, uniform=0.3)
+    q, p = transition_occupancy(mdp, behaviour), transition_occupancy(mdp, target)
+    problem = OccupancyProblem.of(mdp, target, q / q.sum())
+    # A discriminator compares distributions: both have mass one there.
+    problem = replace(problem, log_ratio=problem.log_ratio - np.log(p.sum()))
+    buffer, index = sample_transitions(mdp, q, 20_000, rng)
+    lately, _ = sample_transitions(mdp, p, 5000, rng)
+    exact = np.zeros(q.shape)
+    exact[problem.index] = solve(problem, "chi2").weights
+    expected = exact[tuple(index.T)]
+    error, mean = {}, {}
+    for flag in ("terminated", "truncated"):
+        flags = {"terminated": np.zeros(20_000), "truncated": np.zeros(20_000)}
+        flags[flag] = np.asarray(buffer.terminated)
+        found = occupancy_weights(
+            replace(buffer, **flags),
+            lately,
+            OneHotPolicy(torch.from_numpy(target).float()),
+            torch.from_numpy(sample_starts(mdp, 1000, rng)),
+            TomConfig.preset("exact").but(discount=0.9, **SMALL),
+            generator(),
+        )
+        error[flag] = np.abs(found.weights.numpy() - expected / expected.mean()).mean()
+        mean[flag] = found.metrics["weights/raw_mean"]
+    assert expected.mean() < 0.6  # the flow loses what ends
+    assert mean["terminated"] == pytest.approx(expected.mean(), abs=0.06)
+    assert mean["truncated"] == pytest.approx(1.0, abs=0.06)
+    assert error["terminated"] < 0.25
+    assert error["truncated"] > 1.5 * error["terminated"]

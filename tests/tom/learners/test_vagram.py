@@ -1,0 +1,97 @@
+import pytest
+import torch
+from made import OBS, context, rows
+from torch import Tensor
+
+from tom.config import VagramConfig
+from tom.learners.vagram import VagramLearner, clip_rows, value_gradient_weights
+
+LINEAR = torch.tensor([[1.0, -2.0, 0.0], [-1.0, 4.0, 0.0]])  # two heads, V_k(s) = c_k . s
+
+
+def linear_heads(states: Tensor) -> Tensor:
+    return LINEAR[:, None].expand(-1, len(states), -1)
+
+
+def test_weights_are_squared_scaled_gradients_averaged_over_heads():
+    scale = torch.tensor([0.5, 2.0, 3.0])
+    found = value_gradient_weights(torch.randn(10, OBS), scale, linear_heads)
+    # ((0.5 * 1)^2 + (0.5 * -1)^2) / 2 and ((2 * -2)^2 + (2 * 4)^2) / 2: heads never cancel
+    torch.testing.assert_close(found, torch.tensor([0.25, 40.0, 0.0]).expand(10, -1))
+
+
+def test_each_heads_gradient_stands_alone():
+    """Accumulated across heads, the second would hold the sum of both."""
+    one = value_gradient_weights(
+        torch.randn(4, OBS), torch.ones(OBS), lambda s: linear_heads(s)[:1]
+    )
+    two = value_gradient_weights(
+        torch.randn(4, OBS), torch.ones(OBS), lambda s: linear_heads(s)[1:]
+    )
+    both = value_gradient_weights(torch.randn(4, OBS), torch.ones(OBS), linear_heads)
+    torch.testing.assert_close(both, (one + two) / 2)
+
+
+def test_gradients_of_real_critics_match_finite_differences():
+    def values(states: Tensor) -> Tensor:
+        return torch.stack((states.square().sum(1), (3 * states[:, 0]).sin()))
+
+    def gradient(states: Tensor) -> Tensor:
+        states = states.clone().requires_grad_()
+        return torch.stack(
+            [torch.autograd.grad(v.sum(), states, retain_graph=True)[0] for v in values(states)]
+        )
+
+    states, step = torch.randn(6, OBS, dtype=torch.float64), 1e-6
+    nudges = step * torch.eye(OBS, dtype=torch.float64)
+    numeric = torch.stack([(values(states + e) - values(states - e)) / (2 * step) for e in nudges])
+    found = value_gradient_weights(states, torch.ones(OBS, dtype=torch.float64), gradient)
+    torch.testing.assert_close(found, numeric.square().mean(1).permute(1, 0), atol=1e-7, rtol=1e-6)
+
+
+def test_the_dimension_that_matters_gets_the_weight():
+    replay = rows(500)
+    found = VagramLearner(VagramConfig()).weigh(context(replay, value_gradient=linear_heads))
+    assert found.ready
+    assert found.per_dim is not None
+    assert found.per_dim.shape == (500, OBS)
+    per_dim = found.per_dim.mean(0)
+    variance = (replay.next_obs - replay.obs).var(0, correction=0)
+    expected = variance * torch.tensor([1.0, 10.0, 0.0])
+    torch.testing.assert_close(per_dim / per_dim.sum(), expected / expected.sum())
+    torch.testing.assert_close(found.weights, found.per_dim.mean(1))
+    assert float(found.weights.mean()) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_clipping_bounds_rows_and_keeps_their_proportions():
+    g = torch.Generator().manual_seed(0)
+    raw = torch.rand(1000, OBS, generator=g) ** 6
+    raw[0] *= 1e6
+    found = clip_rows(raw, 0.95)
+    bound = raw.mean(1).sort().values[950]
+    assert float(found.mean(1).max()) == pytest.approx(float(bound), rel=1e-5)
+    untouched = raw.mean(1) <= bound
+    torch.testing.assert_close(found[untouched], raw[untouched])
+    torch.testing.assert_close(found[0] / found[0].sum(), raw[0] / raw[0].sum())
+    torch.testing.assert_close(clip_rows(raw, 1.0), raw)
+
+
+def test_uniform_until_there_is_a_value_function_and_experience():
+    learner = VagramLearner(VagramConfig())
+    without = learner.weigh(context(rows(50)))
+    exploring = learner.weigh(context(rows(50), on_policy_steps=0, value_gradient=linear_heads))
+    for found in (without, exploring):
+        assert not found.ready
+        assert found.per_dim is None
+        assert (found.weights == 1).all()
+
+
+def test_a_flat_value_function_falls_back_to_uniform_and_says_so():
+    learner = VagramLearner(VagramConfig())
+    flat = context(rows(50), value_gradient=lambda s: torch.zeros(2, *s.shape))
+    for fits in (1, 2):
+        found = learner.weigh(flat)
+        assert not found.ready
+        assert (found.weights == 1).all()
+        assert found.metrics["weights/degenerate"] == fits
+        assert found.notices[0][0] == "degenerate-weights"

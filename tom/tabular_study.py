@@ -1,0 +1,230 @@
+"""TOM's estimated weights against exact ones on small MDPs: the rows of a table, nothing else.
+
+Each row is one MDP under one variant of the estimator; the variants differ in how E_{a'} is taken
+and in what theory says must not be done.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from tom.config import TomConfig
+from tom.learners.base import Policy
+from tom.learners.tom import occupancy_weights
+from tom.tabular import (
+    Array,
+    Mdp,
+    Name,
+    OccupancyProblem,
+    OneHotPolicy,
+    random_mdp,
+    random_policy,
+    sample_starts,
+    sample_transitions,
+    solve,
+    transition_occupancy,
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One problem: a random MDP, a random policy and a replay buffer of another one's making."""
+
+    seed: int
+    successors: int  # of each (s, a): 1 is deterministic
+    discount: float
+    divergence: Name
+    states: int = 10
+    actions: int = 3
+    replay: int = 50_000
+    policy_buffer: int = 5_000
+    starts: int = 1_000
+    same_policy: bool = False  # pi = pi_D: every exact weight is 1
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A way to estimate: a preset of TomConfig with changes, with or without the exact E_{a'}."""
+
+    label: str
+    preset: Literal["paper", "exact"] = "exact"
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    support: bool = False  # the policy tells its probabilities: E_{a'} is exact
+
+
+VARIANTS: tuple[Variant, ...] = (
+    Variant("exact, exact expectation over a'", support=True),
+    Variant("exact, 10 sampled a'"),
+    Variant("exact, 1 sampled a'", changes={"action_samples": 1}),
+    Variant("exact, semi-gradient", changes={"semi_gradient": True}, support=True),
+    Variant("exact, Q >= 0", changes={"q_non_negative": True}, support=True),
+    Variant("paper, exact expectation over a'", preset="paper", support=True),
+    Variant("paper, 1 sampled a'", preset="paper"),
+    Variant(
+        "paper, 1 sampled a', averaged parameters and quick bias",
+        preset="paper",
+        changes={"parameter_average": 0.99, "q_bias_horizon": True},
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Score:
+    """How near one estimate came; every sum runs over the replay buffer's rows."""
+
+    spearman: float  # rank correlation of estimated and exact weights
+    l1: float  # sum |w - w*| / sum w*
+    flow: float  # L1 residual of the Bellman flow constraint under the weighted replay
+    log_ratio: float  # correlation of the discriminator's logit and the exact log p/q
+    raw_mean: float  # mean weight before normalisation
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A score with the points behind it: the R distinct transitions of the MDP."""
+
+    case: Case
+    variant: str
+    score: Score
+    replay: Array  # q (R,)
+    exact: Array  # exact weights (R,)
+    estimated: Array  # mean estimated weight of each transition (R,); NaN where none was drawn
+    exact_log_ratio: Array  # (R,)
+    log_ratio: Array  # mean logit (R,)
+
+    def row(self) -> dict[str, Any]:
+        """The flat record: case, variant and score."""
+        return {**asdict(self.case), "variant": self.variant, **asdict(self.score)}
+
+
+def cases(seeds: Iterable[int]) -> list[Case]:
+    """Every seed with chi-square and KL, deterministic and stochastic, discount 0.9 and 0.99."""
+    return [
+        Case(seed, successors, discount, divergence)
+        for seed in seeds
+        for successors in (1, 3)
+        for discount in (0.9, 0.99)
+        for divergence in ("chi2", "kl")
+    ]
+
+
+def study(cases: Iterable[Case], variants: Sequence[Variant] = VARIANTS) -> Iterator[Estimate]:
+    """Every variant on every case."""
+    for case in cases:
+        for variant in variants:
+            yield estimate(case, variant)
+
+
+def estimate(case: Case, variant: Variant) -> Estimate:
+    """Draw the case's buffers, estimate their weights and hold them against the exact ones."""
+    rng = np.random.default_rng(case.seed)
+    mdp = random_mdp(case.states, case.actions, case.successors, case.discount, rng)
+    target = random_policy(mdp, rng)
+    behaviour = target if case.same_policy else random_policy(mdp, rng, uniform=0.3)
+    q = transition_occupancy(mdp, behaviour)
+    problem = OccupancyProblem.of(mdp, target, q)
+    buffer, index = sample_transitions(mdp, q, case.replay, rng)
+    lately, _ = sample_transitions(mdp, transition_occupancy(mdp, target), case.policy_buffer, rng)
+    found = occupancy_weights(
+        buffer,
+        lately,
+        _policy(target, variant.support),
+        torch.from_numpy(sample_starts(mdp, case.starts, rng)),
+        TomConfig.preset(variant.preset).but(
+            discount=case.discount, divergence=case.divergence, **variant.changes
+        ),
+        torch.Generator().manual_seed(case.seed),
+    )
+    return _compare(
+        case,
+        variant,
+        problem,
+        _rows_of(problem, mdp, index),
+        np.asarray(found.weights, np.float64),
+        np.asarray(found.log_ratio, np.float64),
+        found.metrics["weights/raw_mean"],
+    )
+
+
+def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """For each variant, in order: runs, median and worst of each measure."""
+    by_variant: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        by_variant.setdefault(row["variant"], []).append(row)
+    return [{"variant": name, **_summarise(group)} for name, group in by_variant.items()]
+
+
+def _summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    column = {name: np.array([row[name] for row in rows]) for name in Score.__annotations__}
+    off = np.abs(column["raw_mean"] - 1)
+    return {
+        "runs": len(rows),
+        "spearman": float(np.median(column["spearman"])),
+        "spearman_worst": float(column["spearman"].min()),
+        "l1": float(np.median(column["l1"])),
+        "l1_worst": float(column["l1"].max()),
+        "flow": float(np.median(column["flow"])),
+        "flow_worst": float(column["flow"].max()),
+        "log_ratio": float(np.median(column["log_ratio"])),
+        "log_ratio_worst": float(column["log_ratio"].min()),
+        "raw_mean": float(np.median(column["raw_mean"])),
+        "raw_mean_worst": float(column["raw_mean"][off.argmax()]),
+    }
+
+
+def _policy(probs: Array, support: bool) -> Policy:
+    policy = OneHotPolicy(torch.from_numpy(probs).float())
+    # A bound method offers no `support`: what remains is a policy that can only be sampled.
+    return policy if support else policy.__call__
+
+
+def _rows_of(problem: OccupancyProblem, mdp: Mdp, index: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Which of the R distinct transitions each buffer row is, (N,)."""
+    lookup = np.full((mdp.states, mdp.actions, mdp.states), -1, np.intp)
+    lookup[problem.index] = np.arange(len(problem.replay))
+    return lookup[tuple(index.T)]
+
+
+def _compare(
+    case: Case,
+    variant: Variant,
+    problem: OccupancyProblem,
+    rows: NDArray[np.intp],
+    weights: Array,
+    log_ratio: Array,
+    raw_mean: float,
+) -> Estimate:
+    exact = solve(problem, case.divergence).weights
+    exact = exact / (problem.replay @ exact)
+    cells = len(problem.replay)
+    count = np.bincount(rows, minlength=cells)
+    mass = np.bincount(rows, weights, minlength=cells) / len(rows)  # of the weighted replay
+    score = Score(
+        spearman=_correlation(rankdata(weights), rankdata(exact[rows])),
+        l1=float(np.abs(weights - exact[rows]).sum() / exact[rows].sum()),
+        flow=float(np.abs(problem.residual(mass / problem.replay)).sum()),
+        log_ratio=_correlation(log_ratio, problem.log_ratio[rows]),
+        raw_mean=raw_mean,
+    )
+    with np.errstate(invalid="ignore"):
+        estimated = mass * len(rows) / count
+        logit = np.bincount(rows, log_ratio, minlength=cells) / count
+    return Estimate(
+        case,
+        variant.label,
+        score,
+        problem.replay,
+        exact,
+        estimated,
+        problem.log_ratio,
+        logit,
+    )
+
+
+def _correlation(x: Array, y: Array) -> float:
+    return float(np.corrcoef(x, y)[0, 1])
