@@ -228,3 +228,33 @@ def _compare(
 
 def _correlation(x: Array, y: Array) -> float:
     return float(np.corrcoef(x, y)[0, 1])
+
+
+def acceptance(
+    rows: Sequence[Mapping[str, Any]], same_policy: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """The figures an estimator is held against: name, value, bound, met.
+
+    `same_policy` are the rows of problems where the policy made the replay buffer itself.
+    """
+    s = _summarise(rows)
+    off = max(abs(row["raw_mean"] - 1) for row in rows)
+    same = max(row["l1"] for row in same_policy)
+    return [
+        _at_least("rank correlation of the weights, median", s["spearman"], 0.95),
+        _at_least("rank correlation of the weights, worst", s["spearman_worst"], 0.90),
+        _at_most("relative L1 error, median", s["l1"], 0.12),
+        _at_most("relative L1 error, worst", s["l1_worst"], 0.20),
+        _at_most("Bellman flow residual, worst", s["flow_worst"], 0.12),
+        _at_least("logit against log ratio, worst", s["log_ratio_worst"], 0.95),
+        _at_most("mean weight off 1, worst", off, 0.05),
+        _at_most("pi = pi_D: relative L1 distance from 1, worst", same, 0.12),
+    ]
+
+
+def _at_least(name: str, value: float, bound: float) -> dict[str, Any]:
+    return {"name": name, "value": value, "bound": f">= {bound:g}", "met": bool(value >= bound)}
+
+
+def _at_most(name: str, value: float, bound: float) -> dict[str, Any]:
+    return {"name": name, "value": value, "bound": f"<= {bound:g}", "met": bool(value <= bound)}

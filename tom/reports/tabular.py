@@ -1,0 +1,41 @@
+"""Estimated against exact weights of small MDPs, a panel for each divergence and discount."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from tom.reports.colours import NEUTRAL, learner_colour
+from tom.reports.style import STYLE, new_figure
+from tom.tabular_study import Estimate
+
+LABELS = {"chi2": "chi-square", "kl": "KL", "full-chi2": "full chi-square"}
+
+
+def estimate_figure(estimates: Sequence[Estimate]) -> Figure:
+    """Every distinct transition as a point, its area the replay's share of it."""
+    kinds = sorted({(e.case.divergence, e.case.discount) for e in estimates})
+    with rc_context(STYLE):
+        figure = new_figure(2.6 * len(kinds) + 0.3, 3.0)
+        axes = figure.subplots(1, len(kinds), squeeze=False)[0]
+        for ax, kind in zip(axes, kinds, strict=True):
+            own = [e for e in estimates if (e.case.divergence, e.case.discount) == kind]
+            exact = np.concatenate([e.exact for e in own])
+            estimated = np.concatenate([e.estimated for e in own])
+            share = np.concatenate([e.replay for e in own])
+            drawn = np.isfinite(estimated)
+            top = 1.05 * float(max(exact[drawn].max(), estimated[drawn].max()))
+            ax.plot([0, top], [0, top], color=NEUTRAL, linewidth=0.8, linestyle="--")
+            ax.scatter(
+                exact[drawn],
+                estimated[drawn],
+                s=400 * share[drawn],
+                color=learner_colour("tom"),
+                alpha=0.35,
+                linewidths=0,
+            )
+            ax.set_title(f"{LABELS[kind[0]]}, discount {kind[1]:g}")
+            ax.set_xlabel("exact weight")
+        axes[0].set_ylabel("estimated weight")
+    return figure
