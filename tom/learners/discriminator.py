@@ -79,9 +79,11 @@ class Discriminator:
     @torch.no_grad()
     def log_ratio(self) -> Tensor:
         """The logit of every replay row, (N,)."""
-        starts = range(0, len(self.replay), CHUNK)
-        rows = (self.inputs(self.replay[i : i + CHUNK]) for i in starts)
-        return torch.cat([self.net(x[None])[0, :, 0] for x in rows])
+        logits = torch.empty_like(self.replay.reward)  # written in place: pieces fragment memory
+        for i in range(0, len(logits), CHUNK):
+            rows = self.replay[i : i + CHUNK]
+            logits[i : i + CHUNK] = self.net(self.inputs(rows)[None])[0, :, 0]
+        return logits
 
     def _batches(
         self, config: TomConfig, generator: torch.Generator

@@ -111,17 +111,21 @@ class DualProblem:
     @torch.no_grad()
     def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Weights f*'(y), not normalised, and Q(s, a) of every replay row, (N,) each."""
-        y, now = [], []
-        for rows, r in zip(_chunks(self.replay), self.log_ratio.split(CHUNK), strict=True):
-            samples = self.config.action_samples
+        samples = self.config.action_samples
+        y, now = torch.empty_like(self.log_ratio), torch.empty_like(self.log_ratio)
+        for i in range(0, len(y), CHUNK):
+            part = slice(i, i + CHUNK)
+            rows = self.replay[part]
             inputs, probs = self._policy_inputs(rows.next_obs, samples, generator)
             q = self._q(net, torch.cat((self._inputs(rows.obs, rows.action), inputs.flatten(0, 1))))
             following = (probs * q[len(rows) :].view_as(probs)).sum(0)
             values = Values(q[: len(rows)], following, following)
-            y.append(dual_argument(values, r, rows.terminated, self.config.discount))
-            now.append(values.now)
+            y[part] = dual_argument(
+                values, self.log_ratio[part], rows.terminated, self.config.discount
+            )
+            now[part] = values.now
         f = divergence(self.config.divergence, self.config.conjugate)
-        return f.weights(torch.cat(y)), torch.cat(now)
+        return f.weights(y), now
 
     @torch.no_grad()
     def start_gap(self, net: StackedMLP, q: Tensor, generator: torch.Generator) -> float:
@@ -188,7 +192,3 @@ class DualProblem:
 def _steps(inputs: Tensor, n: int) -> Tensor:
     """(K, n B, D), B rows for each of n steps -> (n, K B, D)."""
     return inputs.unflatten(1, (n, -1)).transpose(0, 1).flatten(1, 2)
-
-
-def _chunks(rows: TensorTransitions) -> Iterator[TensorTransitions]:
-    return (rows[i : i + CHUNK] for i in range(0, len(rows), CHUNK))

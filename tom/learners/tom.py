@@ -7,6 +7,7 @@ Discriminator, dual Q, weights: lines 3-11 of the paper's Algorithm 2.
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -134,7 +135,7 @@ def occupancy_weights(
     buffer: Transitions,
     policy_buffer: Transitions,
     policy: Policy,
-    initial_obs: Tensor,
+    initial_obs: Tensor | np.ndarray,
     config: TomConfig,
     generator: torch.Generator,
 ) -> Occupancy:

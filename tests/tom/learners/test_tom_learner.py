@@ -59,15 +59,16 @@ def test_weights_have_mean_one_and_favour_the_policys_region(divergence, discrim
 
 def test_numpy_and_tensors_give_the_same_bits_and_seeds_decide_them():
     replay, lately = rows(300), rows(60, seed=3)
+    starts = torch.zeros(4, OBS)
     tensors = weigh(replay, lately)
-    arrays = weigh(replay.numpy(), lately.numpy())
+    arrays = occupancy_weights(
+        replay.numpy(), lately.numpy(), uniform_policy, starts.numpy(), QUICK, generator(2)
+    )
     for name in ("weights", "log_ratio"):
         assert torch.equal(getattr(tensors, name), getattr(arrays, name))
     float64 = Transitions(*(np.asarray(x, np.float64) for x in vars(replay.numpy()).values()))
     assert torch.equal(weigh(float64, lately).weights, tensors.weights)
-    other = occupancy_weights(
-        replay, lately, uniform_policy, torch.zeros(4, OBS), QUICK, generator(3)
-    )
+    other = occupancy_weights(replay, lately, uniform_policy, starts, QUICK, generator(3))
     assert not torch.equal(other.weights, tensors.weights)
 
 
