@@ -30,6 +30,13 @@ RUNAWAY = (
 )
 """The notice of a fit whose dual problem has no solution."""
 
+ENDS_UNDER_KL = (
+    "kl-drops-terminations",
+    "KL with normalised weights drives the weight of terminated transitions to zero: use chi2 "
+    "where episodes terminate",
+)
+"""The notice of a fit under KL on a buffer with terminated transitions."""
+
 
 @dataclass(frozen=True)
 class Occupancy:
@@ -126,7 +133,11 @@ def estimate(
         "dual/start_gap": start_gap,
         "weights/raw_mean": float(raw.mean()),
     }
-    found = ((DEGENERATE, degenerate), (RUNAWAY, start_gap > MAX_START_GAP))
+    found = (
+        (DEGENERATE, degenerate),
+        (RUNAWAY, start_gap > MAX_START_GAP),
+        (ENDS_UNDER_KL, config.divergence == "kl" and bool(replay.terminated.any())),
+    )
     notices = tuple(notice for notice, holds in found if holds)
     return Occupancy(weights, log_ratio, metrics, notices)
 

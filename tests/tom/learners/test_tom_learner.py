@@ -124,6 +124,18 @@ def test_starts_that_the_replay_never_saw_are_told():
     assert found.metrics["dual/start_gap"] > 1
 
 
+def test_kl_on_episodes_that_terminate_is_told():
+    """Normalised weights cannot lose the mass that ends: Q squeezes those rows out instead."""
+    replay = rows(300)
+    some = replace(replay, terminated=(torch.arange(300) % 10 == 0).float())
+    config = QUICK.but(divergence="kl", q_steps=300, q_lr=3e-3, discount=0.9)
+    told, quiet = weigh(some, replay[:60], config), weigh(replay, replay[:60], config)
+    assert "kl-drops-terminations" in dict(told.notices)
+    assert quiet.notices == ()
+    assert told.weights[::10].mean() < 0.5
+    assert weigh(some, replay[:60], config.but(divergence="chi2")).notices == ()
+
+
 SMALL = {
     "q_hidden": 64,
     "discriminator_hidden": 64,
