@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from tom.cli.parser import add_config_options, add_run_options, one_line, overrides
+from tom.cli.parser import DEST, add_config_options, add_run_options, one_line, overrides
 from tom.cli.progress import ProgressReport
 from tom.envs import ENV_NAMES
 from tom.errors import UserError
@@ -25,6 +25,7 @@ OWN_OPTIONS = {"env", "learner", "preset"}
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "train",
+        usage="tom train --env ENV --learner LEARNER [options]",
         help="train one learner in one environment",
         description="Train one learner in one environment. The settings below are those of "
         "--env (default hopper); road-and-rocks has its own: tom train --env road-and-rocks "
@@ -37,6 +38,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     parser.add_argument(
         "--preset", default="paper", metavar="PRESET", help=", ".join(PRESETS) + " [paper]"
+    )
+    parser.add_argument(
+        "--model", dest=DEST + "model.kind", metavar="KIND", help="short for --model.kind"
     )
     parser.add_argument(
         "--resume",
