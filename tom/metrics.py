@@ -32,6 +32,7 @@ METRICS: dict[str, str] = {
     "weights/degenerate": "fits so far whose weights were unusable and fell back to uniform",
     "discriminator/loss": "cross entropy of the discriminator, last steps",
     "discriminator/accuracy": "share of transitions the discriminator puts on the right side",
+    "discriminator/calibration": "expected calibration error of the discriminator (0: its odds are true)",
     "dual/loss": "TOM's dual objective, last steps",
     "dual/q_mean": "mean of TOM's dual Q over the buffer",
     "dual/start_gap": "how far TOM's dual Q at start states lies below its range on the buffer, in "

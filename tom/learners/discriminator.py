@@ -53,7 +53,7 @@ class Discriminator:
         """
         average = Average(self.net, config.parameter_average)
         tail = max(config.discriminator_steps // 10, 1)
-        losses, correct = [], []
+        losses, judged = [], []
         for step, (positive, negative) in enumerate(self._batches(config, generator)):
             logits = self.net(torch.cat((positive, negative))[None])[0, :, 0]
             loss = cross_entropy(logits, config.label_smoothing)
@@ -67,13 +67,15 @@ class Discriminator:
             average.update()
             if step >= config.discriminator_steps - tail:
                 losses.append(loss.detach())
-                correct.append(accuracy(logits.detach()))
+                judged.append(logits.detach().view(2, -1))
         self.net = average.net
         if not losses:
             return {}
+        logits = torch.cat(judged, dim=1).flatten()
         return {
             "discriminator/loss": float(torch.stack(losses).mean()),
-            "discriminator/accuracy": float(torch.stack(correct).mean()),
+            "discriminator/accuracy": float(accuracy(logits)),
+            "discriminator/calibration": float(calibration_error(logits)),
         }
 
     @torch.no_grad()
@@ -122,6 +124,19 @@ def accuracy(logits: Tensor) -> Tensor:
     """Share of rows on the right side: the first half above zero, the second half below."""
     positive, negative = logits.chunk(2)
     return torch.cat((positive > 0, negative < 0)).float().mean()
+
+
+def calibration_error(logits: Tensor, bins: int = 10) -> Tensor:
+    """Expected calibration error of 2B logits: B policy rows, then as many replay rows.
+
+    sum_b n_b / 2B |share of policy rows in bin b - mean c in bin b|, over equal bins of c.
+    """
+    c = torch.sigmoid(logits)
+    label = torch.zeros_like(c)
+    label[: len(c) // 2] = 1.0
+    which = (c * bins).long().clamp(max=bins - 1)
+    gap = torch.zeros(bins).to(c).index_add(0, which, label - c)  # n_b (share - mean c)
+    return gap.abs().sum() / len(c)
 
 
 def membership_reward(replay: TensorTransitions, policy_buffer: TensorTransitions) -> Tensor:

@@ -8,6 +8,7 @@ from tom.data.transitions import TensorTransitions
 from tom.learners.discriminator import (
     Discriminator,
     accuracy,
+    calibration_error,
     cross_entropy,
     discriminator_net,
     membership_reward,
@@ -84,3 +85,10 @@ def test_membership_is_one_exactly_on_the_policy_buffers_rows():
     assert found[chosen].tolist() == [1.0, 1.0, 1.0]
     assert float(found.sum()) == 3.0
     assert float(membership_reward(replay, rows(50, seed=9)).sum()) == 0.0
+
+
+def test_calibration_error_by_hand():
+    """Of three rows at c = 0.8 two are the policy's; the one at c = 0.2 is not."""
+    c = torch.tensor([0.8, 0.8, 0.8, 0.2])  # two policy rows, then two replay rows
+    expected = (3 * abs(2 / 3 - 0.8) + 1 * abs(0 - 0.2)) / 4
+    assert float(calibration_error(torch.logit(c))) == pytest.approx(expected, abs=1e-6)
