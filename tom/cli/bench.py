@@ -36,14 +36,17 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--learner", nargs="+", default=["mle", "tom"], help="(learn)")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="(learn)")
+    parser.add_argument(
+        "--steps", type=int, default=LEARN_STEPS, help=f"env steps in all [{LEARN_STEPS}] (learn)"
+    )
     parser.add_argument("--store", type=Path, help="keep the runs here (learn)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     if args.what == "learn":
-        rows = learn(args.learner, args.seeds, args.store)
-        _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {LEARN_STEPS} steps", rows, args.json)
+        rows = learn(args.learner, args.seeds, args.steps, args.store)
+        _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         return 0 if all(row["reached_at"] is not None for row in rows) else 1
     return _record(args.json) if args.what == "record" else _parts(args.repeats, args.json)
 
@@ -74,19 +77,21 @@ def _record(as_json: bool) -> int:
     return 0
 
 
-def learn(learners: list[str], seeds: list[int], store: Path | None) -> list[dict[str, Any]]:
+def learn(
+    learners: list[str], seeds: list[int], steps: int, store: Path | None
+) -> list[dict[str, Any]]:
     """Train inverted pendulum for each learner and seed: where each first reached 950."""
     with tempfile.TemporaryDirectory() as scratch:
         path = store or Path(scratch)
-        run_jobs(list(_learn_jobs(learners, seeds, path)))
+        run_jobs(list(_learn_jobs(learners, seeds, steps, path)))
         rows = [_learn_row(r) for r in Store(path).runs() if r.env == LEARN_ENV]
     return sorted(rows, key=lambda row: (row["learner"], row["seed"]))
 
 
-def _learn_jobs(learners: list[str], seeds: list[int], store: Path) -> Iterator[Job]:
+def _learn_jobs(learners: list[str], seeds: list[int], steps: int, store: Path) -> Iterator[Job]:
     for learner in learners:
         for seed in seeds:
-            shared = ("--store", str(store), "--no-rerun", "--steps", str(LEARN_STEPS))
+            shared = ("--store", str(store), "--no-rerun", "--steps", str(steps))
             which = ("--env", LEARN_ENV, "--learner", learner, "--seed", str(seed))
             yield Job(f"{learner} {seed}", (*which, *shared))
 
