@@ -14,11 +14,9 @@ import numpy as np
 
 from tom.config import RunConfig, SacRecordingConfig, TomConfig
 from tom.envs import task
-from tom.errors import UserError
 from tom.policy_file import NAME, UniformPolicy, read_policy
 from tom.progression import DECILES, Progression, progression, same_profile
 from tom.record import RunReader, Store
-from tom.run import recorded_config
 from tom.weighing import Weighed, of_run, weigh
 
 Condition = Literal["own", "random", "shuffled"]
@@ -103,12 +101,14 @@ def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
 
 
 def _like(run: RunReader, config: SacRecordingConfig) -> bool:
-    try:
-        theirs = recorded_config(run)
-    except UserError:  # another version's: not to be compared
+    """Whether a run has the settings of `config`, SAC's as far as both versions know them."""
+    theirs = run.config.get("config", {})
+    ours = config.model_dump(mode="json")
+    plain = ("env", "seed", "steps", "exploration_steps", "updates_per_step")
+    if any(theirs.get(name) != ours[name] for name in plain):
         return False
-    decisive = ("env", "seed", "steps", "exploration_steps", "updates_per_step", "sac")
-    return all(getattr(theirs, name) == getattr(config, name) for name in decisive)
+    sac = theirs.get("sac", {})
+    return all(sac[name] == ours["sac"][name] for name in sac if name in ours["sac"])
 
 
 def cases(run: RunReader, presets: Sequence[Preset], seeds: Sequence[int]) -> Iterator[Case]:

@@ -10,6 +10,7 @@ from tom.config import SacRecordingConfig
 from tom.errors import UserError
 from tom.events import Evaluation, TrainedPolicy
 from tom.policy_file import UniformPolicy, policy_arrays, read_policy
+from tom.progression_study import recorded
 from tom.record import RunReader, Store
 from tom.run import train
 from tom.sac_recording import SacRecording
@@ -60,6 +61,16 @@ def test_the_state_of_a_row_gives_its_obs(recording: RunReader):
     expected = np.hstack([state["qpos"][:, 1:], state["qvel"].clip(-10, 10)])
     np.testing.assert_array_equal(rows.obs, expected)
     assert np.ptp(state["qpos"][:, 0]) > 0
+
+
+def test_a_recording_is_found_again_by_its_settings(recording: RunReader):
+    store = Store(recording.path.parent)
+    found = recorded(store, config(threads=2))
+    assert found is not None
+    assert found.run_id == recording.run_id
+    for other in ({"seed": 1}, {"steps": 1000}, {"sac": {"hidden": 32}}):
+        changed = config().but(**other)
+        assert recorded(store, changed) is None
 
 
 def test_actions_of_the_random_half_are_uniform(recording: RunReader):

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -44,6 +45,15 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        return _reproduce(args)
+    except KeyboardInterrupt:
+        _say("stopped")
+        return 1
+
+
+def _reproduce(args: argparse.Namespace) -> int:
     for preset in args.preset:
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
