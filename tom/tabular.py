@@ -107,6 +107,16 @@ class OccupancyProblem:
         """How far q w is from satisfying the Bellman transition flow constraint, (S A)."""
         return self.inflow + self.flow.T @ (self.replay * weights)
 
+    def fitted_model(self, weights: Array, mdp: Mdp) -> Array:
+        """The transition function that weighted maximum likelihood fits (eqs. 9, 18), (S, A, S).
+
+        NaN where the weights leave a state and action without mass.
+        """
+        mass = np.zeros_like(mdp.transition)
+        mass[self.index] = self.replay * weights
+        with np.errstate(invalid="ignore"):
+            return mass / mass.sum(2, keepdims=True)
+
 
 Name = Literal["chi2", "kl"]
 

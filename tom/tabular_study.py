@@ -22,6 +22,7 @@ from tom.tabular import (
     Name,
     OccupancyProblem,
     OneHotPolicy,
+    occupancy,
     random_mdp,
     random_policy,
     sample_starts,
@@ -120,13 +121,32 @@ def study(cases: Iterable[Case], variants: Sequence[Variant] = VARIANTS) -> Iter
             yield estimate(case, variant)
 
 
-def estimate(case: Case, variant: Variant) -> Estimate:
-    """Draw the case's buffers, estimate their weights and hold them against the exact ones."""
-    rng = np.random.default_rng(case.seed)
+def draw(case: Case, rng: np.random.Generator) -> tuple[Mdp, Array, Array]:
+    """The case's MDP, the policy of interest (S, A) and the replay distribution (S, A, S)."""
     mdp = random_mdp(case.states, case.actions, case.successors, case.discount, rng)
     target = random_policy(mdp, rng)
     behaviour = target if case.same_policy else random_policy(mdp, rng, uniform=0.3)
-    q = transition_occupancy(mdp, behaviour)
+    return mdp, target, transition_occupancy(mdp, behaviour)
+
+
+def model_bias(case: Case) -> float:
+    """How far the model that the *exact* weights fit is from the true one.
+
+    Mean total variation over the (s, a) of the policy's occupancy. Zero under KL and in
+    deterministic MDPs; under chi-square the weights of one (s, a) differ with s'.
+    """
+    mdp, target, q = draw(case, np.random.default_rng(case.seed))
+    problem = OccupancyProblem.of(mdp, target, q)
+    model = problem.fitted_model(solve(problem, case.divergence).weights, mdp)
+    distance = np.abs(model - mdp.transition).sum(2) / 2
+    seen = np.isfinite(distance)
+    return float(np.average(distance[seen], weights=occupancy(mdp, target)[seen]))
+
+
+def estimate(case: Case, variant: Variant) -> Estimate:
+    """Draw the case's buffers, estimate their weights and hold them against the exact ones."""
+    rng = np.random.default_rng(case.seed)
+    mdp, target, q = draw(case, rng)
     problem = OccupancyProblem.of(mdp, target, q)
     buffer, index = sample_transitions(mdp, q, case.replay, rng)
     lately, _ = sample_transitions(mdp, transition_occupancy(mdp, target), case.policy_buffer, rng)

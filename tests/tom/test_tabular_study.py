@@ -3,7 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tom.tabular_study import VARIANTS, Case, Variant, cases, estimate, study, summary
+from tom.tabular_study import (
+    VARIANTS,
+    Case,
+    Variant,
+    cases,
+    estimate,
+    model_bias,
+    study,
+    summary,
+)
 
 QUICK = {
     "q_hidden": 32,
@@ -41,6 +50,12 @@ def test_only_the_variant_differs_between_rows_of_a_case():
     c = estimate(SMALL, Variant("c", changes=QUICK, support=True))
     assert (c.exact == a.exact).all()
     assert c.score != a.score
+
+
+def test_only_chi2_with_stochastic_dynamics_biases_the_model():
+    for case in cases(range(3)):
+        biased = case.divergence == "chi2" and case.successors > 1
+        assert (model_bias(case) > 0.01) is biased
 
 
 def test_summary_takes_median_and_worst_of_each_variant():
