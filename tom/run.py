@@ -135,7 +135,13 @@ def recorded_config(reader: RunReader) -> AnyConfig:
     try:
         return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
     except (KeyError, ValidationError) as error:
-        raise UserError(f"the configuration of '{reader.run_id}' cannot be read: {error}") from None
+        made_by = reader.config.get("versions", {}).get("tom-studio", "an unknown version")
+        first = error.errors()[0] if isinstance(error, ValidationError) else {"loc": error.args}
+        where = ".".join(str(part) for part in first["loc"])
+        raise UserError(
+            f"run '{reader.run_id}' was made by another version ({made_by}; its setting {where} "
+            "is not known): start it again"
+        ) from None
 
 
 def _record(

@@ -1,6 +1,7 @@
 """A run stopped, or killed, and resumed leaves the folder of a run that was never interrupted."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -118,6 +119,15 @@ def test_a_run_without_a_checkpoint_says_so(tmp_path: Path):
         (folder / "manifest.json").unlink()
     with pytest.raises(UserError, match="no checkpoint"):
         resume(store, "a", rerun=False)
+
+
+def test_a_run_of_another_version_is_refused_in_one_line(undisturbed, tmp_path: Path):
+    shutil.copytree(undisturbed.path, tmp_path / "old")
+    content = (tmp_path / "old" / "config.json").read_text()
+    (tmp_path / "old" / "config.json").write_text(content.replace('"fit_every"', '"fit_each"'))
+    with pytest.raises(UserError, match="another version.*fit_each") as error:
+        resume(Store(tmp_path), "old", steps=1000, rerun=False)
+    assert "\n" not in str(error.value)
 
 
 def start(store: Path, *more: str) -> subprocess.Popen[bytes]:
