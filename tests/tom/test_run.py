@@ -125,7 +125,7 @@ def test_a_run_of_another_version_is_refused_in_one_line(undisturbed, tmp_path: 
     shutil.copytree(undisturbed.path, tmp_path / "old")
     content = (tmp_path / "old" / "config.json").read_text()
     (tmp_path / "old" / "config.json").write_text(content.replace('"fit_every"', '"fit_each"'))
-    with pytest.raises(UserError, match="another version.*fit_each") as error:
+    with pytest.raises(UserError, match=r"another version.*fit_each") as error:
         resume(Store(tmp_path), "old", steps=1000, rerun=False)
     assert "\n" not in str(error.value)
 
