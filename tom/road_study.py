@@ -227,15 +227,14 @@ def _driving(tom: Sequence[Outcome], mle: Sequence[Outcome], kind: str) -> list[
 
 def controls(outcomes: Sequence[Outcome]) -> list[Check]:
     """The checks of the controls."""
-    swapped = _named(outcomes, "labels swapped")
+    ratio = [o.road_ratio for o in _named(outcomes, "labels swapped")]
     mean_zero = _named(outcomes, "mle, mean-zero rocks")
     last, first = _named(outcomes, "pmac, expert last"), _named(outcomes, "pmac, expert first")
     return [
         _at_most(
-            "labels swapped: weight ratio, median",
-            float(np.median([o.road_ratio for o in swapped])),
-            SWAPPED_RATIO_MAX,
+            "labels swapped: weight ratio, median", float(np.median(ratio)), SWAPPED_RATIO_MAX
         ),
+        _at_most("labels swapped: weight ratio, maximum", max(ratio), SWAPPED_RATIO_MAX),
         _at_least(
             "mean-zero rocks: MLE's return (planner)",
             float(np.median([o.planner_return for o in mean_zero])),
