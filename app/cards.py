@@ -22,10 +22,10 @@ _STATE_TINTS = {
 
 def cards(runs: Sequence[RunInfo]) -> None:
     """One card a run, in rows."""
-    width = min(len(runs), COLUMNS)
-    for first in range(0, len(runs), COLUMNS):
+    width = 2 if len(runs) == 4 else min(len(runs), COLUMNS)
+    for first in range(0, len(runs), width or 1):
         row = st.columns(width)
-        for column, run in zip(row, runs[first : first + COLUMNS], strict=False):
+        for column, run in zip(row, runs[first : first + width], strict=False):
             with column, st.container(border=True, gap="small"):
                 card(run)
 

@@ -45,6 +45,11 @@ class Links:
         return "127.0.0.1" if self.host in WILDCARDS else self.host
 
     @property
+    def allowed_hosts(self) -> list[str]:
+        """The names that a browser may use for this host; empty means any."""
+        return [] if self.host in WILDCARDS else [self.host, "localhost", "127.0.0.1"]
+
+    @property
     def address(self) -> str:
         """What a user opens."""
         return f"http://{self.local_host}:{self.port}"

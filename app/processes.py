@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-STOP_GRACE_S = 5.0
+STOP_GRACE_S = 3.0
 LOG_TAIL = 12
 
 

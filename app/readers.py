@@ -1,6 +1,5 @@
 """Run folders for the pages: read once, read again when a file changes."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,24 +58,28 @@ def listing(store: str) -> Listing:
 
 def metrics(run: RunInfo) -> pd.DataFrame:
     """A row a recorded step: `env_step` and every metric."""
-    path = Path(run.path)
-    return _metrics(run.path, (stamp(path / layout.METRICS), stamp(path / layout.METRICS_TABLE)))
+    return _metrics(run.path, *_stamps(run, layout.METRICS, layout.METRICS_TABLE))[0]
 
 
 def profiles(run: RunInfo) -> Profiles:
     """The weight profile of every model fit."""
-    return _profiles(run.path, stamp(Path(run.path) / layout.PROFILES))
+    return _profiles(run.path, *_stamps(run, layout.PROFILES))[0]
 
 
 def notices(run: RunInfo) -> list[dict]:
     """What the run itself warned of: `env_step`, `kind`, `message`."""
-    return _notices(run.path, stamp(Path(run.path) / layout.NOTICES))
+    return _notices(run.path, *_stamps(run, layout.NOTICES))[0]
 
 
 def problems(run: RunInfo) -> list[str]:
     """What is damaged or missing in the parts of a run that every page reads."""
-    names = (layout.CONFIG, layout.STATUS, layout.METRICS, layout.PROFILES, layout.NOTICES)
-    return _problems(run.path, tuple(stamp(Path(run.path) / name) for name in names))
+    found = [
+        *run.problems,
+        *_metrics(run.path, *_stamps(run, layout.METRICS, layout.METRICS_TABLE))[1],
+        *_profiles(run.path, *_stamps(run, layout.PROFILES))[1],
+        *_notices(run.path, *_stamps(run, layout.NOTICES))[1],
+    ]
+    return list(dict.fromkeys(found))
 
 
 def road_steps(run: RunInfo) -> list[int]:
@@ -119,28 +122,31 @@ def _info(path: str, config: Stamp, status: Stamp) -> RunInfo:
     )
 
 
-@st.cache_data(show_spinner=False, max_entries=512)
-def _metrics(path: str, stamps: Sequence[Stamp]) -> pd.DataFrame:
-    return RunReader(path).metrics()
+# Tables are shared, not copied, as no page changes one: a copy of 200 tables takes a second.
 
 
-@st.cache_data(show_spinner=False, max_entries=256)
-def _profiles(path: str, changed: Stamp) -> Profiles:
-    return RunReader(path).profiles()
-
-
-@st.cache_data(show_spinner=False, max_entries=512)
-def _notices(path: str, changed: Stamp) -> list[dict]:
-    return RunReader(path).notices()
-
-
-@st.cache_data(show_spinner=False, max_entries=512)
-def _problems(path: str, stamps: Sequence[Stamp]) -> list[str]:
+@st.cache_resource(show_spinner=False, max_entries=512)
+def _metrics(path: str, rows: Stamp, table: Stamp) -> tuple[pd.DataFrame, list[str]]:
     reader = RunReader(path)
-    _ = reader.config, reader.status, reader.metrics(), reader.profiles(), reader.notices()
-    return list(reader.problems)
+    return reader.metrics(), reader.problems
 
 
-@st.cache_data(show_spinner=False, max_entries=64)
+@st.cache_resource(show_spinner=False, max_entries=512)
+def _profiles(path: str, changed: Stamp) -> tuple[Profiles, list[str]]:
+    reader = RunReader(path)
+    return reader.profiles(), reader.problems
+
+
+@st.cache_resource(show_spinner=False, max_entries=512)
+def _notices(path: str, changed: Stamp) -> tuple[list[dict], list[str]]:
+    reader = RunReader(path)
+    return reader.notices(), reader.problems
+
+
+def _stamps(run: RunInfo, *names: str) -> list[Stamp]:
+    return [stamp(Path(run.path) / name) for name in names]
+
+
+@st.cache_resource(show_spinner=False, max_entries=64)
 def _road_picture(path: str, step: int, changed: Stamp) -> Picture | None:
     return pictures.load(RunReader(path), step)

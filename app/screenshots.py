@@ -1,5 +1,6 @@
 """Pictures of every page, as a reader sees them: headless Chromium on the studio itself."""
 
+import io
 import shutil
 import time
 from collections.abc import Iterator
@@ -7,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
+
+from PIL import Image
 
 from app.launcher import Studio, servers
 from app.theme import Mode
@@ -53,7 +56,7 @@ def take(store: Path, folder: Path) -> int:
                     page = context.new_page()
                     page.goto(f"{links.address}/{path}")
                     target = folder / f"{name}-{width}-{mode}.png"
-                    target.write_bytes(settled_picture(page))
+                    target.write_bytes(compact(settled_picture(page)))
                     print(target, flush=True)
                     page.close()
                 context.close()
@@ -86,9 +89,25 @@ def settled_picture(page: "Page") -> bytes:
     before, now = b"", page.screenshot()
     while before != now and time.monotonic() < deadline:
         _grow(page)
+        _close_notes(page)
         page.wait_for_timeout(2500)
         before, now = now, page.screenshot()
     return now
+
+
+def _close_notes(page: "Page") -> None:
+    """Close viser's note that 3D is drawn in software, which is so in a headless browser only."""
+    for frame in page.frames:
+        for button in frame.locator(".mantine-Notification-closeButton").all():
+            button.click()
+
+
+def compact(picture: bytes) -> bytes:
+    """The same picture in 256 colours: a third of the bytes, no difference to the eye."""
+    image = Image.open(io.BytesIO(picture)).convert("RGB")
+    small = io.BytesIO()
+    image.quantize(256, Image.Quantize.MEDIANCUT).save(small, "PNG", optimize=True)
+    return small.getvalue()
 
 
 def _grow(page: "Page") -> None:

@@ -8,7 +8,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
-from app.links import WILDCARDS, Links
+from app.links import Links
 from app.theme import streamlit_options
 from tom.errors import UserError
 from tom.record.reader import RunReader
@@ -52,13 +52,12 @@ def viewer_origin(request: Request, links: Links) -> str:
 
 def options(links: Links) -> dict:
     """Streamlit's settings: local, silent, no telemetry, no file watching."""
-    allowed = [] if links.host in WILDCARDS else [links.host, "localhost", "127.0.0.1"]
     return {
         "server.address": links.host,
         "server.port": links.port,
         "server.headless": True,
         "server.fileWatcherType": "none",
-        "server.allowedHosts": allowed,
+        "server.allowedHosts": links.allowed_hosts,
         "server.showEmailPrompt": False,
         "browser.gatherUsageStats": False,
         "client.toolbarMode": "minimal",

@@ -15,12 +15,14 @@ LEARNER_COLOURS: dict[str, str] = {
     "vagram": "#e056c0",
     "vagram-ensemble": "#bd8d12",
 }
-# Road-and-rocks' baselines are no learners: muted, beside them.
+# No learners of a model, drawn beside them in muted tones.
 BASELINE_COLOURS: dict[str, str] = {
     "expert-only": "#6d7686",
     "footprint-only": "#98815f",
     "discriminator-only": "#8c6d9e",
+    "sac": "#7d6f66",
 }
+_OTHER_LABELS = {"sac": "SAC"}
 _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
 _SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down")
 NEUTRAL = "#8a92a3"
@@ -74,7 +76,7 @@ def learner_symbol(learner: str) -> str:
 
 def learner_label(learner: str) -> str:
     """How a learner is called on a page; its bare name where the registry has none."""
-    return LEARNERS[learner].label if learner in LEARNERS else learner
+    return LEARNERS[learner].label if learner in LEARNERS else _OTHER_LABELS.get(learner, learner)
 
 
 def faded(colour: str, alpha: float) -> str:

@@ -14,7 +14,7 @@ def styled(figure: go.Figure, x: str, height: int, *, keep: str) -> go.Figure:
     """
     figure.update_layout(
         height=height,
-        margin={"l": 4, "r": 4, "t": 4, "b": 4},
+        margin={"l": 4, "r": 26, "t": 14, "b": 4},
         paper_bgcolor="rgba(0,0,0,0)",
         plot_bgcolor="rgba(0,0,0,0)",
         hovermode="closest",

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app.figures.base import styled
-from app.figures.weights import octaves, relative_scale
+from app.figures.scales import octaves, relative_scale
 from app.pictures import Picture
 from app.roadmap import cell_centres, circle, outline
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
@@ -49,7 +49,7 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
         trace = _lines(_darts(picture.points[keep], moves[keep]), label, tint, 1.4)
         figure.add_trace(trace.update(visible="legendonly"))
     styled(figure, "", height, keep="road map")
-    figure.update_layout(plot_bgcolor=NO_DATA[mode])
+    figure.update_layout(plot_bgcolor=NO_DATA[mode], margin={"r": 4})
     square = {"range": [0, 1], "showgrid": False, "showticklabels": False, "ticks": ""}
     figure.update_xaxes(**square, constrain="domain")
     figure.update_yaxes(**square, scaleanchor="x", constrain="domain", constraintoward="top")

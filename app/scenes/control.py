@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Client, Listener
+from pathlib import Path
 
 from app.theme import Mode
 
@@ -30,6 +31,7 @@ def tell(socket: str, client: str, selection: Selection) -> None:
 
 def listen(socket: str, select: Callable[[str, Selection], None]) -> None:
     """Hand every selection that arrives to `select`, for ever."""
+    Path(socket).unlink(missing_ok=True)  # what a server that was killed left behind
     with Listener(socket) as listener:
         while True:
             with listener.accept() as connection:

@@ -1,38 +1,22 @@
-"""Road-and-rocks in 3D: a picture as arrays, and the nodes that draw them."""
+"""Road-and-rocks in 3D: the nodes that draw a picture."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.colours import linear, on_scale, rgb
-from app.figures.weights import OCTAVES, octaves
+from app.colours import linear, rgb
 from app.pictures import Picture
-from app.roadmap import CELLS, RoadMap, cell_centres, circle, on_road, outline
-from app.theme import COLUMNS, NEUTRAL, Mode, learner_colour
+from app.roadmap import RoadMap, circle, outline
+from app.scenes import arrays
+from app.theme import NEUTRAL, Mode, learner_colour
 
-GROUND_PIXELS = 400
-BOULDERS = 240
-TALLEST = 0.13
-"""height of a column whose weight is 16 times the uniform one or more"""
 LIFT = 0.006
 """lines lie this much above what they are drawn on"""
-_ROAD = {"light": (196, 201, 212), "dark": (66, 73, 90)}
-_ROCK = {"light": (226, 221, 213), "dark": (38, 38, 44)}
 _BOULDER = {"light": (176, 167, 155), "dark": (84, 80, 78)}
 _LINE = {"light": (255, 255, 255), "dark": (205, 210, 222)}
-
-
-@dataclass(frozen=True)
-class Columns:
-    """One column a cell with a weight that the colours can tell from none."""
-
-    position: NDArray[np.float32]  # (C, 3)
-    scale: NDArray[np.float32]  # (C, 3)
-    colour: NDArray[np.uint8]  # (C, 3)
 
 
 @dataclass
@@ -47,87 +31,38 @@ class Handles:
     boulders: viser.SceneNodeHandle
 
 
-def columns(grid: NDArray[np.float64]) -> Columns:
-    """The weights as columns: height by the square root, so that light cells are seen too."""
-    y, x = np.nonzero(np.nan_to_num(grid) >= 2**-OCTAVES)
-    weight = grid[y, x]
-    height = TALLEST * np.sqrt(np.minimum(weight, 2**OCTAVES) / 2**OCTAVES)
-    middle = cell_centres()
-    return Columns(
-        position=np.stack([middle[x], middle[y], height / 2], -1).astype(np.float32),
-        scale=np.stack([np.full(len(x), 0.86 / CELLS)] * 2 + [height], -1).astype(np.float32),
-        colour=on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS),
-    )
-
-
-def ground(road: RoadMap, mode: Mode) -> NDArray[np.uint8]:
-    """The map's floor: (GROUND_PIXELS, GROUND_PIXELS, 3), row 0 at the lowest y."""
-    middle = (np.arange(GROUND_PIXELS) + 0.5) / GROUND_PIXELS
-    x, y = np.meshgrid(middle, middle)
-    inside = on_road(np.stack([x.ravel(), y.ravel()], -1), road).reshape(x.shape)
-    grain = np.random.default_rng(0).normal(0, 3, x.shape)[..., None]
-    floor = np.where(inside[..., None], _ROAD[mode], _ROCK[mode]) + grain
-    return floor.clip(0, 255).astype(np.uint8)
-
-
-def boulders(road: RoadMap) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Positions (K, 3) and sizes (K,) of stones beside the road, always the same."""
-    draw = np.random.default_rng(3)
-    places = draw.uniform(0.01, 0.99, (4 * BOULDERS, 2))
-    size = draw.uniform(0.004, 0.013, 4 * BOULDERS)
-    off = ~on_road(places, RoadMap(road.centre_line, road.half_width + 0.02, road.start, road.goal))
-    places, size = places[off][:BOULDERS], size[off][:BOULDERS]
-    return np.column_stack([places, size * 0.35]).astype(np.float32), size.astype(np.float32)
-
-
-def segments(lines: Sequence[NDArray], height: float) -> NDArray[np.float32]:
-    """Polylines (K, 2) as line segments (S, 2, 3) at a height."""
-    parts = [np.stack([line[:-1], line[1:]], 1) for line in lines if len(line) > 1]
-    flat = np.concatenate(parts) if parts else np.zeros((0, 2, 2))
-    return np.concatenate([flat, np.full((*flat.shape[:2], 1), height)], -1).astype(np.float32)
-
-
-def arrows(points: NDArray, moves: NDArray, height: float) -> NDArray[np.float32]:
-    """Arrows (G, 2, 3) from points along displacements, at a height."""
-    ends = np.stack([points, points + moves], 1)
-    return np.concatenate([ends, np.full((*ends.shape[:2], 1), height)], -1).astype(np.float32)
-
-
 def draw(scene: viser.SceneApi, picture: Picture, mode: Mode) -> Handles:
     """Draw all of a picture; nodes of an earlier one of the same name are replaced."""
     _draw_map(scene, picture.road, mode)
     colour = rgb(learner_colour(picture.learner))
-    bars = columns(picture.grid)
-    vertices, faces = _unit_box()
+    bars = arrays.columns(picture.grid)
+    vertices, faces = arrays.unit_box()
     return Handles(
         columns=scene.add_batched_meshes_simple(
             "/weights",
             vertices,
             faces,
-            batched_wxyzs=_upright(len(bars.position)),
+            batched_wxyzs=arrays.upright(len(bars.position)),
             batched_positions=bars.position,
             batched_scales=bars.scale,
             batched_colors=linear(bars.colour),  # viser takes instance colours as intensities
             flat_shading=True,
             lod="off",
         ),
-        expert=_lines(scene, "/expert", picture.expert, rgb(NEUTRAL), TALLEST + LIFT, 1.4),
-        learnt=_lines(scene, "/learnt", picture.learnt, colour, TALLEST + 2 * LIFT, 3.5),
+        expert=_lines(scene, "/expert", picture.expert, rgb(NEUTRAL), arrays.TALLEST + LIFT, 1.4),
+        learnt=_lines(scene, "/learnt", picture.learnt, colour, arrays.TALLEST + 2 * LIFT, 3.5),
         true=_arrows(scene, "/true", picture.points, picture.true, rgb(NEUTRAL)),
         modelled=_arrows(scene, "/modelled", picture.points, picture.modelled, colour),
         boulders=_draw_boulders(scene, picture.road, mode),
     )
 
 
-def layer_names() -> list[str]:
-    """The layers that can be shown and hidden."""
-    return [field.name for field in fields(Handles)]
-
-
 def _draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode) -> None:
-    scene.add_image("/ground", ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0))
+    scene.add_image(
+        "/ground", arrays.ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
+    )
     _lines(scene, "/edge", outline(road), _LINE[mode], LIFT, 2.5)
-    _lines(scene, "/centre", _dashes(road.centre_line), _LINE[mode], LIFT, 1.5)
+    _lines(scene, "/centre", arrays.dashes(road.centre_line), _LINE[mode], LIFT, 1.5)
     for name, (x, y, radius), colour in (
         ("start", road.start, (43, 111, 224)),
         ("goal", road.goal, (31, 157, 85)),
@@ -138,8 +73,8 @@ def _draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode) -> None:
 
 
 def _draw_boulders(scene: viser.SceneApi, road: RoadMap, mode: Mode) -> viser.SceneNodeHandle:
-    position, size = boulders(road)
-    vertices, faces = _stone()
+    position, size = arrays.boulders(road)
+    vertices, faces = arrays.stone()
     turn = np.random.default_rng(5).normal(size=(len(size), 4))
     return scene.add_batched_meshes_simple(
         "/boulders",
@@ -162,7 +97,7 @@ def _lines(
     height: float,
     thickness: float,
 ) -> viser.SceneNodeHandle:
-    points = segments(lines, height)
+    points = arrays.segments(lines, height)
     return scene.add_line_segments(
         name, points, colour, thickness=thickness, thickness_units="screen"
     )
@@ -173,43 +108,10 @@ def _arrows(
 ) -> viser.SceneNodeHandle:
     return scene.add_arrows(
         name,
-        arrows(points, moves, 2 * LIFT),
+        arrays.arrows(points, moves, 2 * LIFT),
         colour,
         shaft_radius=0.0014,
         head_radius=0.0042,
         head_length=0.012,
         visible=False,
     )
-
-
-def _dashes(line: NDArray, length: float = 0.02) -> list[NDArray]:
-    dashes = []
-    for a, b in pairwise(line):
-        steps = np.arange(0, np.linalg.norm(b - a), 2 * length) / np.linalg.norm(b - a)
-        share = length / np.linalg.norm(b - a)
-        dashes += [np.stack([a + s * (b - a), a + min(s + share, 1) * (b - a)]) for s in steps]
-    return dashes
-
-
-def _upright(count: int) -> NDArray[np.float32]:
-    return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
-
-
-def _unit_box() -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
-    faces = [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ]  # fmt: skip
-    return corners - 0.5, np.array(faces, np.uint32)
-
-
-def _stone() -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    corners = np.array(
-        [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 0.7], [0, 0, -0.7]], np.float32
-    )
-    faces = [
-        [0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4],
-        [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5],
-    ]  # fmt: skip
-    return corners, np.array(faces, np.uint32)

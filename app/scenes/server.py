@@ -1,128 +1,18 @@
 """The viser server's process: one scene a browser frame, told what to show by the pages."""
 
 import threading
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
+from urllib.parse import urlsplit
 
 import viser
+from websockets.http11 import Request
 
-from app import pictures
-from app.colours import rgb
 from app.links import Links
-from app.pictures import Picture
-from app.scenes import road as scene
 from app.scenes.control import Selection, listen
-from app.theme import LEARNER_COLOURS, Mode
-from tom.record.reader import RunReader
-from tom.record.store import Store
+from app.scenes.frame import Frame
 
-CAMERA = (0.5, -0.12, 0.82)
-LOOK_AT = (0.5, 0.45, 0.0)
-GLOW: dict[Mode, float] = {"light": 0.45, "dark": 0.3}
-"""brightness of the light from all sides"""
 PLAY_S = 0.8
 """seconds that a fit is shown while the slider plays"""
-
-
-@lru_cache(maxsize=64)
-def _picture(path: str, step: int) -> Picture | None:
-    return pictures.load(RunReader(path), step)
-
-
-class Frame:
-    """One connected browser frame: its panel, its scene, what it shows."""
-
-    def __init__(self, client: viser.ClientHandle, store: str, selection: Selection) -> None:
-        self.client = client
-        self.store = store
-        self.mode: Mode = selection.mode
-        self._lock = threading.RLock()
-        self._handles: scene.Handles | None = None
-        self._drawn: tuple[str, int] | None = None
-        self._steps: list[int] = []
-        client.gui.configure_theme(
-            dark_mode=selection.mode == "dark",
-            show_logo=False,
-            show_share_button=False,
-            control_width="small",
-            brand_color=rgb(LEARNER_COLOURS["tom"]),
-        )
-        client.gui.set_panel_label("Road and rocks")
-        client.scene.configure_environment_map("studio", environment_intensity=GLOW[selection.mode])
-        client.camera.position = CAMERA
-        client.camera.look_at = LOOK_AT
-        self._build_panel()
-        self.show(selection)
-
-    def _build_panel(self) -> None:
-        gui = self.client.gui
-        self.play = gui.add_checkbox("play the fits", initial_value=False)
-        with gui.add_folder("Another run or fit", expand_by_default=False):
-            self.run = gui.add_dropdown("run", tuple(self._runs()) or ("none",))
-            self.fit = gui.add_slider("fit", 0, 1, 1, 0)
-        with gui.add_folder("Layers", expand_by_default=False):
-            self.layers = {
-                name: gui.add_checkbox(label, initial_value=shown)
-                for name, label, shown in (
-                    ("columns", "weights as columns", True),
-                    ("expert", "expert's trajectories", True),
-                    ("learnt", "learnt policy's trajectories", True),
-                    ("true", "real displacement", False),
-                    ("modelled", "modelled displacement", False),
-                    ("boulders", "rocks", True),
-                )
-            }
-        self.run.on_update(lambda _: self._redraw())
-        self.fit.on_update(lambda _: self._redraw())
-        for layer in self.layers.values():
-            layer.on_update(lambda _: self._apply_layers())
-
-    def show(self, selection: Selection) -> None:
-        """Show what a page chose."""
-        with self._lock:
-            runs = self._runs()
-            if not runs:
-                return
-            self.run.options = tuple(runs)
-            self.run.value = selection.run if selection.run in runs else runs[0]
-            self._read_steps()
-            if selection.step in self._steps:
-                self.fit.value = self._steps.index(selection.step)
-            self._redraw()
-
-    def next_fit(self) -> None:
-        """The next fit while the slider plays; after the last the first."""
-        if self.play.value and len(self._steps) > 1:
-            self.fit.value = (int(self.fit.value) + 1) % len(self._steps)
-
-    def _runs(self) -> list[str]:
-        return [run.run_id for run in Store(self.store).runs() if run.env == pictures.ENV]
-
-    def _read_steps(self) -> None:
-        self._steps = pictures.steps(Store(self.store).run(self.run.value))
-        last = max(len(self._steps) - 1, 1)
-        self.fit.max = last
-        self.fit.disabled = len(self._steps) < 2
-        self.fit.value = min(int(self.fit.value), last)
-
-    def _redraw(self) -> None:
-        with self._lock:
-            self._read_steps()
-            if not self._steps:
-                return
-            step = self._steps[min(int(self.fit.value), len(self._steps) - 1)]
-            path = str(Store(self.store).resolve(self.run.value))
-            picture = _picture(path, step)
-            if picture is None or self._drawn == (path, step):
-                return
-            self._drawn = (path, step)
-            with self.client.atomic():
-                self._handles = scene.draw(self.client.scene, picture, self.mode)
-                self._apply_layers()
-
-    def _apply_layers(self) -> None:
-        if self._handles is not None:
-            for name, box in self.layers.items():
-                getattr(self._handles, name).visible = bool(box.value)
 
 
 class SceneServer:
@@ -133,6 +23,8 @@ class SceneServer:
         self.chosen: dict[str, Selection] = {}
         self.frames: dict[int, tuple[str, Frame]] = {}
         self.server = viser.ViserServer(links.host, links.viser_port, verbose=False)
+        if self.server.get_port() != links.viser_port:  # viser takes the next one in silence
+            raise SystemExit(f"port {links.viser_port} is taken")
         self.server.scene.set_up_direction("+z")
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._left)
@@ -148,19 +40,32 @@ class SceneServer:
                 frame.show(selection)
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        name = self._name(client)
+        request = self._request(client)
+        if request is None or not trusted(request.headers, self.links.allowed_hosts):
+            return  # an empty scene: nothing of the store goes to a foreign page
+        name = request.path.strip("/")
         selection = self.chosen.get(name, Selection(mode=self.links.theme or "light"))
-        self.frames[client.client_id] = (name, Frame(client, self.links.store, selection))
+        frame = Frame(client, self.links.store, selection)
+        self.frames[client.client_id] = (name, frame)
+        frame.show(self.chosen.get(name, selection))  # it may have changed while it was built
 
     def _left(self, client: viser.ClientHandle) -> None:
         self.frames.pop(client.client_id, None)
 
-    def _name(self, client: viser.ClientHandle) -> str:
-        # viser hands the address on to no public attribute; the path of the frame's own
-        # connection is the one thing that a page can set (`?websocket=` in Links.viser).
-        connection = self.server._websock_server._live_connections[client.client_id]
-        request = connection.request
-        return request.path.strip("/") if request is not None else ""
+    def _request(self, client: viser.ClientHandle) -> Request | None:
+        # viser hands a client's request on to no public attribute; its path is the one thing
+        # that a page can set (`?websocket=` in Links.viser).
+        return self.server._websock_server._live_connections[client.client_id].request
+
+
+def trusted(headers: Mapping[str, str], allowed: Sequence[str]) -> bool:
+    """The page that connects was served by this host, under a name that this host goes by.
+
+    viser itself takes connections from every page that a browser shows. No allowed names: any.
+    """
+    host = urlsplit(f"//{headers.get('Host', '')}").hostname
+    origin = urlsplit(headers.get("Origin", "")).hostname
+    return host == origin and (not allowed or host in allowed)
 
 
 def main() -> None:

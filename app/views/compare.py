@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import readers, session, text, widgets
-from app.aggregate import Curve, Group, groups, interval
+from app import readers, session, tables, text, widgets
+from app.aggregate import Curve, Group, groups
 from app.figures.curves import group_curves, metric_title
 from app.readers import RunInfo
 from app.theme import learner_label
@@ -35,7 +35,7 @@ def page() -> None:
     singles = st.session_state.get("singles", True)
     _figures(grouped, metric, singles=singles)
     _remarks(grouped, curves)
-    table = summary(grouped)
+    table = tables.summary(grouped)
     if grouped:
         st.dataframe(_shown(table), hide_index=True, column_config=_columns())
     _downloads(grouped, curves, table, metric)
@@ -121,25 +121,6 @@ def _remarks(grouped: Sequence[Group], curves: Sequence[Curve]) -> None:
     st.caption(" ".join(words))
 
 
-def summary(grouped: Sequence[Group]) -> pd.DataFrame:
-    """A row a group: runs, the last step that all reach, final and best with their intervals."""
-    rows = []
-    for group in grouped:
-        row = {
-            "environment": group.env,
-            "learner": learner_label(group.learner),
-            "preset": group.preset,
-            "n": group.n,
-            "seeds": ", ".join(str(curve.seed) for curve in group.curves),
-            "steps": int(min(curve.step[-1] for curve in group.curves)),
-        }
-        for name in ("final", "best"):
-            mean, low, high = interval(np.array([getattr(curve, name) for curve in group.curves]))
-            row |= {name: mean, f"{name} low": low, f"{name} high": high}
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
 def _shown(table: pd.DataFrame) -> pd.DataFrame:
     """The table with each interval in one column of words."""
     shown = table.copy()
@@ -167,55 +148,17 @@ def _downloads(
     grouped: Sequence[Group], curves: Sequence[Curve], table: pd.DataFrame, metric: str
 ) -> None:
     with st.container(horizontal=True):
-        for label, frame, name in (
-            ("Mean and band", band_table(grouped), "mean"),
-            ("Single runs", run_table(curves), "runs"),
-            ("Table", table, "table"),
+        for label, make, name in (
+            ("Mean and band", lambda: tables.bands(grouped), "mean"),
+            ("Single runs", lambda: tables.runs(curves), "runs"),
+            ("Table", lambda: table, "table"),
         ):
             st.download_button(
                 label,
-                frame.to_csv(index=False),
+                lambda make=make: make().to_csv(index=False),
                 f"{metric.replace('/', '-')}-{name}.csv",
                 "text/csv",
                 icon=":material/download:",
                 on_click="ignore",
                 key=f"download {name}",
             )
-
-
-def band_table(grouped: Sequence[Group]) -> pd.DataFrame:
-    """A row a group and step: what the figures' lines and bands show."""
-    parts = [
-        pd.DataFrame(
-            {
-                "env": group.env,
-                "learner": group.learner,
-                "preset": group.preset,
-                "env_step": group.step,
-                "mean": group.mean,
-                "low": group.low,
-                "high": group.high,
-                "runs": group.count,
-            }
-        )
-        for group in grouped
-    ]
-    return pd.concat(parts) if parts else pd.DataFrame()
-
-
-def run_table(curves: Sequence[Curve]) -> pd.DataFrame:
-    """A row a run and step."""
-    parts = [
-        pd.DataFrame(
-            {
-                "run": curve.run_id,
-                "env": curve.env,
-                "learner": curve.learner,
-                "seed": curve.seed,
-                "env_step": curve.step,
-                "value": curve.value,
-            }
-        )
-        for curve in curves
-    ]
-    return pd.concat(parts) if parts else pd.DataFrame()

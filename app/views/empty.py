@@ -13,7 +13,7 @@ def page() -> None:
     st.header("Nothing recorded yet", anchor=False)
     st.write("Training fills this studio. In another terminal:")
     option = f" --store {shlex.quote(store)}"
-    st.code(f"tom demo{option}", language="bash")
+    st.code(f"tom demo --headless{option}", language="bash")
     st.caption("Road and rocks with three learners, then inverted pendulum: about five minutes.")
     st.code(f"tom train --env inverted-pendulum --learner tom{option}", language="bash")
     st.code(f"tom train --env road-and-rocks --learner tom{option}", language="bash")

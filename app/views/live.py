@@ -56,7 +56,7 @@ def page() -> None:
     )
     _followed(chosen, metrics)
     st.space("small")
-    rerun.frame(runs)
+    rerun.frame(runs, watched(runs, chosen))
 
 
 def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:

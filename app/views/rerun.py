@@ -11,7 +11,7 @@ LIVE = "what is training now"
 HEIGHT = 720
 
 
-def frame(runs: Sequence[RunInfo]) -> None:
+def frame(runs: Sequence[RunInfo], watched: Sequence[RunInfo]) -> None:
     """The viewer, and the choice of what it shows. A rerun of the page does not reload it."""
     links = session.links()
     st.subheader("Recording", anchor=False)
@@ -19,7 +19,7 @@ def frame(runs: Sequence[RunInfo]) -> None:
         st.caption("The Rerun viewer runs when the studio is started with `tom studio`.")
         return
     recorded = [run.run_id for run in runs if readers.recordings(run)]
-    automatic = source(runs)
+    automatic = source(runs, watched)
     st.session_state["rerun automatic"] = automatic
     options = [automatic, *(name for name in [LIVE, *recorded] if name != automatic)]
     chosen = st.selectbox("Show in Rerun", options, key="recording", bind="query-params")
@@ -35,15 +35,16 @@ def frame(runs: Sequence[RunInfo]) -> None:
     st.iframe(address, height=HEIGHT)
 
 
-def source(runs: Sequence[RunInfo]) -> str:
-    """What is worth watching: the hub while a run trains, else the newest recording."""
+def source(runs: Sequence[RunInfo], watched: Sequence[RunInfo]) -> str:
+    """What to show: the hub while a run trains, else the newest recording, of the watched first."""
     if any(run.status.alive for run in runs):
         return LIVE
-    return next((run.run_id for run in runs if readers.recordings(run)), LIVE)
+    newest = sorted(watched, key=lambda run: run.created, reverse=True)
+    return next((run.run_id for run in (*newest, *runs) if readers.recordings(run)), LIVE)
 
 
 def look_again(runs: Sequence[RunInfo]) -> None:
     """Redraw the page when a training has begun while an old recording is shown."""
     shown = st.session_state.get("rerun automatic")
-    if shown is not None and shown != LIVE and source(runs) == LIVE:
+    if shown is not None and shown != LIVE and any(run.status.alive for run in runs):
         st.rerun()

@@ -44,3 +44,4 @@ def studio(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Links]:
         monkeypatch.setenv(name, value)
     yield links
     st.cache_data.clear()
+    st.cache_resource.clear()

@@ -26,7 +26,7 @@ pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
 ]
-DRAWN_S = 90
+DRAWN_S = 150
 LOCAL = {"127.0.0.1", "localhost", ""}
 
 
@@ -61,7 +61,8 @@ class Visit:
 def visit(store: Path) -> Iterator[Visit]:
     with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
         assert running
-        page = browser.new_page(viewport={"width": 1280, "height": 1100})
+        page = browser.new_page(viewport={"width": 1280, "height": 1000})
+        page.set_default_timeout(1000 * DRAWN_S)
         yield Visit(page, links.address)
 
 

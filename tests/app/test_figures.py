@@ -12,14 +12,13 @@ from app import pictures, readers, widgets
 from app.aggregate import Curve, aggregate
 from app.figures.curves import POINTS, group_curves, run_curves
 from app.figures.road import displacement_error, road_map
+from app.figures.scales import octaves, span
 from app.figures.weights import (
     MAP_COLUMNS,
     bin_centres,
     effective_sample,
-    octaves,
     profile_lines,
     shown_fits,
-    span,
     weight_map,
     weight_profile,
 )

@@ -10,10 +10,13 @@ import viser
 from studio_runs import ROAD_MLE, ROAD_TOM
 
 from app import pictures
+from app.links import Links
 from app.processes import free_port
 from app.roadmap import CELLS, on_road
+from app.scenes import arrays
 from app.scenes import road as scene
 from app.scenes.control import Selection, listen, tell
+from app.scenes.server import trusted
 from tom.record.reader import RunReader
 
 
@@ -25,50 +28,50 @@ def picture(store: Path) -> pictures.Picture:
 
 
 def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
-    columns = scene.columns(picture.grid)
+    columns = arrays.columns(picture.grid)
     heavy = np.nan_to_num(picture.grid) >= 1 / 16
     assert len(columns.position) == heavy.sum() > 100
     i = int(np.argmax(columns.scale[:, 2]))
     x, y = (columns.position[i, :2] * CELLS).astype(int)
     assert picture.grid[y, x] >= 16 or picture.grid[y, x] == np.nanmax(picture.grid)
     assert columns.position[:, 2] == pytest.approx(columns.scale[:, 2] / 2)
-    assert columns.scale[:, 2].max() <= scene.TALLEST + 1e-6
+    assert columns.scale[:, 2].max() <= arrays.TALLEST + 1e-6
 
 
 def test_toms_columns_stand_on_the_road(picture: pictures.Picture) -> None:
-    columns = scene.columns(picture.grid)
-    tall = columns.scale[:, 2] > scene.TALLEST / 2
+    columns = arrays.columns(picture.grid)
+    tall = columns.scale[:, 2] > arrays.TALLEST / 2
     assert on_road(columns.position[tall, :2], picture.road).mean() > 0.9
 
 
 def test_height_and_colour_grow_with_the_weight() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, :4] = [0.01, 1, 4, 100]
-    columns = scene.columns(grid)
+    columns = arrays.columns(grid)
     assert len(columns.scale) == 3
-    assert columns.scale[:, 2] == pytest.approx(scene.TALLEST * np.array([0.25, 0.5, 1]))
+    assert columns.scale[:, 2] == pytest.approx(arrays.TALLEST * np.array([0.25, 0.5, 1]))
     assert columns.colour[2].tolist() == [194, 44, 6]
 
 
 def test_stones_lie_beside_the_road(picture: pictures.Picture) -> None:
-    position, size = scene.boulders(picture.road)
+    position, size = arrays.boulders(picture.road)
     assert len(position) == len(size) > 100
     assert not on_road(position[:, :2], picture.road).any()
 
 
 def test_arrows_point_where_the_model_says(picture: pictures.Picture) -> None:
-    arrows = scene.arrows(picture.points, picture.modelled, 0.1)
-    assert arrows[:, 1, :2] - arrows[:, 0, :2] == pytest.approx(picture.modelled, abs=1e-6)
-    assert (arrows[..., 2] == np.float32(0.1)).all()
+    found = arrays.arrows(picture.points, picture.modelled, 0.1)
+    assert found[:, 1, :2] - found[:, 0, :2] == pytest.approx(picture.modelled, abs=1e-6)
+    assert (found[..., 2] == np.float32(0.1)).all()
 
 
 def test_lines_become_segments() -> None:
     line = np.array([[0, 0], [1, 0], [1, 1]])
-    assert scene.segments([line, line[:1]], 0.5).tolist() == [
+    assert arrays.segments([line, line[:1]], 0.5).tolist() == [
         [[0, 0, 0.5], [1, 0, 0.5]],
         [[1, 0, 0.5], [1, 1, 0.5]],
     ]
-    assert scene.segments([], 0).shape == (0, 2, 3)
+    assert arrays.segments([], 0).shape == (0, 2, 3)
 
 
 def test_the_scene_is_drawn_and_replaced(picture: pictures.Picture, store: Path) -> None:
@@ -94,6 +97,8 @@ def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
         arrived.set()
 
     path = str(tmp_path / "control")
+    with socket.socket(socket.AF_UNIX) as killed:
+        killed.bind(path)
     threading.Thread(target=listen, args=(path, select), daemon=True).start()
     wanted = Selection(ROAD_TOM, 60, "dark")
     for _ in range(100):
@@ -104,6 +109,26 @@ def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
             arrived.wait(0.05)
     assert arrived.wait(10)
     assert heard == [("page", wanted)]
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "taken"),
+    [
+        ("127.0.0.1:8080", "http://127.0.0.1:8080", True),
+        ("localhost:8080", "http://localhost:8080", True),
+        ("127.0.0.1:8080", "http://evil.example", False),
+        ("evil.example:8080", "http://evil.example", False),
+        ("127.0.0.1:8080", "", False),
+    ],
+)
+def test_only_the_studios_own_pages_get_a_scene(host: str, origin: str, taken: bool) -> None:
+    headers = {"Host": host} | ({"Origin": origin} if origin else {})
+    assert trusted(headers, Links().allowed_hosts) == taken
+
+
+def test_on_every_interface_only_the_origin_counts() -> None:
+    headers = {"Host": "studio.lan:1", "Origin": "http://studio.lan:1"}
+    assert trusted(headers, Links(host="0.0.0.0").allowed_hosts)
 
 
 def test_a_server_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
 from app.links import Links
 from app.screenshots import PAGES
-from app.views.compare import summary
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -90,10 +89,6 @@ def test_compare_finds_runs_by_name() -> None:
     assert len(figures(app)) == 1
     assert app.dataframe[0].value["learner"].tolist() == ["MLE"]
     assert not figures(draw("compare", text="no such run"))
-
-
-def test_the_summary_of_nothing_is_empty() -> None:
-    assert summary([]).empty
 
 
 def test_weights_shows_every_fit_and_the_chosen_one(store: Path) -> None:

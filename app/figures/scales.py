@@ -1,0 +1,53 @@
+"""Weights as colours: against the uniform weight (octaves), or as they are."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.theme import DIVERGING, SEQUENTIAL, Mode
+
+OCTAVES = 4.0
+"""the colours reach from 1/16 to 16 times the uniform weight at most"""
+_BELOW = {"orientation": "h", "y": 0, "yanchor": "top", "len": 0.9, "ypad": 8}
+
+
+def octaves(weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """log2 of the weight against the uniform one, clipped to the colours' range; NaN stays."""
+    with np.errstate(divide="ignore"):
+        return np.clip(np.log2(weight), -OCTAVES, OCTAVES)
+
+
+def span(weight: NDArray[np.float64]) -> float:
+    """How many octaves round the uniform weight the colours must reach: 1 to OCTAVES."""
+    reach = np.abs(octaves(weight[np.isfinite(weight)]))
+    needed = np.ceil(np.quantile(reach, 0.98)) if len(reach) else 1.0
+    return float(np.clip(needed, 1.0, OCTAVES))
+
+
+def relative_scale(weight: NDArray[np.float64], mode: Mode, *, flat: bool = False) -> dict:
+    """A heatmap's colours for log2 of these weights; `flat` lays the colour bar below."""
+    reach = span(weight)
+    ticks = np.arange(-reach, reach + 1, 2 if reach == OCTAVES else 1)
+    words = [f"{2**t:g}" if t >= 0 else f"1/{2**-t:g}" for t in ticks]
+    bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "times uniform"}}
+    return {
+        "colorscale": DIVERGING[mode],
+        "zmin": -reach,
+        "zmax": reach,
+        "colorbar": _bar(bar | _BELOW if flat else bar),
+    }
+
+
+def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict:
+    finite = bins[np.isfinite(bins)]
+    top = float(np.quantile(finite, 0.995)) if len(finite) else 1.0
+    bar = {"title": {"text": "weight"}}
+    return {
+        "colorscale": SEQUENTIAL[mode],
+        "zmin": 0,
+        "zmax": max(top, 1.0),
+        "colorbar": _bar(bar),
+    }
+
+
+def _bar(more: dict) -> dict:
+    return {"thickness": 12, "outlinewidth": 0, "len": 1.0, "xpad": 6} | more

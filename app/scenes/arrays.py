@@ -1,0 +1,108 @@
+"""The road-and-rocks scene as arrays: columns, ground, stones, lines. Pure functions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.colours import on_scale
+from app.figures.scales import OCTAVES, octaves
+from app.roadmap import CELLS, RoadMap, cell_centres, on_road
+from app.theme import COLUMNS, Mode
+
+GROUND_PIXELS = 400
+BOULDERS = 240
+TALLEST = 0.13
+"""height of a column whose weight is 16 times the uniform one or more"""
+_ROAD = {"light": (196, 201, 212), "dark": (66, 73, 90)}
+_ROCK = {"light": (226, 221, 213), "dark": (38, 38, 44)}
+
+
+@dataclass(frozen=True)
+class Columns:
+    """One column a cell with a weight that the colours can tell from none."""
+
+    position: NDArray[np.float32]  # (C, 3)
+    scale: NDArray[np.float32]  # (C, 3)
+    colour: NDArray[np.uint8]  # (C, 3)
+
+
+def columns(grid: NDArray[np.float64]) -> Columns:
+    """The weights as columns: height by the square root, so that light cells are seen too."""
+    y, x = np.nonzero(np.nan_to_num(grid) >= 2**-OCTAVES)
+    weight = grid[y, x]
+    height = TALLEST * np.sqrt(np.minimum(weight, 2**OCTAVES) / 2**OCTAVES)
+    middle = cell_centres()
+    return Columns(
+        position=np.stack([middle[x], middle[y], height / 2], -1).astype(np.float32),
+        scale=np.stack([np.full(len(x), 0.86 / CELLS)] * 2 + [height], -1).astype(np.float32),
+        colour=on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS),
+    )
+
+
+def ground(road: RoadMap, mode: Mode) -> NDArray[np.uint8]:
+    """The map's floor: (GROUND_PIXELS, GROUND_PIXELS, 3), row 0 at the lowest y."""
+    middle = (np.arange(GROUND_PIXELS) + 0.5) / GROUND_PIXELS
+    x, y = np.meshgrid(middle, middle)
+    inside = on_road(np.stack([x.ravel(), y.ravel()], -1), road).reshape(x.shape)
+    grain = np.random.default_rng(0).normal(0, 3, x.shape)[..., None]
+    floor = np.where(inside[..., None], _ROAD[mode], _ROCK[mode]) + grain
+    return floor.clip(0, 255).astype(np.uint8)
+
+
+def boulders(road: RoadMap) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Positions (K, 3) and sizes (K,) of stones beside the road, always the same."""
+    draw = np.random.default_rng(3)
+    places = draw.uniform(0.01, 0.99, (4 * BOULDERS, 2))
+    size = draw.uniform(0.004, 0.013, 4 * BOULDERS)
+    off = ~on_road(places, RoadMap(road.centre_line, road.half_width + 0.02, road.start, road.goal))
+    places, size = places[off][:BOULDERS], size[off][:BOULDERS]
+    return np.column_stack([places, size * 0.35]).astype(np.float32), size.astype(np.float32)
+
+
+def segments(lines: Sequence[NDArray], height: float) -> NDArray[np.float32]:
+    """Polylines (K, 2) as line segments (S, 2, 3) at a height."""
+    parts = [np.stack([line[:-1], line[1:]], 1) for line in lines if len(line) > 1]
+    flat = np.concatenate(parts) if parts else np.zeros((0, 2, 2))
+    return np.concatenate([flat, np.full((*flat.shape[:2], 1), height)], -1).astype(np.float32)
+
+
+def arrows(points: NDArray, moves: NDArray, height: float) -> NDArray[np.float32]:
+    """Arrows (G, 2, 3) from points along displacements, at a height."""
+    ends = np.stack([points, points + moves], 1)
+    return np.concatenate([ends, np.full((*ends.shape[:2], 1), height)], -1).astype(np.float32)
+
+
+def dashes(line: NDArray, length: float = 0.02) -> list[NDArray]:
+    found = []
+    for a, b in pairwise(line):
+        steps = np.arange(0, np.linalg.norm(b - a), 2 * length) / np.linalg.norm(b - a)
+        share = length / np.linalg.norm(b - a)
+        found += [np.stack([a + s * (b - a), a + min(s + share, 1) * (b - a)]) for s in steps]
+    return found
+
+
+def upright(count: int) -> NDArray[np.float32]:
+    return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+
+
+def unit_box() -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
+    faces = [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]  # fmt: skip
+    return corners - 0.5, np.array(faces, np.uint32)
+
+
+def stone() -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    corners = np.array(
+        [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 0.7], [0, 0, -0.7]], np.float32
+    )
+    faces = [
+        [0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4],
+        [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5],
+    ]  # fmt: skip
+    return corners, np.array(faces, np.uint32)

@@ -1,0 +1,66 @@
+"""What the comparison shows, as tables to read and to take away. Pure functions."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from app.aggregate import Curve, Group, interval
+from app.theme import learner_label
+
+
+def summary(grouped: Sequence[Group]) -> pd.DataFrame:
+    """A row a group: runs, the last step that all reach, final and best with their intervals."""
+    rows = []
+    for group in grouped:
+        row = {
+            "environment": group.env,
+            "learner": learner_label(group.learner),
+            "preset": group.preset,
+            "n": group.n,
+            "seeds": ", ".join(str(curve.seed) for curve in group.curves),
+            "steps": int(min(curve.step[-1] for curve in group.curves)),
+        }
+        for name in ("final", "best"):
+            mean, low, high = interval(np.array([getattr(curve, name) for curve in group.curves]))
+            row |= {name: mean, f"{name} low": low, f"{name} high": high}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def bands(grouped: Sequence[Group]) -> pd.DataFrame:
+    """A row a group and step: what the figures' lines and bands show."""
+    parts = [
+        pd.DataFrame(
+            {
+                "env": group.env,
+                "learner": group.learner,
+                "preset": group.preset,
+                "env_step": group.step,
+                "mean": group.mean,
+                "low": group.low,
+                "high": group.high,
+                "runs": group.count,
+            }
+        )
+        for group in grouped
+    ]
+    return pd.concat(parts) if parts else pd.DataFrame()
+
+
+def runs(curves: Sequence[Curve]) -> pd.DataFrame:
+    """A row a run and step."""
+    parts = [
+        pd.DataFrame(
+            {
+                "run": curve.run_id,
+                "env": curve.env,
+                "learner": curve.learner,
+                "seed": curve.seed,
+                "env_step": curve.step,
+                "value": curve.value,
+            }
+        )
+        for curve in curves
+    ]
+    return pd.concat(parts) if parts else pd.DataFrame()
