@@ -142,8 +142,8 @@ class TomConfig(Config):
     q_weight_decay: NonNegative = 1e-4
     q_reset: bool = False
     """start Q afresh at every fit (default: go on from the last)"""
-    q_bias_horizon: bool = False
-    """learn Q's output bias 1/(1-discount) times faster: it carries the weights' mean"""
+    q_bias_step: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """damped Newton step of Q's output bias, which carries the weights' mean (0: Adam alone)"""
     q_non_negative: bool = False
     """keep Q >= 0 as printed in the paper (halves the mass of the weights)"""
     semi_gradient: bool = False
@@ -162,10 +162,10 @@ class TomConfig(Config):
             "action_samples": 10,
             "discriminator_steps": 2000,
             "parameter_average": 0.999,
-            "q_bias_horizon": True,
+            "q_bias_step": 0.1,
             "q_lr": 1e-3,
             "q_reset": True,
-            "q_steps": 2000,
+            "q_steps": 3000,
             "q_weight_decay": 0.0,
         },
     }

@@ -1,7 +1,7 @@
 """The f-divergences of TOM's regulariser and their convex conjugates, as pure functions.
 
-With y = r + g E_{a'}[Q(s', a')] - Q(s, a) the dual objective (eq. 14) holds E_q[f*(y)] and the
-optimal weights (eq. 15) are f*'(y). The conjugate is taken over x >= 0: a weight is never negative.
+With y = r + g E_{a'}[Q(s', a')] - Q(s, a) the dual objective (eq. 16) holds E_q[f*(y)] and the
+optimal weights (eq. 17) are f*'(y). The conjugate is taken over x >= 0: a weight is never negative.
 """
 
 from collections.abc import Callable

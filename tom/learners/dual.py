@@ -98,10 +98,13 @@ class DualProblem:
     ) -> tuple[StackedMLP, float]:
         """Gradient steps on the dual: Q's (average) network, and the last tenth's mean loss."""
         average, losses = Average(net, self.config.parameter_average), []
+        bias, bias_step = net.biases[-1], self._bias_step()
         for batch in self._batches(generator):
             loss = dual_loss(self._values(net, batch), batch, self.config)
             loss.backward()
             optimiser.step()
+            if bias_step and bias.grad is not None:
+                bias.data -= bias_step * bias.grad
             optimiser.zero_grad()
             average.update()
             losses.append(loss.detach())
@@ -139,6 +142,18 @@ class DualProblem:
         q_start = (probs * self._q(net, inputs.flatten(0, 1)).view_as(probs)).sum(0)
         low, high = torch.quantile(q, 0.001), torch.quantile(q, 0.999)
         return float((low - q_start).clamp(min=0).mean() / (1 + high - low))
+
+    def _bias_step(self) -> float:
+        """The step of plain gradient descent on Q's output bias, in units of Q.
+
+        A shift of Q by c moves y by (g (1 - terminated) - 1) c, the next to nothing that makes
+        gradient descent slow and the curvature E[(1 - g (1 - terminated))^2] known. Under KL the
+        weights do not depend on it.
+        """
+        if self.config.divergence == "kl" or self.config.q_bias_step == 0:
+            return 0.0
+        shift = 1 - self.config.discount * (1 - self.replay.terminated)
+        return self.config.q_bias_step / float(shift.square().mean())
 
     def _batches(self, generator: torch.Generator) -> Iterator[Batch]:
         """`q_steps` batches, drawn uniformly with replacement, gathered a block at a time."""

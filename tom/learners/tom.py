@@ -49,19 +49,13 @@ class Occupancy:
 
 
 class Trained:
-    """A network and the optimiser that goes on with it from fit to fit.
+    """A network and the optimiser that goes on with it from fit to fit."""
 
-    `bias_lr` is the learning rate of the output bias.
-    """
-
-    def __init__(
-        self, net: StackedMLP, lr: float, bias_lr: float, weight_decay: float = 0.0
-    ) -> None:
+    def __init__(self, net: StackedMLP, lr: float, weight_decay: float = 0.0) -> None:
         self.net = net
-        bias = net.biases[-1]
-        rest = [p for p in net.parameters() if p is not bias]
-        groups = [{"params": rest, "lr": lr}, {"params": [bias], "lr": bias_lr}]
-        self.optimiser = torch.optim.Adam(groups, weight_decay=weight_decay, fused=True)
+        self.optimiser = torch.optim.Adam(
+            net.parameters(), lr=lr, weight_decay=weight_decay, fused=True
+        )
 
     def state_dict(self) -> dict[str, Any]:
         return {"net": self.net.state_dict(), "optimiser": self.optimiser.state_dict()}
@@ -90,18 +84,11 @@ class Networks:
 
     def restart_discriminator(self, generator: torch.Generator) -> None:
         net = discriminator_net(*self.dims, self.config, generator).to(self.device)
-        lr = self.config.discriminator_lr
-        self.discriminator = Trained(net, lr, lr)
+        self.discriminator = Trained(net, self.config.discriminator_lr)
 
     def restart_q(self, generator: torch.Generator) -> None:
         net = q_net(*self.dims, self.config, generator).to(self.device)
-        config = self.config
-        # A shift of Q by c moves every y by (1 - g) c: without help the weights' mean, which hangs
-        # on it, needs 1 / (1 - g) times as many steps as all the rest. Under KL it hangs on
-        # nothing, and the bias would only wander.
-        help_bias = config.q_bias_horizon and config.divergence != "kl"
-        horizon = 1 / (1 - config.discount) if help_bias else 1.0
-        self.q = Trained(net, config.q_lr, config.q_lr * horizon, config.q_weight_decay)
+        self.q = Trained(net, self.config.q_lr, self.config.q_weight_decay)
 
 
 def estimate(

@@ -25,7 +25,7 @@ def trained(
     g = generator(1)
     net = discriminator_net(replay.obs.shape[1], replay.action.shape[1], config, g)
     found = Discriminator(net, replay, policy_buffer)
-    fresh = Trained(net, config.discriminator_lr, config.discriminator_lr)
+    fresh = Trained(net, config.discriminator_lr)
     return found, found.train(fresh.optimiser, config, g)
 
 

@@ -111,9 +111,9 @@ def test_the_gradient_runs_through_the_next_value_unless_it_is_stopped():
 
 
 def test_minimising_lowers_the_dual_and_lets_the_flow_hold():
-    config = QUICK.but(q_steps=400, q_lr=1e-3, discount=0.9, action_samples=4)
+    config = QUICK.but(q_steps=400, q_lr=1e-3, q_bias_step=0.1, discount=0.9, action_samples=4)
     found, q = problem(rows(2000), config), net(config)
-    optimiser = Trained(q, config.q_lr, config.q_lr / 0.1).optimiser
+    optimiser = Trained(q, config.q_lr).optimiser
     _, early = replace(found, config=config.but(q_steps=10)).minimise(q, optimiser, generator())
     _, late = found.minimise(q, optimiser, generator())
     assert late < early - 0.01
@@ -134,7 +134,7 @@ def test_start_gap_tells_uncovered_starts_from_covered_ones():
     for starts in (replay.obs[:50], torch.full((50, OBS), 8.0)):
         q = net(config)
         found = replace(problem(replay, config), initial_obs=starts)
-        fitted, _ = found.minimise(q, Trained(q, config.q_lr, config.q_lr).optimiser, generator())
+        fitted, _ = found.minimise(q, Trained(q, config.q_lr).optimiser, generator())
         gaps.append(found.start_gap(fitted, found.solution(fitted, generator())[1], generator()))
     assert gaps[0] < 0.1
     assert gaps[1] > 1
