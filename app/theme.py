@@ -65,7 +65,9 @@ def learner_colour(learner: str) -> str:
     known = LEARNER_COLOURS | BASELINE_COLOURS
     if learner in known:
         return known[learner]
-    return _SPARE_COLOURS[sum(map(ord, learner)) % len(_SPARE_COLOURS)]
+    newcomers = [name for name in LEARNERS if name not in known]
+    place = newcomers.index(learner) if learner in newcomers else sum(map(ord, learner))
+    return _SPARE_COLOURS[place % len(_SPARE_COLOURS)]
 
 
 def learner_symbol(learner: str) -> str:

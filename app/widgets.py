@@ -29,15 +29,15 @@ def curve(run: RunInfo, metric: str) -> Curve:
 
 
 def pick_run(runs: Sequence[RunInfo], label: str = "Run", key: str = "run") -> RunInfo:
-    """A run, chosen here or by the address (`?run=...`); else the newest with a preference."""
+    """A run, chosen here or by the address (`?run=...`); else the newest with something to see."""
     by_id = {run.run_id: run for run in runs}
-    first = next((i for i, run in enumerate(runs) if prefers(run)), 0)
+    first = next((i for i, run in enumerate(runs) if differs(run)), 0)
     chosen = st.selectbox(label, list(by_id), index=first, key=key, bind="query-params")
     return by_id.get(chosen or "", runs[first])
 
 
-def prefers(run: RunInfo) -> bool:
-    """The last fit of a run did not count all transitions the same: there is something to see."""
+def differs(run: RunInfo) -> bool:
+    """The last fit of a run did not count all transitions the same."""
     profiles = readers.profiles(run)
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
 

@@ -25,7 +25,11 @@ def frame(runs: Sequence[RunInfo], watched: Sequence[RunInfo]) -> None:
     chosen = st.selectbox("Show in Rerun", options, key="recording", bind="query-params")
     run = next((run for run in runs if run.run_id == chosen), None)
     if run is None and not any(run.status.alive for run in runs):
-        st.info("Nothing is training. Recordings of finished runs are in the list above.")
+        st.info(
+            "Nothing is training: choose a recording above."
+            if recorded
+            else "Nothing is training, and no run here was recorded for Rerun."
+        )
         return
     if run is None:
         address = links.rerun_live(session.host(), session.mode())

@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from app import readers, session, text, widgets
+from app import pictures, readers, session, text, widgets
 from app.figures.weights import effective_sample, weight_map, weight_profile
 from app.readers import RunInfo
 from app.theme import learner_label
@@ -20,6 +20,8 @@ def page() -> None:
     """The step x bin map; beside it the profile at a step; below what is left of the sample."""
     listing = readers.listing(session.links().store)
     with_weights = [run for run in listing.runs if len(readers.profiles(run).env_step)]
+    # Offline weights hardly change and have a page of their own.
+    with_weights.sort(key=lambda run: run.env == pictures.ENV)
     if not with_weights:
         st.info("No run has fitted a model yet: weights appear after the first fit.")
         return

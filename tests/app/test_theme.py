@@ -50,8 +50,15 @@ def lab(intensity: np.ndarray) -> np.ndarray:
 
 
 def test_every_learner_of_the_registry_has_its_own_colour() -> None:
-    assert set(LEARNER_COLOURS) == set(LEARNERS)
-    assert len(set(LEARNER_COLOURS.values())) == len(LEARNERS)
+    assert len({learner_colour(name) for name in LEARNERS}) == len(LEARNERS)
+
+
+def test_a_newcomer_in_the_registry_gets_a_spare_colour(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = LEARNERS["mle"]
+    monkeypatch.setitem(LEARNERS, "first", entry)
+    monkeypatch.setitem(LEARNERS, "second", entry)
+    assert learner_colour("first") != learner_colour("second")
+    assert learner_colour("first") not in LEARNER_COLOURS.values()
 
 
 @pytest.mark.parametrize("background", BACKGROUND.values())
