@@ -63,9 +63,9 @@ def table(found: Sequence[Check]) -> list[list[str]]:
 
 
 def _value(c: Check) -> str:
-    by_seed = " ".join(f"{v:.2f}" for v in c.values)
+    by_seed = " ".join(f"{v:.3g}" for v in c.values)
     verdict = {None: "", True: " yes", False: " **no**"}[c.met]
-    return f"{c.median:.2f} ({by_seed}){verdict}"
+    return f"{c.median:.3g} ({by_seed}){verdict}"
 
 
 def _write_table(folder: Path, rows: Sequence[Sequence[str]]) -> None:

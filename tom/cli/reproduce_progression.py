@@ -9,11 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from rich.console import Console
-from rich.table import Table
 
 from tom import progression_files
 from tom.cli.progress import ProgressReport
+from tom.cli.tables import show
 from tom.envs import task
 from tom.errors import UserError, unknown
 from tom.matmul import choose_matmul
@@ -103,10 +102,6 @@ def _print(found: Sequence[Check], args: argparse.Namespace) -> None:
         print(json.dumps(plain({"checks": rows, "out": str(args.out)}), allow_nan=False))
         return
     titles, *rows = progression_files.table(found)
-    shown = Table(title="Weight progression: median over TOM's seeds (by seed)")
-    for title in titles:
-        shown.add_column(title)
-    for row in rows:
-        shown.add_row(*(cell.replace("**no**", "NO") for cell in row))
-    Console(width=None if Console().is_terminal else 160).print(shown)
+    plain_rows = [[cell.replace("**", "") for cell in row] for row in rows]
+    show("Weight progression: median over TOM's seeds (by seed)", titles, plain_rows)
     print(args.out)

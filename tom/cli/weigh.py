@@ -9,11 +9,10 @@ from typing import Any
 
 import torch
 from pydantic import ValidationError
-from rich.console import Console
-from rich.table import Table
 
 from tom import weighing_files
 from tom.cli.parser import add_config_options, leaf_fields, one_line, overrides
+from tom.cli.tables import show
 from tom.config import RunConfig, TomConfig
 from tom.envs import ENVS, task
 from tom.errors import UserError, unknown
@@ -54,10 +53,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )  # fmt: skip
     parser.add_argument("--env", help="the task of a dataset: " + ", ".join(ENVS))
     parser.add_argument("--random", help="random data put first, as much as DATA has")
-    parser.add_argument("--seeds", nargs="+", type=_whole, default=[0, 1, 2], metavar="N")
-    parser.add_argument("--bins", type=_count, default=100, metavar="N", help="of a profile [100]")
+    parser.add_argument("--seeds", nargs="+", type=whole, default=[0, 1, 2], metavar="N")
+    parser.add_argument("--bins", type=count, default=100, metavar="N", help="of a profile [100]")
     parser.add_argument(
-        "--footprint", type=_count, default=1000, metavar="N",
+        "--footprint", type=count, default=1000, metavar="N",
         help="real transitions of the policy that TOM compares with [1000]",
     )  # fmt: skip
     parser.add_argument("--preset", default="exact", help="TOM's: exact or paper [exact]")
@@ -131,25 +130,30 @@ def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
     if as_json:
         print(json.dumps(plain({**report, "out": str(out)}), allow_nan=False))
         return
-    table = Table(title=f"{report['data']}, weighed by {report['policy']}")
     columns = ("random_mean", "last_two", "spearman", "first_rise", "ess")
-    for column in ("learner", "seed", *columns):
-        table.add_column(column, justify="left" if column == "learner" else "right")
-    for row in report["results"]:
-        cells = ("-" if row[c] is None else f"{row[c]:.3g}" for c in columns)
-        table.add_row(row["learner"], str(row["seed"]), *cells)
-    Console().print(table)
+    rows = [
+        [row["learner"], str(row["seed"]), *(_number(row[c]) for c in columns)]
+        for row in report["results"]
+    ]
+    title = f"{report['data']}, weighed by {report['policy']}"
+    show(title, ("learner", "seed", *(c.replace("_", " ") for c in columns)), rows)
     print(out)
 
 
-def _whole(text: str) -> int:
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def whole(text: str) -> int:
+    """A number from 0 on, for an option."""
     value = int(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f"{text}: must be at least 0")
     return value
 
 
-def _count(text: str) -> int:
+def count(text: str) -> int:
+    """A number from 1 on, for an option."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text}: must be at least 1")
