@@ -115,8 +115,8 @@ def test_actor_gradients_are_autograds(seeds: tuple[int, ...], spread: float):
 
 def test_target_bootstraps_through_truncation_but_not_through_termination():
     plain, truncated, terminated = (
-        make(0).critic_target(batch(**flags)).detach()
-        for flags in ({}, {"truncated": 1.0}, {"terminated": 1.0})
+        make(0).critic_target(rows).detach()
+        for rows in (batch(), batch(truncated=1.0), batch(terminated=1.0))
     )
     assert torch.equal(truncated, plain)
     assert torch.equal(terminated, batch().reward)
