@@ -9,6 +9,7 @@ from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route
 
 from app.links import Links
+from app.plot import LIBRARY, LIBRARY_PATH
 from app.theme import streamlit_options
 from tom.errors import UserError
 from tom.record.reader import RunReader
@@ -32,7 +33,14 @@ def routes(links: Links) -> list[Route]:
     def health(_: Request) -> Response:
         return JSONResponse({"store": links.store, "status": "ok"})
 
-    return [Route("/rrd/{run}/{name}", recording), Route("/api/health", health)]
+    def library(_: Request) -> Response:
+        return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
+
+    return [
+        Route("/rrd/{run}/{name}", recording),
+        Route("/api/health", health),
+        Route(LIBRARY_PATH, library),
+    ]
 
 
 def recording_path(store: str, run_id: str, name: str) -> Path | None:

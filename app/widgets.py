@@ -1,25 +1,12 @@
 """Small parts that several pages are made of."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-import plotly.graph_objects as go
 import streamlit as st
 
 from app import readers, text
 from app.aggregate import Curve, curve_points
 from app.readers import RunInfo
-
-CHART_CONFIG = {"displaylogo": False, "modeBarButtonsToRemove": ["autoScale2d"]}
-
-
-def chart(figure: go.Figure, key: str) -> None:
-    """A figure that keeps the reader's zoom over refreshes."""
-    st.plotly_chart(figure, key=key, config=CHART_CONFIG)
-
-
-def clickable(figure: go.Figure, key: str, picked: Callable[[], None]) -> None:
-    """A figure whose points can be clicked; `picked` is called after a click."""
-    st.plotly_chart(figure, key=key, config=CHART_CONFIG, on_select=picked, selection_mode="points")
 
 
 def curve(run: RunInfo, metric: str) -> Curve:

@@ -14,8 +14,6 @@ from tom.record.profiles import Profiles
 
 MAP_COLUMNS = 400
 """fits that a map shows at most; what is left out is said on the figure"""
-TARGETS = 4000
-TARGET_ROWS = 12
 
 
 def weight_map(
@@ -35,14 +33,16 @@ def weight_map(
             x=steps,
             y=centres,
             z=octaves(bins) if relative else bins,
-            hoverinfo="skip",
+            customdata=bins,
+            hovertemplate=(
+                "step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
+                "weight %{customdata:.3g}<extra></extra>"
+            ),
             **(relative_scale(bins, mode) if relative else linear_scale(bins, mode)),
         )
     )
-    figure.add_trace(_targets(steps, bins))
     figure.add_vline(x=int(profiles.env_step[chosen]), line={"color": NEUTRAL, "width": 2})
     styled(figure, "env steps", height, keep="weight-map")
-    figure.update_layout(hoverdistance=-1)
     figure.update_yaxes(
         range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
     )
@@ -109,7 +109,6 @@ def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int)
                 mode="lines+markers",
                 line={"color": learner_colour(learner), "width": 2, "dash": dash},
                 marker={"size": 5},
-                unselected={"marker": {"opacity": 1}},
                 hovertemplate=f"{name}: %{{y:.1f}} %<br>step %{{x:,}}<extra></extra>",
             )
         )
@@ -130,30 +129,6 @@ def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
         return np.arange(count)
     spread = np.linspace(0, count - 1, MAP_COLUMNS - 1).astype(np.int64)
     return np.union1d(spread, [chosen])
-
-
-def _targets(steps: NDArray[np.int64], bins: NDArray[np.float64]) -> go.Scatter:
-    """Unseen points over the map (bins, F): Plotly reports clicks on points, not on a heatmap.
-
-    The nearest one answers, also to the pointer; where fits are many, only some bins have one.
-    """
-    rows = len(bins) if len(bins) * len(steps) <= TARGETS else TARGET_ROWS
-    shown = np.linspace(0, len(bins) - 1, min(rows, len(bins))).astype(np.int64)
-    return go.Scatter(
-        x=np.repeat(steps, len(shown)),
-        y=np.tile(bin_centres(len(bins))[shown], len(steps)),
-        customdata=bins[shown].T.ravel(),
-        mode="markers",
-        marker={"opacity": 0, "size": 4},
-        selected={"marker": {"opacity": 0}},
-        unselected={"marker": {"opacity": 0}},
-        hovertemplate=(
-            "step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
-            "weight %{customdata:.3g}<extra></extra>"
-        ),
-        showlegend=False,
-        name="fits",
-    )
 
 
 def _finish_profile(figure: go.Figure, height: int, *, log: bool) -> go.Figure:

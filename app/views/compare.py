@@ -9,6 +9,7 @@ import streamlit as st
 from app import readers, session, tables, text, widgets
 from app.aggregate import Curve, Group, groups
 from app.figures.curves import group_curves, metric_title
+from app.plot import chart
 from app.readers import RunInfo
 from app.theme import learner_label
 
@@ -103,7 +104,7 @@ def _figures(grouped: Sequence[Group], metric: str, *, singles: bool) -> None:
         with columns[i % len(columns)], st.container(border=True):
             st.markdown(f"**{text.markdown(env)}**")
             figure = group_curves(here, metric, 460 if wide else 360, singles=singles)
-            widgets.chart(figure, f"compare {env}")
+            chart(figure, f"compare {env}", f"{metric} against env steps in {env}")
 
 
 def _remarks(grouped: Sequence[Group], curves: Sequence[Curve]) -> None:

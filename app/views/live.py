@@ -10,6 +10,7 @@ from app.aggregate import curve_points
 from app.cards import cards
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
+from app.plot import chart
 from app.readers import RunInfo
 from app.theme import learner_label
 from app.views import rerun
@@ -102,7 +103,8 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     with left, st.container(border=True):
         st.markdown(f"**Return**: {describe(MAIN_METRIC)}")
         curves = [widgets.curve(run, MAIN_METRIC) for run in shown]
-        widgets.chart(run_curves(curves, MAIN_METRIC, 330, legend=True), "curve main")
+        figure = run_curves(curves, MAIN_METRIC, 330, legend=True)
+        chart(figure, "curve main", "return against env steps, one line a run")
     with right, st.container(border=True):
         st.markdown("**Weights of the last fit**: dashed: all transitions count the same")
         _last_profiles(shown)
@@ -112,7 +114,8 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
             with column, st.container(border=True):
                 st.markdown(f"**{name}**", help=describe(name))
                 curves = [widgets.curve(run, name) for run in shown]
-                widgets.chart(run_curves(curves, name, 230, legend=False), f"curve {name}")
+                figure = run_curves(curves, name, 230, legend=False)
+                chart(figure, f"curve {name}", f"{name} against env steps")
     _warnings(shown)
     rerun.look_again(runs)
 
@@ -130,7 +133,7 @@ def _last_profiles(runs: Sequence[RunInfo]) -> None:
         if len(profiles.env_step):
             name = f"{learner_label(run.learner)} s{run.seed}, step {profiles.env_step[-1]:,}"
             lines.append((name, run.learner, profiles.bins[-1]))
-    widgets.chart(profile_lines(lines, 330), "last profile")
+    chart(profile_lines(lines, 330), "last profile", "mean weight, oldest to newest transitions")
 
 
 def _warnings(runs: Sequence[RunInfo]) -> None:

@@ -7,6 +7,7 @@ from app import readers, session, text, widgets
 from app.aggregate import curve_points
 from app.figures.road import road_map
 from app.pictures import ENV, Picture
+from app.plot import chart
 from app.readers import RunInfo
 from app.scenes.control import Selection, tell
 from app.theme import learner_label
@@ -55,7 +56,8 @@ def page() -> None:
     with left:
         _scene(run, step)
     with right:
-        widgets.chart(road_map(picture, session.mode(), HEIGHT), "road map")
+        figure = road_map(picture, session.mode(), HEIGHT)
+        chart(figure, "road map", "mean weight over the map, with road and trajectories")
     st.markdown("**Every learner**: at the last step that was recorded")
     st.dataframe(comparison(shown), hide_index=True, column_config=_columns())
     st.caption(

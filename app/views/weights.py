@@ -4,6 +4,7 @@ import streamlit as st
 
 from app import pictures, readers, session, text, widgets
 from app.figures.weights import effective_sample, weight_map, weight_profile
+from app.plot import Point, chart
 from app.readers import RunInfo
 from app.theme import learner_label
 from tom.record.profiles import Profiles
@@ -43,15 +44,18 @@ def page() -> None:
     with left, st.container(border=True):
         st.markdown("**Every fit**: click one to look at it")
         figure = weight_map(profiles, chosen, session.mode(), 400, relative=scale == RELATIVE)
-        widgets.clickable(figure, "weight map", _clicked("weight map"))
+        chart(figure, "weight map", "weight of each part of the buffer at every fit", _choose)
     with right, st.container(border=True):
         step = profiles.env_step[chosen]
         st.markdown(f"**The fit at step {step:,}**: dashed: every transition counts the same")
-        widgets.chart(weight_profile(profiles.bins[chosen], run.learner, 400), "profile")
+        figure = weight_profile(profiles.bins[chosen], run.learner, 400)
+        chart(figure, "profile", "mean weight, oldest to newest transitions")
     with st.container(border=True):
         st.markdown("**How much of the buffer is left**")
         figure = effective_sample(profiles, run.learner, chosen, 250)
-        widgets.clickable(figure, "effective sample", _clicked("effective sample"))
+        chart(
+            figure, "effective sample", "effective sample size and share of zero weights", _choose
+        )
     widgets.show_problems(run)
 
 
@@ -61,13 +65,8 @@ def _chosen_fit(profiles: Profiles) -> int:
     return steps.index(widgets.pick_step("Fit at step", steps))
 
 
-def _clicked(key: str):
-    def picked() -> None:
-        points = st.session_state[key]["selection"]["points"]
-        if points:
-            st.session_state["step"] = int(points[0]["x"])
-
-    return picked
+def _choose(point: Point) -> None:
+    st.session_state["step"] = int(point.x)
 
 
 def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:

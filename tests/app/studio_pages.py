@@ -23,7 +23,12 @@ def draw(view: str, **query: str) -> AppTest:
 
 def figures(app: AppTest) -> list[dict[str, Any]]:
     """Every Plotly figure of the page, top to bottom."""
-    return [json.loads(chart.proto.spec) for chart in app.get("plotly_chart")]
+    charts = [part.proto for part in app.get("bidi_component") if is_chart(part.proto)]
+    return [json.loads(json.loads(chart.json)["figure"]) for chart in charts]
+
+
+def is_chart(proto: Any) -> bool:
+    return proto.component_name == "tom_plot"
 
 
 def array(values: Any) -> np.ndarray:

@@ -106,6 +106,7 @@ def test_the_map_has_a_column_a_fit_and_a_row_a_bin(profiles: Profiles) -> None:
 def test_relative_colours_are_octaves_of_the_weight(profiles: Profiles) -> None:
     heat = traces(weight_map(profiles, 0, "dark", 300, relative=True))[0]
     assert heat.z == pytest.approx(np.log2(profiles.bins.T).clip(-4, 4))
+    assert np.asarray(heat.customdata).tolist() == profiles.bins.T.tolist()
     assert -heat.zmin == heat.zmax == span(profiles.bins)
 
 
@@ -113,25 +114,6 @@ def test_octaves_clip_and_keep_gaps() -> None:
     assert octaves(np.array([0, 0.5, 1, 64, np.nan])).tolist()[:4] == [-4, -1, 0, 4]
     assert span(np.array([1.0, 1.1])) == 1
     assert span(np.array([0.01, 50.0])) == 4
-
-
-def test_a_click_on_the_map_hits_a_recorded_fit(profiles: Profiles) -> None:
-    targets = traces(weight_map(profiles, 0, "light", 300, relative=True))[1]
-    assert set(targets.x) == set(profiles.env_step)
-    assert targets.marker.opacity == targets.unselected.marker.opacity == 0
-    assert targets.customdata.reshape(profiles.bins.shape).tolist() == profiles.bins.tolist()
-    where = (targets.x == profiles.env_step[1]) & (targets.y == 99.5)
-    assert targets.customdata[where] == [profiles.bins[1, -1]]
-
-
-def test_where_fits_are_many_some_bins_answer_the_pointer() -> None:
-    bins = np.random.default_rng(0).random((300, 100))
-    step, one = np.arange(300), np.ones(300)
-    many = Profiles(step, bins, step, one, one)
-    targets = traces(weight_map(many, 0, "light", 300, relative=True))[1]
-    assert len(targets.x) == 300 * 12
-    at = (targets.x == 7) & (targets.y == 0.5)
-    assert targets.customdata[at] == [bins[7, 0]]
 
 
 def test_many_fits_are_thinned_and_the_chosen_one_stays() -> None:

@@ -1,0 +1,101 @@
+"""A Plotly chart that stays itself while its data change: zoom is kept, nothing flickers.
+
+Streamlit's own chart is taken down and built anew whenever its figure differs.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Self
+
+import plotly
+import plotly.graph_objects as go
+import streamlit as st
+from streamlit.components.v2 import component
+
+LIBRARY = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
+LIBRARY_PATH = f"/api/plotly-{plotly.__version__}.js"
+_SCRIPT = Path(__file__).with_name("plot.js")
+_STYLE = Path(__file__).with_name("plot.css")
+
+
+@dataclass(frozen=True)
+class Point:
+    """What was clicked: a point, bar or cell, and where in the figure's data it is."""
+
+    x: Any
+    y: Any
+    trace: int
+    index: int | tuple[int, int]
+    """place in the trace; (row, column) in a heatmap"""
+    meta: Any
+    """the trace's own `meta`: the run's id on curves"""
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> Self:
+        index = told["index"]
+        index = (int(index[0]), int(index[1])) if isinstance(index, list) else int(index)
+        return cls(told["x"], told["y"], int(told["trace"]), index, told["meta"])
+
+
+@dataclass(frozen=True)
+class Region:
+    """What a box or a lasso holds; `points` are (trace, index in the trace)."""
+
+    points: tuple[tuple[int, int], ...]
+    outline: tuple[tuple[float, float], ...]
+    """corners (x, y) of the box or lasso that was drawn last, in the figure's units"""
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> Self:
+        points = tuple((int(trace), int(index)) for trace, index in told["points"])
+        return cls(points, tuple((float(x), float(y)) for x, y in told["outline"]))
+
+
+def chart(
+    figure: go.Figure,
+    key: str,
+    label: str,
+    clicked: Callable[[Point], None] | None = None,
+    selected: Callable[[Region | None], None] | None = None,
+) -> None:
+    """Show `figure`. Both callbacks run before the page is drawn again.
+
+    `label` says in words what the figure shows, for those who cannot see it, and names the files
+    that a reader saves. With `selected` the figure has box and lasso; it is called with None when
+    the selection is lifted. Zoom, selection and hidden lines last while the figure's `uirevision`
+    stays the same.
+    """
+
+    def on_click() -> None:
+        told = st.session_state[key].get("clicked")
+        if clicked is not None and told is not None:
+            clicked(Point.of(told))
+
+    def on_select() -> None:
+        told = st.session_state[key].get("selected")
+        if selected is not None and told is not None:
+            selected(Region.of(told) if told["points"] or told["outline"] else None)
+
+    data = {
+        "figure": figure.to_json(),
+        "library": LIBRARY_PATH,
+        "label": label,
+        "selects": selected is not None,
+    }
+    height = int(figure.layout.height or 400)  # type: ignore[attr-defined]
+    _mount()(
+        key=key, data=data, height=height, on_clicked_change=on_click, on_selected_change=on_select
+    )
+
+
+@cache
+def _mount():
+    return component(
+        "tom_plot",
+        html='<div class="plot" role="img"></div>',
+        css=_STYLE.read_text(),
+        js=_SCRIPT.read_text(),
+        isolate_styles=False,
+    )
