@@ -13,8 +13,11 @@ METRICS = "metrics.jsonl"
 METRICS_TABLE = "metrics.parquet"
 PROFILES = "weights/profiles.jsonl"
 NOTICES = "notices.jsonl"
+LABELS = "labels.json"
 POLICY = "policy.npz"
 LOCK = ".writer"
+BALLAST = ".ballast"
+FOLDERS = ("weights", "episodes", "buffer", "fields")
 
 _NUMBERED = re.compile(r"(?:(?P<name>.+)-)?(?P<number>\d{9,18})")
 _RRD = re.compile(r"run(?:-(\d+))?\.rrd")

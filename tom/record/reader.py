@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
 from tom.events import Episode
-from tom.record import decode, layout, status
+from tom.record import decode, labels, layout, status
 from tom.record.decode import Arrays
 from tom.record.files import modified, read_json, read_json_lines
+from tom.record.labels import Labels
 from tom.record.profiles import Profiles
 from tom.record.status import Status
 
@@ -91,6 +92,11 @@ class RunReader:
         """What the run says about itself now."""
         read = self._read(layout.STATUS, lambda p: status.parse(read_json(p)), needed=True)
         return read or Status()
+
+    @property
+    def labels(self) -> Labels:
+        """The display name, tags and note that people gave the run; empty where they gave none."""
+        return self._read(layout.LABELS, lambda p: labels.parse(read_json(p))) or Labels()
 
     def metrics(self) -> pd.DataFrame:
         """A row a recorded step: `env_step` and every metric (missing is NaN).

@@ -1,0 +1,142 @@
+"""Labels, trash and restore of runs that were recorded for real."""
+
+import json
+from pathlib import Path
+
+import pytest
+from recorded import Config, events
+
+from tom.errors import UserError
+from tom.record import Recorder, RunWriter, Store, manage
+from tom.record.labels import NAME_LENGTH, Labels
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_labels_are_kept_and_read_back(store: Store, record):
+    record("run", events()[:3])
+    assert store.run("run").labels == Labels()
+    manage.rename(store, "run", " My best hopper ☺ ")
+    manage.tag(store, "run", add=["paper", "check", "paper"])
+    manage.note(store, "run", "first line\nsecond line")
+    manage.tag(store, "run", add=["late"], remove=["check"])
+    read = store.run("run")
+    assert read.labels == Labels("My best hopper ☺", ("paper", "late"), "first line\nsecond line")
+    assert read.problems == []
+    assert manage.rename(store, "run", "") == Labels("", ("paper", "late"), read.labels.note)
+
+
+def test_a_running_run_can_be_labelled(store: Store):
+    with Recorder(RunWriter.create(store, "run", Config)):
+        assert manage.note(store, "run", "watch this").note == "watch this"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: manage.rename(s, "run", "x" * (NAME_LENGTH + 1)), "80 at most"),
+        (lambda s: manage.rename(s, "run", "two\nlines"), "one line"),
+        (lambda s: manage.rename(s, "run", "\x1b[31mred"), "plain text"),
+        (lambda s: manage.note(s, "run", "bell \a"), "plain text"),
+        (lambda s: manage.note(s, "run", "x" * 5000), "4000 at most"),
+        (lambda s: manage.tag(s, "run", add=["  "]), "cannot be empty"),
+        (lambda s: manage.tag(s, "run", add=[f"t{i}" for i in range(21)]), "20 at most"),
+        (lambda s: manage.tag(s, "run", remove=["nope"]), "no tag 'nope'"),
+        (lambda s: manage.note(s, "runn", "x"), "no run 'runn'"),
+        (lambda s: manage.note(s, "../run", "x"), "no run id"),
+    ],
+)
+def test_bad_labels_change_nothing(store: Store, record, change, words: str):
+    record("run", events()[:3])
+    manage.tag(store, "run", add=["kept"])
+    before = files(store.path)
+    with pytest.raises(UserError, match=words):
+        change(store)
+    assert files(store.path) == before
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"tags": "x"}', '{"name": "a\\u0007"}'])
+def test_damaged_labels_are_a_problem_and_never_written_over(store: Store, record, content: str):
+    path = record("run", events()[:3]).path / "labels.json"
+    path.write_text(content)
+    run = store.run("run")
+    assert run.labels == Labels()
+    assert "labels.json cannot be read" in run.problems[0]
+    with pytest.raises(UserError, match="damaged"):
+        manage.rename(store, "run", "new")
+    assert path.read_text() == content
+
+
+def test_trash_and_restore_move_a_run_whole(store: Store, record):
+    before = files(record("run", events()[:600]).path)
+    record("other", events()[:3])
+    place = manage.trash(store, "run")
+    assert place == store.path / ".trash" / "run"
+    assert [r.run_id for r in store.runs()] == ["other"]
+    assert store.problems == []
+    assert manage.trashed(store) == ["run"]
+    assert files(manage.restore(store, "run")) == before
+    assert manage.trashed(store) == []
+
+
+def test_an_id_may_be_trashed_twice(store: Store, record):
+    for seed in (1, 2):
+        record("run", events()[:3])
+        manage.rename(store, "run", f"take {seed}")
+        manage.trash(store, "run")
+    assert manage.trashed(store) == ["run"]
+    manage.restore(store, "run")
+    assert store.run("run").labels.name == "take 2"
+    with pytest.raises(UserError, match="holds another run 'run'"):
+        manage.restore(store, "run")
+    manage.rename(store, "run", "kept")
+    manage.trash(store, "run")
+    manage.restore(store, "run")
+    assert store.run("run").labels.name == "kept"
+
+
+def test_a_run_that_is_written_stays(store: Store):
+    with Recorder(RunWriter.create(store, "run", Config)):
+        with pytest.raises(UserError, match="being written"):
+            manage.trash(store, "run")
+        # Without a heartbeat the writer's lock still tells.
+        status = json.loads((store.path / "run/status.json").read_text())
+        (store.path / "run/status.json").write_text(json.dumps(status | {"heartbeat": 0.0}))
+        with pytest.raises(UserError, match="being written"):
+            manage.trash(store, "run")
+    assert [r.run_id for r in store.runs()] == ["run"]
+
+
+def test_only_run_folders_of_the_store_are_trashed(store: Store, record, tmp_path: Path):
+    record("run", events()[:3])
+    (store.path / "photos").mkdir()
+    (store.path / "photos/a.jpg").write_text("mine")
+    (store.path / "link").symlink_to(store.path / "run")
+    outside = tmp_path / "outside"
+    (store.path / "run").rename(outside)
+    (store.path / "away").symlink_to(outside)
+    for name in ("photos", "link", "away", ".trash", "..", "", "a/b", "photos/a.jpg"):
+        with pytest.raises(UserError):
+            manage.trash(store, name)
+    assert (store.path / "photos/a.jpg").read_text() == "mine"
+    assert (outside / "config.json").exists()
+    assert not (store.path / ".trash").exists()
+
+
+def test_a_trash_that_is_a_link_is_not_followed(store: Store, record, tmp_path: Path):
+    record("run", events()[:3])
+    (tmp_path / "elsewhere").mkdir()
+    (store.path / ".trash").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match="is a link"):
+        manage.trash(store, "run")
+    assert store.run("run").is_run
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
+def test_what_is_not_in_the_trash_is_not_restored(store: Store):
+    with pytest.raises(UserError, match="it holds nothing"):
+        manage.restore(store, "run")
+    with pytest.raises(UserError, match="no run id"):
+        manage.restore(store, "../../etc")

@@ -1,0 +1,163 @@
+"""Managing the runs of a store: labels, trash and restore. Never touches what a training wrote."""
+
+import fcntl
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from tom.errors import UserError
+from tom.record import labels, layout
+from tom.record.files import read_json, replace_json
+from tom.record.labels import Labels
+from tom.record.reader import RunReader
+from tom.record.store import Store
+
+TRASH = ".trash"
+_TRASHED = re.compile(rf"({layout.RUN_ID.pattern})(?:~(\d+))?")  # "~" is in no run id
+
+
+def rename(store: Store, run_id: str, name: str) -> Labels:
+    """Give a run a display name; "" takes it away. The folder and the run id stay."""
+    with _changing(store, run_id) as (path, held):
+        return _write(path, replace(held, name=name))
+
+
+def note(store: Store, run_id: str, text: str) -> Labels:
+    """Give a run a note; "" takes it away."""
+    with _changing(store, run_id) as (path, held):
+        return _write(path, replace(held, note=text))
+
+
+def tag(store: Store, run_id: str, add: Sequence[str] = (), remove: Sequence[str] = ()) -> Labels:
+    """Add tags to a run and remove others. Raises UserError for one to remove that it lacks."""
+    with _changing(store, run_id) as (path, held):
+        missing = [name for name in remove if name not in held.tags]
+        if missing:
+            known = ", ".join(held.tags) or "none"
+            raise UserError(f"run '{run_id}' has no tag '{missing[0]}' (it has: {known})")
+        kept = tuple(name for name in held.tags if name not in remove)
+        return _write(path, replace(held, tags=(*kept, *add)))
+
+
+def trash(store: Store, run_id: str) -> Path:
+    """Move a run into `<store>/.trash/`, whole, and return where it lies.
+
+    Raises UserError for what is no run folder of this store, and for a run that is being written.
+    """
+    reader = store.run(run_id)
+    with unwritten(reader), _refused(f"cannot trash run '{run_id}'"):
+        folder = _trash_folder(store)
+        folder.mkdir(exist_ok=True)
+        place = _place(folder, run_id, _newest(folder, run_id) + 1)
+        reader.path.rename(place)
+    return place
+
+
+def trashed(store: Store) -> list[str]:
+    """The ids of the runs in the trash, each once."""
+    return sorted({run_id for run_id, _ in _entries(_trash_folder(store))})
+
+
+def restore(store: Store, run_id: str) -> Path:
+    """Move a run back out of the trash: the one trashed last under that id.
+
+    Raises UserError when it is not there, or when the store holds another run of that id.
+    """
+    place, folder = store.resolve(run_id), _trash_folder(store)
+    newest = _newest(folder, run_id)
+    if not newest:
+        known = ", ".join(trashed(store)[:5]) or "nothing"
+        raise UserError(f"no run '{run_id}' in the trash of {store.path}/ (it holds {known})")
+    if os.path.lexists(place):
+        raise UserError(f"{store.path}/ holds another run '{run_id}': trash that one first")
+    with _refused(f"cannot restore run '{run_id}'"):
+        _place(folder, run_id, newest).rename(place)
+    return place
+
+
+@contextmanager
+def unwritten(reader: RunReader) -> Iterator[None]:
+    """Holds the writer's place: no training can open or go on with the run inside the block.
+
+    Raises UserError when one is writing it.
+    """
+    busy = UserError(f"run '{reader.run_id}' is being written: stop it first")
+    if reader.status.alive:
+        raise busy
+    lock = os.open(reader.path / layout.LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        raise busy from None
+    try:
+        yield
+    finally:
+        os.close(lock)
+
+
+@contextmanager
+def _changing(store: Store, run_id: str) -> Iterator[tuple[Path, Labels]]:
+    """The folder of a run and its labels, which nobody else changes inside the block."""
+    path = store.run(run_id).path
+    with _refused(f"cannot label run '{run_id}'"):
+        lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield path, _held(path)
+        finally:
+            os.close(lock)
+
+
+def _held(path: Path) -> Labels:
+    """The labels to change: never written over where they cannot be read."""
+    file = path / layout.LABELS
+    if not os.path.lexists(file):
+        return Labels()
+    try:
+        if file.is_symlink():
+            raise ValueError("a link is not followed")
+        return labels.parse(read_json(file))
+    except ValueError as error:
+        raise UserError(f"{file} is damaged ({error}): mend it or move it away") from None
+
+
+def _write(path: Path, changed: Labels) -> Labels:
+    tidy = labels.checked(changed)
+    replace_json(path / layout.LABELS, tidy.record(), sync=True)
+    return tidy
+
+
+def _trash_folder(store: Store) -> Path:
+    folder = store.path / TRASH
+    if folder.is_symlink():
+        raise UserError(f"{folder} is a link: not followed; move it away")
+    return folder
+
+
+def _entries(folder: Path) -> Iterator[tuple[str, int]]:
+    """(run id, which of that id) of everything in the trash."""
+    for path in folder.iterdir() if folder.is_dir() else ():
+        match = _TRASHED.fullmatch(path.name)
+        if match and path.is_dir() and not path.is_symlink():
+            yield match[1], int(match[2] or 1)
+
+
+def _newest(folder: Path, run_id: str) -> int:
+    """The number of the run that was trashed last under `run_id`; 0 where there is none."""
+    return max((number for name, number in _entries(folder) if name == run_id), default=0)
+
+
+def _place(folder: Path, run_id: str, number: int) -> Path:
+    return folder / (f"{run_id}~{number}" if number > 1 else run_id)
+
+
+@contextmanager
+def _refused(what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{what}: {error.strerror or error}") from error
