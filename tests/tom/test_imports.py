@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 LEVELS = [
     {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
-    | {"divergences", "statistics"},
+    | {"divergences", "statistics", "health"},
     {"learners", "sac", "dynamics", "evaluate", "tabular", "planner", "cloning"}
     | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},
@@ -16,7 +16,7 @@ LEVELS = [
     {"run", "bench", "weighing"},
     {"imagine"},
     {"cli", "tabular_study", "road_study", "reports", "__main__"}
-    | {"weighing_files", "progression_study", "progression_files"},
+    | {"weighing_files", "progression_study", "progression_files", "focus_study"},
 ]
 LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}
 

@@ -1,11 +1,10 @@
 """`tom reproduce road`: where TOM drives and MLE does not, with controls and the sweep."""
 
 import argparse
-import csv
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from multiprocessing import get_context
@@ -18,6 +17,7 @@ from tom.errors import UserError
 from tom.matmul import choose_matmul
 from tom.record.files import plain
 from tom.reports import road as figures
+from tom.reports.files import write_csv
 from tom.reports.style import save
 from tom.road_study import (
     Case,
@@ -88,29 +88,20 @@ def _prepare() -> None:
 def _write(
     out: Path, stories: Sequence[Story], sweep: Sequence[Outcome], checks: Sequence[Check]
 ) -> None:
-    _csv(out / "outcomes.csv", (asdict(s.outcome) for s in stories))
-    _csv(out / "sweep.csv", (asdict(o) for o in sweep))
-    _csv(out / "checks.csv", (asdict(c) for c in checks))
+    write_csv(out / "outcomes.csv", (asdict(s.outcome) for s in stories))
+    write_csv(out / "sweep.csv", (asdict(o) for o in sweep))
+    write_csv(out / "checks.csv", (asdict(c) for c in checks))
     curves = (
         {"name": s.outcome.name, "seed": s.outcome.seed, "step": step, "return": value}
         for s in stories
         for step, value in s.returns
     )
-    _csv(out / "returns.csv", curves)
+    write_csv(out / "returns.csv", curves)
     save(figures.return_figure(stories), out, "returns")
     save(figures.sweep_figure(sweep), out, "sweep")
     told = [s for s in stories if s.places is not None]
     if told:
         save(figures.map_figure(told), out, "weights")
-
-
-def _csv(path: Path, rows: Iterable[dict[str, object]]) -> None:
-    listed = list(rows)
-    with path.open("w", newline="") as file:
-        if listed:
-            writer = csv.DictWriter(file, list(listed[0]))
-            writer.writeheader()
-            writer.writerows(listed)
 
 
 def _print(checks: Sequence[Check], outcomes: Sequence[Outcome], args: argparse.Namespace) -> None:

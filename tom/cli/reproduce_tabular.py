@@ -1,11 +1,10 @@
 """`tom reproduce tabular`: TOM's weights held against exact ones on small MDPs."""
 
 import argparse
-import csv
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -19,6 +18,7 @@ from tom.cli.tables import show
 from tom.errors import UserError
 from tom.matmul import choose_matmul
 from tom.record.files import plain
+from tom.reports.files import write_csv
 from tom.reports.style import save
 from tom.reports.tabular import estimate_figure
 from tom.tabular_study import VARIANTS, Estimate, Variant, acceptance, cases, estimate, summary
@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
         others = [e for v in VARIANTS[1:] for e in _estimates(pool, v, args.variant_seeds)]
     checks = acceptance([e.row() for e in judged], [e.row() for e in same])
     rows = [e.row() for e in (*judged, *others)]
-    _csv(args.out / "estimates.csv", rows)
-    _csv(args.out / "summary.csv", summary(rows))
+    write_csv(args.out / "estimates.csv", rows)
+    write_csv(args.out / "summary.csv", summary(rows))
     save(estimate_figure(judged), args.out, "weights")
     if args.json:
         print(json.dumps(plain({"checks": checks, "out": str(args.out)}), allow_nan=False))
@@ -89,14 +89,6 @@ def _estimate(variant: Variant, case) -> Estimate:
 def _prepare() -> None:
     torch.set_num_threads(1)
     choose_matmul()
-
-
-def _csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:
-    listed = list(rows)
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(listed[0]))
-        writer.writeheader()
-        writer.writerows(listed)
 
 
 def _print(checks: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]], runs: int) -> None:

@@ -1,0 +1,94 @@
+"""Every learner's model on the same buffer, tested on what the policy makes anew."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tom.cli import main
+from tom.config import SacRecordingConfig
+from tom.data.transitions import Transitions
+from tom.envs import task
+from tom.focus_study import Focus, _tested, study, summary
+from tom.policy_file import NAME, read_policy
+from tom.record import RunReader, Store
+from tom.run import train
+from tom.weighing import of_run
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
+    config = SacRecordingConfig(env="hopper").but(
+        steps=1000,
+        exploration_steps=500,
+        sac={"hidden": 16, "batch_size": 32},
+        evaluation={"every": 1000, "episodes": 1},
+    )
+    return train(config, Store(tmp_path_factory.mktemp("store")), "recorded", rerun=False)
+
+
+MLE = Focus("hopper-s0", "mle", 0, 1.0, 0.2, 0.8, 0.2, 0.1)
+
+
+def test_a_summary_by_hand():
+    rows = [
+        MLE,
+        replace(MLE, rival="tom paper", ess=0.1, policy=0.1, random=0.3),
+        replace(MLE, seed=1, policy=0.4),
+        replace(MLE, rival="tom paper", seed=1, ess=0.2, policy=0.3, random=0.2),
+    ]
+    mle, tom = summary(rows)
+    assert mle["policy"] == pytest.approx(0.3)
+    assert mle["policy / mle"] == mle["random / mle"] == 1
+    assert tom["policy"] == pytest.approx(0.2)
+    assert tom["policy / mle"] == pytest.approx((0.5 + 0.75) / 2)  # seed by seed
+    assert tom["random / mle"] == pytest.approx(2.5)
+    assert tom["ess"] == pytest.approx(0.15)
+
+
+def test_without_mle_there_is_no_share():
+    (row,) = summary([replace(MLE, rival="pmac")])
+    assert np.isnan(row["policy / mle"])
+
+
+def test_models_are_tested_on_what_no_learner_has_seen(recording: RunReader):
+    data, policy = of_run(recording), read_policy(recording.path / NAME)
+    tested = _tested(data, policy, task("hopper"), 0)
+    seen = {tuple(row) for row in data.transitions.obs.tolist()}
+    assert not seen & {tuple(row) for row in tested.policy.obs.tolist()}
+    halves = data.transitions[: data.ordered_from], data.transitions[data.ordered_from :]
+    for rows, half in zip((tested.random, tested.ordered), halves, strict=True):
+        assert _obs(rows.numpy()) <= _obs(half.numpy())
+
+
+def test_all_weight_on_new_rows_costs_the_random_half(recording: RunReader):
+    found = list(study(recording, ("mle", "pmac"), (0,), preset="smoke"))
+    assert [f.rival for f in found] == ["mle", "pmac"]
+    mle, pmac = found
+    assert mle.ess == pytest.approx(1.0)
+    assert pmac.ess < 0.6
+    assert pmac.random > mle.random
+    (again,) = study(recording, ("mle",), (0,), preset="smoke")
+    assert again == mle
+
+
+@pytest.mark.slow
+def test_the_command_writes_what_it_prints(recording: RunReader, tmp_path: Path, capsys):
+    store, out = str(recording.path.parent), tmp_path / "out"
+    arguments = ["reproduce", "focus", "--env", "hopper", "--steps", "1000", "--seeds", "0"]
+    assert main([*arguments, "--store", store, "--out", str(out)]) == 0
+    assert {p.name for p in out.iterdir()} == {
+        "errors.csv", "summary.csv", "errors.png", "errors.svg"
+    }  # fmt: skip
+    assert "tom exact" in capsys.readouterr().out
+
+
+def test_bad_input_is_one_line(capsys, tmp_path: Path):
+    assert main(["reproduce", "focus", "--steps", "10", "--out", str(tmp_path / "out")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def _obs(rows: Transitions) -> set[tuple[float, ...]]:
+    return {tuple(row) for row in np.asarray(rows.obs).tolist()}

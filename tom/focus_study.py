@@ -1,0 +1,146 @@
+"""Does weighting help the model where the policy goes? One buffer, one policy, several learners.
+
+Each learner weighs the replay buffer of a SAC recording (random half, ordered half) for the policy
+that SAC ended with; the paper's model is fitted with those weights, afresh; its error is measured
+on transitions that the policy makes anew, and on the two halves of the buffer.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from tom.collect import footprint
+from tom.config import OnlineConfig, TomConfig
+from tom.data.sampling import ess, uniform_indices
+from tom.data.transitions import TensorTransitions
+from tom.diagnostics import ROWS, one_step_error, rollout_error, unbroken
+from tom.dynamics import make_model
+from tom.dynamics.base import DynamicsModel
+from tom.envs import MujocoTask, task
+from tom.learners.base import Policy
+from tom.policy_file import NAME, read_policy
+from tom.presets import resolve
+from tom.record import RunReader
+from tom.rng import Streams
+from tom.weighing import OrderedData, Weighed, of_run, weigh
+
+Rival = Literal["mle", "pmac", "tom paper", "tom exact"]
+RIVALS: tuple[Rival, ...] = ("mle", "pmac", "tom paper", "tom exact")
+"""The learners compared; TOM with each of its presets."""
+
+
+@dataclass(frozen=True)
+class Focus:
+    """How one learner's model errs, in standard deviations of a step's change over the buffer."""
+
+    recording: str
+    rival: Rival
+    seed: int
+    ess: float  # effective sample size of the weights, share of the buffer
+    policy: float  # one step, transitions that the policy made anew
+    policy_rollout: float  # five steps under the policy's actions, from its states
+    ordered: float  # one step, uniform rows of the buffer's ordered half
+    random: float  # one step, uniform rows of the random half
+
+
+QUANTITIES = {
+    "policy": "the policy's own, anew",
+    "policy_rollout": "the same, 5 steps",
+    "ordered": "the buffer's ordered half",
+    "random": "the buffer's random half",
+}
+"""The errors of a `Focus` and what they are measured on."""
+
+
+def study(
+    run: RunReader, rivals: Sequence[Rival], seeds: Sequence[int], preset: str = "paper"
+) -> Iterator[Focus]:
+    """Every rival under every seed on one recording, with the model of a run's `preset`.
+
+    A seed draws the footprint that TOM is told about, the networks, the minibatches, and the
+    transitions that the models are tested on, which no learner has seen.
+    """
+    data, policy, known = of_run(run), read_policy(run.path / NAME), task(run.env)
+    name = f"{run.env}-s{run.seed}"
+    for seed in seeds:
+        tested = _tested(data, policy, known, seed)
+        for rival in rivals:
+            config = _config(run.env, rival, preset).but(seed=seed)
+            (weighed,) = weigh(data, policy, known, config, (config.learner,), (seed,))
+            model = _fitted(data, weighed, config)
+            yield Focus(name, rival, seed, *_errors(model, weighed, tested))
+
+
+def summary(found: Sequence[Focus]) -> list[dict[str, str | float]]:
+    """Medians over seeds: a row for each recording and rival, errors as a share of MLE's too."""
+    rows: list[dict[str, str | float]] = []
+    for recording in dict.fromkeys(f.recording for f in found):
+        here = [f for f in found if f.recording == recording]
+        for rival in dict.fromkeys(f.rival for f in here):
+            of = [f for f in here if f.rival == rival]
+            row: dict[str, str | float] = {"recording": recording, "rival": rival}
+            row["ess"] = median(f.ess for f in of)
+            for quantity in QUANTITIES:
+                row[quantity] = median(getattr(f, quantity) for f in of)
+                row[f"{quantity} / mle"] = _ratio(of, here, quantity)
+            rows.append(row)
+    return rows
+
+
+def _ratio(of: Sequence[Focus], here: Sequence[Focus], quantity: str) -> float:
+    """Median over seeds of the error over MLE's under the same seed; NaN without MLE."""
+    mle = {f.seed: getattr(f, quantity) for f in here if f.rival == "mle"}
+    ratios = [getattr(f, quantity) / mle[f.seed] for f in of if f.seed in mle]
+    return median(ratios) if ratios else float("nan")
+
+
+@dataclass(frozen=True)
+class _Tested:
+    """What every model of one seed is tested on."""
+
+    policy: TensorTransitions
+    ordered: TensorTransitions
+    random: TensorTransitions
+    scale: Tensor  # (O,)
+
+
+def _tested(data: OrderedData, policy: Policy, known: MujocoTask, seed: int) -> _Tested:
+    streams, rows, first = Streams(seed), data.transitions, data.ordered_from
+    generator = streams.torch("focus")
+    anew = footprint(known, policy, ROWS, streams.integer("focus env"), generator)
+    ordered = first + uniform_indices(len(rows) - first, ROWS, generator)
+    random = uniform_indices(first, ROWS, generator)
+    scale = (rows.next_obs - rows.obs).std(0, correction=0).clamp(min=1e-6)
+    return _Tested(anew.transitions.torch(), rows[ordered], rows[random], scale)
+
+
+def _config(env: str, rival: Rival, preset: str) -> OnlineConfig:
+    learner, _, of_tom = rival.partition(" ")
+    tom = TomConfig.preset("exact" if of_tom == "exact" else "paper")
+    config = resolve(env, learner, preset)
+    assert isinstance(config, OnlineConfig)
+    return config.but(tom=tom.model_dump())
+
+
+def _fitted(data: OrderedData, found: Weighed, config: OnlineConfig) -> DynamicsModel:
+    rows, streams = data.transitions, Streams(config.seed)
+    dims = rows.obs.shape[1], rows.action.shape[1]
+    model = make_model(*dims, config.model, streams.torch("model"))
+    model.fit(rows, torch.from_numpy(found.weights), None, streams.torch("fit"))
+    return model
+
+
+def _errors(model: DynamicsModel, found: Weighed, tested: _Tested) -> tuple[float, ...]:
+    """The numbers of a `Focus`, in its order."""
+    scale, starts = tested.scale, unbroken(tested.policy)
+    return (
+        ess(torch.from_numpy(found.weights)),
+        one_step_error(model, tested.policy, scale),
+        rollout_error(model, tested.policy, starts, scale),
+        one_step_error(model, tested.ordered, scale),
+        one_step_error(model, tested.random, scale),
+    )

@@ -1,0 +1,15 @@
+"""The numbers behind a figure, as a file."""
+
+import csv
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+
+def write_csv(path: Path, rows: Iterable[Mapping[str, object]]) -> None:
+    """One line for each row, the first row's keys as the titles; no rows, an empty file."""
+    listed = list(rows)
+    with path.open("w", newline="") as file:
+        if listed:
+            writer = csv.DictWriter(file, list(listed[0]))
+            writer.writeheader()
+            writer.writerows(listed)

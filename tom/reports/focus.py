@@ -1,0 +1,45 @@
+"""Every learner's model error over MLE's, a panel for each recording."""
+
+from collections.abc import Sequence
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tom.focus_study import QUANTITIES, Focus
+from tom.reports.colours import NEUTRAL, learner_colour
+from tom.reports.style import STYLE, new_figure
+
+MARKERS = {"tom exact": "D"}
+SPREAD = 0.18  # between the learners of one quantity
+
+
+def error_figure(found: Sequence[Focus]) -> Figure:
+    """One point a seed: the error as a share of MLE's under the same seed (1: no difference)."""
+    recordings = list(dict.fromkeys(f.recording for f in found))
+    with rc_context(STYLE):
+        figure = new_figure(3.4 * len(recordings) + 1.2, 3.4)
+        axes = figure.subplots(1, len(recordings), squeeze=False, sharey=True)[0]
+        for ax, name in zip(axes, recordings, strict=True):
+            _draw(ax, [f for f in found if f.recording == name])
+            ax.set_title(name)
+        axes[0].set_ylabel("model error over MLE's")
+        axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def _draw(ax: Axes, found: Sequence[Focus]) -> None:
+    ax.axhline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
+    mle = {f.seed: f for f in found if f.rival == "mle"}
+    rivals = [r for r in dict.fromkeys(f.rival for f in found) if r != "mle"]
+    for shift, rival in enumerate(rivals):
+        of = [f for f in found if f.rival == rival]
+        x = [
+            q + SPREAD * (shift - (len(rivals) - 1) / 2) for q in range(len(QUANTITIES)) for _ in of
+        ]
+        y = [getattr(f, q) / getattr(mle[f.seed], q) for q in QUANTITIES for f in of]
+        colour = learner_colour(rival.split()[0])
+        ax.scatter(x, y, s=22, color=colour, marker=MARKERS.get(rival, "o"), label=rival, alpha=0.8)
+    ax.set_yscale("log")
+    ax.set_xticks(range(len(QUANTITIES)), list(QUANTITIES.values()), rotation=25, ha="right")
+    ax.yaxis.set_major_formatter("{x:g}")
