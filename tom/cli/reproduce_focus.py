@@ -2,26 +2,23 @@
 
 import argparse
 import json
-import signal
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
 import torch
 
-from tom.cli.progress import ProgressReport
+from tom.cli.study import out_folder, sac_recordings, say, stoppable
 from tom.cli.tables import show
 from tom.envs import task
 from tom.errors import UserError
 from tom.focus_study import QUANTITIES, RIVALS, Focus, study, summary
 from tom.matmul import choose_matmul
-from tom.progression_study import SAC_SEEDS, recorded, recording_config
-from tom.record import RunReader, Store
+from tom.progression_study import SAC_SEEDS
+from tom.record import Store
 from tom.record.files import plain
 from tom.reports.files import write_csv
 from tom.reports.focus import error_figure
 from tom.reports.style import save
-from tom.run import train
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -42,44 +39,22 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.set_defaults(run=run)
 
 
+@stoppable
 def run(args: argparse.Namespace) -> int:
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        return _reproduce(args)
-    except KeyboardInterrupt:
-        print("stopped", file=sys.stderr)
-        return 1
-
-
-def _reproduce(args: argparse.Namespace) -> int:
     if args.steps < 1000 or min(args.seeds) < 0:
         raise UserError("--steps must be at least 1000 and --seeds at least 0")
-    names = [task(env).name for env in args.env]
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make {args.out}: {error.strerror}; name another --out") from error
-    store = Store(args.store)
-    wanted = [(env, seed) for env in names for seed in SAC_SEEDS.get(env, (0,))]
-    runs = [_recording(store, env, seed, args.steps) for env, seed in wanted]
+    envs = [task(env).name for env in args.env]
+    out_folder(args.out)
+    runs = sac_recordings(Store(args.store), envs, None, args.steps)
     torch.set_num_threads(1)
     choose_matmul()
     found: list[Focus] = []
     for reader in runs:
         for one in study(reader, RIVALS, args.seeds):
             found.append(one)
-            print(f"{one.recording}: {one.rival} seed {one.seed}", file=sys.stderr, flush=True)
+            say(f"{one.recording}: {one.rival} seed {one.seed}")
     _write_and_print(found, args)
     return 0
-
-
-def _recording(store: Store, env: str, seed: int, steps: int) -> RunReader:
-    config = recording_config(env, seed, steps)
-    have = recorded(store, config)
-    if have is not None:
-        return have
-    with ProgressReport(f"{env} sac seed {seed}", config.total_steps, sys.stderr) as progress:
-        return train(config, store, watchers=(progress.consume,), rerun=False)
 
 
 def _write_and_print(found: list[Focus], args: argparse.Namespace) -> None:

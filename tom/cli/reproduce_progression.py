@@ -2,8 +2,6 @@
 
 import argparse
 import json
-import signal
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -11,15 +9,14 @@ from pathlib import Path
 import torch
 
 from tom import progression_files
-from tom.cli.progress import ProgressReport
+from tom.cli.study import out_folder, sac_recordings, say, stoppable
 from tom.cli.tables import show
 from tom.envs import task
 from tom.errors import UserError, unknown
 from tom.matmul import choose_matmul
-from tom.progression_study import SAC_SEEDS, Case, Check, cases, checks, recorded, recording_config
-from tom.record import RunReader, Store
+from tom.progression_study import SAC_SEEDS, Case, Check, cases, checks
+from tom.record import Store
 from tom.record.files import plain
-from tom.run import train
 
 PRESETS = ("exact", "paper")
 
@@ -43,32 +40,16 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.set_defaults(run=run)
 
 
+@stoppable
 def run(args: argparse.Namespace) -> int:
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        return _reproduce(args)
-    except KeyboardInterrupt:
-        _say("stopped")
-        return 1
-
-
-def _reproduce(args: argparse.Namespace) -> int:
     for preset in args.preset:
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
     if args.steps < 1000 or min(args.seeds) < 0:
         raise UserError("--steps must be at least 1000 and --seeds at least 0")
-    recordings = [
-        recording_config(env, seed, args.steps)
-        for env in args.env
-        for seed in args.sac_seeds or SAC_SEEDS.get(task(env).name, (0,))
-    ]
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make {args.out}: {error.strerror}; name another --out") from error
-    store = Store(args.store)
-    runs = [_recording(store, config) for config in recordings]
+    envs = [task(env).name for env in args.env]
+    out_folder(args.out)
+    runs = sac_recordings(Store(args.store), envs, args.sac_seeds, args.steps)
     torch.set_num_threads(1)
     choose_matmul()
     done: list[Case] = []
@@ -76,24 +57,11 @@ def _reproduce(args: argparse.Namespace) -> int:
         for case in cases(reader, args.preset, args.seeds):
             progression_files.keep_weights(args.out, case)
             done.append(case)
-            _say(f"{case.recording}: TOM {case.preset}, {case.condition}")
+            say(f"{case.recording}: TOM {case.preset}, {case.condition}")
     found = checks(done)
     progression_files.write(args.out, done, found, args.preset[0])
     _print(found, args)
     return 0 if all(c.met is not False for c in found if c.preset == args.preset[0]) else 1
-
-
-def _recording(store: Store, config) -> RunReader:
-    have = recorded(store, config)
-    if have is not None:
-        return have
-    label = f"{config.env} sac seed {config.seed}"
-    with ProgressReport(label, config.total_steps, sys.stderr) as progress:
-        return train(config, store, watchers=(progress.consume,), rerun=False)
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _print(found: Sequence[Check], args: argparse.Namespace) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import torch
 
+from tom.cli.study import out_folder
 from tom.cli.tables import show
 from tom.errors import UserError
 from tom.matmul import choose_matmul
@@ -55,10 +56,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     if min([*args.seeds, *args.sweep_seeds]) < 0 or args.jobs < 1:
         raise UserError("--seeds and --sweep-seeds must be at least 0 and --jobs at least 1")
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make {args.out}: {error.strerror}; name another --out") from error
+    out_folder(args.out)
     main = [*acceptance_cases(args.seeds), *control_cases(args.seeds)]
     stories = _tell_all([*main, *baseline_cases(args.seeds)], args.jobs)
     sweep = [s.outcome for s in _tell_all(sweep_cases(args.sweep_seeds), args.jobs)]

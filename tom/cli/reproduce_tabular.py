@@ -14,6 +14,7 @@ from typing import Any
 
 import torch
 
+from tom.cli.study import out_folder
 from tom.cli.tables import show
 from tom.errors import UserError
 from tom.matmul import choose_matmul
@@ -50,10 +51,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     if min([*args.seeds, *args.variant_seeds]) < 0 or args.jobs < 1:
         raise UserError("--seeds and --variant-seeds must be at least 0 and --jobs at least 1")
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make {args.out}: {error.strerror}; name another --out") from error
+    out_folder(args.out)
     with ProcessPoolExecutor(args.jobs, get_context("spawn"), _prepare) as pool:
         judged = _estimates(pool, JUDGED, args.seeds)
         same = _estimates(pool, JUDGED, args.seeds, same_policy=True)
