@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 WIDTH = 160  # where nobody says how wide the output is
 
@@ -16,7 +17,7 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
         numeric = bool(listed) and all(_is_number(row[i]) for row in listed)
         table.add_column(column, justify="right" if numeric else "left", overflow="fold")
     for row in listed:
-        table.add_row(*row)
+        table.add_row(*map(Text, row))  # not a string: brackets in it would be markup
     Console(width=None if Console().is_terminal else WIDTH).print(table)
 
 

@@ -1,0 +1,113 @@
+"""`tom runs` on small runs that were trained for real."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tom.cli import main
+
+TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("store")
+    for run_id, learner in (("one", "mle"), ("two", "tom")):
+        code = main([*TRAIN, "--learner", learner, "--store", str(path), "--run-id", run_id])
+        assert code == 0
+    return path
+
+
+def ask(capsys: pytest.CaptureFixture[str], store: Path, *words: str, code: int = 0):
+    capsys.readouterr()
+    assert main(["runs", *words, "--store", str(store), "--json"]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def told(capsys: pytest.CaptureFixture[str], store: Path, *words: str, code: int = 0) -> str:
+    capsys.readouterr()
+    assert main(["runs", "--store", str(store), *words]) == code
+    return capsys.readouterr().out
+
+
+def test_runs_alone_lists(store: Path, capsys):
+    assert {row["run_id"] for row in ask(capsys, store)} == {"one", "two"}
+    assert "two" in told(capsys, store)
+    assert [r["run_id"] for r in ask(capsys, store, "list", "--learner", "mle")] == ["one"]
+    assert ask(capsys, store, "list", "--state", "failed") == []
+
+
+def test_labels(store: Path, capsys):
+    assert (
+        ask(capsys, store, "rename", "one", "[bold] the [/first]")["name"] == "[bold] the [/first]"
+    )
+    assert ask(capsys, store, "tag", "one", "a", "b")["tags"] == ["a", "b"]
+    assert ask(capsys, store, "tag", "one", "--remove", "a")["tags"] == ["b"]
+    assert ask(capsys, store, "note", "one", "look")["note"] == "look"
+    assert [r["run_id"] for r in ask(capsys, store, "list", "--tag", "b")] == ["one"]
+    assert "[bold] the [/first]" in told(capsys, store)
+    shown = told(capsys, store, "show", "one")
+    assert "look" in shown
+    assert "eval/return" in shown
+
+
+def test_diff(store: Path, capsys):
+    found = ask(capsys, store, "diff", "one", "two")
+    assert found["config.learner"] == ["mle", "tom"]
+    assert "config.seed" not in found
+    assert "config.learner" in told(capsys, store, "diff", "one", "two")
+
+
+def test_trash_and_restore(store: Path, capsys):
+    ask(capsys, store, "trash", "one")
+    assert ask(capsys, store, "trash") == ["one"]
+    assert [row["run_id"] for row in ask(capsys, store)] == ["two"]
+    ask(capsys, store, "restore", "one")
+    assert told(capsys, store, "trash") == "nothing\n"
+
+
+def test_verify_and_repair(store: Path, capsys):
+    assert ask(capsys, store, "verify") == {"runs": {"one": [], "two": []}, "store": []}
+    with (store / "one/notices.jsonl").open("ab") as file:
+        file.write(b"{half")
+    assert "half written" in told(capsys, store, "verify", code=1)
+    assert "cut out" in told(capsys, store, "repair", "one")
+    told(capsys, store, "verify")
+
+
+def test_export_size_prune(store: Path, capsys, tmp_path: Path):
+    (path,) = ask(capsys, store, "export", "one", "--out", str(tmp_path))
+    assert pd.read_csv(path)["env_step"].to_list()[-1] == 250
+    (path,) = ask(capsys, store, "export", "one", "--small", "--out", str(tmp_path))
+    assert (Path(path) / "config.json").exists()
+    assert ask(capsys, store, "size", "one")["one"]["checkpoint"] > 0
+    told(capsys, store, "size")
+    freed = ask(capsys, store, "prune", "one", "--keep", "0", "--dry-run")["one"]
+    assert freed == ask(capsys, store, "prune", "one", "--keep", "0")["one"]
+    assert "freed 0.0 MB" in told(capsys, store, "prune", "one", "--keep", "0")
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["show", "three"], "no run 'three'"),
+        (["lst"], "lst"),
+        (["trash", "one", "three"], "no run 'three'"),
+        (["export", "one", "--format", "xls"], "xls"),
+        (["prune", "--keep", "-1"], "--keep -1"),
+        (["rename", "one", "x" * 100], "80 at most"),
+    ],
+)
+def test_bad_input(store: Path, capsys, words: list[str], named: str):
+    capsys.readouterr()
+    try:
+        code = main(["runs", "--store", str(store), *words])
+    except SystemExit as stop:
+        code = int(str(stop.code))
+    error = capsys.readouterr().err
+    assert code == 2
+    assert named in error
+    assert error.count("\n") == 1
+    assert (store / "one").exists()

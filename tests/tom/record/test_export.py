@@ -1,0 +1,111 @@
+"""Exports of a run that was recorded for real, read back as other tools read them."""
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from recorded import STEPS
+from tensorboardX.proto import event_pb2
+
+from tom.errors import UserError
+from tom.record import RunReader, Store, manage
+from tom.record.export import EXPORTERS, export
+from tom.record.thin import coarse
+
+Event = vars(event_pb2)["Event"]
+
+
+def tensorboard_scalars(folder: Path) -> list[tuple[str, int, float]]:
+    """(name, step, value) of every scalar: records of length, checksum, content, checksum."""
+    (file,) = folder.iterdir()
+    content, found, at = file.read_bytes(), [], 0
+    while at < len(content):
+        (length,) = struct.unpack_from("<Q", content, at)
+        event = Event.FromString(content[at + 12 : at + 12 + length])
+        found += [(v.tag, event.step, v.simple_value) for v in event.summary.value]
+        at += 16 + length
+    return found
+
+
+def test_tables(record, tmp_path: Path):
+    run = record()
+    table = run.metrics()
+    csv = pd.read_csv(export(run, "csv", tmp_path))
+    pd.testing.assert_frame_equal(csv, table, rtol=1e-12)
+    pd.testing.assert_frame_equal(pd.read_parquet(export(run, "parquet", tmp_path)), table)
+
+
+def test_json_holds_everything_but_arrays(store: Store, record, tmp_path: Path):
+    run = record()
+    manage.note(store, "run", "kept")
+    content = json.loads(export(run, "json", tmp_path).read_text())
+    assert content["description"] == run.config
+    assert content["labels"]["note"] == "kept"
+    assert [row["env_step"] for row in content["metrics"]] == list(range(100, STEPS + 1, 100))
+    assert np.array(content["profiles"]["bins"]).shape == run.profiles().bins.shape
+    assert content["notices"] == run.notices()
+
+
+def test_tensorboard_events_hold_every_number(record, tmp_path: Path):
+    run = record()
+    scalars = tensorboard_scalars(export(run, "tensorboard", tmp_path))
+    table = run.metrics().set_index("env_step")
+    assert len(scalars) == int(table.notna().sum().sum())
+    for name, step, value in scalars:
+        assert value == pytest.approx(table.loc[step, name], rel=1e-6)
+
+
+def test_a_recording_is_made_from_the_files(record, tmp_path: Path):
+    run = record()
+    assert run.rrd_files() == []
+    path = export(run, "rrd", tmp_path)
+    assert path.read_bytes()[:4] == b"RRF2"
+
+
+def test_a_small_copy_reads_like_the_run(store: Store, record, tmp_path: Path):
+    run = record()
+    manage.rename(store, "run", "shown")
+    small = RunReader(export(run, "small", tmp_path))
+    assert small.is_run
+    assert small.problems == []
+    assert small.labels.name == "shown"
+    assert small.status == run.status
+    assert small.config["config"] == run.config["config"]
+    assert "checkpoint" in small.config["thinned"]["left_out"]
+    known = run.metrics().dropna(axis=1, how="all")
+    pd.testing.assert_frame_equal(small.metrics(), known, rtol=1e-4)
+    np.testing.assert_allclose(small.profiles().bins, run.profiles().bins, rtol=1e-4)
+    steps = small.snapshot_steps()
+    assert steps[-1] == run.snapshot_steps()[-1]
+    np.testing.assert_allclose(
+        small.snapshot(steps[-1])["weight"], run.snapshot(steps[-1])["weight"], rtol=1e-3
+    )
+    (episode,) = small.episodes(STEPS)
+    np.testing.assert_allclose(episode.obs, run.episodes(STEPS)[0].obs, rtol=1e-3)
+    assert episode.info == run.episodes(STEPS)[0].info
+
+
+def test_coarse_numbers_are_close_and_special_ones_stay():
+    numbers = np.random.default_rng(0).normal(size=1000) * 10.0 ** np.arange(-10, 10).repeat(50)
+    np.testing.assert_allclose(coarse(numbers), numbers, rtol=2**-11)
+    special = np.array([0.0, -0.0, np.inf, -np.inf, np.nan, 1.0])
+    np.testing.assert_array_equal(coarse(special), special.astype(np.float32))
+    assert coarse(np.array([True])).dtype == bool
+
+
+@pytest.mark.parametrize("kind", sorted(EXPORTERS))
+def test_an_export_is_never_written_over(record, tmp_path: Path, kind: str):
+    run = record("run")
+    path = export(run, kind, tmp_path)
+    with pytest.raises(UserError, match="exists already"):
+        export(run, kind, tmp_path)
+    assert [p.name for p in tmp_path.iterdir() if p.name != "a store"] == [path.name]
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(record, tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot write"):
+        export(record(), "csv", tmp_path / "file" / "below")

@@ -1,0 +1,123 @@
+"""Runs that were recorded for real, damaged by hand, found out and mended."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from recorded import Config, events
+
+from tom.errors import UserError
+from tom.record import Recorder, RunReader, RunWriter, Store, sizes
+from tom.record.health import repair, verify
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def die(run: RunReader) -> None:
+    """Make the run look killed an hour ago."""
+    path = run.path / "status.json"
+    status = json.loads(path.read_text())
+    status |= {"state": "running", "heartbeat": status["heartbeat"] - 3600}
+    path.write_text(json.dumps(status))
+
+
+def test_a_whole_run_has_no_problems_and_nothing_to_mend(record):
+    run = record()
+    assert verify(run) == []
+    before = {p: p.read_bytes() for p in run.path.rglob("*") if p.is_file()}
+    assert repair(run) == []
+    assert {p: p.read_bytes() for p in run.path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    "name", ["episodes/000000500.npz", "buffer/000000000.npz", "weights/snapshot-000001000.parquet"]
+)
+def test_a_damaged_array_is_named_and_set_aside(record, name: str):
+    run = record()
+    truncate(run.path / name)
+    damaged = (run.path / name).read_bytes()
+    (problem,) = verify(run)
+    assert name in problem
+    (done,) = repair(run)
+    assert f"damaged/{name}" in done
+    assert (run.path / "damaged" / name).read_bytes() == damaged
+    assert verify(run) == []
+
+
+def test_damaged_lines_are_cut_out_and_kept_aside(record):
+    run = record()
+    table = run.metrics()
+    path = run.path / "metrics.jsonl"
+    whole = path.read_bytes()
+    torn = whole.replace(b"\n", b"\n{torn\n", 1) + b'{"env_step": 10'
+    path.write_bytes(torn)
+    assert len(verify(run)) == 2
+    done = repair(run)
+    assert "2 damaged lines cut out" in done[0]
+    assert path.read_bytes() == whole
+    assert (run.path / "damaged/metrics.jsonl").read_bytes() == torn
+    pd.testing.assert_frame_equal(run.metrics(), table)
+    assert verify(run) == []
+
+
+def test_damage_twice_keeps_both(record):
+    run = record()
+    for _ in range(2):
+        with (run.path / "notices.jsonl").open("ab") as file:
+            file.write(b"{half")
+        repair(run)
+    names = {p.name for p in (run.path / "damaged").iterdir()}
+    assert names == {"notices.jsonl", "notices.jsonl~2"}
+
+
+def test_a_run_that_died_is_said_to_have_stopped(record):
+    run = record()
+    die(run)
+    (run.path / "metrics.parquet").unlink()
+    (run.path / "weights/.snapshot-000000001.parquet.123.tmp").write_bytes(b"half")
+    assert any("says it is running" in problem for problem in verify(run))
+    done = repair(run)
+    assert any("running became stopped at step 1000" in line for line in done)
+    assert (run.path / "metrics.parquet").exists()
+    assert run.status.state == "stopped"
+    assert "--resume run" in run.status.reason
+    assert verify(run) == []
+
+
+@pytest.mark.parametrize("content", [None, "{", '{"state": 3}'])
+def test_a_status_that_is_lost_is_made_again(record, content: str | None):
+    run = record()
+    path = run.path / "status.json"
+    path.unlink()
+    if content is not None:
+        path.write_text(content)
+    assert verify(run)
+    repair(run)
+    assert (run.status.state, run.status.env_step, run.status.total) == ("stopped", 1000, 1000)
+    assert verify(run) == []
+
+
+def test_a_run_that_is_written_is_not_touched(store: Store):
+    with Recorder(RunWriter.create(store, "run", Config)):
+        assert verify(store.run("run")) == []
+        with pytest.raises(UserError, match="being written"):
+            repair(store.run("run"))
+
+
+def test_sizes_and_pruning_checkpoints(record):
+    run = record("run", events()[:200])
+    for step in (100, 200, 300):
+        folder = run.path / "checkpoint" / f"{step:09d}"
+        folder.mkdir(parents=True)
+        (folder / "state.pt").write_bytes(bytes(1000))
+    assert sizes.sizes(run)["checkpoint"] == 3000
+    assert sum(sizes.sizes(run).values()) == sum(
+        p.stat().st_size for p in run.path.rglob("*") if p.is_file()
+    )
+    assert sizes.prune(run, keep=1, dry_run=True) == 2000
+    assert len(sizes.checkpoints(run)) == 3
+    assert sizes.prune(run, keep=1) == 2000
+    assert [p.name for p in sizes.checkpoints(run)] == ["000000300"]

@@ -1,0 +1,110 @@
+"""`tom runs verify|repair|export|size|prune`: the files of runs."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from tom.cli.tables import show
+from tom.errors import UserError
+from tom.record import RunReader, Store, sizes
+from tom.record.export import EXPORTERS, export
+from tom.record.health import repair, verify
+
+KINDS = tuple(name for name in EXPORTERS if name != "small")
+MB = 1e6
+
+
+def add_verbs(verbs, add_verb) -> None:
+    verb = add_verb(
+        verbs, "verify", verify_runs, "read every file of runs [all]; 1 if any is damaged"
+    )
+    verb.add_argument("run_ids", metavar="RUN", nargs="*")
+    verb = add_verb(verbs, "repair", repair_runs, "mend damaged runs; nothing is lost")
+    verb.add_argument("run_ids", metavar="RUN", nargs="+")
+    verb = add_verb(verbs, "export", export_runs, "write runs in another format")
+    verb.add_argument("run_ids", metavar="RUN", nargs="+")
+    verb.add_argument("--format", choices=KINDS, default="csv", help="[csv]")
+    verb.add_argument(
+        "--small", action="store_true", help="a small copy of the run folder, to show and share"
+    )
+    verb.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
+    verb = add_verb(verbs, "size", size, "what runs [all] take on the disk, in MB")
+    verb.add_argument("run_ids", metavar="RUN", nargs="*")
+    verb = add_verb(verbs, "prune", prune, "delete old checkpoints of runs [all finished ones]")
+    verb.add_argument("run_ids", metavar="RUN", nargs="*")
+    verb.add_argument("--keep", type=int, default=1, help="checkpoints to keep of each run [1]")
+    verb.add_argument("--dry-run", action="store_true", help="say what it would free")
+
+
+def verify_runs(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    runs = _chosen(store, args.run_ids)
+    found = {run.run_id: verify(run) for run in runs}
+    if args.json:
+        print(json.dumps({"runs": found, "store": store.problems}))
+    else:
+        for problem in [f"{r}: {text}" for r, texts in found.items() for text in texts]:
+            print(problem)
+        for problem in store.problems:
+            print(problem)
+        bad = sum(map(bool, found.values()))
+        print(f"{len(found)} runs read, {bad} with problems")
+    return 1 if any(found.values()) or store.problems else 0
+
+
+def repair_runs(args: argparse.Namespace) -> int:
+    found = {run.run_id: repair(run) for run in _chosen(Store(args.store), args.run_ids)}
+    if args.json:
+        print(json.dumps(found))
+    else:
+        for run_id, done in found.items():
+            print("\n".join(f"{run_id}: {line}" for line in done or ["nothing to mend"]))
+    return 0
+
+
+def export_runs(args: argparse.Namespace) -> int:
+    kind = "small" if args.small else args.format
+    runs = _chosen(Store(args.store), args.run_ids)
+    paths = [str(export(run, kind, args.out)) for run in runs]
+    print(json.dumps(paths) if args.json else "\n".join(paths))
+    return 0
+
+
+def size(args: argparse.Namespace) -> int:
+    found = {run.run_id: sizes.sizes(run) for run in _chosen(Store(args.store), args.run_ids)}
+    if args.json:
+        print(json.dumps(found))
+        return 0
+    largest = sorted(found.items(), key=lambda item: -sum(item[1].values()))
+    rows = [(name, *_megabytes([*parts.values(), sum(parts.values())])) for name, parts in largest]
+    total = sum(sum(parts.values()) for parts in found.values())
+    show(f"{total / MB:.1f} MB in {len(rows)} runs", ("run", *sizes.PARTS, "all"), rows)
+    return 0
+
+
+def prune(args: argparse.Namespace) -> int:
+    if args.keep < 0:
+        raise UserError(f"--keep {args.keep}: must be 0 or more")
+    runs = _chosen(Store(args.store), args.run_ids)
+    if not args.run_ids:
+        runs = [run for run in runs if run.status.state == "finished"]
+    found = {run.run_id: sizes.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
+    freed = {name: count for name, count in found.items() if count}
+    if args.json:
+        print(json.dumps(freed))
+        return 0
+    would = "would free" if args.dry_run else "freed"
+    for name, count in freed.items():
+        print(f"{name}: {would} {count / MB:.1f} MB")
+    print(f"{would} {sum(freed.values()) / MB:.1f} MB in all")
+    return 0
+
+
+def _chosen(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
+    """The named runs, or all; a name that is wrong stops everything before it begins."""
+    return [store.run(run_id) for run_id in run_ids] if run_ids else store.runs()
+
+
+def _megabytes(counts: Sequence[int]) -> list[str]:
+    return [f"{count / MB:.1f}" for count in counts]

@@ -1,0 +1,113 @@
+"""A run in the formats of other tools: CSV, Parquet, JSON, TensorBoard events, a Rerun recording.
+
+Everything is made from the run's files and written under a temporary name first.
+"""
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tom.errors import UserError
+from tom.record.files import replace, replace_json
+from tom.record.reader import RunReader
+from tom.record.thin import thin
+
+
+def export(reader: RunReader, kind: str, folder: Path) -> Path:
+    """Write the run as `kind` into `folder` and return where it lies.
+
+    Raises UserError for an export that is there already and for a folder that cannot be written.
+    """
+    suffix, write = EXPORTERS[kind]
+    path = folder / (reader.run_id + suffix)
+    if os.path.lexists(path):
+        raise UserError(f"{path} exists already: move it away or choose another --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write(reader, path)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+    return path
+
+
+def description(reader: RunReader) -> dict[str, Any]:
+    """Everything of a run that is not an array: configuration, status, labels, rows, profiles."""
+    profiles = reader.profiles()
+    return {
+        "description": reader.config,
+        "status": asdict(reader.status),
+        "labels": asdict(reader.labels),
+        "metrics": reader.metrics().to_dict("records"),
+        "profiles": asdict(profiles),
+        "notices": reader.notices(),
+        "problems": reader.problems,
+    }
+
+
+def _csv(reader: RunReader, path: Path) -> None:
+    text = reader.metrics().to_csv(index=False, lineterminator="\n")
+    replace(path, lambda file: file.write(text.encode()), sync=False)
+
+
+def _parquet(reader: RunReader, path: Path) -> None:
+    table = pa.Table.from_pandas(reader.metrics(), preserve_index=False)
+    replace(path, lambda file: pq.write_table(table, file, compression="zstd"), sync=False)
+
+
+def _json(reader: RunReader, path: Path) -> None:
+    replace_json(path, description(reader), sync=False)
+
+
+def _tensorboard(reader: RunReader, folder: Path) -> None:
+    """A scalar for each metric; the clock is the run's own."""
+    # Imported here: most commands do without it.
+    from tensorboardX import SummaryWriter
+
+    begun = _unix(reader.created)
+    unfinished = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
+    try:
+        with SummaryWriter(str(unfinished)) as writer:
+            for row in reader.metrics().to_dict("records"):
+                step = int(row.pop("env_step"))
+                wall = row.get("time/wall_s", 0.0)
+                at = begun + (wall if wall == wall else 0.0)
+                for name, value in row.items():
+                    if value == value:  # NaN: this metric has no value at this step
+                        writer.add_scalar(str(name), value, step, walltime=at)
+        unfinished.rename(folder)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _rrd(reader: RunReader, path: Path) -> None:
+    # Imported here: Rerun takes half a second that the other formats need not wait for.
+    from tom.record.feed import Follower
+
+    follower = Follower(reader)
+    follower.follow()
+    replace(path, lambda file: file.write(follower.read()), sync=False)
+
+
+def _unix(created: str) -> float:
+    try:
+        return datetime.fromisoformat(created).timestamp()
+    except ValueError:
+        return 0.0
+
+
+EXPORTERS: dict[str, tuple[str, Callable[[RunReader, Path], object]]] = {
+    "csv": (".csv", _csv),
+    "parquet": (".parquet", _parquet),
+    "json": (".json", _json),
+    "tensorboard": ("", _tensorboard),
+    "rrd": (".rrd", _rrd),
+    "small": ("", thin),
+}
+"""What is written for each kind: its suffix and its writer."""

@@ -1,0 +1,165 @@
+"""Is a run whole? `verify` reads every file of it; `repair` mends what can be and loses nothing.
+
+What is damaged is moved into the run's `damaged/` folder, never deleted.
+"""
+
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tom.record import checkpoint, layout
+from tom.record.files import modified, parse_json_line, read_json_lines, replace_json
+from tom.record.files import replace as replace_file
+from tom.record.manage import unwritten
+from tom.record.reader import DAMAGE, RunReader
+
+DAMAGED = "damaged"
+LINES = (layout.METRICS, layout.PROFILES, layout.NOTICES)
+ENDED = "its process ended without a word: tom train --resume {run} goes on from a checkpoint"
+
+
+def verify(reader: RunReader) -> list[str]:
+    """Everything that is wrong with a run: a line each, none for a healthy one."""
+    fresh = RunReader(reader.path)
+    _ = fresh.config, fresh.labels
+    status = fresh.status
+    fresh.metrics()
+    fresh.profiles()
+    fresh.notices()
+    fresh.buffer()
+    problems = list(fresh.problems)
+    for path in _arrays(fresh.path):
+        error = _unreadable(path)
+        name = str(path.relative_to(fresh.path))
+        if error and not any(name in problem for problem in problems):
+            problems.append(f"{name} cannot be read: {error}")
+    if status.shown == "dead":
+        problems.append(f"says it is running, without a heartbeat since {_when(status.heartbeat)}")
+    folder = fresh.path / checkpoint.FOLDER
+    held = checkpoint.load(folder)
+    problems += held.problems if held else []
+    if held is None and folder.is_dir() and any(p.name.isdigit() for p in folder.iterdir()):
+        problems.append("no checkpoint is whole: the run cannot go on")
+    if not status.alive:
+        problems += [f"{_name(fresh, p)} is left from an interrupted write" for p in _left(fresh)]
+    return problems
+
+
+def repair(reader: RunReader) -> list[str]:
+    """Mend a run; what was done, a line each. Raises UserError while the run is being written.
+
+    Damaged lines are cut out and damaged arrays set aside, the state of a run that died becomes
+    `stopped`, the Parquet copy is made again, and what an interrupted write left is removed.
+    """
+    done: list[str] = []
+    with unwritten(reader):
+        for path in _left(reader):
+            path.unlink()
+            done.append(f"{_name(reader, path)}: removed, it was never whole")
+        done += [text for name in LINES if (text := _mend_lines(reader, name))]
+        for path in _arrays(reader.path):
+            if _unreadable(path):
+                done.append(f"{_name(reader, path)}: {_set_aside(reader, path)}")
+        done += [text for text in (_mend_status(reader), _mend_table(reader)) if text]
+    return done
+
+
+def _arrays(path: Path) -> Iterator[Path]:
+    for folder in ("", "weights", "episodes", "buffer", "fields"):
+        for file in sorted((path / folder).glob("*")):
+            if file.suffix in (".npz", ".parquet") and not file.name.startswith("."):
+                yield file
+
+
+def _unreadable(path: Path) -> str | None:
+    """Why an array file cannot be read to its end; None where it can."""
+    try:
+        if path.is_symlink():
+            raise ValueError("a link is not followed")
+        if path.suffix == ".parquet":
+            pq.ParquetFile(path).read()
+        else:
+            with np.load(path, allow_pickle=False) as file:
+                for name in file.files:
+                    file[name]
+    except DAMAGE as error:
+        return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+    return None
+
+
+def _left(reader: RunReader) -> list[Path]:
+    """Temporary files that an interrupted write left behind."""
+    return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file() and not p.is_symlink())
+
+
+def _mend_lines(reader: RunReader, name: str) -> str | None:
+    path = reader.path / name
+    if not path.is_file():
+        return None
+    rows, problems = read_json_lines(path)
+    if not problems:
+        return None
+    lines = path.read_bytes().split(b"\n")[:-1]
+    good = b"".join(line + b"\n" for line in lines if parse_json_line(line) is not None)
+    aside = _set_aside(reader, path)
+    replace_file(path, lambda file: file.write(good), sync=True)
+    return f"{name}: {len(problems)} damaged lines cut out of {len(rows) + len(problems)}; {aside}"
+
+
+def _set_aside(reader: RunReader, path: Path) -> str:
+    """Move a damaged file into the run's `damaged/` folder; says where."""
+    place = reader.path / DAMAGED / path.relative_to(reader.path)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while os.path.lexists(place):
+        number += 1
+        place = place.with_name(f"{path.name}~{number}")
+    path.rename(place)
+    return f"the damaged one is kept as {_name(reader, place)}"
+
+
+def _mend_status(reader: RunReader) -> str | None:
+    """Give a run that died, or whose status is damaged, a final state."""
+    file, status = reader.path / layout.STATUS, reader.status
+    if status.state not in ("running", "unknown"):
+        return None
+    if status.state == "unknown" and file.is_file():
+        _set_aside(reader, file)
+    table = reader.metrics()
+    last = int(table["env_step"].to_numpy().max(initial=0))
+    reason = ENDED.format(run=reader.run_id)
+    total = reader.config.get("config", {}).get("steps", 0)
+    ended = replace(
+        status,
+        state="stopped",
+        phase="",
+        reason=reason,
+        env_step=max(status.env_step, last),
+        total=status.total or (total if isinstance(total, int) else 0),
+        eta_s=None,
+    )
+    replace_json(file, asdict(ended), sync=True)
+    return f"{layout.STATUS}: {status.state} became stopped at step {ended.env_step}"
+
+
+def _mend_table(reader: RunReader) -> str | None:
+    rows, table = reader.path / layout.METRICS, reader.path / layout.METRICS_TABLE
+    if modified(table) >= modified(rows):
+        return None
+    content = pa.Table.from_pandas(reader.metrics(), preserve_index=False)
+    replace_file(table, lambda file: pq.write_table(content, file, compression="zstd"), sync=True)
+    return f"{layout.METRICS_TABLE}: made again"
+
+
+def _name(reader: RunReader, path: Path) -> str:
+    return str(path.relative_to(reader.path))
+
+
+def _when(unix: float) -> str:
+    return datetime.fromtimestamp(unix).isoformat(" ", "seconds") if unix > 0 else "ever"

@@ -1,0 +1,43 @@
+"""What a run takes on the disk, and what of it can go."""
+
+import shutil
+from pathlib import Path
+
+from tom.record import checkpoint, layout
+from tom.record.manage import unwritten
+from tom.record.reader import RunReader
+
+PARTS = ("buffer", "checkpoint", "episodes", "fields", "recording", "weights", "rest")
+
+
+def sizes(reader: RunReader) -> dict[str, int]:
+    """Bytes of each of PARTS."""
+    found: dict[str, int] = dict.fromkeys(PARTS, 0)
+    recordings = set(layout.rrd_files(reader.path))
+    for path in reader.path.rglob("*"):
+        if path.is_file() and not path.is_symlink():
+            top = path.relative_to(reader.path).parts[0]
+            part = "recording" if path in recordings else top if top in PARTS else "rest"
+            found[part] += path.stat().st_size
+    return found
+
+
+def checkpoints(reader: RunReader) -> list[Path]:
+    """The checkpoints of a run, newest first."""
+    folder = reader.path / checkpoint.FOLDER
+    if not folder.is_dir() or folder.is_symlink():
+        return []
+    return sorted((p for p in folder.iterdir() if p.name.isdigit()), reverse=True)
+
+
+def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
+    """Delete all but the `keep` newest checkpoints of a run; the bytes that this frees.
+
+    Raises UserError while the run is being written.
+    """
+    with unwritten(reader):
+        old = checkpoints(reader)[keep:]
+        freed = sum(f.stat().st_size for path in old for f in path.rglob("*") if f.is_file())
+        for path in old if not dry_run else ():
+            shutil.rmtree(path)
+    return freed
