@@ -139,7 +139,7 @@ def coarse(array: NDArray) -> NDArray:
     """Floats rounded to MANTISSA_BITS as float32, which compresses well; the rest as it is."""
     if not np.issubdtype(array.dtype, np.floating):
         return array
-    single = np.ascontiguousarray(array, np.float32)
+    single = np.array(array, np.float32, order="C")
     cut = 23 - MANTISSA_BITS
     bits = single.view(np.uint32).astype(np.uint64) + (1 << (cut - 1))  # round, not truncate
     rounded = ((bits >> cut) << cut).astype(np.uint32).view(np.float32)

@@ -94,6 +94,7 @@ def test_coarse_numbers_are_close_and_special_ones_stay():
     special = np.array([0.0, -0.0, np.inf, -np.inf, np.nan, 1.0])
     np.testing.assert_array_equal(coarse(special), special.astype(np.float32))
     assert coarse(np.array([True])).dtype == bool
+    assert coarse(np.array(1.5)).shape == ()
 
 
 @pytest.mark.parametrize("kind", sorted(EXPORTERS))
