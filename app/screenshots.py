@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 from PIL import Image
 
 from app.launcher import Studio, servers
+from app.router import VIEWS
 from app.theme import Mode
 from tom.errors import UserError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-PAGES = {"live": "", "compare": "compare", "weights": "weights", "road": "road"}
-"""name of the picture: path of the page"""
 WIDTHS = (1280, 1920)
 MODES: tuple[Mode, ...] = ("light", "dark")
 SETTLE_S = 45.0
@@ -52,9 +51,10 @@ def take(store: Path, folder: Path) -> int:
                 context = browser.new_context(
                     viewport={"width": width, "height": 900}, color_scheme=mode
                 )
-                for name, path in PAGES.items():
+                for view in VIEWS:
                     page = context.new_page()
-                    page.goto(f"{links.address}/{path}")
+                    page.goto(f"{links.address}/{view.PATH}")
+                    name = view.PATH or "live"
                     target = folder / f"{name}-{width}-{mode}.png"
                     target.write_bytes(compact(settled_picture(page)))
                     print(target, flush=True)

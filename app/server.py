@@ -10,6 +10,8 @@ from starlette.routing import Route
 
 from app.links import Links
 from app.plot import LIBRARY, LIBRARY_PATH
+from app.router import VIEWS
+from app.shell import page_routes
 from app.theme import streamlit_options
 from tom.errors import UserError
 from tom.record.reader import RunReader
@@ -40,6 +42,7 @@ def routes(links: Links) -> list[Route]:
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
         Route(LIBRARY_PATH, library),
+        *page_routes([view.PATH for view in VIEWS]),
     ]
 
 
@@ -70,6 +73,7 @@ def options(links: Links) -> dict:
         "browser.gatherUsageStats": False,
         "client.toolbarMode": "minimal",
         "client.showErrorDetails": "full",
+        "client.showErrorLinks": False,
         **streamlit_options(links.theme),
     }
 

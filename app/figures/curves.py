@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 
 from app import text
 from app.aggregate import Curve, Group, decimate
@@ -110,8 +111,7 @@ def _mean(group: Group, name: str, dash: str) -> list[go.Scatter]:
     parts = [go.Scatter(x=group.step[full], y=group.mean[full], customdata=group.count[full])]
     if not full.all():
         # Joined to the solid part, so that the eye sees one line that gets less certain.
-        rest = np.convolve(~full, [1, 1, 1], mode="same") > 0
-        value = np.where(rest, group.mean, np.nan)
+        value = np.where(_beside(~full), group.mean, np.nan)
         parts.append(go.Scatter(x=group.step, y=value, customdata=group.count))
     marked = len(group.step) < 40 and not group.interpolated
     for i, part in enumerate(parts):
@@ -130,6 +130,14 @@ def _mean(group: Group, name: str, dash: str) -> list[go.Scatter]:
             showlegend=i == 0,
         )
     return parts
+
+
+def _beside(here: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """True (T,) where `here` is, and on either side of it."""
+    wider = here.copy()
+    wider[1:] |= here[:-1]
+    wider[:-1] |= here[1:]
+    return wider
 
 
 def _hover(curve: Curve) -> str:

@@ -60,7 +60,10 @@ function options(Plotly, selects) {
   return {
     displaylogo: false,
     responsive: true,
-    modeBarButtonsToRemove: ["toImage", "autoScale2d", ...(selects ? [] : ["select2d", "lasso2d"])],
+    modeBarButtonsToRemove: [
+      ...["sendChartToCloud", "toImage", "autoScale2d"],
+      ...(selects ? [] : ["select2d", "lasso2d"]),
+    ],
     modeBarButtonsToAdd: [button("png"), button("svg")],
   };
 }
@@ -106,7 +109,9 @@ export default function ({ data, parentElement, setTriggerValue }) {
       if (!plot.isConnected) return;
       const { data: traces, layout } = JSON.parse(data.figure);
       plot.querySelector(".failed")?.remove();
-      Plotly.react(plot, traces, dressed(layout, theme(plot)), options(Plotly, data.selects));
+      // Plotly starts anew, zoom lost, when it gets other options: also other, equal functions.
+      plot.options ??= options(Plotly, data.selects);
+      Plotly.react(plot, traces, dressed(layout, theme(plot)), plot.options);
       if (!plot.wired) wire(plot, Plotly);
       plot.wired = true;
     },

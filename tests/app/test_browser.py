@@ -27,7 +27,7 @@ pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
 ]
-DRAWN_S = 150
+DRAWN_S = 60
 LOCAL = {"127.0.0.1", "localhost", ""}
 
 

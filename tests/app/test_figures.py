@@ -63,6 +63,17 @@ def test_a_long_curve_is_thinned_and_says_so() -> None:
     assert not notes(whole)
 
 
+def test_the_mean_of_two_steps_is_dotted_where_a_run_is_missing() -> None:
+    step = np.array([100, 200])
+    whole = Curve("a", "ant", "tom", "paper", 0, step, np.array([1.0, 2.0]))
+    short = Curve("b", "ant", "tom", "paper", 1, step[:1], np.array([3.0]))
+    lines = traces(group_curves([aggregate([whole, short])], "eval/return", 300, singles=False))
+    solid, dotted = lines[-2:]
+    assert solid.y.tolist() == [2]
+    assert dotted.y.tolist() == [2, 2]
+    assert dotted.line.dash == "dot"
+
+
 def test_seeds_of_one_learner_share_its_colour_but_not_their_dash() -> None:
     figure = run_curves([long_curve(50, s) for s in (0, 1)], "x", 300, legend=True)
     assert len({line.line.color for line in traces(figure)}) == 1

@@ -12,7 +12,6 @@ from studio_pages import TIMEOUT_S, array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
 from app.links import Links
-from app.screenshots import PAGES
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -171,9 +170,3 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
         assert not re.search(r"(?<!\\)!\[|(?<!\\)<img", element.value)
     for block in app.get("html"):
         assert "<img" not in block.proto.body
-
-
-def test_the_router_knows_every_page_that_is_pictured() -> None:
-    from app.router import VIEWS
-
-    assert [view.PATH for view in VIEWS] == list(PAGES.values())
