@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.config import OnlineConfig, RoadConfig
+from tom.config import ModelConfig
 from tom.dynamics import make_model
 from tom.dynamics.linear import LinearModel
 from tom.envs import MujocoTask, task
@@ -16,7 +16,6 @@ from tom.errors import UserError
 from tom.events import Episode
 from tom.offline import KnownTask
 from tom.record import RunReader, checkpoint
-from tom.run import recorded_config
 
 BATCH = 4096
 """rows that are predicted at once: more do not fit the processor's cache"""
@@ -62,26 +61,27 @@ def kept_model(run: RunReader) -> KeptModel:
     """The model that `run` ended with. Raises UserError where it kept none."""
     if run.learner == "sac":
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
-    config = recorded_config(run)
     held = checkpoint.load(run.path / checkpoint.FOLDER)
     if held is None:
         raise UserError(
             f"run '{run.run_id}' kept no dynamics model: it has no checkpoint that is whole"
         )
     try:
-        return KeptModel(held.env_step, _predictor(config, held.state["training"]))
-    except (KeyError, RuntimeError, ValueError) as error:
+        return KeptModel(held.env_step, _predictor(run, held.state["training"]))
+    except (KeyError, RuntimeError, ValueError) as error:  # ValidationError is a ValueError
+        reason = str(error).splitlines()[0]
         raise UserError(
-            f"the model in the checkpoint of run '{run.run_id}' is another version's: {error}"
+            f"the model in the checkpoint of run '{run.run_id}' is another version's: {reason}"
         ) from None
 
 
-def _predictor(config: Any, state: dict[str, Any]) -> Predictor:
-    if isinstance(config, RoadConfig):
+def _predictor(run: RunReader, state: dict[str, Any]) -> Predictor:
+    if run.env == "road-and-rocks":
         return _RoadModel(state["coefficients"])
-    assert isinstance(config, OnlineConfig)
-    known = task(config.env)
-    model = make_model(known.obs_dim, known.action_dim, config.model, torch.Generator())
+    known = task(run.env)
+    # The model's settings alone: another version may have other ones elsewhere.
+    config = ModelConfig.model_validate(run.config["config"]["model"])
+    model = make_model(known.obs_dim, known.action_dim, config, torch.Generator())
     model.load_state_dict(state["model"])
     return model
 

@@ -5,18 +5,50 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Client, Listener
 from pathlib import Path
+from typing import Any
 
 from app.theme import Mode
 
-MESSAGE_LIMIT = 10_000
+MESSAGE_LIMIT = 100_000
+
+
+@dataclass(frozen=True)
+class Road:
+    """Fits of road-and-rocks runs side by side; no run means the newest."""
+
+    runs: tuple[str, ...] = ()
+    step: int = -1
+
+
+@dataclass(frozen=True)
+class Replay:
+    """An evaluation episode from `frame` on, its ghost starting again every `horizon` steps."""
+
+    run: str
+    step: int
+    episode: int
+    frame: int
+    horizon: int
+
+
+@dataclass(frozen=True)
+class States:
+    """Robots in states of a run's replay buffer: two groups of row numbers, side by side."""
+
+    run: str
+    left: tuple[int, ...]
+    right: tuple[int, ...]
+
+
+Choice = Road | Replay | States
+KINDS: dict[str, type[Choice]] = {"road": Road, "replay": Replay, "states": States}
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What one browser frame is to show; an empty run means the newest."""
+    """What one browser frame is to show."""
 
-    run: str = ""
-    step: int = -1
+    choice: Choice
     mode: Mode = "light"
 
 
@@ -26,7 +58,7 @@ def tell(socket: str, client: str, selection: Selection) -> None:
     Raises OSError when the server is not there.
     """
     with Client(socket) as connection:
-        connection.send_bytes(json.dumps({"client": client, **asdict(selection)}).encode())
+        connection.send_bytes(packed(client, selection))
 
 
 def listen(socket: str, select: Callable[[str, Selection], None]) -> None:
@@ -35,5 +67,22 @@ def listen(socket: str, select: Callable[[str, Selection], None]) -> None:
     with Listener(socket) as listener:
         while True:
             with listener.accept() as connection:
-                message = json.loads(connection.recv_bytes(MESSAGE_LIMIT))
-            select(str(message.pop("client")), Selection(**message))
+                message = connection.recv_bytes(MESSAGE_LIMIT)
+            select(*unpacked(message))
+
+
+def packed(client: str, selection: Selection) -> bytes:
+    """A selection as a message."""
+    kind = next(name for name, made in KINDS.items() if isinstance(selection.choice, made))
+    what = {"client": client, "mode": selection.mode, "kind": kind}
+    return json.dumps({**what, "choice": asdict(selection.choice)}).encode()
+
+
+def unpacked(message: bytes) -> tuple[str, Selection]:
+    """The client and the selection of a message."""
+    what = json.loads(message)
+    choice: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in what["choice"].items()
+    }
+    return str(what["client"]), Selection(KINDS[what["kind"]](**choice), what["mode"])

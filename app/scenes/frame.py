@@ -1,48 +1,60 @@
-"""One browser frame of the viser server: its panel, its scene, what it shows."""
+"""What every browser frame of the viser server has: a panel, a scene, light, a camera."""
 
 import threading
-from functools import lru_cache
 
 import viser
 
-from app import pictures
 from app.colours import rgb
-from app.pictures import Picture
-from app.scenes import road as scene
 from app.scenes.control import Selection
-from app.theme import LEARNER_COLOURS, Mode
-from tom.errors import UserError
-from tom.record.reader import RunReader
-from tom.record.store import Store
+from app.theme import ACCENT, Mode
 
-CAMERA = (0.5, -0.12, 0.82)
-LOOK_AT = (0.5, 0.45, 0.0)
 GLOW: dict[Mode, float] = {"light": 0.45, "dark": 0.3}
 """brightness of the light from all sides"""
 
-
-@lru_cache(maxsize=64)
-def _picture(path: str, step: int) -> Picture | None:
-    return pictures.load(RunReader(path), step)
+Vector = tuple[float, float, float]
 
 
 class Frame:
-    """One connected browser frame: its panel, its scene, what it shows."""
+    """One connected browser frame that shows one kind of scene."""
 
-    def __init__(self, client: viser.ClientHandle, store: str, selection: Selection) -> None:
+    title: str
+    """the panel's"""
+    shadows = False
+    """shadows cost a weak machine half of its frames"""
+
+    def __init__(self, client: viser.ClientHandle, store: str, mode: Mode) -> None:
         self.client = client
         self.store = store
-        self.mode: Mode = selection.mode
+        self.mode: Mode = mode
         self._lock = threading.RLock()
-        self._handles: scene.Handles | None = None
-        self._drawn: tuple[str, int] | None = None
-        self._steps: list[int] = []
         self._dress()
-        client.gui.set_panel_label("Road and rocks")
-        client.camera.position = CAMERA
-        client.camera.look_at = LOOK_AT
+        client.gui.set_panel_label(self.title)
         self._build_panel()
-        self.show(selection)
+
+    def show(self, selection: Selection) -> None:
+        """Show what a page chose. Raises UserError where it cannot be read."""
+        with self._lock:
+            if selection.mode != self.mode:
+                self.mode = selection.mode
+                self._dress()
+                self._mode_changed()
+            self._show(selection)
+
+    def close(self) -> None:
+        """Leave an empty scene and panel for a frame of another kind."""
+        with self._lock:
+            self.client.gui.reset()
+            self.client.scene.reset()
+
+    def tick(self, seconds: float) -> None:
+        """So much time has passed: whatever plays goes on."""
+        with self._lock:
+            self._tick(seconds)
+
+    def look(self, position: Vector, at: Vector) -> None:
+        """Put the reader's camera somewhere."""
+        self.client.camera.position = position
+        self.client.camera.look_at = at
 
     def _dress(self) -> None:
         self.client.gui.configure_theme(
@@ -50,85 +62,19 @@ class Frame:
             show_logo=False,
             show_share_button=False,
             control_width="small",
-            brand_color=rgb(LEARNER_COLOURS["tom"]),
+            brand_color=rgb(ACCENT[self.mode]),
         )
-        # Shadows cost a weak machine half of its frames and show nothing of the data.
-        self.client.scene.configure_default_lights(cast_shadow=False)
+        self.client.scene.configure_default_lights(cast_shadow=self.shadows)
         self.client.scene.configure_environment_map("studio", environment_intensity=GLOW[self.mode])
 
     def _build_panel(self) -> None:
-        gui = self.client.gui
-        self.play = gui.add_checkbox("play the fits", initial_value=False)
-        with gui.add_folder("Another run or fit", expand_by_default=False):
-            self.run = gui.add_dropdown("run", tuple(self._runs()) or ("none",))
-            self.fit = gui.add_slider("fit", 0, 1, 1, 0)
-        with gui.add_folder("Layers", expand_by_default=False):
-            self.layers = {
-                name: gui.add_checkbox(label, initial_value=shown)
-                for name, label, shown in (
-                    ("columns", "weights as columns", True),
-                    ("expert", "expert's trajectories", True),
-                    ("learnt", "learnt policy's trajectories", True),
-                    ("true", "real displacement", False),
-                    ("modelled", "modelled displacement", False),
-                    ("boulders", "rocks", True),
-                )
-            }
-        self.run.on_update(lambda _: self._redraw())
-        self.fit.on_update(lambda _: self._redraw())
-        for layer in self.layers.values():
-            layer.on_update(lambda _: self._apply_layers())
+        raise NotImplementedError
 
-    def show(self, selection: Selection) -> None:
-        """Show what a page chose."""
-        with self._lock:
-            if selection.mode != self.mode:
-                self.mode, self._drawn = selection.mode, None
-                self._dress()
-            runs = self._runs()
-            if not runs:
-                return
-            self.run.options = tuple(runs)
-            self.run.value = selection.run if selection.run in runs else runs[0]
-            self._read_steps()
-            if selection.step in self._steps:
-                self.fit.value = self._steps.index(selection.step)
-            self._redraw()
+    def _show(self, selection: Selection) -> None:
+        raise NotImplementedError
 
-    def next_fit(self) -> None:
-        """The next fit while the slider plays; after the last the first."""
-        if self.play.value and len(self._steps) > 1:
-            self.fit.value = (int(self.fit.value) + 1) % len(self._steps)
+    def _mode_changed(self) -> None:
+        """What is drawn in the colours of the old mode is to be drawn again."""
 
-    def _runs(self) -> list[str]:
-        return [run.run_id for run in Store(self.store).runs() if run.env == pictures.ENV]
-
-    def _read_steps(self) -> None:
-        try:
-            self._steps = pictures.steps(Store(self.store).run(self.run.value))
-        except UserError:
-            self._steps = []  # it was deleted or damaged meanwhile: the last picture stays
-        last = max(len(self._steps) - 1, 1)
-        self.fit.max = last
-        self.fit.disabled = len(self._steps) < 2
-        self.fit.value = min(int(self.fit.value), last)
-
-    def _redraw(self) -> None:
-        with self._lock:
-            self._read_steps()
-            if not self._steps:
-                return
-            step = self._steps[min(int(self.fit.value), len(self._steps) - 1)]
-            path = str(Store(self.store).resolve(self.run.value))
-            picture = _picture(path, step)
-            if picture is None or self._drawn == (path, step):
-                return
-            self._drawn = (path, step)
-            with self.client.atomic():
-                self._handles = scene.draw(self.client.scene, picture, self.mode)
-                self._apply_layers()
-
-    def _apply_layers(self) -> None:
-        if self._handles is not None:
-            for name, box in self.layers.items():
-                getattr(self._handles, name).visible = bool(box.value)
+    def _tick(self, seconds: float) -> None:
+        """Nothing plays."""

@@ -13,6 +13,8 @@ from app.roadmap import RoadMap, circle, outline
 from app.scenes import arrays
 from app.theme import NEUTRAL, Mode, learner_colour
 
+CAMERA = (0.5, -0.12, 0.82)
+LOOK_AT = (0.5, 0.45, 0.0)
 LIFT = 0.006
 """lines lie this much above what they are drawn on"""
 _BOULDER = {"light": (176, 167, 155), "dark": (84, 80, 78)}
@@ -33,7 +35,7 @@ class Handles:
 
 def draw(scene: viser.SceneApi, picture: Picture, mode: Mode) -> Handles:
     """Draw all of a picture; nodes of an earlier one of the same name are replaced."""
-    _draw_map(scene, picture.road, mode)
+    draw_map(scene, picture.road, mode)
     colour = rgb(learner_colour(picture.learner))
     bars = arrays.columns(picture.grid)
     vertices, faces = arrays.unit_box()
@@ -57,7 +59,8 @@ def draw(scene: viser.SceneApi, picture: Picture, mode: Mode) -> Handles:
     )
 
 
-def _draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode) -> None:
+def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode) -> None:
+    """The floor with the road, its start and its goal."""
     scene.add_image(
         "/ground", arrays.ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
     )

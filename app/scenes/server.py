@@ -1,6 +1,7 @@
 """The viser server's process: one scene a browser frame, told what to show by the pages."""
 
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from urllib.parse import urlsplit
 
@@ -8,11 +9,15 @@ import viser
 from websockets.http11 import Request
 
 from app.links import Links
-from app.scenes.control import Selection, listen
+from app.scenes.control import Choice, Replay, Road, Selection, listen
 from app.scenes.frame import Frame
+from app.scenes.replay_frame import ReplayFrame
+from app.scenes.road_frame import RoadFrame
+from tom.errors import UserError
 
-PLAY_S = 0.8
-"""seconds that a fit is shown while the slider plays"""
+TICK_S = 1 / 30
+FRAMES: dict[type[Choice], type[Frame]] = {Road: RoadFrame, Replay: ReplayFrame}
+"""which frame shows what a page can choose"""
 
 
 class SceneServer:
@@ -35,19 +40,37 @@ class SceneServer:
         self.chosen[client] = selection
         if before == selection:
             return
-        for name, frame in list(self.frames.values()):
+        for number, (name, frame) in list(self.frames.items()):
             if name == client:
-                frame.show(selection)
+                self._show(number, name, frame, selection)
+
+    def tick(self, seconds: float) -> None:
+        """So much time has passed in every frame."""
+        for _, frame in list(self.frames.values()):
+            frame.tick(seconds)
+
+    def _show(self, number: int, name: str, frame: Frame, selection: Selection) -> None:
+        kind = FRAMES[type(selection.choice)]
+        if type(frame) is not kind:
+            frame.close()
+            frame = kind(frame.client, self.links.store, selection.mode)
+            self.frames[number] = (name, frame)
+        try:
+            frame.show(selection)
+        except UserError as error:  # deleted or damaged meanwhile: the last picture stays
+            frame.client.add_notification("Not shown", str(error), auto_close_seconds=8)
 
     def _connected(self, client: viser.ClientHandle) -> None:
         request = self._request(client)
         if request is None or not trusted(request.headers, self.links.allowed_hosts):
             return  # an empty scene: nothing of the store goes to a foreign page
         name = request.path.strip("/")
-        selection = self.chosen.get(name, Selection(mode=self.links.theme or "light"))
-        frame = Frame(client, self.links.store, selection)
+        selection = self.chosen.get(name, Selection(Road(), self.links.theme or "light"))
+        kind = FRAMES[type(selection.choice)]
+        frame = kind(client, self.links.store, selection.mode)
         self.frames[client.client_id] = (name, frame)
-        frame.show(self.chosen.get(name, selection))  # it may have changed while it was built
+        # It may have changed while it was built.
+        self._show(client.client_id, name, frame, self.chosen.get(name, selection))
 
     def _left(self, client: viser.ClientHandle) -> None:
         self.frames.pop(client.client_id, None)
@@ -73,10 +96,12 @@ def main() -> None:
     links = Links.from_environment()
     served = SceneServer(links)
     threading.Thread(target=listen, args=(links.control, served.select), daemon=True).start()
+    then = time.monotonic()
     while True:
-        threading.Event().wait(PLAY_S)
-        for _, frame in list(served.frames.values()):
-            frame.next_fit()
+        time.sleep(TICK_S)
+        now = time.monotonic()
+        served.tick(now - then)
+        then = now
 
 
 if __name__ == "__main__":

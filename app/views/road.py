@@ -9,8 +9,9 @@ from app.figures.road import road_map
 from app.pictures import ENV, Picture
 from app.plot import chart
 from app.readers import RunInfo
-from app.scenes.control import Selection, tell
+from app.scenes.control import Road
 from app.theme import learner_label
+from app.views.stage import stage
 
 TITLE = "Road and rocks"
 ICON = ":material/add_road:"
@@ -54,7 +55,7 @@ def page() -> None:
     _numbers(run, picture)
     left, right = st.columns([5, 4])
     with left:
-        _scene(run, step)
+        stage(Road((run.run_id,), step), HEIGHT)
     with right:
         figure = road_map(picture, session.mode(), HEIGHT)
         chart(figure, "road map", "mean weight over the map, with road and trajectories")
@@ -104,18 +105,6 @@ def _numbers(run: RunInfo, picture: Picture) -> None:
     show(4, "error, rocks", rocks, 2, "", "one-step error in full steps")
     score = last_value(frame, "eval/return", picture.step)
     show(5, "policy return", score, 1, "", "mean return of the policy at this step")
-
-
-def _scene(run: RunInfo, step: int) -> None:
-    links = session.links()
-    if not links.viser_port:
-        st.caption("The 3D scene runs when the studio is started with `tom studio`.")
-        return
-    try:
-        tell(links.control, session.client(), Selection(run.run_id, step, session.mode()))
-    except OSError:
-        st.warning("The 3D server does not answer; it is started again by itself.")
-    st.iframe(links.viser(session.host(), session.client()), height=HEIGHT)
 
 
 def _columns() -> dict:

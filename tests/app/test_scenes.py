@@ -15,7 +15,7 @@ from app.processes import free_port
 from app.roadmap import CELLS, on_road
 from app.scenes import arrays
 from app.scenes import road as scene
-from app.scenes.control import Selection, listen, tell
+from app.scenes.control import Replay, Road, Selection, States, listen, packed, tell, unpacked
 from app.scenes.server import trusted
 from tom.record.reader import RunReader
 
@@ -100,7 +100,7 @@ def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(path)
     threading.Thread(target=listen, args=(path, select), daemon=True).start()
-    wanted = Selection(ROAD_TOM, 60, "dark")
+    wanted = Selection(Road((ROAD_TOM,), 60), "dark")
     for _ in range(100):
         try:
             tell(path, "page", wanted)
@@ -109,6 +109,14 @@ def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
             arrived.wait(0.05)
     assert arrived.wait(10)
     assert heard == [("page", wanted)]
+
+
+@pytest.mark.parametrize(
+    "choice", [Road(("a", "b"), 3), Replay("a", 1, 2, 3, 4), States("a", (1, 2), ())]
+)
+def test_a_message_says_what_was_chosen(choice: Road | Replay | States) -> None:
+    selection = Selection(choice, "dark")
+    assert unpacked(packed("page", selection)) == ("page", selection)
 
 
 @pytest.mark.parametrize(
@@ -133,8 +141,8 @@ def test_on_every_interface_only_the_origin_counts() -> None:
 
 def test_a_server_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
-        tell(str(tmp_path / "none"), "page", Selection())
+        tell(str(tmp_path / "none"), "page", Selection(Road()))
     with socket.socket(socket.AF_UNIX) as lone:
         lone.bind(str(tmp_path / "deaf"))
         with pytest.raises(ConnectionRefusedError):
-            tell(str(tmp_path / "deaf"), "page", Selection())
+            tell(str(tmp_path / "deaf"), "page", Selection(Road()))

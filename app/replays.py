@@ -1,0 +1,115 @@
+"""One evaluation episode, and what the run's own model makes of it. Knows no viewer."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.pictures import ENV as ROAD
+from app.roadmap import RoadMap
+from tom.envs import task
+from tom.errors import UserError
+from tom.events import Episode
+from tom.imagine import Imagined, KeptModel, imagine, joint_positions, kept_model
+from tom.record import scene
+from tom.record.reader import RunReader
+
+ROAD_DT = 0.1
+"""seconds that a step of road-and-rocks takes on the screen: the task itself has no clock"""
+HORIZONS = (1, 5, 10, 25, 50, 100, 1000)
+"""steps after which the ghost may start again from the real state; the last is a whole episode"""
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """An episode of H steps as it was, and as the model at `model_step` imagines it."""
+
+    env: str
+    learner: str
+    step: int
+    dt: float  # seconds a step
+    episode: Episode
+    real: Floats  # (H + 1, nq) joint positions; road-and-rocks: positions (H + 1, 2)
+    ghost: Floats | None  # the same, imagined
+    imagined: Imagined | None
+    model_step: int | None
+    no_ghost: str  # why there is none
+    road: RoadMap | None  # road-and-rocks only
+
+    @property
+    def error(self) -> NDArray[np.float64]:
+        """Distance (H,) of each imagined state from the real one; needs a ghost.
+
+        Root mean square over dimensions, each in standard deviations of its change in a step.
+        """
+        assert self.imagined is not None
+        real = self.episode.obs
+        scale = np.diff(real, axis=0).std(0).clip(1e-6)
+        gap = (self.imagined.obs - real)[1:] / scale
+        return np.sqrt(np.square(gap, dtype=np.float64).mean(1))
+
+
+def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
+    """The episode `index` of the evaluation at `step`; None where it is not there.
+
+    The ghost starts again from the real state every `horizon` steps.
+    """
+    episodes = run.episodes(step)
+    if not 0 <= index < len(episodes) or not episodes[index].length:
+        return None
+    episode = episodes[index]
+    road = _road(run) if run.env == ROAD else None
+    real = episode.obs if road else episode.qpos
+    if real is None:
+        return None
+    dt = ROAD_DT if road else scene.model(run.env).dt
+    kept, why = _kept(run)
+    imagined = None if kept is None else imagine(kept.predictor, episode, horizon)
+    return Replay(
+        env=run.env,
+        learner=run.learner,
+        step=step,
+        dt=dt,
+        episode=episode,
+        real=real,
+        ghost=None if imagined is None else _ghost(run.env, episode, imagined, dt, horizon),
+        imagined=imagined,
+        model_step=None if kept is None else kept.env_step,
+        no_ghost=why,
+        road=road,
+    )
+
+
+def _ghost(env: str, episode: Episode, imagined: Imagined, dt: float, horizon: int) -> Floats:
+    if env == ROAD:
+        return imagined.obs
+    return joint_positions(task(env), episode, imagined.obs, dt, horizon)
+
+
+def _road(run: RunReader) -> RoadMap | None:
+    recorded = run.field_steps("map")
+    try:
+        return RoadMap.of(run.field("map", recorded[0])) if recorded else None
+    except KeyError:
+        return None
+
+
+def _kept(run: RunReader) -> tuple[KeptModel | None, str]:
+    try:
+        return _kept_at(str(run.path), _newest(run)), ""
+    except UserError as error:
+        return None, str(error)
+
+
+@lru_cache(maxsize=16)
+def _kept_at(path: str, checkpoint: str) -> KeptModel:
+    return kept_model(RunReader(path))
+
+
+def _newest(run: RunReader) -> str:
+    """The name of the newest checkpoint: what a cached model depends on."""
+    folder = run.path / "checkpoint"
+    return max((path.name for path in folder.glob("[0-9]*")), default="")

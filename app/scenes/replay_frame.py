@@ -1,0 +1,170 @@
+"""The browser frame that plays evaluation episodes."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import viser
+
+from app import replays
+from app.replays import Replay
+from app.scenes.control import Replay as Choice
+from app.scenes.control import Selection
+from app.scenes.frame import Frame
+from app.scenes.replay import ReplayScene
+from app.scenes.road import CAMERA, LOOK_AT
+from tom.errors import UserError
+from tom.record.store import Store
+
+SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0, "4 times": 4.0}
+
+WORDS_S = 0.2
+"""seconds between two updates of the words and the curve while an episode plays"""
+
+
+@lru_cache(maxsize=32)
+def _replay(store: str, run: str, step: int, episode: int, horizon: int) -> Replay | None:
+    return replays.load(Store(store).run(run), step, episode, horizon)
+
+
+class ReplayFrame(Frame):
+    """Plays one episode: scrub, speed, the ghost beside the robot, the reward so far."""
+
+    title = "Replay"
+    shadows = True
+
+    def _build_panel(self) -> None:
+        self._replay: Replay | None = None
+        self._scene: ReplayScene | None = None
+        self._choice: Choice | None = None
+        self._at = 0.0
+        self._since = 0.0
+        gui = self.client.gui
+        self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+        self.playing = False
+        self.frame = gui.add_slider("step", 0, 1, 1, 0)
+        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="real time")
+        self.follow = gui.add_checkbox("camera follows", initial_value=True)
+        self.ghost = gui.add_checkbox("model's ghost", initial_value=True)
+        self.words = gui.add_markdown("")
+        self.curve = None
+        self.play.on_click(lambda _: self._toggle())
+        self.frame.on_update(self._scrubbed)
+        for box in (self.follow, self.ghost):
+            box.on_update(lambda _: self._pose())
+
+    def _show(self, selection: Selection) -> None:
+        choice = selection.choice
+        assert isinstance(choice, Choice)
+        before, self._choice = self._choice, choice
+        replay = _replay(self.store, choice.run, choice.step, choice.episode, choice.horizon)
+        if replay is None:
+            raise UserError(f"episode {choice.episode + 1} of step {choice.step} cannot be read")
+        if replay is not self._replay:
+            self._draw(replay)
+        if before is None or before.frame != choice.frame:
+            self._go_to(choice.frame)
+        self._pose()
+
+    def _mode_changed(self) -> None:
+        self._replay = None
+
+    def _draw(self, replay: Replay) -> None:
+        other = self._replay is None or self._replay.env != replay.env
+        self._replay = replay
+        with self.client.atomic():
+            self.client.scene.reset()
+            self._scene = ReplayScene(self.client.scene, replay, self.mode)
+        if other and replay.road:
+            self.look(CAMERA, LOOK_AT)
+        elif other:
+            height = self._scene.height
+            away = 1.6 + 0.9 * height
+            # The panel covers the right: the robot stands left of the middle.
+            self.look((0.45 * away, -away, 0.5 + 0.6 * height), (0.25 * away, 0.0, 0.5 * height))
+        self.frame.max = replay.episode.length
+        self.ghost.disabled = replay.ghost is None
+        self._draw_curve(replay)
+        self._go_to(min(self._at, replay.episode.length))
+
+    def _draw_curve(self, replay: Replay) -> None:
+        if self.curve is not None:
+            self.curve.remove()
+        line = {"label": "reward", "stroke": "#8a92a3", "width": 1.5}
+        now = {"label": "now", "stroke": "#c8441c", "points": {"show": True, "size": 8}}
+        axis: dict[str, Any] = {"size": 28, "stroke": "#8a92a3", "grid": {"show": False}}
+        self.curve = self.client.gui.add_uplot(
+            self._curve_data(replay, 0),
+            ({"label": "seconds"}, line, now),  # pyright: ignore[reportArgumentType]
+            title="reward in each step, against seconds",
+            axes=(axis, {**axis, "size": 36}),  # pyright: ignore[reportArgumentType]
+            scales=self._scales(replay),
+            legend={"show": False},
+            height=150,
+        )
+
+    def _scales(self, replay: Replay) -> Any:
+        reward = replay.episode.reward
+        room = 0.05 * float(np.ptp(reward)) or 1.0
+        low, high = float(reward.min()) - room, float(reward.max()) + room
+        end = replay.dt * max(len(reward) - 1, 1)
+        return {"x": {"time": False, "range": (0.0, end)}, "y": {"range": (low, high)}}
+
+    def _curve_data(self, replay: Replay, frame: int) -> tuple[np.ndarray, ...]:
+        reward = replay.episode.reward.astype(np.float64)
+        mark = np.full(len(reward), np.nan)
+        mark[min(frame, len(reward) - 1)] = reward[min(frame, len(reward) - 1)]
+        return replay.dt * np.arange(len(reward)), reward, mark
+
+    def _toggle(self) -> None:
+        with self._lock:
+            self.playing = not self.playing
+            self.play.label = "Pause" if self.playing else "Play"
+            self.play.icon = viser.Icon.PLAYER_PAUSE if self.playing else viser.Icon.PLAYER_PLAY
+            if self.playing and self._replay and self._at >= self._replay.episode.length:
+                self._go_to(0)
+
+    def _scrubbed(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:  # moved by the reader, not by what plays
+            with self._lock:
+                self._at = float(self.frame.value)
+                self._pose()
+
+    def _go_to(self, frame: float) -> None:
+        self._at = float(np.clip(frame, 0, self.frame.max))
+        self.frame.value = int(self._at)
+
+    def _tick(self, seconds: float) -> None:
+        if not self.playing or self._replay is None:
+            return
+        self._go_to(self._at + seconds * SPEEDS[self.speed.value] / self._replay.dt)
+        self._since += seconds
+        self._pose()
+        if self._at >= self._replay.episode.length:
+            self._toggle()
+
+    def _pose(self) -> None:
+        with self._lock:
+            if self._scene is None or self._replay is None:
+                return
+            frame = int(self._at)
+            with self.client.atomic():
+                self._scene.pose(frame, follow=self.follow.value)
+                if self._scene.ghost is not None:
+                    self._scene.ghost.visible = self.ghost.value
+            if not self.playing or self._since >= WORDS_S:
+                self._since = 0.0
+                self._describe(frame)
+
+    def _describe(self, frame: int) -> None:
+        replay = self._replay
+        if replay is None or self.curve is None:
+            return
+        reward = replay.episode.reward
+        now = reward[min(frame, len(reward) - 1)]
+        self.words.content = (
+            f"{frame * replay.dt:.2f} s of {len(reward) * replay.dt:.2f} s  \n"
+            f"reward now **{now:.2f}**  \n"
+            f"return so far **{reward[:frame].sum():,.1f}** of {reward.sum():,.1f}"
+        )
+        self.curve.data = self._curve_data(replay, frame)

@@ -1,0 +1,46 @@
+"""Where robots stand: a floor that moves under a robot that the camera follows."""
+
+import numpy as np
+import viser
+
+from app.colours import rgb
+from app.theme import BACKGROUND, Mode
+
+CELL = 0.5
+"""metres between two lines of the floor"""
+SECTION = 2.0
+"""metres between two thick lines"""
+_FLOOR: dict[Mode, tuple[str, str, str]] = {
+    "light": ("#eef0f4", "#d3d8e2", "#aab2c2"),
+    "dark": ("#171b24", "#2b3240", "#465066"),
+}
+"""plane, thin lines, thick lines"""
+
+
+def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
+    """A floor without end at `height` metres."""
+    plane, thin, thick = (rgb(colour) for colour in _FLOOR[mode])
+    return scene.add_grid(
+        "/floor",
+        infinite_grid=True,
+        cell_size=CELL,
+        cell_color=thin,
+        section_size=SECTION,
+        section_color=thick,
+        fade_distance=18.0,
+        plane_color=plane,
+        plane_opacity=1.0,
+        shadow_opacity=0.25,
+        position=(0.0, 0.0, height),
+    )
+
+
+def sky(scene: viser.SceneApi, mode: Mode) -> None:
+    """The page's own colour behind everything."""
+    scene.set_background_image(np.full((1, 1, 3), rgb(BACKGROUND[mode]), np.uint8))
+
+
+def under(place: np.ndarray, height: float) -> tuple[float, float, float]:
+    """Where the floor lies when a robot at `place` (3,) is drawn at the origin."""
+    x, y = -np.mod(place[:2], SECTION)
+    return float(x), float(y), height

@@ -1,0 +1,175 @@
+"""Replays: every evaluation episode in 3D, beside it what the run's own model imagines."""
+
+from pathlib import Path
+
+import numpy as np
+import streamlit as st
+
+from app import readers, replays, session, text, widgets
+from app.figures.replay import error_curve, return_curve, reward_curve
+from app.plot import Point, chart
+from app.readers import RunInfo
+from app.replays import HORIZONS, Replay
+from app.scenes.control import Replay as Choice
+from app.theme import learner_label
+from app.views.stage import stage
+from tom.record import layout
+from tom.record.reader import RunReader
+
+TITLE = "Replays"
+ICON = ":material/replay:"
+PATH = "replays"
+
+STAGE_HEIGHT = 640
+DEFAULT_HORIZON = 25
+
+
+def page() -> None:
+    """A run, an evaluation, an episode; the robot, its return and its reward."""
+    listing = readers.listing(session.links().store)
+    played = [run for run in listing.runs if RunReader(run.path).evaluation_steps()]
+    if not played:
+        st.info("No run has been evaluated yet: its episodes are recorded then.")
+        return
+    top = st.columns([4, 3, 3, 3], vertical_alignment="bottom")
+    with top[0]:
+        run = widgets.pick_run(played)
+    with top[1]:
+        step = _pick_evaluation(RunReader(run.path).evaluation_steps())
+    returns = _returns(run.path, step, _stamp(run, step))
+    if not len(returns):
+        st.warning("The episodes of this evaluation cannot be read.")
+        return
+    with top[2]:
+        index = _pick_episode(returns)
+    with top[3]:
+        horizon = _pick_horizon()
+    replay = _replay(run.path, step, index, horizon, _stamp(run, step))
+    if replay is None:
+        st.warning("This episode cannot be read.")
+        return
+    _numbers(replay)
+    frame = _marked(replay)
+    left, right = st.columns([3, 2])
+    with left:
+        stage(Choice(run.run_id, step, index, frame, horizon), STAGE_HEIGHT)
+    with right:
+        _curves(run, replay, returns, index, frame)
+    widgets.show_problems(run)
+
+
+def _curves(run: RunInfo, replay: Replay, returns: np.ndarray, index: int, frame: int) -> None:
+    with st.container(border=True):
+        st.markdown("**Return**: click a point to see its episodes")
+        figure = return_curve(widgets.curve(run, "eval/return"), replay.step, returns, index, 190)
+        chart(figure, "replay returns", "return at every evaluation", _choose_episode)
+
+    def mark(point: Point) -> None:
+        st.session_state["frame"] = min(round(point.x / replay.dt), replay.episode.length)
+
+    with st.container(border=True):
+        st.markdown("**Reward of each step**: click to go there")
+        chart(reward_curve(replay, frame, 180), "replay reward", "reward of each step", mark)
+        if replay.imagined is not None:
+            st.markdown(
+                "**Distance of the ghost from the robot**",
+                help="root mean square over the observation's dimensions, each in standard "
+                "deviations of its change in one step",
+            )
+            chart(
+                error_curve(replay, frame, 150), "replay error",
+                "distance of the imagined state from the real one", mark,
+            )  # fmt: skip
+
+
+def _numbers(replay: Replay) -> None:
+    episode = replay.episode
+    columns = st.columns(5)
+    columns[0].metric("learner", text.markdown(learner_label(replay.learner)))
+    columns[1].metric("return", text.number(episode.undiscounted_return))
+    columns[2].metric(
+        "length", f"{episode.length:,} steps", help=f"{episode.length * replay.dt:.2f} seconds"
+    )
+    end = "time limit" if episode.truncated else "terminal state"
+    columns[3].metric("ended by", end if episode.truncated or episode.terminated else "-")
+    imagined = replay.imagined
+    columns[4].metric(
+        "return, imagined",
+        "-" if imagined is None else text.number(float(imagined.reward.sum())),
+        help="sum of the rewards that the model predicts along the ghost's path",
+    )
+    if replay.model_step is None:
+        st.caption(f"No ghost: {text.markdown(replay.no_ghost)}.")
+    else:
+        st.caption(
+            f"The ghost plays the recorded actions in the model that the run kept, of step "
+            f"{replay.model_step:,}: not the model of step {replay.step:,}. "
+            "Its place on the ground is integrated from its velocity."
+            if replay.model_step != replay.step
+            else f"The ghost plays the recorded actions in the run's model of step "
+            f"{replay.model_step:,}. Its place on the ground is integrated from its velocity."
+        )
+
+
+def _pick_evaluation(steps: list[int]) -> int:
+    if len(steps) == 1:
+        st.selectbox("Evaluation at step", steps, disabled=True, format_func=lambda s: f"{s:,}")
+    return widgets.pick_step("Evaluation at step", steps)
+
+
+def _pick_episode(returns: np.ndarray) -> int:
+    options = list(range(1, len(returns) + 1))
+    if st.session_state.get("episode", 1) not in options:
+        del st.session_state["episode"]
+
+    # What an option is called is what stands in the address.
+    chosen = st.selectbox(
+        f"Episode (of {len(returns)})", options, format_func=str, key="episode", bind="query-params"
+    )
+    return int(chosen or 1) - 1
+
+
+def _pick_horizon() -> int:
+    def label(steps: int) -> str:
+        return "whole episode" if steps == HORIZONS[-1] else f"{steps} step{'s' * (steps > 1)}"
+
+    chosen = st.selectbox(
+        "Ghost starts again every",
+        HORIZONS,
+        index=HORIZONS.index(DEFAULT_HORIZON),
+        format_func=label,
+        key="ghost",
+        bind="query-params",
+    )
+    return int(chosen or DEFAULT_HORIZON)
+
+
+def _marked(replay: Replay) -> int:
+    """The step of the episode that is marked, from the slider, a click or the address."""
+    last = replay.episode.length
+    if not 0 <= st.session_state.get("frame", 0) <= last:
+        del st.session_state["frame"]  # it was chosen in a longer episode
+    return int(st.slider("Marked step", 0, last, key="frame", bind="query-params"))
+
+
+def _choose_episode(point: Point) -> None:
+    """A point of the curve is an evaluation; a mark above or below it one of its episodes."""
+    episode = point.meta[point.index] if point.meta else 1
+    st.session_state["step"], st.session_state["episode"] = int(point.x), episode
+    st.session_state["frame"] = 0
+
+
+def _stamp(run: RunInfo, step: int) -> tuple[int, int]:
+    return readers.stamp(Path(run.path) / layout.episodes(step))
+
+
+@st.cache_data(show_spinner=False, max_entries=256)
+def _returns(path: str, step: int, changed: tuple[int, int]) -> np.ndarray:
+    return np.array([e.undiscounted_return for e in RunReader(path).episodes(step)])
+
+
+@st.cache_resource(show_spinner=False, max_entries=32)
+def _replay(
+    path: str, step: int, index: int, horizon: int, changed: tuple[int, int]
+) -> Replay | None:
+    return replays.load(RunReader(path), step, index, horizon)

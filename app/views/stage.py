@@ -1,0 +1,19 @@
+"""The viser frame as a part of a page."""
+
+import streamlit as st
+
+from app import session
+from app.scenes.control import Choice, Selection, tell
+
+
+def stage(choice: Choice, height: int) -> None:
+    """Show `choice` in 3D. A rerun of the page does not reload the frame."""
+    links = session.links()
+    if not links.viser_port:
+        st.caption("The 3D scene runs when the studio is started with `tom studio`.")
+        return
+    try:
+        tell(links.control, session.client(), Selection(choice, session.mode()))
+    except OSError:
+        st.warning("The 3D server does not answer; it is started again by itself.")
+    st.iframe(links.viser(session.host(), session.client()), height=height)

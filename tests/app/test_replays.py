@@ -1,0 +1,132 @@
+"""Replays: the episodes that were recorded, and what the run's own model makes of them."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from studio_pages import array, draw, figures, trace
+from studio_runs import PENDULUM_TOM, ROAD_TOM
+
+from app import replays
+from app.replays import ROAD_DT, Replay
+from app.scenes import solids
+from app.scenes.replay import track
+from tom.imagine import kept_model
+from tom.record.reader import RunReader
+
+pytestmark = pytest.mark.usefixtures("studio")
+
+
+@pytest.fixture
+def run(store: Path) -> RunReader:
+    return RunReader(store / PENDULUM_TOM)
+
+
+def loaded(run: RunReader, step: int, horizon: int = 10) -> Replay:
+    found = replays.load(run, step, 0, horizon)
+    assert found is not None
+    return found
+
+
+def test_a_replay_is_the_recorded_episode_and_a_ghost(run: RunReader) -> None:
+    replay = loaded(run, 400)
+    episode = run.episodes(400)[0]
+    assert replay.real == pytest.approx(episode.qpos)
+    assert replay.ghost is not None
+    assert replay.ghost[0] == pytest.approx(replay.real[0], abs=1e-6)
+    assert replay.model_step == 400
+    assert replay.no_ghost == ""
+    assert len(replay.error) == episode.length
+
+
+def test_the_ghost_of_one_step_is_nearer_than_that_of_many(run: RunReader) -> None:
+    assert loaded(run, 400, 1).error.mean() < loaded(run, 400, 50).error.mean()
+
+
+def test_an_episode_that_is_not_there_is_none(run: RunReader) -> None:
+    assert replays.load(run, 400, 99, 10) is None
+    assert replays.load(run, 401, 0, 10) is None
+
+
+def test_a_run_without_a_model_has_no_ghost(store: Path, tmp_path: Path) -> None:
+    bare = shutil.copytree(store / PENDULUM_TOM, tmp_path / "bare")
+    shutil.rmtree(bare / "checkpoint")
+    replay = loaded(RunReader(bare), 400)
+    assert replay.ghost is None
+    assert "no dynamics model" in replay.no_ghost
+
+
+def test_road_and_rocks_is_replayed_on_its_map(store: Path) -> None:
+    run = RunReader(store / ROAD_TOM)
+    replay = loaded(run, run.evaluation_steps()[-1], 5)
+    assert replay.road is not None
+    assert replay.dt == ROAD_DT
+    assert replay.ghost is not None
+    _, following = kept_model(run).predictor.predict(*first_step(replay))
+    assert replay.ghost[1] == pytest.approx(following[0].numpy(), abs=1e-6)
+    driven = track(replay.env, replay.real)
+    assert driven.root[:, :2] == pytest.approx(replay.real, abs=0.01)
+
+
+def first_step(replay: Replay) -> tuple[torch.Tensor, torch.Tensor]:
+    episode = replay.episode
+    return torch.from_numpy(episode.obs[:1]), torch.from_numpy(episode.action[:1])
+
+
+def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
+    app = draw("replays", run=PENDULUM_TOM, episode="2", frame="3")
+    episodes = run.episodes(400)
+    values = {metric.label: metric.value for metric in app.metric}
+    assert values["return"] == f"{episodes[1].undiscounted_return:,.1f}"
+    assert values["length"] == f"{episodes[1].length:,} steps"
+    returns, reward, error = figures(app)
+    chosen = trace(returns, name="the one shown")
+    assert array(chosen["x"]).tolist() == [400]
+    assert array(chosen["y"]) == pytest.approx([episodes[1].undiscounted_return])
+    assert chosen["meta"] == [2]
+    curve = trace(returns, name="mean of the evaluation")
+    mean = run.metrics()[["env_step", "eval/return"]].dropna()
+    assert array(curve["x"]).tolist() == mean["env_step"].tolist()
+    assert array(curve["y"]) == pytest.approx(np.array(mean["eval/return"]))
+    replay = replays.load(run, 400, 1, 25)
+    assert replay is not None
+    assert array(trace(reward, name="real")["y"]) == pytest.approx(episodes[1].reward)
+    assert reward["layout"]["shapes"][0]["x0"] == pytest.approx(3 * replay.dt)
+    assert array(error["data"][0]["y"]) == pytest.approx(replay.error)
+
+
+def test_the_page_says_whose_model_imagines() -> None:
+    app = draw("replays", run=ROAD_TOM, step="30")
+    assert any("not the model of step 30" in caption.value for caption in app.caption)
+    app = draw("replays", run=ROAD_TOM, step="60")
+    assert any("the run's model of step 60" in caption.value for caption in app.caption)
+
+
+def test_a_frame_of_a_longer_episode_is_forgotten() -> None:
+    app = draw("replays", run=PENDULUM_TOM, step="400", frame="999", episode="77")
+    assert app.slider(key="frame").value == 0
+    assert app.selectbox(key="episode").value == 1
+
+
+def test_a_capsule_is_closed_and_as_long_as_it_says() -> None:
+    vertices, faces = solids.capsule(0.1, 0.3)
+    assert np.abs(vertices[:, 2]).max() == pytest.approx(0.4)
+    assert np.linalg.norm(vertices[:, :2], axis=1).max() == pytest.approx(0.1)
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1) / 2
+    exact = 4 * np.pi * 0.1**2 + 2 * np.pi * 0.1 * 0.6
+    assert area.sum() == pytest.approx(exact, rel=0.05)
+    centre = corners.mean(1) * (1, 1, 0)
+    side = np.abs(corners[..., 2]).max(1) <= 0.3 + 1e-6
+    assert ((normal * centre).sum(1)[side] > 0).all()  # seen from outside
+
+
+def test_a_car_looks_where_it_drives() -> None:
+    line = np.array([[0, 0], [0.1, 0], [0.1, 0.1]])
+    assert solids.headings(line) == pytest.approx([0, np.pi / 2, np.pi / 2])
+    car = solids.car(line)
+    assert car.position[:, 0, :2] == pytest.approx(line)
+    assert car.wxyz[1, 0] == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
