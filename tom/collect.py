@@ -1,8 +1,8 @@
 """Steps taken in a real environment, with the simulator's state beside each of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
 from tom.envs.mujoco import MujocoTask
+from tom.envs.state import capture, restore
 from tom.learners.base import Policy
 
 
@@ -57,6 +58,21 @@ class Collector:
             self.obs = self._env.reset()[0]
             self._return, self._length = 0.0, 0
         return step
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the episode stands, as tensors and primitives."""
+        return {
+            "env": capture(self._env),
+            "obs": torch.from_numpy(self.obs),
+            "episode": [self._return, float(self._length)],
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on with that episode, to the last bit."""
+        restore(self._env, state["env"])
+        self.obs = state["obs"].numpy()
+        self._return, length = state["episode"]
+        self._length = int(length)
 
 
 @dataclass(frozen=True)

@@ -44,12 +44,15 @@ METRICS: dict[str, str] = {
     "temperature/value": "SAC: entropy temperature",
     "rollout/reward": "mean model-predicted reward of the rollouts",
     "rollout/terminated": "share of rollout steps that end in a terminal state",
+    "rollout/diverged": "share of rollout steps whose prediction was not finite (left out)",
+    "rollout/exploded": "share of rollout steps that lead 100 times beyond the largest start state",
     "planner/return": "return of the planner in the learnt model, driven in the real task (road-and-rocks)",
     "planner/success": "share of the planner's episodes that reach the goal (road-and-rocks)",
     "buffer/size": "transitions in the replay buffer",
     "time/wall_s": "seconds since the run started (resumes added up)",
     "time/env_steps_per_s": "environment steps a second since the last row",
     "time/record_s": "seconds spent recording so far",
+    "time/checkpoint_s": "seconds spent writing checkpoints so far",
 }
 
 

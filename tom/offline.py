@@ -20,6 +20,7 @@ from tom.data.transitions import Transitions
 from tom.dynamics.linear import LinearModel
 from tom.envs import road, road_data
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick, Weights
+from tom.health import require_finite
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting
 from tom.learners.baselines import BASELINES
@@ -85,15 +86,35 @@ class Offline:
                 yield Metrics(self.env_step, self.roll_out_model())
             self.optimise_policy()
             self.env_step += 1
-            last = self.env_step == config.steps
-            recorded = last or self.env_step % config.fit_every == 0
-            if recorded or self.env_step % config.evaluation.every == 0:
-                yield from self.evaluate()
-            if recorded:
-                if config.learner in FOLLOW_THE_VALUE:
-                    yield from self.fit(value_gradient=True)
-                yield from self.record()
+            yield from self.look()
             yield Tick(self.env_step, "optimise")
+
+    def look(self) -> Iterator[Event]:
+        """Evaluation, weights and model where they are due; at the last step in any case.
+
+        A last look out of turn leaves no trace, so that a run that is given more steps later is
+        the run that had them from the beginning.
+        """
+        config = self.config
+        in_turn = self.env_step % config.fit_every == 0
+        evaluated = in_turn or self.env_step % config.evaluation.every == 0
+        if evaluated:
+            yield from self.evaluate()
+        if in_turn:
+            yield from self.follow()
+        elif self.env_step == config.steps:
+            before = self.streams.state_dict(), self.weighting, self.model
+            if not evaluated:
+                yield from self.evaluate()
+            yield from self.follow()
+            self.streams.load_state_dict(before[0])
+            self.weighting, self.model = before[1:]
+
+    def follow(self) -> Iterator[Event]:
+        """The record; before it a new fit, where the weights change with the value function."""
+        if self.config.learner in FOLLOW_THE_VALUE:
+            yield from self.fit(value_gradient=True)
+        yield from self.record()
 
     def begin(self) -> Iterator[Event]:
         """The data, the first weighted fit, and what its model is worth before SAC starts."""
@@ -173,6 +194,7 @@ class Offline:
         for _ in range(self.config.updates_per_step):
             rows = uniform_indices(len(self.model_buffer), size, generator)
             self._sac_metrics = self.policy.update(self.model_buffer.gather(rows))
+        require_finite(self._sac_metrics, self.env_step)
 
     def evaluate(self) -> Iterator[Event]:
         """Episodes of the mean policy in the real task."""

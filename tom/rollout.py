@@ -14,6 +14,9 @@ from tom.learners.base import Policy
 
 Termination = Callable[[Tensor], Tensor]  # next_obs (B, O) -> terminated (B,)
 
+EXPLODED = 100.0
+"""a modelled state this many times beyond the largest start state has exploded"""
+
 
 class Simulator(Protocol):
     """What a rollout needs of a dynamics model."""
@@ -50,7 +53,8 @@ def roll_out(
     A rollout ends where `terminated` says so, or where the model's prediction is not finite.
     Rows are predicted in chunks that stay in the processor's cache.
     """
-    reward_sum, ended, steps = 0.0, 0, 0
+    reward_sum, ended, steps, diverged, exploded = 0.0, 0, 0, 0, 0
+    far = EXPLODED * starts.abs().amax()
     for chunk in starts.split(config.chunk):
         obs = chunk
         for _ in range(length):
@@ -58,6 +62,7 @@ def roll_out(
             reward, next_obs = model.sample(obs, action, generator)
             finite = next_obs.isfinite().all(-1) & reward.isfinite()
             if not bool(finite.all()):
+                diverged += int((~finite).sum())
                 obs, action, reward = obs[finite], action[finite], reward[finite]
                 next_obs = next_obs[finite]
             end = terminated(next_obs)
@@ -68,10 +73,13 @@ def roll_out(
             reward_sum += float(reward.sum())
             ended += int(end.sum())
             steps += len(obs)
+            exploded += int((next_obs.abs().amax(-1) > far).sum())
             obs = next_obs[~end]
             if not len(obs):
                 break
     return {
         "rollout/reward": reward_sum / max(steps, 1),
         "rollout/terminated": ended / max(steps, 1),
+        "rollout/diverged": diverged / max(steps + diverged, 1),
+        "rollout/exploded": exploded / max(steps, 1),
     }

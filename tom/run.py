@@ -1,8 +1,8 @@
 """One training, from its configuration to a finished run folder; put down and taken up again."""
 
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from time import perf_counter
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -12,10 +12,14 @@ from tom.config import OnlineConfig, RoadConfig, RunConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.events import Event, Notice, Tick
+from tom.health import Watch
 from tom.matmul import choose_matmul
 from tom.mbpo import Mbpo
 from tom.offline import Offline
-from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, open_sink
+from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, open_sink
+from tom.record.checkpoint import Checkpoint
+from tom.record.heartbeat import BEAT_S
+from tom.record.writer import TakenError
 from tom.sac_recording import SacRecording
 
 AnyConfig = OnlineConfig | RoadConfig | SacRecordingConfig
@@ -24,14 +28,9 @@ STOPPED = "stopped at step {step}: tom train --resume {run} goes on"
 
 
 class Training(Protocol):
-    """What is trained: a generator of events."""
+    """A generator of events that can be put down at the end of any step and taken up again."""
 
     def events(self) -> Iterator[Event]: ...
-
-
-@runtime_checkable
-class Resumable(Training, Protocol):
-    """A training that can be put down at the end of any step."""
 
     def state_dict(self) -> dict[str, Any]: ...
 
@@ -80,11 +79,22 @@ def train(
     """
     torch.set_num_threads(config.threads)
     matmul = choose_matmul(config.matmul)
-    run_id = run_id or store.new_run_id(config.env, config.learner, config.seed)
-    writer = RunWriter.create(store, run_id, config, matmul=matmul.record(), command=command)
+    writer = _new_writer(store, run_id, config, matmul=matmul.record(), command=command)
     with Recorder(writer, open_sink(writer) if rerun else None) as recorder:
-        _record(make_training(config), recorder, writer, watchers, stop)
+        _record(make_training(config), Watch(config), recorder, writer, watchers, stop)
     return RunReader(writer.path)
+
+
+def _new_writer(store: Store, run_id: str | None, config: AnyConfig, **how: Any) -> RunWriter:
+    """The writer of a new run; a name that is made up here is free, also when two start at once."""
+    if run_id is not None:
+        return RunWriter.create(store, run_id, config, **how)
+    while True:
+        made_up = store.new_run_id(config.env, config.learner, config.seed)
+        try:
+            return RunWriter.create(store, made_up, config, **how)
+        except TakenError:
+            continue
 
 
 def resume(
@@ -104,28 +114,79 @@ def resume(
     reader = store.run(run_id)
     config = recorded_config(reader)
     if steps is not None:
-        config = config.but(steps=steps)
-    training = make_training(config)
-    if not isinstance(training, Resumable):
-        raise UserError(f"a {config.env} {config.learner} run cannot be resumed: start it again")
-    held = checkpoint.load(reader.path / checkpoint.FOLDER)
-    if held is None:
-        raise UserError(f"run '{run_id}' has no checkpoint that is whole: start it again")
-    if held.env_step >= config.total_steps:
-        raise UserError(
-            f"run '{run_id}' is complete at step {held.env_step}: give it more with --steps"
-        )
-    torch.set_num_threads(config.threads)
-    choose_matmul(reader.config["matmul"]["chosen"])
-    training.load_state_dict(held.state["training"], *_collected(reader, held.state["training"]))
-    writer = RunWriter(reader.path, config)
-    mark = held.state["record"]
+        config = _with_steps(config, steps)
+    if reader.status.alive:
+        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+    writer = RunWriter(reader.path, config)  # from here on no other process writes the run
+    try:
+        held = _checkpoint(reader, config)
+        torch.set_num_threads(config.threads)
+        choose_matmul(reader.config.get("matmul", {}).get("chosen", config.matmul))
+        training, watch = make_training(config), Watch(config)
+        mark = _go_on(reader, held, training, watch)
+    except BaseException:
+        writer.close()
+        raise
+    held.drop_unusable()
     with Recorder(writer, open_sink(writer) if rerun else None, mark=mark) as recorder:
         writer.resumed(config, command)
         for problem in held.problems:
             recorder.consume(Notice(held.env_step, "checkpoint", problem))
-        _record(training, recorder, writer, watchers, stop)
+        _record(training, watch, recorder, writer, watchers, stop)
     return RunReader(writer.path)
+
+
+def _with_steps(config: AnyConfig, steps: int) -> AnyConfig:
+    if isinstance(config, SacRecordingConfig):
+        raise UserError(
+            "a SAC recording cannot be given other --steps: its halves depend on them; record anew"
+        )
+    return config.but(steps=steps)
+
+
+def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
+    held = checkpoint.load(reader.path / checkpoint.FOLDER)
+    if held is None:
+        raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: start it again")
+    if held.env_step >= config.total_steps:
+        raise UserError(
+            f"run '{reader.run_id}' is complete at step {held.env_step}: give it more with --steps"
+        )
+    return held
+
+
+def unfinished(store: Store, config: AnyConfig) -> str | None:
+    """The newest run with these settings, or with fewer steps, that can go on to its last one.
+
+    Runs that are being written, and those without a whole checkpoint, are passed over.
+    """
+    wanted = config.model_dump(mode="json")
+    for reader in store.runs():
+        given = reader.config.get("config")
+        if not isinstance(given, dict) or given.get("steps", 0) > config.steps:
+            continue
+        if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
+            continue
+        held = checkpoint.load(reader.path / checkpoint.FOLDER)
+        if held is not None and held.env_step < config.total_steps:
+            return reader.run_id
+    return None
+
+
+def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch) -> dict[str, Any]:
+    """Put `training` where it stood; returns where its record stood."""
+    try:
+        state = held.state["training"]
+        training.load_state_dict(state, *_collected(reader, state["collected"]))
+        if "watch" in held.state:
+            watch.load_state_dict(held.state["watch"])
+        return held.state["record"]
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        reason = str(error).partition("\n")[0]
+        raise UserError(
+            f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is another "
+            f"version's ({type(error).__name__}: {reason}): start it again"
+        ) from error
 
 
 def recorded_config(reader: RunReader) -> AnyConfig:
@@ -146,39 +207,61 @@ def recorded_config(reader: RunReader) -> AnyConfig:
 
 def _record(
     training: Training,
+    watch: Watch,
     recorder: Recorder,
     writer: RunWriter,
     watchers: Sequence[Consumer],
     stop: Stop | None,
 ) -> None:
-    every = writer.config.checkpoint_every
-    at = saved_at = 0
-    for event in training.events():
+    every, total = writer.config.checkpoint_every, writer.config.total_steps
+    listening = list(watchers)
+    for event in watch.over(training.events()):
         recorder.consume(event)
-        for watch in watchers:
-            watch(event)
+        _tell(listening, event)
         if not (isinstance(event, Tick) and event.ends_step):
             continue
         at = event.env_step
         asked = stop is not None and stop.asked
-        if asked or (every and at % every == 0) or at == writer.config.total_steps:
-            _save(training, recorder, writer.path, at)
-            saved_at = at
-        if asked and at < writer.config.total_steps:
-            hint = STOPPED if saved_at else "stopped at step {step}"
+        if asked or (every and at % every == 0) or at == total:
+            _save(training, watch, recorder, writer, at)
+        if asked and at < total:
+            saved = checkpoint.newest(writer.path / checkpoint.FOLDER)
+            hint = STOPPED if saved is not None else "stopped at step {step}, no checkpoint"
             recorder.finish("stopped", hint.format(step=at, run=writer.run_id))
             return
 
 
-def _save(training: Training, recorder: Recorder, path: Path, env_step: int) -> None:
-    if isinstance(training, Resumable):
-        state = {"training": training.state_dict(), "record": recorder.mark()}
-        checkpoint.save(path / checkpoint.FOLDER, env_step, state)
+def _tell(watchers: list[Consumer], event: Event) -> None:
+    """Pass an event on; a watcher whose terminal or pipe is gone is dropped, the run goes on."""
+    for watcher in tuple(watchers):
+        try:
+            watcher(event)
+        except OSError:
+            watchers.remove(watcher)
 
 
-def _collected(reader: RunReader, state: dict[str, Any]) -> tuple[Transitions, np.ndarray]:
+def _save(
+    training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, env_step: int
+) -> None:
+    """Write a checkpoint; where the disk refuses it, the one before stays and training goes on."""
+    begun = perf_counter()
+    try:
+        state = {
+            "training": training.state_dict(),
+            "watch": watch.state_dict(),
+            "record": recorder.mark(),
+        }
+        checkpoint.save(writer.path / checkpoint.FOLDER, env_step, state)
+    except OSError as error:
+        before = checkpoint.newest(writer.path / checkpoint.FOLDER)
+        stays = "there is none yet" if before is None else f"that of step {before} stays"
+        message = f"no checkpoint could be written ({error}): {stays}; free some space"
+        recorder.consume(Notice(env_step, "checkpoint", message))
+    recorder.checkpoint_took(perf_counter() - begun)
+
+
+def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
     rows, versions = reader.buffer()
-    n = state["collected"]
     if len(rows) < n:
         raise UserError(
             f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start again"

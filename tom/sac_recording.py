@@ -5,6 +5,7 @@ analysis of importance weights, section 5.2). Like `Mbpo`, a generator of events
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,9 +16,11 @@ from tom.collect import Collector, Step, transitions_of
 from tom.config import SacRecordingConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
+from tom.data.transitions import Transitions
 from tom.envs import MujocoTask, task
 from tom.evaluate import Evaluator
 from tom.events import Collected, Evaluation, Event, Metrics, Tick, TrainedPolicy
+from tom.health import require_finite
 from tom.policy_file import policy_arrays
 from tom.rng import Streams
 from tom.sac import Sac
@@ -39,41 +42,40 @@ class SacRecording:
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
         self.env_step = 0
         self.policy_version = 0
+        self._collector = Collector(self.task, self.streams.integer("random env"))
         self._collected: list[tuple[Step, int]] = []
         self._sac_metrics: dict[str, Tensor] = {}
 
     def events(self) -> Iterator[Event]:
-        """The whole recording, from its first random step to the trained policy."""
-        yield from self.random_steps()
-        yield from self.train()
-        yield TrainedPolicy(self.env_step, policy_arrays(self.config.env, self.sac.actor))
-
-    def random_steps(self) -> Iterator[Event]:
-        """The first half: uniformly random actions."""
-        collector = Collector(self.task, self.streams.integer("random env"))
-        for _ in range(self.config.steps):
-            self._add(collector.step(self._random_action()), version=0)
-            yield from self._hand_over("explore")
-        yield from self._flush()
-
-    def train(self) -> Iterator[Event]:
-        """The second half: SAC learns from its own steps while it takes them."""
+        """The recording, from where it stands to the trained policy."""
         config = self.config
-        collector = Collector(self.task, self.streams.integer("env"))
-        for taken in range(1, config.steps + 1):
-            explores = taken <= config.exploration_steps
-            action = self._random_action() if explores else self._policy_action(collector.obs)
-            step = collector.step(action)
-            self._add(step, 0 if explores else self.policy_version)
-            self.replay.add(*step[:6])
-            if step.ended:
-                yield Metrics(self.env_step, _episode(step))
-            if taken >= config.exploration_steps:
-                self.optimise()
-            if taken % config.evaluation.every == 0 or taken == config.steps:
-                yield from self.evaluate()
+        while self.env_step < config.steps:
+            self._add(self._collector.step(self._random_action()), version=0)
+            yield from self._hand_over("explore")
+        if self.env_step == config.steps:
+            yield from self._flush()
+            self._collector = Collector(self.task, self.streams.integer("env"))
+        while self.env_step < config.total_steps:
+            yield from self.learn()
             yield from self._hand_over("optimise")
         yield from self._flush()
+        yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac.actor))
+
+    def learn(self) -> Iterator[Event]:
+        """One step of the second half: SAC learns from its own steps while it takes them."""
+        config = self.config
+        taken = self.env_step - config.steps + 1
+        explores = taken <= config.exploration_steps
+        action = self._random_action() if explores else self._policy_action(self._collector.obs)
+        step = self._collector.step(action)
+        self._add(step, 0 if explores else self.policy_version)
+        self.replay.add(*step[:6])
+        if step.ended:
+            yield Metrics(self.env_step, _episode(step))
+        if taken >= config.exploration_steps:
+            self.optimise()
+        if taken % config.evaluation.every == 0 or taken == config.steps:
+            yield from self.evaluate()
 
     def optimise(self) -> None:
         """Gradient steps on minibatches of SAC's own rows; a new policy version."""
@@ -83,6 +85,7 @@ class SacRecording:
                 len(self.replay), config.sac.batch_size, self.streams.torch("batches")
             )
             self._sac_metrics = self.sac.update(self.replay.gather(rows)[None])
+        require_finite(self._sac_metrics, self.env_step)
         self.policy_version += 1
 
     def evaluate(self) -> Iterator[Event]:
@@ -91,6 +94,37 @@ class SacRecording:
         yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
         seed = self.streams.integer(f"evaluation {self.env_step}")
         yield Evaluation(self.env_step, self.evaluator.run(self.policy.mean, seed))
+
+    # Where the recording stands
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the rest of the recording; the rows handed over are not in it."""
+        return {
+            "env_step": self.env_step,
+            "policy_version": self.policy_version,
+            "sac": self.sac.state_dict(),
+            "streams": self.streams.state_dict(),
+            "collector": self._collector.state_dict(),
+            "collected": self.env_step - len(self._collected),
+            "uncollected": [(_plain(step), version) for step, version in self._collected],
+            "sac_metrics": self._sac_metrics,
+        }
+
+    def load_state_dict(
+        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
+    ) -> None:
+        """Go on from `state_dict`; `collected` are all rows handed over until then, in order."""
+        self.env_step, self.policy_version = state["env_step"], state["policy_version"]
+        self.sac.load_state_dict(state["sac"])
+        self.streams.load_state_dict(state["streams"])
+        self._collector.load_state_dict(state["collector"])
+        self._collected = [(_step(parts), version) for parts, version in state["uncollected"]]
+        self._sac_metrics = state["sac_metrics"]
+        self.replay.extend(collected[self.config.steps :].torch())
+        first = state["collected"]
+        for number, (step, _) in enumerate(self._collected, start=first):
+            if number >= self.config.steps:
+                self.replay.add(*step[:6])
 
     # Parts
 
@@ -121,6 +155,17 @@ class SacRecording:
         at_end = self.env_step in (self.config.steps, self.config.total_steps)
         rows = transitions_of(steps, cut=at_end)
         yield Collected(self.env_step, rows, np.array(versions, np.int64), state)
+
+
+def _plain(step: Step) -> list[Any]:
+    """A step as tensors and primitives."""
+    unwrapped = (x.item() if isinstance(x, np.generic) else x for x in step)
+    return [torch.from_numpy(x) if isinstance(x, np.ndarray) else x for x in unwrapped]
+
+
+def _step(parts: list[Any]) -> Step:
+    arrays: list[Any] = [x.numpy() if isinstance(x, Tensor) else x for x in parts]
+    return Step(*arrays)
 
 
 def _episode(step: Step) -> dict[str, float]:

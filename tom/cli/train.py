@@ -8,18 +8,23 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from tom.cli.parser import DEST, add_config_options, add_run_options, one_line, overrides
 from tom.cli.progress import ProgressReport
 from tom.envs import ENV_NAMES
 from tom.errors import UserError
+from tom.health import DivergedError
 from tom.learners import LEARNER_NAMES
 from tom.presets import PRESETS, config_type, resolve
-from tom.record import RunReader, Store
-from tom.run import AnyConfig, Stop, recorded_config, resume, train
+from tom.record import RunReader, Store, checkpoint
+from tom.record.files import size_of
+from tom.run import AnyConfig, Stop, recorded_config, resume, train, unfinished
 
 OWN_OPTIONS = {"env", "learner", "preset"}
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""signals after which a training writes a checkpoint and ends"""
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -46,7 +51,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--resume",
         metavar="RUN|auto",
         help="go on with a run from its last checkpoint (with --steps: to that step); auto: the "
-        "newest unfinished run of this very command, or a new one",
+        "newest run of this very command, or of fewer steps, that is not complete; else a new one",
     )
     parser.add_argument("--run-id", help="name of the run folder [env-learner-seed-time]")
     add_run_options(parser)
@@ -64,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
         config = resolve(args.env, args.learner, args.preset, given)
     except ValidationError as error:
         raise one_line(error) from None
-    unfinished = _same_run(Store(args.store), config) if args.resume else None
-    return _resume(args, unfinished) if unfinished else record(config, args)
+    begun = unfinished(Store(args.store), config) if args.resume else None
+    return _resume(args, begun, config.steps) if begun else record(config, args)
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
@@ -85,10 +90,11 @@ def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> 
 def _watched(
     args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
 ) -> int:
-    """Run `training` with progress on the terminal; Ctrl-C and SIGTERM stop it cleanly."""
+    """Run `training` with progress on the terminal; the signals that ask for it stop it cleanly."""
     stop = Stop()
-    for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, stop)
+    for name in STOPPING:
+        if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
+            signal.signal(name, stop)
     label = f"{config.env} {config.learner} seed {config.seed}"
     stream = sys.stderr if args.json else sys.stdout
     with ProgressReport(label, config.total_steps, stream) as progress:
@@ -102,6 +108,9 @@ def _watched(
         except KeyboardInterrupt:
             print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
             return 1
+        except (DivergedError, OSError) as error:
+            print(f"{label}: failed: {error}", file=sys.stderr)
+            return 1
     _print_summary(done, args.json)
     return 0 if done.status.state == "finished" else 1
 
@@ -114,15 +123,6 @@ def _steps(given: dict[str, Any]) -> int | None:
     if steps is not None and not (str(steps).isdigit() and int(steps) > 0):
         raise UserError(f"--steps {steps}: must be a whole number above 0")
     return None if steps is None else int(steps)
-
-
-def _same_run(store: Store, config: AnyConfig) -> str | None:
-    """The newest run with the same settings that did not finish."""
-    for reader in store.runs():
-        same = reader.config.get("config") == config.model_dump(mode="json")
-        if same and reader.status.state != "finished" and not reader.status.alive:
-            return reader.run_id
-    return None
 
 
 def summary(done: RunReader) -> dict[str, Any]:
@@ -143,6 +143,8 @@ def summary(done: RunReader) -> dict[str, Any]:
 
 def _print_summary(done: RunReader, as_json: bool) -> None:
     row = summary(done)
+    row["bytes"] = size_of(done.path)
+    row["checkpoint_bytes"] = size_of(done.path / checkpoint.FOLDER)
     if as_json:
         print(json.dumps(row))
         return
@@ -150,6 +152,23 @@ def _print_summary(done: RunReader, as_json: bool) -> None:
         f"{row['run_id']}: {row['state']} after {row['env_step']} steps, last return "
         f"{number(row['last_return'])}, best {number(row['best_return'])}: {row['path']}"
     )
+    print(
+        f"on disk: {row['bytes'] / 1e6:.1f} MB, {row['checkpoint_bytes'] / 1e6:.1f} MB of it "
+        f"checkpoints, which took {checkpoint_share(done):.1%} of the time"
+    )
+    if done.status.state == "failed":
+        print(f"failed: {done.status.reason}", file=sys.stderr)
+
+
+def checkpoint_share(done: RunReader) -> float:
+    """The share of a run's time that its checkpoints took."""
+    table = done.metrics()
+    known = {"time/checkpoint_s", "time/wall_s"} <= set(table) and len(table) > 0
+    spent, wall = (
+        float(np.nanmax(table[name].to_numpy(float))) if known else 0.0
+        for name in ("time/checkpoint_s", "time/wall_s")
+    )
+    return spent / wall if wall > 0 else 0.0
 
 
 def number(value: float | None) -> str:

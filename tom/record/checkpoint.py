@@ -2,20 +2,22 @@
 
 `checkpoint/<env_step>/` holds `state.pt` (tensors and primitives) and `manifest.json` with its
 sha256. The folder is written under a temporary name, synced and renamed; the previous one stays
-until the new one is whole. One flipped byte would load as wrong numbers, so the hash is checked.
+until the new one is whole, and two are kept: the disk never holds more than three. One flipped
+byte would load as wrong numbers, so the hash is checked.
 """
 
 import hashlib
-import io
 import json
 import os
 import pickle
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import torch
+
+from tom.record.files import read_json
 
 SCHEMA = 1
 FOLDER = "checkpoint"
@@ -25,34 +27,38 @@ STATE, MANIFEST = "state.pt", "manifest.json"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A loaded checkpoint; `problems` names those that were newer but could not be used."""
+    """A loaded checkpoint; `unusable` are newer ones, and `problems` says what is wrong there."""
 
     env_step: int
     state: dict[str, Any]
     problems: list[str] = field(default_factory=list)
+    unusable: list[Path] = field(default_factory=list)
+
+    def drop_unusable(self) -> None:
+        """Remove what could not be used, so that it is not counted among the two that are kept."""
+        for path in self.unusable:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
-    """Write the checkpoint of `env_step` into `folder` and drop all but the last two."""
-    content = io.BytesIO()
-    torch.save(state, content)
-    manifest = {
-        "schema": SCHEMA,
-        "env_step": env_step,
-        "sha256": hashlib.sha256(content.getbuffer()).hexdigest(),
-        "bytes": content.tell(),
-    }
+    """Write the checkpoint of `env_step` into `folder` and drop all but the last two.
+
+    Raises OSError when it does not fit the disk; nothing is left of it then, and what was there
+    before stays.
+    """
     unfinished = folder / f".{env_step:09d}.{os.getpid()}.tmp"
-    shutil.rmtree(unfinished, ignore_errors=True)
+    _drop_unfinished(folder)
     unfinished.mkdir(parents=True)
     try:
-        _write(unfinished / STATE, content.getbuffer())
-        _write(unfinished / MANIFEST, json.dumps(manifest, indent=1).encode())
+        manifest = {"schema": SCHEMA, "env_step": env_step, **_save_state(unfinished, state)}
+        with (unfinished / MANIFEST).open("wb") as file:
+            file.write(json.dumps(manifest, indent=1).encode())
+            _sync_file(file)
         path = folder / f"{env_step:09d}"
         if path.exists():  # a resumed run comes by here again, with the same content
             shutil.rmtree(path)
         unfinished.rename(path)
-    except OSError:
+    except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
     _sync(folder)
@@ -64,39 +70,91 @@ def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
 def load(folder: Path) -> Checkpoint | None:
     """The newest checkpoint that is whole; None where there is none."""
     problems: list[str] = []
+    unusable: list[Path] = []
     for path in _folders(folder):
         try:
             state = _load_one(path)
         except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-            problems.append(f"checkpoint {path.name} cannot be used: {error}")
+            problems.append(f"checkpoint {path.name} cannot be used: {_first_line(error)}")
+            unusable.append(path)
             continue
-        return Checkpoint(int(path.name), state, problems)
+        return Checkpoint(int(path.name), state, problems, unusable)
     return None
 
 
+def newest(folder: Path) -> int | None:
+    """The step of the newest checkpoint, whole or not; None where there is none."""
+    found = _folders(folder)
+    return int(found[0].name) if found else None
+
+
+class _Hashing:
+    """Writes on to a file and keeps the sha256 and the length of all that was written."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.digest = hashlib.sha256()
+        self.bytes = 0
+        self.error: OSError | None = None
+
+    def write(self, content: bytes) -> int:
+        try:
+            self._file.write(content)
+        except OSError as error:  # torch would turn it into one of its own
+            self.error = error
+            raise
+        self.digest.update(content)
+        self.bytes += len(content)
+        return len(content)
+
+    def flush(self) -> None:
+        self._file.flush()
+
+
+def _save_state(folder: Path, state: dict[str, Any]) -> dict[str, Any]:
+    """Write the state; what the manifest says of its content."""
+    with (folder / STATE).open("wb") as file:
+        hashing = _Hashing(file)
+        try:
+            torch.save(state, cast(BinaryIO, hashing))
+        except RuntimeError:
+            raise hashing.error or OSError("torch could not write it") from None
+        _sync_file(file)
+    return {"sha256": hashing.digest.hexdigest(), "bytes": hashing.bytes}
+
+
 def _load_one(path: Path) -> dict[str, Any]:
-    manifest = json.loads((path / MANIFEST).read_text())
+    manifest = read_json(path / MANIFEST)
     if manifest.get("schema") != SCHEMA:
         raise ValueError(f"schema {manifest.get('schema')} is not {SCHEMA}")
-    content = (path / STATE).read_bytes()
-    if hashlib.sha256(content).hexdigest() != manifest["sha256"]:
-        raise ValueError("its content is torn or was altered (sha256 differs)")
-    return torch.load(io.BytesIO(content), weights_only=True)
+    with (path / STATE).open("rb") as file:
+        if hashlib.file_digest(file, "sha256").hexdigest() != manifest.get("sha256"):
+            raise ValueError("its content is torn or was altered (sha256 differs)")
+        file.seek(0)
+        return torch.load(file, weights_only=True)
 
 
 def _folders(folder: Path) -> list[Path]:
     """The checkpoint folders, newest first."""
     if not folder.is_dir():
         return []
-    found = [p for p in folder.iterdir() if p.name.isdigit() and p.is_dir()]
+    found = [p for p in folder.iterdir() if p.name.isdigit() and p.is_dir() and not p.is_symlink()]
     return sorted(found, key=lambda p: int(p.name), reverse=True)
 
 
-def _write(path: Path, content: bytes | memoryview) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
+def _drop_unfinished(folder: Path) -> None:
+    """Remove what a killed process left half-written (the run's lock is held by us)."""
+    for path in folder.glob(".*.tmp"):
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+
+
+def _sync_file(file: BinaryIO) -> None:
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def _sync(folder: Path) -> None:

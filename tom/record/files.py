@@ -1,9 +1,11 @@
 """Files that survive a kill at any moment: whole-file replacement and append-only JSON lines."""
 
+import errno
 import json
 import math
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -53,7 +55,8 @@ class JsonLines:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW  # a link may lead anywhere
+        self._file = os.open(path, flags, 0o644)
         self._drop_half_line()
 
     def append(self, row: Mapping[str, Any]) -> None:
@@ -70,7 +73,7 @@ class JsonLines:
             raise OSError(error.errno, f"cannot write {self.path}: {error.strerror}") from error
         if written != len(line):
             os.ftruncate(self._file, size)
-            raise OSError(f"cannot write {self.path}: is the disk full?")
+            raise OSError(errno.ENOSPC, f"cannot write {self.path}: is the disk full?")
 
     @property
     def size(self) -> int:
@@ -82,6 +85,10 @@ class JsonLines:
         if size < self.size:
             os.ftruncate(self._file, size)
 
+    def sync(self) -> None:
+        """Wait until the rows are on the disk."""
+        os.fsync(self._file)
+
     def close(self) -> None:
         if self._file >= 0:
             os.close(self._file)
@@ -91,6 +98,24 @@ class JsonLines:
         size = os.fstat(self._file).st_size
         if size and os.pread(self._file, 1, size - 1) != b"\n":
             os.ftruncate(self._file, self.path.read_bytes().rfind(b"\n") + 1)
+
+
+def sync(path: Path) -> None:
+    """Wait until a file's content, or the names in a folder, are on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def size_of(folder: Path) -> int:
+    """Bytes of the files under `folder`; 0 where there is none."""
+    size = 0
+    for path in folder.rglob("*"):
+        with suppress(OSError):  # replaced meanwhile
+            size += 0 if path.is_dir() else path.lstat().st_size
+    return size
 
 
 def modified(path: Path) -> int:

@@ -19,13 +19,18 @@ WINDOW_S = 120.0
 class Heartbeat:
     """The living status of one run."""
 
-    def __init__(self, writer: RunWriter, total: int, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, writer: RunWriter, total: int, clock: Callable[[], float], timer: Callable[[], float]
+    ) -> None:
+        """`clock` gives unix seconds, `timer` seconds that never go back."""
         self._writer = writer
         self._clock = clock
+        self._timer = timer
         self._lock = threading.Lock()
         now = clock()
         self.status = Status("running", "start", 0, total, now, now, os.getpid())
-        self._samples: deque[tuple[float, int]] = deque([(now, 0)])
+        self._begun = timer()
+        self._samples: deque[tuple[float, int]] = deque([(self._begun, 0)])
         self._stop = threading.Event()
         self.beat()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
@@ -36,8 +41,13 @@ class Heartbeat:
         with self._lock:
             if phase != self.status.phase and self.status.phase == "explore":
                 # Exploration is much faster than training: it says nothing about the time left.
-                self._samples = deque([(self._clock(), env_step)])
+                self._samples = deque([(self._timer(), env_step)])
             self.status = replace(self.status, env_step=env_step, phase=phase)
+
+    def warn(self, warning: str) -> None:
+        """The last thing that a reader of the run must know."""
+        with self._lock:
+            self.status = replace(self.status, warning=warning)
 
     def returned(self, value: float) -> float:
         """An evaluation returned `value`; the best return so far."""
@@ -52,10 +62,11 @@ class Heartbeat:
         """The last and the best return."""
         return self.status.last_return, self.status.best_return
 
-    def go_on(self, env_step: int, last: float | None, best: float | None) -> None:
-        """The run was resumed at `env_step` with these returns behind it."""
+    def go_on(self, env_step: int, last: float | None, best: float | None, wall_s: float) -> None:
+        """The run was resumed at `env_step` with these returns and so many seconds behind it."""
         with self._lock:
-            self._samples = deque([(self._clock(), env_step)])
+            self._begun = self._timer() - wall_s
+            self._samples = deque([(self._timer(), env_step)])
             self.status = replace(
                 self.status, env_step=env_step, last_return=last, best_return=best
             )
@@ -63,12 +74,12 @@ class Heartbeat:
     def beat(self) -> None:
         """Write the status with a fresh heartbeat, speed and time left."""
         with self._lock:
-            now, step = self._clock(), self.status.env_step
-            rate = self._rate(now, step)
+            step = self.status.env_step
+            rate = self._rate(self._timer(), step)
             left = max(self.status.total - step, 0)
             self.status = replace(
                 self.status,
-                heartbeat=now,
+                heartbeat=self._clock(),
                 env_steps_per_s=rate,
                 eta_s=left / rate if rate else None,
             )
@@ -81,10 +92,10 @@ class Heartbeat:
 
     def end(self, state: str, reason: str) -> None:
         """Write the final status; its speed is that of the whole run."""
-        now = self._clock()
-        span = now - self.status.started
+        span = self._timer() - self._begun
         rate = self.status.env_step / span if span > 0 else None
-        ended = replace(self.status, state=state, reason=reason, heartbeat=now, phase="")
+        beat = self._clock()
+        ended = replace(self.status, state=state, reason=reason, heartbeat=beat, phase="")
         self.status = replace(ended, eta_s=None, env_steps_per_s=rate)
         self._writer.status(self.status)
 

@@ -1,5 +1,7 @@
 """Turns a training's events into a run folder and a live view, for under 2 % of its time."""
 
+import errno
+import logging
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
@@ -18,11 +20,15 @@ from tom.events import (
     TrainedPolicy,
     Weights,
 )
+from tom.health import DivergedError
 from tom.record.heartbeat import Heartbeat
 from tom.record.sink import Sink
 from tom.record.writer import RunWriter
 
 State = Literal["finished", "stopped", "failed"]
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+_log = logging.getLogger(__name__)
 
 
 class Recorder:
@@ -39,32 +45,37 @@ class Recorder:
         sink: Sink | None = None,
         total: int | None = None,
         clock: Callable[[], float] = time.time,
+        timer: Callable[[], float] = time.monotonic,
         mark: Mapping[str, Any] | None = None,
     ) -> None:
         """`mark` is what `Recorder.mark` gave at the checkpoint that the training goes on from."""
         config = writer.config
         self.total = config.total_steps if total is None else total
         self._writer = writer
+        self.run_id = writer.run_id
         self._config = config
         self._sink = sink
-        self._clock = clock
-        self._started = clock()
+        self._timer = timer
+        self._started = timer()
         self._last_row = (self._started, 0)
         self._pending: dict[str, float] = {}
         self._pending_step = 0
         self._record_s = 0.0
+        self._checkpoint_s = 0.0
         self._next_snapshot = 0.0 if config.snapshots else np.inf
         self._finished = False
-        self._heartbeat = Heartbeat(writer, self.total, clock)
+        self._heartbeat = Heartbeat(writer, self.total, clock, timer)
         if mark:
             self._go_on(mark)
 
     def mark(self) -> dict[str, Any]:
-        """Where the record stands; part of a checkpoint, taken right after a `Tick`."""
+        """Where the record stands, synced; part of a checkpoint, taken right after a `Tick`."""
+        self._writer.sync()
         return {
             "env_step": self._heartbeat.status.env_step,
-            "wall_s": self._clock() - self._started,
+            "wall_s": self._timer() - self._started,
             "record_s": self._record_s,
+            "checkpoint_s": self._checkpoint_s,
             "next_snapshot": self._next_snapshot,
             "returns": self._heartbeat.returns,
             "files": self._writer.mark(),
@@ -73,10 +84,16 @@ class Recorder:
     def _go_on(self, mark: Mapping[str, Any]) -> None:
         self._writer.rewind(mark["files"])
         self._started -= mark["wall_s"]
-        self._last_row = (self._clock(), mark["env_step"])
+        self._last_row = (self._timer(), mark["env_step"])
         self._record_s = mark["record_s"]
+        self._checkpoint_s = mark.get("checkpoint_s", 0.0)
         self._next_snapshot = mark["next_snapshot"]
-        self._heartbeat.go_on(mark["env_step"], *mark["returns"])
+        last, best = mark["returns"]
+        self._heartbeat.go_on(mark["env_step"], last, best, mark["wall_s"])
+
+    def checkpoint_took(self, seconds: float) -> None:
+        """A checkpoint took so long; `time/checkpoint_s` adds them up."""
+        self._checkpoint_s += seconds
 
     def consume(self, event: Event) -> None:
         """Record one event."""
@@ -101,6 +118,7 @@ class Recorder:
                 if self._sink:
                     self._sink.field(event)
             case Notice():
+                self._heartbeat.warn(f"step {event.env_step}: {event.message}")
                 self._writer.notice(event.env_step, event.kind, event.message)
             case TrainedPolicy():
                 self._writer.policy(event.arrays)
@@ -111,20 +129,47 @@ class Recorder:
         self._heartbeat.beat()
 
     def finish(self, state: State, reason: str = "") -> None:
-        """End the run: final status, the metrics' Parquet copy, nothing left open."""
+        """End the run: final status, the metrics' Parquet copy, nothing left open.
+
+        Where the disk refuses the last words, a finished run becomes a failed one; a reason that
+        was there before stays.
+        """
         if self._finished:
             return
         self._finished = True
         self._heartbeat.stop()
         try:
-            self._flush()
-            lost = self._sink.close() if self._sink else None
-            if lost:
-                self._writer.notice(self._heartbeat.status.env_step, "rerun", lost)
-            self._writer.metrics_table()
+            self._writer.throw_off_ballast()
+            self._conclude()
+        except OSError as error:
+            if state == "finished":
+                state, reason = "failed", self._why(error)
         finally:
-            self._heartbeat.end(state, reason)
+            self._end(state, reason)
             self._writer.close()
+
+    def _conclude(self) -> None:
+        self._flush()
+        lost = self._sink.close() if self._sink else None
+        if lost:
+            self._writer.notice(self._heartbeat.status.env_step, "rerun", lost)
+        self._writer.metrics_table()
+
+    def _end(self, state: State, reason: str) -> None:
+        try:
+            self._heartbeat.end(state, reason)
+        except OSError as error:  # not even that: readers will call the run dead
+            _log.error("%s %s (%s), and no status can be written", self.run_id, state, error)
+
+    def _why(self, error: BaseException) -> str:
+        """What ended the run, at which step, and what to do about it."""
+        step = self._heartbeat.status.env_step
+        if isinstance(error, DivergedError):
+            return str(error)
+        if isinstance(error, OSError) and error.errno in DISK_FULL:
+            again = f"free some space, then tom train --resume {self.run_id}"
+            return f"step {step}: {error}: {again}"
+        return f"step {step}: {type(error).__name__}: {error}"
 
     def __enter__(self) -> Self:
         return self
@@ -140,7 +185,7 @@ class Recorder:
         elif isinstance(error, KeyboardInterrupt | GeneratorExit):
             self.finish("stopped", "interrupted")
         else:
-            self.finish("failed", f"{type(error).__name__}: {error}")
+            self.finish("failed", self._why(error))
 
     def _merge(self, env_step: int, values: Mapping[str, float]) -> None:
         self._pending_step = env_step
@@ -149,9 +194,13 @@ class Recorder:
     def _flush(self) -> None:
         if not self._pending:
             return
-        step, now = self._pending_step, self._clock()
+        step, now = self._pending_step, self._timer()
         then, step_then = self._last_row
-        times = {"time/wall_s": now - self._started, "time/record_s": self._record_s}
+        times = {
+            "time/wall_s": now - self._started,
+            "time/record_s": self._record_s,
+            "time/checkpoint_s": self._checkpoint_s,
+        }
         if now > then and step > step_then:
             times["time/env_steps_per_s"] = (step - step_then) / (now - then)
             self._last_row = (now, step)

@@ -21,7 +21,8 @@ class Status:
     heartbeat: float = 0.0  # unix seconds
     started: float = 0.0  # unix seconds
     pid: int = 0
-    reason: str = ""
+    reason: str = ""  # why it stopped or failed, at which step, and what to try
+    warning: str = ""  # the last notice: its step, what was found, and what to try
     eta_s: float | None = None
     env_steps_per_s: float | None = None
     last_return: float | None = None
@@ -30,7 +31,8 @@ class Status:
     @property
     def alive(self) -> bool:
         """The run is running and its heartbeat is fresh."""
-        return self.state == "running" and time.time() - self.heartbeat <= DEAD_AFTER_S
+        # A heartbeat of the future is from before the clock was put back, or from a wrong clock.
+        return self.state == "running" and abs(time.time() - self.heartbeat) <= DEAD_AFTER_S
 
     @property
     def shown(self) -> str:
@@ -53,7 +55,7 @@ def parse(content: dict[str, Any]) -> Status:
 
 
 def _checked(name: str, value: Any) -> Any:
-    if name in ("state", "phase", "reason"):
+    if name in ("state", "phase", "reason", "warning"):
         if isinstance(value, str):
             return value
     elif name in ("env_step", "total", "pid"):

@@ -1,9 +1,9 @@
 """Writes a run folder (docs/run-folder.md): files only, no threads, no clocks of its own."""
 
-import fcntl
 import os
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,8 +18,8 @@ from tom.config import RunConfig
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.events import Episode, Weights
-from tom.record import decode, layout
-from tom.record.files import JsonLines, read_json, read_json_lines, replace, replace_json
+from tom.record import decode, layout, lock
+from tom.record.files import JsonLines, read_json, read_json_lines, replace, replace_json, sync
 from tom.record.profiles import effective_share, profile, zero_share
 from tom.record.status import Status
 from tom.record.store import Store
@@ -28,22 +28,37 @@ from tom.record.versions import git_commit, machine, versions
 SEGMENT_ROWS = 4096
 """A segment of the replay buffer is rewritten with its new rows until it holds so many."""
 
+BALLAST_BYTES = 64 * 1024
+"""Thrown off when the disk is full: room for the status that says so."""
+
+
+class TakenError(UserError):
+    """There is a run of that name already."""
+
 
 class RunWriter:
     """The one writer of a run folder; holds a lock on it until `close`."""
 
     def __init__(self, path: Path, config: RunConfig) -> None:
-        """Open the run folder `path`. Raises UserError when another process writes it."""
+        """Open the run folder `path`.
+
+        Raises UserError when another process writes it or a part of it is a link: nothing is
+        ever written outside the folder.
+        """
+        _refuse_links(path)
         self.path = path
         self.config = config
         self.run_id = path.name
-        self._lock = _lock(path)
+        self._lock = lock.hold(path)
+        _drop_unfinished(path)
         self._metrics = JsonLines(path / layout.METRICS)
         self._profiles = JsonLines(path / layout.PROFILES)
         self._notices = JsonLines(path / layout.NOTICES)
         self._latest_snapshot: int | None = None
         self._tail: list[dict[str, NDArray]] = []
         self._tail_first = 0
+        self._unsynced: set[Path] = set()
+        self._take_ballast()
 
     @classmethod
     def create(
@@ -65,7 +80,7 @@ class RunWriter:
             raise _taken(run_id)
         unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
         try:
-            for folder in ("weights", "episodes", "buffer", "fields"):
+            for folder in layout.FOLDERS:
                 (unfinished / folder).mkdir(parents=True)
             description = _describe(run_id, config, matmul, command)
             replace_json(unfinished / layout.CONFIG, description, sync=True)
@@ -99,6 +114,23 @@ class RunWriter:
         if mark["segment_rows"]:
             with np.load(self.path / layout.segment(self._tail_first), allow_pickle=False) as held:
                 self._tail = [{name: held[name][: mark["segment_rows"]] for name in held.files}]
+
+    def sync(self) -> None:
+        """Wait until the rows that a checkpoint counts on are on the disk."""
+        for lines in self._lines():
+            lines.sync()
+        for path in self._unsynced:
+            sync(path)
+        sync(self.path / "buffer")
+        self._unsynced.clear()
+
+    def throw_off_ballast(self) -> None:
+        """Make room for the last words of a run on a full disk."""
+        (self.path / layout.BALLAST).unlink(missing_ok=True)
+
+    def _take_ballast(self) -> None:
+        with suppress(OSError):  # a disk so full that the first row will say so
+            replace(self.path / layout.BALLAST, lambda f: f.write(bytes(BALLAST_BYTES)), sync=False)
 
     def resumed(self, config: RunConfig, command: str) -> None:
         """Note in `config.json` that the run goes on, with which code, and until which step."""
@@ -171,6 +203,7 @@ class RunWriter:
         self._tail.append(decode.transition_arrays(rows, policy_version, state))
         joined = {n: np.concatenate([part[n] for part in self._tail]) for n in self._tail[0]}
         self._arrays(layout.segment(self._tail_first), joined)
+        self._unsynced.add(self.path / layout.segment(self._tail_first))
         length = len(joined["policy_version"])
         if length >= SEGMENT_ROWS:
             self._tail, self._tail_first = [], self._tail_first + length
@@ -195,6 +228,7 @@ class RunWriter:
         """Close the files and let go of the folder."""
         for lines in self._lines():
             lines.close()
+        self.throw_off_ballast()
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
@@ -242,15 +276,20 @@ def _publish(unfinished: Path, path: Path) -> None:
         raise
 
 
-def _taken(run_id: str) -> UserError:
-    return UserError(f"run '{run_id}' exists already: choose another run id")
+def _taken(run_id: str) -> TakenError:
+    return TakenError(f"run '{run_id}' exists already: choose another run id")
 
 
-def _lock(path: Path) -> int:
-    lock = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(lock)
-        raise UserError(f"run '{path.name}' is being written by another process") from error
-    return lock
+def _drop_unfinished(path: Path) -> None:
+    """Remove the temporary files that a killed writer left; the lock is ours."""
+    for folder in (path, *(path / name for name in layout.FOLDERS)):
+        for temporary in folder.glob(".*.tmp"):
+            if not temporary.name.startswith(f".{layout.LABELS}"):  # that is another's to write
+                temporary.unlink(missing_ok=True)
+
+
+def _refuse_links(path: Path) -> None:
+    names = [*layout.FOLDERS, "checkpoint", layout.METRICS, layout.PROFILES, layout.NOTICES]
+    for name in (*names, layout.LOCK):
+        if (path / name).is_symlink():
+            raise UserError(f"{name} of run '{path.name}' is a link: not followed; remove it")

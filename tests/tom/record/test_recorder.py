@@ -171,7 +171,8 @@ def test_the_status_of_a_finished_run(record):
 
 def test_speed_and_time_left_follow_the_clock(store: Store):
     now = [1000.0]
-    recorder = Recorder(RunWriter.create(store, "run", Config), clock=lambda: now[0])
+    writer = RunWriter.create(store, "run", Config)
+    recorder = Recorder(writer, clock=lambda: now[0], timer=lambda: now[0])
     recorder.consume(Tick(300, "explore"))
     now[0] += 1
     recorder.consume(Tick(301, "optimise"))  # the exploration's speed is forgotten here
@@ -202,7 +203,7 @@ def test_the_heart_beats_while_training_is_busy(store: Store, monkeypatch):
     ("error", "state", "reason"),
     [
         (KeyboardInterrupt(), "stopped", "interrupted"),
-        (ValueError("loss is nan"), "failed", "ValueError: loss is nan"),
+        (ValueError("loss is nan"), "failed", "step 294: ValueError: loss is nan"),
     ],
 )
 def test_what_ended_a_run_is_in_its_status(store: Store, error, state, reason):
