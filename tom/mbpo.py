@@ -30,6 +30,7 @@ from tom.events import (
     TrainedPolicy,
     Weights,
 )
+from tom.health import require_finite
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting
 from tom.policy_file import policy_arrays
@@ -161,6 +162,7 @@ class Mbpo:
                 [_part(real_batches, k, real), _part(model_batches, k, size - real)]
             )
             self._sac_metrics = self.sac.update(batch[None])
+        require_finite(self._sac_metrics, self.env_step)
         self.policy_version += 1
 
     def evaluate(self) -> Iterator[Event]:
