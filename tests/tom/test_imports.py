@@ -16,7 +16,7 @@ LEVELS = [
     {"run", "bench", "weighing"},
     {"imagine"},
     {"cli", "tabular_study", "road_study", "reports", "__main__"}
-    | {"weighing_files", "progression_study", "progression_files", "focus_study"},
+    | {"weighing_files", "progression_study", "progression_files", "focus_study", "doctor"},
 ]
 LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}
 
