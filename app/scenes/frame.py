@@ -8,7 +8,7 @@ from app.colours import rgb
 from app.scenes.control import Selection
 from app.theme import ACCENT, Mode
 
-GLOW: dict[Mode, float] = {"light": 0.45, "dark": 0.3}
+GLOW: dict[Mode, float] = {"light": 1.7, "dark": 1.1}
 """brightness of the light from all sides"""
 
 Vector = tuple[float, float, float]
@@ -65,7 +65,10 @@ class Frame:
             brand_color=rgb(ACCENT[self.mode]),
         )
         self.client.scene.configure_default_lights(cast_shadow=self.shadows)
-        self.client.scene.configure_environment_map("studio", environment_intensity=GLOW[self.mode])
+        # No environment map: viser fades the canvas in when its default one is there, and when
+        # another map arrives during that, the scene stays pale until it is opened again.
+        self.client.scene.configure_environment_map(None)
+        self.client.scene.add_light_ambient("/glow", intensity=GLOW[self.mode])
 
     def _build_panel(self) -> None:
         raise NotImplementedError
