@@ -150,13 +150,13 @@ class TomConfig(Config):
     """stop the gradient through Q(s', a') (breaks the dual: for comparison only)"""
     parameter_average: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """r and weights come from both networks' parameters averaged with this decay (0: the last)"""
-    action_samples: Count = 1
-    """actions averaged for E_{a'~pi}[Q(s', a')] (the paper: one)"""
+    action_samples: Count = 4
+    """actions averaged for E_{a'~pi}[Q(s', a')], which sits inside f* (the paper: one)"""
     warmup: Count = 1000
     """on-policy steps before TOM starts; uniform weights until then"""
 
     _presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "paper": {},
+        "paper": {"action_samples": 1},
         # Measured against exact solutions of small MDPs: see docs/learners/tom.md.
         "exact": {
             "action_samples": 10,

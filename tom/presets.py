@@ -14,7 +14,7 @@ from tom.learners import LEARNER_NAMES
 from tom.learners.baselines import BASELINES
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {},
+    "paper": {"tom": {"action_samples": 1}},
     "mbpo": {
         "updates_per_step": 20,
         "model": {"kind": "ensemble", "patience": 5, "rounds": 60},
@@ -29,7 +29,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "rollout": {"starts": 1000},
         "evaluation": {"every": 200, "episodes": 2},
         "tom": {"discriminator_steps": 20, "q_steps": 40, "q_hidden": 32,
-                "discriminator_hidden": 32, "warmup": 100},
+                "discriminator_hidden": 32, "action_samples": 1, "warmup": 100},
     },
 }  # fmt: skip
 

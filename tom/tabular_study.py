@@ -66,6 +66,7 @@ VARIANTS: tuple[Variant, ...] = (
     Variant("exact, Q >= 0", changes={"q_non_negative": True}, support=True),
     Variant("paper, exact expectation over a'", preset="paper", support=True),
     Variant("paper, 1 sampled a'", preset="paper"),
+    Variant("paper, 4 sampled a'", preset="paper", changes={"action_samples": 4}),
     Variant(
         "paper, 1 sampled a', averaged parameters and quick bias",
         preset="paper",

@@ -2,6 +2,7 @@ import pytest
 from pydantic import ValidationError
 
 from tom.config import OnlineConfig, RolloutConfig, TomConfig
+from tom.presets import resolve
 
 
 def test_an_unknown_name_and_a_value_out_of_bounds_are_errors():
@@ -18,6 +19,13 @@ def test_but_changes_one_value_of_a_group_and_keeps_the_others():
     config = OnlineConfig(env="hopper", learner="tom").but(tom={"q_steps": 7})
     assert config.tom.q_steps == 7
     assert config.tom.discriminator_steps == TomConfig().discriminator_steps
+
+
+def test_the_papers_single_action_sample_is_a_preset_and_the_default_is_not():
+    assert resolve("hopper", "tom").tom.action_samples == 1
+    assert TomConfig.preset("paper").action_samples == 1
+    assert resolve("hopper", "tom", "mbpo").tom.action_samples == TomConfig().action_samples == 4
+    assert TomConfig.preset("exact").action_samples == 10
 
 
 def test_rollout_length_follows_janners_schedule():
