@@ -157,11 +157,13 @@ class Mbpo:
         model_rows = uniform_indices(len(self.model_buffer), updates * (size - real), generator)
         real_batches = self.replay.gather(real_rows)
         model_batches = self.model_buffer.gather(model_rows)
-        for k in range(updates):
-            batch = TensorTransitions.join(
+        batches = [
+            TensorTransitions.join(
                 [_part(real_batches, k, real), _part(model_batches, k, size - real)]
-            )
-            self._sac_metrics = self.sac.update(batch[None])
+            )[None]
+            for k in range(updates)
+        ]
+        self._sac_metrics = self.sac.updates(batches)
         require_finite(self._sac_metrics, self.env_step)
         self.policy_version += 1
 

@@ -34,34 +34,64 @@ class StackedMLP(nn.Module):
         super().__init__()
         if members % len(generators):
             raise ValueError(f"{members} members cannot be shared by {len(generators)} generators")
-        self.members = members
-        self.activation = activation
-        self.weights = nn.ParameterList()  # (M, in, out) each
-        self.biases = nn.ParameterList()  # (M, 1, out) each
         per_generator = members // len(generators)
+        layers = []
         for n_in, n_out in pairwise(sizes):
             bound = 1.0 / sqrt(n_in)
+            shape = (per_generator, n_in + 1, n_out)
             rows = [
-                (torch.rand(per_generator, n_in + 1, n_out, generator=g) * 2 - 1) * bound
+                (torch.rand(shape, generator=g, device=g.device) * 2 - 1) * bound
                 for g in generators
             ]
             drawn = torch.cat(rows)  # (M, in + 1, out); the last row is the bias
-            self.weights.append(nn.Parameter(drawn[:, :-1].contiguous()))
-            self.biases.append(nn.Parameter(drawn[:, -1:].contiguous()))
+            layers.append((drawn[:, :-1].contiguous(), drawn[:, -1:].contiguous()))
+        self._hold(layers, activation)
+
+    def _hold(self, layers: Sequence[tuple[Tensor, Tensor]], activation: Activation) -> None:
+        self.members = len(layers[0][0])
+        self.activation = activation
+        self.weights = nn.ParameterList(w for w, _ in layers)  # (M, in, out) each
+        self.biases = nn.ParameterList(b for _, b in layers)  # (M, 1, out) each
+        # The same tensors in a plain tuple: looking them up in a list of parameters is slow.
+        self.layers = tuple(zip(self.weights, self.biases, strict=True))
+
+    def tensors(self) -> list[Tensor]:
+        """The parameters: every layer's weight, then every layer's bias."""
+        return [*(weight for weight, _ in self.layers), *(bias for _, bias in self.layers)]
+
+    @classmethod
+    def joined(cls, nets: "Sequence[StackedMLP]") -> "StackedMLP":
+        """All networks of all stacks as one; the stacks' parameters become views of its own.
+
+        What moves the one moves the other from now on.
+        """
+        joint = cls.__new__(cls)
+        nn.Module.__init__(joint)
+        layers = zip(*(net.layers for net in nets), strict=True)
+        shared = [(share([w for w, _ in one]), share([b for _, b in one])) for one in layers]
+        joint._hold(shared, nets[0].activation)
+        return joint.requires_grad_(nets[0].layers[0][0].requires_grad)
 
     def forward(self, x: Tensor) -> Tensor:
-        return self._run(x, list(self.weights), list(self.biases))
+        return self._run(x, self.layers)
 
     def member(self, index: int, x: Tensor) -> Tensor:
         """Network `index` alone: (B, in) -> (B, out)."""
-        weights = [w[index : index + 1] for w in self.weights]
-        biases = [b[index : index + 1] for b in self.biases]
-        return self._run(x.unsqueeze(0), weights, biases).squeeze(0)
+        only = slice(index, index + 1)
+        return self._run(x.unsqueeze(0), [(w[only], b[only]) for w, b in self.layers]).squeeze(0)
 
-    def _run(self, x: Tensor, weights: list[Tensor], biases: list[Tensor]) -> Tensor:
-        last = len(weights) - 1
-        for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+    def _run(self, x: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
+        last = len(layers) - 1
+        for layer, (weight, bias) in enumerate(layers):
             x = torch.baddbmm(bias, x, weight)
             if layer < last:
                 x = self.activation(x)
         return x
+
+
+def share(tensors: Sequence[Tensor]) -> Tensor:
+    """The tensors (M_i, ...) in one (sum M_i, ...); each becomes a view of its part of it."""
+    joint = torch.cat([t.detach() for t in tensors])
+    for tensor, part in zip(tensors, joint.split([len(t) for t in tensors]), strict=True):
+        tensor.data = part
+    return joint

@@ -59,9 +59,9 @@ class Streams:
 
 def normal(generators: Generators, shape: Sequence[int]) -> Tensor:
     """Standard normal draws, (M, *shape): member m from its own generator."""
-    return torch.stack([torch.randn(*shape, generator=g) for g in generators])
+    return torch.stack([torch.randn(*shape, generator=g, device=g.device) for g in generators])
 
 
 def uniform(generators: Generators, shape: Sequence[int]) -> Tensor:
     """Uniform draws on [0, 1), (M, *shape): member m from its own generator."""
-    return torch.stack([torch.rand(*shape, generator=g) for g in generators])
+    return torch.stack([torch.rand(*shape, generator=g, device=g.device) for g in generators])

@@ -4,18 +4,20 @@ Everything has a leading member axis M: a member is one seed of one learner. Mem
 parameter and no random number, so each trains as it would alone.
 """
 
-from copy import deepcopy
+from collections.abc import Sequence
+from copy import copy, deepcopy
 from math import log
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import relu, softplus
 
-from tom.backprop import forward_trace, input_gradient, set_gradients
+from tom.adam import Adam
+from tom.backprop import forward_trace, gradients, input_gradient
 from tom.config import SacConfig
 from tom.data.transitions import TensorTransitions
-from tom.nn import StackedMLP
+from tom.nn import StackedMLP, share
 from tom.rng import Generators, normal
 
 LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
@@ -47,97 +49,117 @@ class Sac:
         )
         self.actor = StackedMLP(members, [obs_dim, *hidden, 2 * action_dim], relu, generators)
         self.critic = StackedMLP(2 * members, [obs_dim + action_dim, *hidden, 1], relu, generators)
-        self.target_critic = deepcopy(self.critic).requires_grad_(False)
-        self.log_temperature = torch.full(
-            (members,), log(config.initial_temperature), requires_grad=True
-        )
-        self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), config.lr, fused=True)
-        self.critic_optimiser = torch.optim.Adam(self.critic.parameters(), config.lr, fused=True)
-        self.temperature_optimiser = torch.optim.Adam([self.log_temperature], config.lr, fused=True)
+        self.target_critic = deepcopy(self.critic)
+        for net in (self.actor, self.critic, self.target_critic):
+            net.requires_grad_(False)
+        self.log_temperature = torch.full((members,), log(config.initial_temperature))
+        self.actor_optimiser = Adam(self.actor.tensors(), config.lr)
+        self.critic_optimiser = Adam(self.critic.tensors(), config.lr)
+        self.temperature_optimiser = Adam([self.log_temperature], config.lr)
+        self._critics = self.critic.tensors(), self.target_critic.tensors()
 
-    @torch.no_grad()
+    @classmethod
+    def joined(cls, members: "Sequence[Sac]") -> "Sac":
+        """All members' SACs as one; each goes on being itself, its tensors views of this one's."""
+        joint = copy(members[0])
+        joint.generators = [g for one in members for g in one.generators]
+        for name in ("actor", "critic", "target_critic"):
+            setattr(joint, name, StackedMLP.joined([getattr(one, name) for one in members]))
+        joint.log_temperature = share([one.log_temperature for one in members])
+        for name in ("actor_optimiser", "critic_optimiser", "temperature_optimiser"):
+            setattr(joint, name, Adam.joined([getattr(one, name) for one in members]))
+        joint._critics = joint.critic.tensors(), joint.target_critic.tensors()
+        return joint
+
     def update(self, batch: TensorTransitions) -> dict[str, Tensor]:
         """One gradient step of critics, actor and temperature on a (M, B, ...) batch.
 
-        Returns what it measured, (M,) each. Gradients are written out by hand (see `backprop`).
+        Returns what it measured, (M,) each.
         """
-        critic_loss, q = self.set_critic_gradients(batch)
-        self.critic_optimiser.step()
-        actor_loss, log_prob = self.set_actor_gradients(batch.obs)
-        self.actor_optimiser.step()
-        # d/d log_temperature of -log_temperature * (log_prob + target_entropy)
-        self.log_temperature.grad = -(log_prob + self.target_entropy)
-        self.temperature_optimiser.step()
-        torch._foreach_lerp_(  # pyright: ignore[reportPrivateImportUsage]
-            list(self.target_critic.parameters()),
-            list(self.critic.parameters()),
-            self.config.tau,
-        )
-        return {
-            "critic/loss": critic_loss,
-            "critic/q": q,
-            "actor/loss": actor_loss,
-            "actor/entropy": -log_prob,
-            "temperature/value": self.log_temperature.exp(),
-        }
+        return self.updates([batch])
 
-    def critic_target(self, batch: TensorTransitions) -> Tensor:
+    @torch.no_grad()
+    def updates(self, batches: Sequence[TensorTransitions]) -> dict[str, Tensor]:
+        """One gradient step on each (M, B, ...) batch; what the last one measured, (M,) each."""
+        shape = (len(batches), 2, *batches[0].action.shape[1:])
+        noise = normal(self.generators, shape).movedim(0, 2)  # (G, 2, M, B, A)
+        steps = [self.step(*drawn) for drawn in zip(batches, noise, strict=True)]
+        return {**steps[-1].metrics(), "temperature/value": self.log_temperature.exp()}
+
+    def step(self, batch: TensorTransitions, noise: Tensor) -> "Step":
+        """A gradient step whose standard normal draws are given, (2, M, B, A).
+
+        Gradients are written out by hand (see `backprop`): on a GPU this whole step is one graph.
+        """
+        critic_gradients, error, q = self.critic_gradients(batch, noise[0])
+        self.critic_optimiser.step(critic_gradients)
+        actor_gradients, loss, log_prob = self.actor_gradients(batch.obs, noise[1])
+        self.actor_optimiser.step(actor_gradients)
+        # d/d log_temperature of -log_temperature * (log_prob + target_entropy)
+        self.temperature_optimiser.step([-(log_prob.mean(1) + self.target_entropy)])
+        critics, targets = self._critics
+        torch._foreach_lerp_(targets, critics, self.config.tau)  # pyright: ignore[reportPrivateImportUsage]
+        return Step(error, q, loss, log_prob)
+
+    def critic_target(self, batch: TensorTransitions, noise: Tensor) -> Tensor:
         """r + g (1 - terminated) (min_k Q'_k(s', a') - temperature log pi(a'|s')), (M, B).
 
         Bootstraps through truncation, never through termination.
         """
-        action, log_prob = self._sample(batch.next_obs)
-        next_q = self.target_critic(self._twin_inputs(batch.next_obs, action))
-        soft_value = _twins(next_q).amin(1) - self._temperature() * log_prob.squeeze(-1)
+        mean, log_std = self._gaussian(forward_trace(self.actor, batch.next_obs).output)
+        action, log_prob = squashed_gaussian(mean, log_std, noise)
+        inputs = self._twin_inputs(batch.next_obs, action)
+        next_q = _twins(forward_trace(self.target_critic, inputs).output)
+        soft_value = torch.minimum(*next_q.unbind(1)) - self._temperature() * log_prob.squeeze(-1)
         return batch.reward + self.config.discount * (1.0 - batch.terminated) * soft_value
 
-    def set_critic_gradients(self, batch: TensorTransitions) -> tuple[Tensor, Tensor]:
-        """Gradients of sum_k E[(Q_k(s, a) - target)^2]; returns the loss and the mean Q, (M,)."""
-        target = self.critic_target(batch)
+    def critic_gradients(
+        self, batch: TensorTransitions, noise: Tensor
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Gradients of sum_k E[(Q_k(s, a) - target)^2]; the errors and Q_k(s, a), (M, 2, B)."""
+        target = self.critic_target(batch, noise)
         trace = forward_trace(self.critic, self._twin_inputs(batch.obs, batch.action))
-        error = _twins(trace[-1]) - target.unsqueeze(1)  # (M, 2, B)
+        q = _twins(trace.output)
+        error = q - target.unsqueeze(1)
         grad = error * (2.0 / error.shape[-1])
-        set_gradients(self.critic, trace, grad.flatten(0, 1).unsqueeze(-1))
-        return error.square().mean(-1).sum(1), _twins(trace[-1]).mean((1, 2))
+        return gradients(self.critic, trace, grad.flatten(0, 1).unsqueeze(-1)), error, q
 
-    def set_actor_gradients(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradients of E[temperature log pi(a|s) - min_k Q_k(s, a)]; the loss, mean log_prob."""
+    def actor_gradients(self, obs: Tensor, noise: Tensor) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Gradients of E[temperature log pi(a|s) - min_k Q_k(s, a)]; its terms, log pi, (M, B)."""
         trace = forward_trace(self.actor, obs)
-        mean, raw_log_std = trace[-1].chunk(2, -1)
-        log_std = raw_log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
-        noise = normal(self.generators, mean.shape[1:])
+        mean, log_std = self._gaussian(trace.output)
         action, log_prob = squashed_gaussian(mean, log_std, noise)
         q_trace = forward_trace(self.critic, self._twin_inputs(obs, action))
-        q, lower = _twins(q_trace[-1]).min(1)  # (M, B)
+        first, second = _twins(q_trace.output).unbind(1)
+        q, first_is_lower = torch.minimum(first, second), first <= second  # (M, B)
 
         # -1/B flows into the lower of the two critics, and on to the action.
-        grad_q = torch.zeros_like(_twins(q_trace[-1]))
-        grad_q.scatter_(1, lower.unsqueeze(1), -1.0 / q.shape[-1])
+        grad_q = torch.stack([first_is_lower, ~first_is_lower], 1) * (-1.0 / q.shape[-1])
         grad_input = input_gradient(self.critic, q_trace, grad_q.flatten(0, 1).unsqueeze(-1))
         grad_action = _twins(grad_input)[..., obs.shape[-1] :].sum(1)
         # a = tanh(u), u = mean + std noise: da/du = 1 - a^2, d log_prob/du = 2 a, and log_std
         # also stands in log_prob itself, with slope -1.
-        share = self._temperature().unsqueeze(-1) / q.shape[-1]
+        temperature = self._temperature()
+        share = temperature.unsqueeze(-1) / q.shape[-1]
         grad_u = grad_action * (1.0 - action.square()) + 2.0 * share * action
         grad_log_std = grad_u * log_std.exp() * noise - share
-        grad_log_std.mul_(raw_log_std == log_std)  # nothing flows where it was clamped
-        set_gradients(self.actor, trace, torch.cat([grad_u, grad_log_std], -1))
-
+        grad_log_std.mul_(trace.output.chunk(2, -1)[1] == log_std)  # nothing flows where clamped
+        actor_gradients = gradients(self.actor, trace, torch.cat([grad_u, grad_log_std], -1))
         log_prob = log_prob.squeeze(-1)
-        loss = (self._temperature() * log_prob - q).mean(1)
-        return loss, log_prob.mean(1)
+        return actor_gradients, temperature * log_prob - q, log_prob
 
     # Acting
 
     @torch.no_grad()
     def act(self, obs: Tensor) -> Tensor:
         """Sampled actions for obs (M, B, O): (M, B, A)."""
-        return self._sample(obs)[0]
+        mean, log_std = self._gaussian(self.actor(obs))
+        return squashed_gaussian(mean, log_std, normal(self.generators, mean.shape[1:]))[0]
 
     @torch.no_grad()
     def act_mean(self, obs: Tensor) -> Tensor:
         """Mean actions for obs (M, B, O): (M, B, A)."""
-        return torch.tanh(self._gaussian(obs)[0])
+        return torch.tanh(self._gaussian(self.actor(obs))[0])
 
     def member(self, index: int = 0) -> "MemberPolicy":
         """Member `index` alone, without the member axis."""
@@ -145,16 +167,12 @@ class Sac:
 
     # Parts
 
-    def _gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        mean, log_std = self.actor(obs).chunk(2, -1)
+    def _gaussian(self, output: Tensor) -> tuple[Tensor, Tensor]:
+        mean, log_std = output.chunk(2, -1)
         return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
 
-    def _sample(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        mean, log_std = self._gaussian(obs)
-        return squashed_gaussian(mean, log_std, normal(self.generators, mean.shape[1:]))
-
     def _temperature(self) -> Tensor:
-        return self.log_temperature.detach().exp().unsqueeze(-1)  # (M, 1)
+        return self.log_temperature.exp().unsqueeze(-1)  # (M, 1)
 
     def _twin_inputs(self, obs: Tensor, action: Tensor) -> Tensor:
         """What both critics read, (2 M, B, O + A)."""
@@ -165,7 +183,7 @@ class Sac:
             "actor": self.actor.state_dict(),
             "critic": self.critic.state_dict(),
             "target_critic": self.target_critic.state_dict(),
-            "log_temperature": self.log_temperature.detach().clone(),
+            "log_temperature": self.log_temperature.clone(),
             "actor_optimiser": self.actor_optimiser.state_dict(),
             "critic_optimiser": self.critic_optimiser.state_dict(),
             "temperature_optimiser": self.temperature_optimiser.state_dict(),
@@ -175,10 +193,25 @@ class Sac:
         for name in ("actor", "critic", "target_critic"):
             getattr(self, name).load_state_dict(state[name])
         for name in ("actor_optimiser", "critic_optimiser", "temperature_optimiser"):
-            # An optimiser would keep the very tensors of the state it is given.
-            getattr(self, name).load_state_dict(deepcopy(state[name]))
-        with torch.no_grad():
-            self.log_temperature.copy_(state["log_temperature"])
+            getattr(self, name).load_state_dict(state[name])
+        self.log_temperature.copy_(state["log_temperature"])
+
+
+class Step(NamedTuple):
+    """What a gradient step saw, reduced only where somebody asks."""
+
+    critic_error: Tensor  # (M, 2, B)
+    critic_q: Tensor  # (M, 2, B)
+    actor_loss: Tensor  # (M, B)
+    log_prob: Tensor  # (M, B)
+
+    def metrics(self) -> dict[str, Tensor]:
+        return {
+            "critic/loss": self.critic_error.square().mean(-1).sum(1),
+            "critic/q": self.critic_q.mean((1, 2)),
+            "actor/loss": self.actor_loss.mean(1),
+            "actor/entropy": -self.log_prob.mean(1),
+        }
 
 
 class GaussianPolicy:

@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 LEVELS = [
     {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
-    | {"divergences", "statistics", "health"},
+    | {"adam", "divergences", "statistics", "health"},
     {"learners", "sac", "dynamics", "evaluate", "tabular", "planner", "cloning"}
     | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},

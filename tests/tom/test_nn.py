@@ -24,3 +24,16 @@ def test_a_member_starts_the_same_in_any_company():
     together = StackedMLP(4, [4, 8, 1], relu, generators(3, 7))
     for a, b in zip(alone.parameters(), together.parameters(), strict=True):
         torch.testing.assert_close(a, b[2:], rtol=0, atol=0)
+
+
+def test_joined_networks_stay_themselves():
+    nets = [StackedMLP(2, [4, 8, 1], relu, generators(s)) for s in (3, 7)]
+    x = torch.randn(4, 5, 4)
+    apart = torch.cat([net(part) for net, part in zip(nets, x.chunk(2), strict=True)]).detach()
+    joint = StackedMLP.joined(nets)
+    torch.testing.assert_close(joint(x), apart)
+    with torch.no_grad():
+        joint.weights[0][2:] += 1.0
+    assert torch.equal(nets[1].weights[0], joint.weights[0][2:])
+    assert torch.equal(nets[0].weights[0], joint.weights[0][:2])
+    torch.testing.assert_close(joint(x)[2:], nets[1](x[2:]))

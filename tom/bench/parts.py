@@ -68,7 +68,9 @@ def _sac() -> Part:
     config = SacConfig()
     sac = Sac(OBS, ACTION, config, [torch.Generator().manual_seed(0)])
     batch = transitions(BATCH)[None]
-    return Part("SAC update", lambda: [sac.update(batch) for _ in range(20)], 20, sac_flops(config))
+    return Part(
+        "SAC update", lambda: [sac.updates([batch] * 5) for _ in range(4)], 20, sac_flops(config)
+    )
 
 
 def _model_step(kind: str, outputs_per_dim: int) -> Part:

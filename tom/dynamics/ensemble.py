@@ -1,27 +1,25 @@
 """Ensembles of uni-modal networks: Janner's Gaussian ensemble and VaGram's mean-only one."""
 
-from typing import Any
+from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from tom.config import ModelConfig
 from tom.dynamics.neural import NeuralDynamics, soft_bound
+from tom.nn import share
 
 WEIGHT_DECAY = (2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4)  # by layer (Janner et al. 2019)
 BOUND_PENALTY = 0.01
 
 
 class _Ensemble(NeuralDynamics):
-    def _parameter_groups(self) -> list[dict[str, Any]]:
-        """A group a layer, each with its own decay (the last layer takes the last value)."""
-        layers = list(zip(self.net.weights, self.net.biases, strict=True))
-        decays = [*WEIGHT_DECAY[: len(layers) - 1], WEIGHT_DECAY[-1]]
-        decays = [WEIGHT_DECAY[-2]] * (len(layers) - len(decays)) + decays
-        return [
-            {"params": [weight, bias], "weight_decay": decay}
-            for (weight, bias), decay in zip(layers, decays, strict=True)
-        ]
+    def weight_decay(self) -> list[float]:
+        """By layer; the last layer takes the last value, what stands outside the networks none."""
+        layers = len(self.net.layers)
+        decays = [*WEIGHT_DECAY[: layers - 1], WEIGHT_DECAY[-1]]
+        decays = [WEIGHT_DECAY[-2]] * (layers - len(decays)) + decays
+        return [*decays, *decays, *(0.0 for _ in self.extra_parameters())]
 
 
 class GaussianEnsemble(_Ensemble):
@@ -30,14 +28,17 @@ class GaussianEnsemble(_Ensemble):
     def __init__(
         self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
     ) -> None:
+        bound = torch.ones(config.members, 1, 1 + obs_dim, device=generator.device)
+        self.max_log_var = (0.5 * bound).requires_grad_()
+        self.min_log_var = (-10.0 * bound).requires_grad_()
         super().__init__(obs_dim, action_dim, 2, config.members, config, generator)
-        shape = (config.members, 1, self.targets)
-        self.max_log_var = nn.Parameter(torch.full(shape, 0.5))
-        self.min_log_var = nn.Parameter(torch.full(shape, -10.0))
-        self.optimiser.add_param_group({"params": self.extra_parameters(), "weight_decay": 0.0})
 
     def extra_parameters(self) -> list[Tensor]:
         return [self.max_log_var, self.min_log_var]
+
+    def share_extra(self, parts: Sequence[list[Tensor]]) -> None:
+        high, low = zip(*parts, strict=True)
+        self.max_log_var, self.min_log_var = (share(x).requires_grad_() for x in (high, low))
 
     def _split_output(self, output: Tensor) -> tuple[Tensor, Tensor]:
         mean, raw = output.chunk(2, -1)
@@ -64,7 +65,7 @@ class GaussianEnsemble(_Ensemble):
     def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
         mean, raw = self._split_output(output)
         std = (0.5 * self._log_var(raw)).exp()
-        return mean + std * torch.randn(*mean.shape, generator=generator)
+        return mean + std * torch.randn(*mean.shape, generator=generator, device=mean.device)
 
 
 class MeanEnsemble(_Ensemble):
@@ -83,7 +84,7 @@ class MeanEnsemble(_Ensemble):
     def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
         return (output - target).square()
 
-    def _uses_dim_weights(self, first_round: bool) -> bool:
+    def uses_dim_weights(self, first_round: bool) -> bool:
         return not first_round
 
     def mean(self, output: Tensor) -> Tensor:

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from math import log
 
 import pytest
@@ -8,8 +9,9 @@ from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
+from tom.dynamics.fitting import Job, fit, holdout_loss, split
 from tom.dynamics.mdn import Mdn
-from tom.dynamics.neural import Standardiser
+from tom.dynamics.neural import NeuralDynamics, Standardiser
 
 SMALL = ModelConfig(hidden=48, layers=2, components=3, members=3, elites=2, rounds=10, lr=3e-3)
 
@@ -41,6 +43,76 @@ def test_mdn_likelihood_is_torch_distributions_own():
     mixture = mixture_of(model, output)
     torch.testing.assert_close(model.loss_per_dim(output, target), -mixture.log_prob(target))
     torch.testing.assert_close(model.mean(output), mixture.mean)
+
+
+def slow_gradient(
+    model: NeuralDynamics, x: torch.Tensor, y: torch.Tensor, *scales: torch.Tensor
+) -> tuple[torch.Tensor, tuple[torch.Tensor, ...]]:
+    """The training loss as autograd differentiates it: the slow reference of `step`."""
+    parameters = model.parameters()
+    for p in parameters:
+        p.requires_grad_()
+    loss = model.loss_per_dim(model.net(x), y)
+    for scale in scales:
+        loss = loss * scale
+    means = loss.mean((1, 2))
+    found = torch.autograd.grad(means.sum() + model.regulariser(), parameters)
+    for p in model.net.parameters():
+        p.requires_grad_(False)
+    return means.detach(), found
+
+
+@pytest.mark.parametrize("kind", ["mdn", "ensemble", "mean-ensemble"])
+@pytest.mark.parametrize("scaled", [0, 1, 2])
+def test_a_step_is_autograds_gradient_and_torchs_adam(kind: str, scaled: int):
+    model = make_model(2, 1, SMALL.but(kind=kind), generator())
+    assert isinstance(model, NeuralDynamics)
+    g = generator(1)
+    shape = (model.ensemble, 32)
+    parameters = [p.detach().clone() for p in model.parameters()]
+    decays = model.weight_decay() if kind != "mdn" else [0.0] * len(parameters)
+    assert isinstance(decays, list)
+    groups = [{"params": [p], "weight_decay": d} for p, d in zip(parameters, decays, strict=True)]
+    adam = torch.optim.Adam(groups, lr=model.config.lr, fused=True)
+    for _ in range(3):
+        x, y = torch.randn(*shape, 3, generator=g), torch.randn(*shape, 3, generator=g)
+        scales = [torch.rand(*shape, 3, generator=g), torch.rand(*shape, 1, generator=g)][:scaled]
+        expected, found = slow_gradient(model, x, y, *scales)
+        for p, grad in zip(parameters, found, strict=True):
+            p.grad = grad
+        adam.step()
+        with torch.no_grad():
+            assert torch.equal(model.step(x, y, *scales), expected)
+        for p, reference in zip(model.parameters(), parameters, strict=True):
+            assert torch.equal(p, reference)
+
+
+@pytest.mark.parametrize("kind", ["mdn", "ensemble"])
+def test_fitted_together_is_fitted_alone(kind: str):
+    """Each has its own data, weights and random stream, and stops where it would alone."""
+    config = SMALL.but(kind=kind, rounds=9, patience=1, min_gain=0.05, batches_per_round=20)
+    models = [[make_model(2, 1, config, generator(s)) for s in range(3)] for _ in range(2)]
+    per_dim = torch.rand(600, 2, generator=generator())
+    reports = []
+    for fitted, together in zip(models, (False, True), strict=True):
+        jobs = [
+            Job(m, rows(300 * (s + 1), s), torch.ones(300 * (s + 1)), dims, generator(s))
+            for s, (m, dims) in enumerate(zip(fitted, (None, per_dim, None), strict=True))
+            if isinstance(m, NeuralDynamics)
+        ]
+        joint = type(jobs[0].model).joined([j.model for j in jobs]) if together else None
+        for again in range(2):  # the second fit begins with unequal numbers of steps
+            generators = [generator(10 * again + s) for s in range(3)]
+            now = [replace(j, generator=g) for j, g in zip(jobs, generators, strict=True)]
+            done = fit(now, joint.step) if joint else [fit([j], j.model.step)[0] for j in now]
+            reports.append([r.metrics for r in done])
+    assert [r["model/rounds"] for r in reports[1]] == [r["model/rounds"] for r in reports[3]]
+    assert len({r["model/rounds"] for r in reports[0] + reports[1]}) > 1
+    probe = rows(50, 7)
+    for alone, joined in zip(*models, strict=True):
+        for a, b in zip(alone.predict(probe.obs, probe.action),
+                        joined.predict(probe.obs, probe.action), strict=True):  # fmt: skip
+            torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
 
 
 def test_mdn_draws_have_the_mixtures_moments():
@@ -111,16 +183,13 @@ def test_holdout_rows_keep_their_own_weights():
     marked = TensorTransitions(
         data.obs, data.action, data.reward, data.next_obs, data.terminated, data.truncated
     )
-    held = model._split(400, generator(5))[1]
+    held = split(400, model.config, generator(5))[1]
     model.fit(marked, weights, None, generator(5))
-    x = model.input_scale.forward(torch.cat([data.obs, data.action], -1))[held]
-    y = model.target_scale.forward(torch.cat([data.reward[:, None], data.next_obs - data.obs], -1))[
-        held
-    ]
-    loss = model.loss_per_dim(model._outputs(x), y).detach().mean(-1)[0]
+    x, y = model.inputs(data[held]), model.scaled_targets(data[held])
+    loss = model.loss_per_dim(model.outputs(x), y).mean(-1)[0]
     own = weights[held]
     expected = float((loss * own).sum() / own.sum())
-    assert float(model._holdout(x, y, own, None)) == pytest.approx(expected, rel=1e-4)
+    assert float(holdout_loss(model, x, y, own, None)) == pytest.approx(expected, rel=1e-4)
 
 
 def test_dimension_weights_leave_the_reward_column_at_one():
@@ -139,19 +208,16 @@ def test_elites_are_the_best_by_holdout_and_the_best_round_is_kept():
     data = rows(800)
     model = GaussianEnsemble(2, 1, SMALL.but(members=4, elites=2, rounds=4), generator())
     model.fit(data, torch.ones(800), None, generator(4))
-    held = model._split(800, generator(4))[1]
-    x = model.input_scale.forward(torch.cat([data.obs, data.action], -1))[held]
-    y = model.target_scale.forward(torch.cat([data.reward[:, None], data.next_obs - data.obs], -1))[
-        held
-    ]
-    losses = model._holdout(x, y, torch.ones(len(held)), None)
+    held = split(800, model.config, generator(4))[1]
+    x, y = model.inputs(data[held]), model.scaled_targets(data[held])
+    losses = holdout_loss(model, x, y, torch.ones(len(held)), None)
     assert set(model.elites.tolist()) == set(losses.argsort()[:2].tolist())
 
 
 def test_a_constant_dimension_is_centred_and_stays_finite():
     scale = Standardiser(2)
     x = torch.stack([torch.full((5,), 3.0), torch.arange(5.0)], 1)
-    scale.fit(x)
+    scale.take(*torch.std_mean(x, 0, correction=0))
     z = scale.forward(x)
     assert torch.equal(z[:, 0], torch.zeros(5))
     torch.testing.assert_close(scale.inverse(z), x)

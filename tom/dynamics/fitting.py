@@ -1,0 +1,207 @@
+"""The weighted fit of neural dynamics models, one or many in lock-step.
+
+Members of a fleet share every gradient step, and nothing else: each has its own data, weights,
+random stream, holdout and end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from tom.config import ModelConfig
+from tom.data.sampling import WeightedSampler, uniform_indices
+from tom.data.transitions import TensorTransitions
+from tom.dynamics.base import FitReport
+
+if TYPE_CHECKING:
+    from tom.dynamics.neural import NeuralDynamics
+
+BLOCK = 10  # minibatches gathered at once
+
+Step = Callable[..., Tensor]
+"""(x, y, *scales), (E, B, ...) each -> each network's loss (E,): `NeuralDynamics.step`."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A model to fit to N transitions with weights (N,), and per-dimension weights (N, O)."""
+
+    model: NeuralDynamics
+    data: TensorTransitions
+    weights: Tensor
+    per_dim: Tensor | None
+    generator: torch.Generator
+
+
+@torch.no_grad()
+def fit(jobs: Sequence[Job], step: Step) -> list[FitReport]:
+    """Weighted maximum likelihood (eq. 17) with early stopping; the best weights are kept.
+
+    Weights have mean 1 and are clipped at `config.weight_clip`. They draw the minibatches or
+    scale the loss, never both. A round is `batches_per_round` minibatches; a fit stops after
+    `patience` rounds without a relative gain of `min_gain` in the weighted holdout loss. `step`
+    moves the networks of all jobs at once; their configs are equal.
+    """
+    members = [_Member(job) for job in jobs]
+    while any(m.goes_on for m in members):
+        _round(members, step)
+    return [m.report() for m in members]
+
+
+def holdout_loss(
+    model: NeuralDynamics, x: Tensor, y: Tensor, weights: Tensor, dims: Tensor | None
+) -> Tensor:
+    """Weighted holdout loss of each network, (E,)."""
+    loss = model.loss_per_dim(model.outputs(x), y)
+    if dims is not None:
+        loss = loss * dims
+    mass = weights.sum()
+    weights = torch.where(mass <= 0, torch.ones_like(weights), weights / mass * len(weights))
+    return (loss.mean(-1) * weights).mean(-1)
+
+
+def split(n: int, config: ModelConfig, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Row numbers to train on, and those held out."""
+    held = min(int(n * config.holdout), config.holdout_max)
+    order = torch.randperm(n, generator=generator, device=generator.device)
+    return order[held:], order[: max(held, 1)]
+
+
+def _round(members: Sequence[_Member], step: Step) -> None:
+    count = members[0].config.batches_per_round
+    scale_dims = any(m.scales_dims for m in members)
+    plans = [m.plan() for m in members]
+    losses = [torch.zeros((), device=m.weights.device) for m in members]
+    for first in range(0, count, BLOCK):
+        block = slice(first, first + BLOCK)
+        parts = [m.gather(p[block], scale_dims) for m, p in zip(members, plans, strict=True)]
+        stacked = [p[0] if len(p) == 1 else torch.cat(p, 1) for p in zip(*parts, strict=True)]
+        for batch in zip(*stacked, strict=True):
+            loss = step(*batch).view(len(members), -1)
+            for total, own in zip(losses, loss, strict=True):
+                total += own.sum()
+    for member, loss in zip(members, losses, strict=True):
+        member.end_round(loss)
+
+
+class _Member:
+    """One job's way through its fit."""
+
+    def __init__(self, job: Job) -> None:
+        self.model, self.data, self.generator = job.model, job.data, job.generator
+        self.config = job.model.config
+        self.weights = job.weights.clamp(max=self.config.weight_clip)
+        self.per_dim = job.per_dim
+        self.train, held = split(len(job.data), self.config, job.generator)
+        self.model.fit_scales(job.data, self.train)
+        rows = job.data[held]
+        self._held = self.model.inputs(rows), self.model.scaled_targets(rows)
+        self._held_weights = self.weights[held], self._dims(held)
+        self._sampler = None
+        if self.config.weights == "sample":
+            self._sampler = WeightedSampler(self.weights[self.train], job.generator)
+        self._best = _Best(self.model, self.config.min_gain)
+        self._best.offer(holdout_loss(self.model, *self._held, *self._held_weights))
+        self._rounds = self._idle = 0
+        self._train_loss = torch.tensor(float("nan"))
+        self._stopped: list[tuple[Tensor, Tensor]] = []
+
+    @property
+    def goes_on(self) -> bool:
+        return self._rounds < self.config.rounds and self._idle < self.config.patience
+
+    @property
+    def scales_dims(self) -> bool:
+        """Whether this round's loss counts some dimensions more than others."""
+        return self.per_dim is not None and self.model.uses_dim_weights(self._rounds == 0)
+
+    def plan(self) -> Tensor:
+        """Row numbers (rounds' batches, E, B) of a round; each network draws its own."""
+        shape = self.config.batches_per_round, self.model.ensemble, self.config.batch_size
+        if not self.goes_on:  # it is moved along with the others, and put back at the end
+            return self.train[:1].expand(shape)
+        n = shape[0] * shape[1] * shape[2]
+        if self._sampler:
+            drawn = self._sampler.draw(n)
+        else:
+            drawn = uniform_indices(len(self.train), n, self.generator)
+        return self.train[drawn].view(shape)
+
+    def gather(self, index: Tensor, scale_dims: bool) -> list[Tensor]:
+        """Inputs, targets and the loss's factors of rows (n, E, B), each (n, E, B, ...)."""
+        rows = self.data[index.flatten()]
+        parts = [self.model.inputs(rows), self.model.scaled_targets(rows)]
+        if scale_dims:
+            dims = self._dims(index.flatten()) if self.scales_dims else torch.ones_like(parts[1])
+            parts.append(torch.ones_like(parts[1]) if dims is None else dims)
+        if self.config.weights == "scale":
+            parts.append(self.weights[index.flatten()].unsqueeze(-1))
+        return [part.view(*index.shape, -1) for part in parts]
+
+    def end_round(self, loss: Tensor) -> None:
+        """Take the networks that gained on the holdout; stop where none has for long enough."""
+        if not self.goes_on:
+            return
+        self._train_loss = loss
+        losses = holdout_loss(self.model, *self._held, *self._held_weights)
+        self._idle = 0 if self._best.offer(losses) else self._idle + 1
+        self._rounds += 1
+        if not self.goes_on:
+            kept = [*self.model.extra_parameters(), *self.model.optimiser.tensors()]
+            self._stopped = [(x, x.clone()) for x in kept]
+
+    def report(self) -> FitReport:
+        """Put back what was best, and what the others' further rounds have moved."""
+        for tensor, kept in self._stopped:
+            tensor.copy_(kept)
+        self._best.restore()
+        model, (x, y), losses = self.model, self._held, self._best.losses
+        model.elites = losses.argsort()[: len(model.elites)]
+        steps = self.config.batches_per_round * model.ensemble
+        output = model.outputs(x)[model.elites]
+        error = model.mean(output).mean(0) - y
+        return FitReport(
+            {
+                "model/train_nll": float(self._train_loss) / steps,
+                "model/holdout_nll": float(losses[model.elites].mean()),
+                "model/rounds": float(self._rounds),
+                "model/holdout_nll_uniform": float(model.loss_per_dim(output, y).mean()),
+                "model/holdout_mse": float(error.square().mean()),
+            }
+        )
+
+    def _dims(self, index: Tensor) -> Tensor | None:
+        """Per-dimension weights of rows, (n, 1 + O): the reward, first, always counts 1."""
+        if self.per_dim is None:
+            return None
+        rows = self.per_dim[index]
+        return torch.cat([torch.ones_like(rows[:, :1]), rows], -1)
+
+
+class _Best:
+    """The best networks of a fit so far, each network by its own holdout loss."""
+
+    def __init__(self, model: NeuralDynamics, min_gain: float) -> None:
+        self._parameters = model.net.tensors()
+        self._min_gain = min_gain
+        self._kept = [p.clone() for p in self._parameters]
+        self.losses = self._kept[0].new_full((model.ensemble,), float("inf"))
+
+    def offer(self, losses: Tensor) -> bool:
+        """Keep every network that improved; True if one gained at least `min_gain`."""
+        better = losses < self.losses
+        gain = (self.losses - losses) / self.losses.abs().clamp(min=1e-8)
+        gain = torch.where(self.losses.isinf(), torch.ones_like(gain), gain)
+        for kept, parameter in zip(self._kept, self._parameters, strict=True):
+            torch.where(better.view(-1, 1, 1), parameter, kept, out=kept)
+        self.losses = torch.where(better, losses, self.losses)
+        return bool((better & (gain > self._min_gain)).any())
+
+    def restore(self) -> None:
+        for kept, parameter in zip(self._kept, self._parameters, strict=True):
+            parameter.copy_(kept)
