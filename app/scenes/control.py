@@ -33,11 +33,13 @@ class Replay:
 
 @dataclass(frozen=True)
 class States:
-    """Robots in states of a run's replay buffer: two groups of row numbers, side by side."""
+    """Robots in states of a run's replay buffer: two groups of its rows, side by side."""
 
     run: str
-    left: tuple[int, ...]
-    right: tuple[int, ...]
+    heavy: tuple[int, ...]  # numbers in the run's record
+    light: tuple[int, ...]
+    heavy_weights: tuple[float, ...]
+    light_weights: tuple[float, ...]
 
 
 Choice = Road | Replay | States

@@ -35,6 +35,7 @@ class Robot:
                 batched_colors=tint,
                 opacity=opacity,
                 lod="off",
+                receive_shadow=False,  # on themselves shadows are too coarse: half goes black
             )
             for i, (vertices, faces) in enumerate(solids.meshes)
         ]

@@ -9,14 +9,19 @@ import viser
 from websockets.http11 import Request
 
 from app.links import Links
-from app.scenes.control import Choice, Replay, Road, Selection, listen
+from app.scenes.control import Choice, Replay, Road, Selection, States, listen
 from app.scenes.frame import Frame
 from app.scenes.replay_frame import ReplayFrame
 from app.scenes.road_frame import RoadFrame
+from app.scenes.states_frame import StatesFrame
 from tom.errors import UserError
 
 TICK_S = 1 / 30
-FRAMES: dict[type[Choice], type[Frame]] = {Road: RoadFrame, Replay: ReplayFrame}
+FRAMES: dict[type[Choice], type[Frame]] = {
+    Road: RoadFrame,
+    Replay: ReplayFrame,
+    States: StatesFrame,
+}
 """which frame shows what a page can choose"""
 
 

@@ -1,0 +1,91 @@
+"""Replay buffers for the pages: read once, read again when their files have changed."""
+
+from pathlib import Path
+
+import numpy as np
+import streamlit as st
+from numpy.typing import NDArray
+
+from app import pictures, readers
+from app.buffer import Floats, Rows, rows_at
+from app.readers import RunInfo, Stamp
+from tom.data.transitions import Transitions
+from tom.errors import UserError
+from tom.imagine import kept_model, step_errors
+from tom.record import layout
+from tom.record.reader import RunReader
+
+ERROR_ROWS = 20_000
+"""rows at most whose model error is computed: they are spread evenly over the buffer"""
+
+
+def fits(run: RunInfo) -> list[int]:
+    """The model fits of a run whose every single weight was kept."""
+    return RunReader(run.path).snapshot_steps()
+
+
+def at_or_before(steps: list[int], step: int) -> int:
+    """The last of `steps` that is not after `step`, else the first."""
+    return max((at for at in steps if at <= step), default=steps[0])
+
+
+def rows(run: RunInfo, step: int) -> Rows | None:
+    """The replay buffer at the fit of `step`, with that fit's weights; None where it is damaged."""
+    return _rows(run.path, run.env, step, _stamp(run), readers.stamp(_snapshot(run, step)))
+
+
+def weighed_rows(run: RunInfo, weight: NDArray) -> Rows | None:
+    """The whole recorded buffer with weights from elsewhere; None where it has another length."""
+    recorded, version = _buffer(run.path, _stamp(run))
+    return rows_at(recorded, version, weight, len(recorded))
+
+
+def model_errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, int] | str:
+    """Row numbers (K,) of `rows(run, step)`, the kept model's error there (K,), the model's step.
+
+    The reason in words where there is no model.
+    """
+    return _errors(run.path, run.env, step, _stamp(run), readers.stamp(_snapshot(run, step)))
+
+
+def _snapshot(run: RunInfo, step: int) -> Path:
+    return Path(run.path) / layout.snapshot(step)
+
+
+def _stamp(run: RunInfo) -> Stamp:
+    """Changes whenever the buffer's files do."""
+    folder = Path(run.path) / "buffer"
+    last = layout.numbers(folder, ".npz")[-1:]
+    return readers.stamp(Path(run.path) / layout.segment(last[0])) if last else (0, 0)
+
+
+@st.cache_resource(show_spinner=False, max_entries=4)
+def _buffer(path: str, changed: Stamp) -> tuple[Transitions, NDArray[np.int64]]:
+    return RunReader(path).buffer()
+
+
+@st.cache_resource(show_spinner=False, max_entries=16)
+def _rows(path: str, env: str, step: int, changed: Stamp, weighed: Stamp) -> Rows | None:
+    recorded, version = _buffer(path, changed)
+    weight = RunReader(path).snapshot(step)["weight"].to_numpy()
+    # Offline data are all there from the first step on; online, a step adds a row.
+    return rows_at(recorded, version, weight, len(recorded) if env == pictures.ENV else step)
+
+
+@st.cache_resource(show_spinner=False, max_entries=16)
+def _errors(
+    path: str, env: str, step: int, changed: Stamp, weighed: Stamp
+) -> tuple[NDArray[np.int64], Floats, int] | str:
+    found = _rows(path, env, step, changed, weighed)
+    if found is None:
+        return "its buffer cannot be read"
+    try:
+        kept = kept_model(RunReader(path))
+    except UserError as error:
+        return str(error)
+    index = np.unique(np.linspace(0, len(found) - 1, ERROR_ROWS).astype(np.int64))
+    part = found.rows[index].numpy()
+    error = step_errors(
+        kept.predictor, *(np.asarray(x) for x in (part.obs, part.action, part.next_obs))
+    )
+    return index, error.astype(np.float64), kept.env_step

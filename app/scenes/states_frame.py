@@ -1,0 +1,120 @@
+"""The browser frame that shows robots in states of a replay buffer, heavy and light ones."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from app.colours import on_scale
+from app.figures.scales import OCTAVES, octaves
+from app.scenes import states
+from app.scenes.control import Selection, States
+from app.scenes.frame import Frame
+from app.scenes.states import WINDOW, StatesScene
+from app.theme import COLUMNS
+from tom.data.transitions import Transitions
+from tom.errors import UserError
+from tom.record import scene as geometry
+from tom.record.store import Store
+
+SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0}
+
+
+@lru_cache(maxsize=4)
+def _recorded(store: str, run: str) -> tuple[Transitions, dict[str, NDArray]]:
+    reader = Store(store).run(run)
+    return reader.buffer()[0], reader.buffer_state()
+
+
+class StatesFrame(Frame):
+    """Heavy transitions on the left, light ones on the right; each can be seen moving."""
+
+    title = "Heavy and light"
+    shadows = True
+
+    def _build_panel(self) -> None:
+        self._scene: StatesScene | None = None
+        self._drawn: States | None = None
+        self._env = ""
+        self._dt = 0.01
+        self._at = float(WINDOW)
+        gui = self.client.gui
+        self.play = gui.add_checkbox("play the moments", initial_value=False)
+        self.offset = gui.add_slider("steps around", -WINDOW, WINDOW, 1, 0)
+        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1/4")
+        gui.add_markdown("The colour is the weight: orange counts more than average, blue less.")
+        self.offset.on_update(self._scrubbed)
+
+    def _show(self, selection: Selection) -> None:
+        choice = selection.choice
+        assert isinstance(choice, States)
+        if choice == self._drawn:
+            return
+        recorded, state = _recorded(self.store, choice.run)
+        if max((*choice.heavy, *choice.light), default=0) >= len(recorded):
+            _recorded.cache_clear()  # the run has gone on since it was read
+            recorded, state = _recorded(self.store, choice.run)
+        env = Store(self.store).run(choice.run).env
+        ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
+        if max((*choice.heavy, *choice.light), default=0) >= len(ended):
+            raise UserError("these transitions are no longer in the run's record")
+        groups, height = [], 0.0
+        for words, rows, weights in (
+            ("heaviest", choice.heavy, choice.heavy_weights),
+            ("lightest", choice.light, choice.light_weights),
+        ):
+            if rows:
+                qpos = states.poses(env, recorded, state, states.moments(ended, rows))
+                one, height = states.group(env, qpos)
+                groups.append((_label(words, weights), one, _colours(weights)))
+        self._draw(groups, height, env)
+        self._drawn = choice
+
+    def _draw(self, groups: list, height: float, env: str) -> None:
+        with self.client.atomic():
+            self.client.scene.reset()
+            self._scene = StatesScene(self.client.scene, groups, height, self.mode)
+            self._pose()
+        if env != self._env:
+            self._env, self._dt = env, geometry.model(env).dt
+            width, depth = 3.6 * (self._scene.size + states.MARGIN)
+            away = 0.5 * width + 0.4
+            self.look((0.1, -away, height + 1.0 + 0.35 * away), (0.1, 0.3 * depth, height + 0.5))
+
+    def _mode_changed(self) -> None:
+        self._drawn = None
+
+    def _scrubbed(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:  # moved by the reader, not by what plays
+            with self._lock:
+                self._at = float(self.offset.value + WINDOW)
+                self._pose()
+
+    def _tick(self, seconds: float) -> None:
+        if self.play.value and self._scene is not None:
+            step = seconds * SPEEDS[self.speed.value] / self._dt
+            self._at = (self._at + step) % (2 * WINDOW + 1)
+            self.offset.value = int(self._at) - WINDOW
+            self._pose()
+
+    def _pose(self) -> None:
+        if self._scene is not None:
+            with self.client.atomic():
+                self._scene.pose(int(self._at))
+
+
+def _label(words: str, weights: Sequence[float]) -> str:
+    low, high = min(weights), max(weights)
+    ends = list(dict.fromkeys(_short(weight) for weight in (low, high)))
+    return f"{words}: weight {' to '.join(ends)}"
+
+
+def _short(weight: float) -> str:
+    return f"{weight:.0f}" if weight >= 10 else f"{weight:.2g}"
+
+
+def _colours(weights: Sequence[float]) -> list[tuple[int, int, int]]:
+    share = octaves(np.asarray(weights, np.float64)) / (2 * OCTAVES) + 0.5
+    return [(int(r), int(g), int(b)) for r, g, b in on_scale(share, COLUMNS)]

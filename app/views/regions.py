@@ -1,0 +1,215 @@
+"""Regions: the replay buffer as a map; what lies in a part of it, down to the robot itself."""
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+
+from app import buffer_reader, pictures, readers, regions, session, text, widgets
+from app.buffer import Rows, dimension_names
+from app.figures.regions import apart_bars, region_map
+from app.plot import Region, chart
+from app.readers import RunInfo
+from app.regions import Mask, Plane
+from app.scenes.control import States
+from app.views.stage import stage
+
+TITLE = "Regions"
+ICON = ":material/lasso_select:"
+PATH = "regions"
+
+MAP_HEIGHT = 690
+STAGE_HEIGHT = 560
+SHOWN = 9
+"""robots of each kind"""
+GAP = 10
+"""steps that two of them are apart at least"""
+LISTED = 300
+"""transitions of a region in its table"""
+CORNERS = 60
+"""corners of an outline that an address holds"""
+COMPONENTS = "two principal components of (s, a, s')"
+DRAWN, TOP, ZERO, AGE, ALL = "what I draw", "heaviest 1 %", "weight zero", "an age", "everything"
+
+
+def page() -> None:
+    """A run and a fit; the map, a region of it, what is in it."""
+    listing = readers.listing(session.links().store)
+    kept = [run for run in listing.runs if buffer_reader.fits(run)]
+    if not kept:
+        st.info("No run has kept its weights yet: they are recorded with the model fits.")
+        return
+    kept.sort(key=lambda run: run.env == pictures.ENV)
+    top = st.columns([4, 3, 4], vertical_alignment="bottom")
+    with top[0]:
+        run = widgets.pick_run(kept)
+    with top[1]:
+        step = widgets.pick_step("Fit at step", buffer_reader.fits(run))
+    rows = buffer_reader.rows(run, step)
+    if rows is None:
+        st.warning("The replay buffer of this fit cannot be read.")
+        widgets.show_problems(run)
+        return
+    names, actions = dimension_names(run.env, rows.rows)
+    with top[2]:
+        plane = _pick_plane(rows, names)
+    mask = _pick_region(rows, plane)
+    left, right = st.columns([3, 2])
+    with left, st.container(border=True):
+        _map(run, rows, plane)
+    with right, st.container(border=True):
+        _contents(run, rows, mask, names + actions)
+    _scenes(run, rows, mask)
+    _transitions(rows, mask, names, actions)
+    widgets.show_problems(run)
+
+
+def _pick_plane(rows: Rows, names: list[str]) -> Plane:
+    columns = st.columns(2)
+    x = columns[0].selectbox("Across", [COMPONENTS, *names], key="across", bind="query-params")
+    if x is None or x == COMPONENTS:
+        columns[1].selectbox("Up", ["both are shown"], disabled=True)
+        return regions.principal_plane(rows.rows)
+    others = [name for name in names if name != x]
+    y = columns[1].selectbox("Up", others, key="up", bind="query-params") or others[0]
+    return regions.named_plane(rows.rows, names, x, y)
+
+
+def _pick_region(rows: Rows, plane: Plane) -> Mask:
+    columns = st.columns([4, 3], vertical_alignment="bottom")
+    kind = columns[0].segmented_control(
+        "Region", [DRAWN, TOP, ZERO, AGE, ALL], default=TOP, required=True, key="region",
+        bind="query-params",
+    )  # fmt: skip
+    if kind == TOP:
+        return regions.heaviest(rows.weight, 0.01)
+    if kind == ZERO:
+        return rows.weight == 0
+    if kind == AGE:
+        with columns[1]:
+            low, high = st.slider(
+                "From the oldest (0 %) to the newest (100 %)", 0, 100, (90, 100), key="age",
+                bind="query-params",
+            )  # fmt: skip
+        return regions.aged(len(rows), low, high)
+    if kind == DRAWN:
+        outline = _outline()
+        if not outline:
+            columns[1].caption("Draw a lasso or a box on the map.")
+        return regions.inside(outline, plane.x, plane.y)
+    return np.ones(len(rows), bool)
+
+
+def _outline() -> list[tuple[float, float]]:
+    """The corners in the address (`?outline=x,y;x,y;...`); none for anything else."""
+    pairs = [pair.split(",") for pair in st.query_params.get("outline", "").split(";")]
+    try:
+        found = [(float(x), float(y)) for x, y in pairs]
+    except ValueError:
+        return []
+    return found if np.isfinite(found).all() else []
+
+
+def _map(run: RunInfo, rows: Rows, plane: Plane) -> None:
+    st.markdown("**The buffer**: a point is a transition; draw a lasso or a box round some")
+
+    def select(region: Region | None) -> None:
+        if region is None or len(region.outline) < 3:
+            st.query_params.pop("outline", None)
+            return
+        every = max(-(-len(region.outline) // CORNERS), 1)
+        corners = region.outline[::every]
+        st.query_params["outline"] = ";".join(f"{x:.4g},{y:.4g}" for x, y in corners)
+        st.session_state["region"] = DRAWN
+
+    drawn = _outline() if st.session_state.get("region") == DRAWN else []
+    keep = f"{run.run_id} {plane.x_name} {plane.y_name}"
+    figure = region_map(plane, rows.weight, drawn, session.mode(), MAP_HEIGHT, keep)
+    chart(figure, "region map", "the buffer's transitions, coloured by weight", selected=select)
+
+
+def _contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
+    st.markdown(f"**In the region**: {mask.sum():,} of {len(rows):,} transitions")
+    table = contents(rows, mask)
+    right = {c: st.column_config.TextColumn(c, alignment="right") for c in table.columns[1:]}
+    st.dataframe(table, hide_index=True, height="content", column_config=right)
+    gaps = regions.apart(rows, mask, names)
+    if gaps:
+        st.markdown("**What sets it apart**")
+        chart(apart_bars(gaps, 250), "apart", "dimensions in which the region differs most")
+
+
+def contents(rows: Rows, mask: Mask) -> pd.DataFrame:
+    """A line a quantity: in the region, and in the whole buffer."""
+    here, whole = regions.summary(rows, mask), regions.summary(rows, np.ones(len(rows), bool))
+
+    def shown(name: str, value: float) -> str:
+        return text.number(value, 0 if name == "transitions" else 2)
+
+    return pd.DataFrame(
+        {
+            "": list(here),
+            "region": [shown(name, value) for name, value in here.items()],
+            "buffer": [shown(name, value) for name, value in whole.items()],
+        }
+    )
+
+
+def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
+    if run.env == pictures.ENV:
+        return  # its states are places on the map, which has a page of its own
+    if not mask.any():
+        st.caption("The region is empty: nothing to show in 3D.")
+        return
+    heavy, light, words = _sides(rows, mask)
+    st.markdown(f"**The scenes themselves**: {words}")
+    choice = States(
+        run.run_id,
+        tuple(rows.first + row for row in heavy),
+        tuple(rows.first + row for row in light),
+        tuple(round(float(rows.weight[row]), 4) for row in heavy),
+        tuple(round(float(rows.weight[row]), 4) for row in light),
+    )
+    stage(choice, STAGE_HEIGHT)
+
+
+def _sides(rows: Rows, mask: Mask) -> tuple[list[int], list[int], str]:
+    """What stands left and right. A region of one end of the weights is held to the other end."""
+    kind, whole = st.session_state.get("region"), np.ones(len(rows), bool)
+    heavy, light = regions.heavy_and_light(rows, mask, SHOWN, GAP)
+    if kind == TOP:
+        light = regions.heavy_and_light(rows, whole, SHOWN, GAP)[1]
+        return heavy, light, "the region's heaviest on the left, the buffer's lightest on the right"
+    if kind == ZERO:
+        heavy = regions.heavy_and_light(rows, whole, SHOWN, GAP)[0]
+        return heavy, light, "the buffer's heaviest on the left, weight zero on the right"
+    return heavy, light, "the region's heaviest on the left, its lightest on the right"
+
+
+def _transitions(rows: Rows, mask: Mask, names: list[str], actions: list[str]) -> None:
+    index = np.flatnonzero(mask)
+    index = index[np.argsort(-rows.weight[index], kind="stable")][:LISTED]
+    more = f", the {LISTED} heaviest" if mask.sum() > LISTED else ""
+    with st.expander(f"Its transitions{more}"):
+        st.dataframe(transitions(rows, index, names, actions), hide_index=True)
+
+
+def transitions(
+    rows: Rows, index: np.ndarray, names: list[str], actions: list[str]
+) -> pd.DataFrame:
+    """A line for each of these rows: its weight, where it comes from, s, a, r and s'."""
+    part = rows.rows[index].numpy()
+    table = {
+        "weight": rows.weight[index],
+        "row": rows.first + index,
+        "episode": rows.episode[index],
+        "step of the episode": rows.place[index],
+        "return of the episode": rows.episode_return[index],
+        "policy version": rows.version[index],
+        "reward": part.reward,
+        "terminal": np.asarray(part.terminated) != 0,
+    }
+    obs, action, following = (np.asarray(x) for x in (part.obs, part.action, part.next_obs))
+    table |= {name: obs[:, i] for i, name in enumerate(names)}
+    table |= {name: action[:, i] for i, name in enumerate(actions)}
+    table |= {f"next {name}": following[:, i] for i, name in enumerate(names)}
+    return pd.DataFrame(table)
