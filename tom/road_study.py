@@ -153,7 +153,7 @@ def control_cases(seeds: Sequence[int]) -> list[Case]:
 
 
 def baseline_cases(seeds: Sequence[int]) -> list[Case]:
-    """Simpler weightings, and TOM whose rollouts start uniformly."""
+    """VaGram, simpler weightings, and TOM whose rollouts start uniformly."""
     uniform_starts = {"rollout": {"weighted_starts": False}}
     return [
         case
@@ -161,7 +161,7 @@ def baseline_cases(seeds: Sequence[int]) -> list[Case]:
         for case in (
             *(
                 _case(name, name, seed)
-                for name in ("expert-only", "footprint-only", "discriminator-only")
+                for name in ("vagram", "expert-only", "footprint-only", "discriminator-only")
             ),
             _case("tom, uniform starts", "tom", seed, **uniform_starts),
         )
