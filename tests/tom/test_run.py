@@ -1,11 +1,6 @@
 """A run stopped, or killed, and resumed leaves the folder of a run that was never interrupted."""
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -100,10 +95,9 @@ def test_a_finished_run_goes_on_when_it_is_given_more_steps(undisturbed, tmp_pat
     np.testing.assert_array_equal(longer.buffer()[0].obs, undisturbed.buffer()[0].obs)
 
 
-@pytest.mark.parametrize("learner", ["mle", "pmac", "tom", "vagram"])
-def test_road_and_rocks_stopped_and_resumed(tmp_path: Path, learner: str):
-    given = {"steps": 250, "fit_every": 100, "tom": {"q_steps": 50, "discriminator_steps": 50}}
-    made = resolve("road-and-rocks", learner, "smoke", given)
+def test_road_and_rocks_stopped_and_resumed(tmp_path: Path):
+    given = {"steps": 250, "fit_every": 100, "random_transitions": 2000}
+    made = resolve("road-and-rocks", "vagram", "smoke", given)
     store = Store(tmp_path)
     whole = train(made, store, "whole", rerun=False)
     stop, watchers = stopping_at(123)
@@ -128,47 +122,3 @@ def test_a_run_of_another_version_is_refused_in_one_line(undisturbed, tmp_path: 
     with pytest.raises(UserError, match=r"another version.*fit_each") as error:
         resume(Store(tmp_path), "old", steps=1000, rerun=False)
     assert "\n" not in str(error.value)
-
-
-def start(store: Path, *more: str) -> subprocess.Popen[bytes]:
-    settings = [f"--{name.replace('_', '-')}={value}" for name, value in {
-        "steps": STEPS, "tom.warmup": 50, "checkpoint_every": 100}.items()]  # fmt: skip
-    which = ["--env", "hopper", "--learner", "tom", "--preset", "smoke", "--no-rerun"]
-    return subprocess.Popen(
-        [sys.executable, "-m", "tom", "train", *which, "--store", str(store), *settings, *more],
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-
-
-@pytest.mark.fault
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
-def test_a_process_killed_or_stopped_and_started_again_with_resume_auto(
-    undisturbed, tmp_path: Path, how: signal.Signals
-):
-    process = start(tmp_path, "--resume", "auto", "--run-id", "a")
-    wait_for_step(tmp_path / "a", 220)
-    process.send_signal(how)
-    process.wait(60)
-    if how is signal.SIGKILL:  # a reader takes it for alive until its heartbeat is 30 s old
-        age_heartbeat(tmp_path / "a")
-    assert start(tmp_path, "--resume", "auto").wait(120) == 0
-    assert [run.run_id for run in Store(tmp_path).runs()] == ["a"]
-    assert_same_record(undisturbed, Store(tmp_path).run("a"))
-
-
-def wait_for_step(path: Path, step: int) -> None:
-    for _ in range(1200):
-        folder = path / checkpoint.FOLDER
-        if folder.is_dir() and any(p.name.isdigit() and int(p.name) >= step - 100
-                                   for p in folder.iterdir()):  # fmt: skip
-            return
-        time.sleep(0.05)
-    pytest.fail("the training did not get there")
-
-
-def age_heartbeat(path: Path) -> None:
-    status = path / "status.json"
-    beat = RunReader(path).status.heartbeat
-    status.write_text(status.read_text().replace(repr(beat), repr(beat - 3600)))

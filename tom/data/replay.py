@@ -52,6 +52,8 @@ class ReplayBuffer:
 
     def extend(self, rows: TensorTransitions, policy_version: Tensor | int = 0) -> None:
         """Append N transitions in order; `policy_version` is (N,) or one for all."""
+        if not len(rows):
+            return  # a run folder without rows yet does not know their width
         self._extend(_pack(rows), torch.as_tensor(policy_version).expand(len(rows)))
 
     def transitions(self) -> TensorTransitions:

@@ -1,0 +1,143 @@
+"""Trainings of seconds for the fault tests, in this process or in one that may be killed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from tom.config import OnlineConfig
+from tom.events import Event, Tick
+from tom.presets import resolve
+from tom.record import RunReader, Store
+from tom.run import Stop, resume, train
+
+SETTINGS = {
+    "steps": 240,
+    "exploration_steps": 40,
+    "fit_every": 40,
+    "checkpoint_every": 20,
+    "matmul": "default",
+    "rollout": {"starts": 200},
+    "evaluation": {"every": 80, "episodes": 1},
+    "tom": {"warmup": 30},
+}
+
+
+def config(learner: str = "mle", env: str = "inverted-pendulum", **changes: object) -> OnlineConfig:
+    """A training of about a second."""
+    made = resolve(env, learner, "smoke", {**SETTINGS, **changes})
+    assert isinstance(made, OnlineConfig)
+    return made
+
+
+def stopping_at(step: int) -> tuple[Stop, tuple[Callable[[Event], None], ...]]:
+    """A stop that is asked for during `step`, and the watcher that asks for it."""
+    stop = Stop()
+
+    def watch(event: Event) -> None:
+        if event.env_step == step and isinstance(event, Tick):
+            stop()
+
+    return stop, (watch,)
+
+
+def stopped(store: Store, step: int, run_id: str = "a", **changes: object) -> RunReader:
+    """A run that was stopped after `step`."""
+    stop, watchers = stopping_at(step)
+    made = config(**changes)  # pyright: ignore[reportArgumentType]
+    return train(made, store, run_id, rerun=False, watchers=watchers, stop=stop)
+
+
+def untimed(run: RunReader) -> pd.DataFrame:
+    """The metrics but for those of the clock."""
+    table = run.metrics()
+    return table.drop(columns=[name for name in table if name.startswith("time/")])
+
+
+def assert_same_record(first: RunReader, second: RunReader) -> None:
+    """Metrics, weights, buffer and episodes are the same to the last bit."""
+    pd.testing.assert_frame_equal(untimed(first), untimed(second), check_like=True)
+    np.testing.assert_array_equal(first.profiles().bins, second.profiles().bins)
+    (a, versions_a), (b, versions_b) = first.buffer(), second.buffer()
+    np.testing.assert_array_equal(a.obs, b.obs)
+    np.testing.assert_array_equal(versions_a, versions_b)
+    assert first.evaluation_steps() == second.evaluation_steps()
+    for step in first.evaluation_steps():
+        for x, y in zip(first.episodes(step), second.episodes(step), strict=True):
+            np.testing.assert_array_equal(x.obs, y.obs)
+    assert second.problems == []
+
+
+# Processes of their own
+
+
+def tom(*arguments: object, **how: object) -> subprocess.Popen[str]:
+    """`tom ...` in a process, its output in pipes."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "tom", *map(str, arguments)],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **how,  # pyright: ignore[reportArgumentType, reportCallIssue]
+    )
+
+
+def train_command(store: Path, learner: str = "mle", **changes: object) -> list[object]:
+    """The command line of `config`'s training."""
+    given: dict[str, object] = {}
+    for name, value in {**SETTINGS, **changes}.items():
+        parts = value.items() if isinstance(value, dict) else [("", value)]
+        given |= {f"{name}.{inner}" if inner else name: number for inner, number in parts}
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
+    which = ["--env", "inverted-pendulum", "--learner", learner, "--preset", "smoke"]
+    return ["train", *which, "--store", store, "--no-rerun", *options]
+
+
+def ended(process: subprocess.Popen[str], timeout_s: float = 120) -> tuple[int, str, str]:
+    """Its exit code, output and errors."""
+    out, error = process.communicate(timeout=timeout_s)
+    return process.returncode, out, error
+
+
+def wait_until(found: Callable[[], bool], timeout_s: float = 60) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not found():
+        if time.monotonic() > deadline:
+            pytest.fail("waited in vain")
+        time.sleep(0.005)
+
+
+def go_on(path: Path, run_id: str, steps: int, rerun: bool) -> None:
+    """Train or resume, writing each step that is whole into `path`/step; to be killed."""
+    torch.set_num_threads(1)
+    store = Store(path)
+    with (path / "step").open("r+b", buffering=0) as done:
+
+        def watch(event: Event) -> None:
+            if isinstance(event, Tick) and event.ends_step:
+                os.pwrite(done.fileno(), b"%09d" % event.env_step, 0)
+
+        if (path / run_id).exists():
+            resume(store, run_id, steps, rerun=rerun, watchers=(watch,))
+        else:
+            train(config("tom", steps=steps), store, run_id, rerun=rerun, watchers=(watch,))
+
+
+def kill(pid: int) -> None:
+    os.kill(pid, signal.SIGKILL)
+
+
+def one_line(error: str) -> str:
+    """The one line that a command printed as its error."""
+    lines: Sequence[str] = error.strip().splitlines()
+    assert len(lines) == 1, error
+    return lines[0]
