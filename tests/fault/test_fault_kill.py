@@ -65,8 +65,11 @@ def check(truth: RunReader, store: Store, step: int) -> None:
     """Everything of the whole steps is there, and what is there is right."""
     [run] = store.runs()
     # What is measured after a step belongs to it, so the rows before the last one are complete.
-    want, got = (table[table["env_step"] < step] for table in (untimed(truth), untimed(run)))
-    pd.testing.assert_frame_equal(want.dropna(axis=1, how="all"), got.dropna(axis=1, how="all"))
+    want, got = (
+        table.loc[table["env_step"] < step].dropna(axis="columns", how="all")
+        for table in (untimed(truth), untimed(run))
+    )
+    pd.testing.assert_frame_equal(want, got)
     rows = run.buffer()[0]
     if len(rows):
         np.testing.assert_array_equal(rows.obs, truth.buffer()[0].obs[: len(rows)])

@@ -139,12 +139,12 @@ class Recorder:
         self._finished = True
         self._heartbeat.stop()
         try:
-            self._writer.throw_off_ballast()
             self._conclude()
         except OSError as error:
             if state == "finished":
                 state, reason = "failed", self._why(error)
         finally:
+            self._writer.throw_off_ballast()  # only now: Rerun would take the room
             self._end(state, reason)
             self._writer.close()
 

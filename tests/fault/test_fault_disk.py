@@ -1,0 +1,157 @@
+"""A disk that is full or may not be written, and paths that few expect."""
+
+import os
+import shutil
+from multiprocessing import get_context
+from pathlib import Path
+from threading import Event as Flag
+
+import pytest
+from faults import assert_same_record, config, ended, one_line, stopped, tom, train_command
+
+from tom.errors import UserError
+from tom.events import Event, Tick
+from tom.record import RunReader, RunWriter, Store, checkpoint
+from tom.record.feed import stream
+from tom.run import resume, train
+
+pytestmark = pytest.mark.fault
+
+
+def fill(folder: Path, leave: int = 0) -> Path:
+    """Fill the disk of `folder` but for `leave` bytes."""
+    path = folder / ".filler"
+    with path.open("wb", buffering=0) as file:
+        for size in (1 << 16, 1 << 12):
+            try:
+                while True:
+                    file.write(bytes(size))
+            except OSError:
+                continue
+        if leave:
+            file.truncate(path.stat().st_size - leave)
+    return path
+
+
+def filling_at(step: int, folder: Path, leave: int = 0):
+    def watch(event: Event) -> None:
+        if event == Tick(step, "optimise"):
+            fill(folder, leave)
+
+    return (watch,)
+
+
+@pytest.mark.quick
+def test_disk_full_while_recording__ends_as_failed_says_where_and_what_to_do_and_resume_goes_on(
+    small_disk: Path, tmp_path_factory: pytest.TempPathFactory
+):
+    store = Store(small_disk / "store")
+    full = filling_at(130, small_disk)
+    with pytest.raises(OSError, match=r"No space left|disk full"):
+        train(config(steps=240), store, "a", rerun=False, watchers=full)
+    run = store.run("a")
+    assert run.status.state == "failed"
+    assert run.status.reason.startswith("step 1")
+    assert "free some space, then tom train --resume a" in run.status.reason
+    assert len(run.metrics()) >= 3
+    assert run.problems == []
+    (small_disk / ".filler").unlink()
+    other = Store(tmp_path_factory.mktemp("undisturbed"))
+    assert_same_record(train(config(), other, "a", rerun=False), resume(store, "a", rerun=False))
+
+
+def test_disk_full_from_the_command_line__exit_1_and_one_line(small_disk: Path):
+    filler = fill(small_disk, leave=230_000)
+    process = tom(*train_command(small_disk / "store", steps=4000), "--run-id", "a")
+    code, _, error = ended(process)
+    assert code == 1
+    assert "failed: " in one_line(error)
+    assert "No space left" in error or "disk full" in error
+    assert Store(small_disk / "store").run("a").status.state == "failed"
+    filler.unlink()
+
+
+@pytest.mark.quick
+def test_disk_full_while_checkpointing__the_one_before_stays_and_training_goes_on_with_a_warning(
+    small_disk: Path,
+):
+    store = Store(small_disk / "store")
+    first = train(config(steps=100, checkpoint_every=100), store, "a", rerun=False)
+    size = (first.path / checkpoint.FOLDER / "000000100" / "state.pt").stat().st_size
+    room = filling_at(110, small_disk, leave=int(size * 0.9))
+    done = resume(store, "a", steps=160, rerun=False, watchers=room)
+    assert done.status.state == "finished"
+    assert "no checkpoint could be written" in done.status.warning
+    assert "that of step 1" in done.status.warning
+    assert "free some space" in done.status.warning
+    held = checkpoint.load(done.path / checkpoint.FOLDER)
+    assert held is not None
+    assert held.env_step == 100
+    assert held.problems == []
+    (small_disk / ".filler").unlink()
+    assert resume(store, "a", steps=240, rerun=False).status.env_step == 240
+
+
+def test_disk_full_with_rerun__the_recording_is_cut_short_the_run_is_whole_up_to_there(
+    small_disk: Path,
+):
+    store = Store(small_disk / "store")
+    full = filling_at(130, small_disk)
+    with pytest.raises(OSError, match=r"No space left|disk full"):
+        train(config(steps=240), store, "a", rerun=True, watchers=full)
+    run = store.run("a")
+    assert run.status.state == "failed"
+    assert len(run.metrics()) >= 3
+    assert run.problems == []
+
+
+def _as_nobody(path: Path) -> None:
+    if os.geteuid() == 0:
+        os.setgid(65534)
+        os.setuid(65534)
+    with pytest.raises(UserError, match=r"cannot write to the store .*--store"):
+        RunWriter.create(Store(path), "b", config())
+    assert [run.run_id for run in Store(path).runs()] == ["a"]
+    assert Store(path).run("a").problems == []
+    with pytest.raises(UserError, match=r"cannot write|is being written|Permission"):
+        resume(Store(path), "a", steps=400, rerun=False)
+
+
+@pytest.mark.quick
+def test_a_store_that_may_not_be_written__is_read_and_refused_in_one_line():
+    folder = Path("/tmp") / f"tom-read-only-{os.getpid()}"
+    folder.mkdir(mode=0o755)
+    try:
+        train(config(steps=60), Store(folder), "a", rerun=False)
+        for path in (folder, *folder.rglob("*")):
+            path.chmod(0o555 if path.is_dir() else 0o444)
+        reader = get_context("fork").Process(target=_as_nobody, args=(folder,))
+        reader.start()
+        reader.join()
+        assert reader.exitcode == 0
+    finally:
+        for path in (folder, *folder.rglob("*")):
+            if path.is_dir():
+                path.chmod(0o755)
+        shutil.rmtree(folder)
+
+
+@pytest.mark.quick
+def test_a_path_with_spaces_and_unicode__trains_resumes_and_is_shown_like_any_other(
+    tmp_path: Path,
+):
+    store = Store(tmp_path / "Läufe von Jürgen #1 %20 'x' 数据 🤖")
+    stopped(store, 130)
+    done = resume(store, "a", rerun=False)
+    assert done.status.state == "finished"
+    parts = list(stream(done, Flag()))
+    assert sum(map(len, parts)) > 1000
+
+
+def test_a_path_with_spaces_and_unicode_on_the_command_line__trains_and_lists(tmp_path: Path):
+    path = tmp_path / "Läufe #1 %20 'x' 数据"
+    assert ended(tom(*train_command(path), "--run-id", "a"))[0] == 0
+    code, out, _ = ended(tom("runs", "--store", path, "--json"))
+    assert code == 0
+    assert '"a"' in out
+    assert RunReader(path / "a").status.state == "finished"
