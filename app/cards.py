@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from app import text
+from app import session, text, trainings
 from app.readers import RunInfo
 from app.theme import learner_colour, learner_label
+from tom.errors import UserError
+from tom.record.store import Store
 
 COLUMNS = 3
 _STATE_TINTS = {
@@ -33,7 +35,13 @@ def cards(runs: Sequence[RunInfo]) -> None:
 def card(run: RunInfo) -> None:
     """Name and state, progress, and the numbers that matter."""
     status = run.status
-    st.html(head(run))
+    if status.alive and session.may_act():
+        left, right = st.columns([5, 1], vertical_alignment="center", gap="small")
+        left.html(head(run))
+        with right:
+            _stop(run)
+    else:
+        st.html(head(run))
     st.progress(status.share, text=text.markdown(progress_line(run)))
     numbers = st.columns(4, gap="small")
     speed = status.env_steps_per_s if status.alive else None
@@ -48,8 +56,26 @@ def card(run: RunInfo) -> None:
         strict=True,
     ):
         column.metric(label, value)
-    if status.reason:
-        st.caption(text.markdown(status.reason))
+    for words in (status.reason, status.warning):
+        if words:
+            st.caption(text.markdown(words))
+
+
+def _stop(run: RunInfo) -> None:
+    asked = st.session_state.setdefault("asked to stop", set())
+    if run.run_id in asked:
+        st.caption("stopping", help="it ends after its step and writes a checkpoint")
+        return
+    with st.popover("Stop", key=f"stop {run.run_id}"):
+        st.write("The training ends after this step and writes a checkpoint. To go on with it:")
+        st.code(f"tom train --resume {run.run_id}", language="bash")
+        if st.button("Stop this training", key=f"stop {run.run_id} now", type="primary"):
+            try:
+                trainings.stop(Store(session.links().store), run.run_id)
+                asked.add(run.run_id)
+                st.rerun(scope="fragment")
+            except UserError as error:
+                st.error(text.markdown(error))
 
 
 def progress_line(run: RunInfo) -> str:
@@ -68,7 +94,8 @@ def head(run: RunInfo) -> str:
     shown = run.status.shown
     tint = _STATE_TINTS.get(shown, "#8a92a3")
     learner = html.escape(learner_label(run.learner))
-    about = html.escape(f"{run.env} · seed {run.seed}")
+    called = f" · {run.labels.name}" if run.labels.name else ""
+    about = html.escape(f"{run.env} · seed {run.seed}{called}")
     return (
         '<div style="display:flex;align-items:center;gap:.5rem;min-width:0">'
         f'<span style="width:.75rem;height:.75rem;border-radius:50%;flex:none;'

@@ -12,6 +12,7 @@ from tom.record import hub
 
 VARIABLE = "TOM_STUDIO"
 WILDCARDS = ("0.0.0.0", "::", "")
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,11 @@ class Links:
     def local_host(self) -> str:
         """The host as this machine itself reaches it."""
         return "127.0.0.1" if self.host in WILDCARDS else self.host
+
+    @property
+    def local_only(self) -> bool:
+        """Only this machine reaches the studio."""
+        return self.host in LOOPBACK
 
     @property
     def allowed_hosts(self) -> list[str]:

@@ -1,18 +1,20 @@
 """Run folders for the pages: read once, read again when a file changes."""
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pandas as pd
 import streamlit as st
 
-from app import pictures
+from app import pictures, trainings
 from app.pictures import Picture
 from tom.errors import UserError
 from tom.record import layout
+from tom.record.labels import Labels
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
-from tom.record.status import Status
+from tom.record.status import DEAD_AFTER_S, Status
 from tom.record.store import Store
 
 Stamp = tuple[int, int]
@@ -32,6 +34,12 @@ class RunInfo:
     created: str
     status: Status
     problems: tuple[str, ...]
+    labels: Labels
+
+    @property
+    def name(self) -> str:
+        """What people call it; its id where they gave it no name."""
+        return self.labels.name or self.run_id
 
 
 @dataclass(frozen=True)
@@ -49,11 +57,9 @@ def listing(store: str) -> Listing:
         readers = opened.runs()
     except UserError as error:
         return Listing((), (str(error),))
-    runs = tuple(
-        _info(str(r.path), stamp(r.path / layout.CONFIG), stamp(r.path / layout.STATUS))
-        for r in readers
-    )
-    return Listing(runs, tuple(opened.problems))
+    parts = (layout.CONFIG, layout.STATUS, layout.LABELS)
+    runs = [_info(str(r.path), *(stamp(r.path / part) for part in parts)) for r in readers]
+    return Listing(tuple(_as_it_is(run) for run in runs), tuple(opened.problems))
 
 
 def metrics(run: RunInfo) -> pd.DataFrame:
@@ -106,8 +112,17 @@ def stamp(path: Path) -> Stamp:
     return (found.st_mtime_ns, found.st_size)
 
 
+def _as_it_is(run: RunInfo) -> RunInfo:
+    """A run whose process has ended without a word is dead at once, not when its beat is missed."""
+    if not (run.status.alive and trainings.gone(Path(run.path))):
+        return run
+    last = min(run.status.heartbeat, time.time() - DEAD_AFTER_S - 1)
+    words = run.status.reason or "its process has ended without a word"
+    return replace(run, status=replace(run.status, heartbeat=last, reason=words))
+
+
 @st.cache_data(show_spinner=False, max_entries=2048)
-def _info(path: str, config: Stamp, status: Stamp) -> RunInfo:
+def _info(path: str, config: Stamp, status: Stamp, labels: Stamp) -> RunInfo:
     reader = RunReader(path)
     return RunInfo(
         path=path,
@@ -118,6 +133,7 @@ def _info(path: str, config: Stamp, status: Stamp) -> RunInfo:
         preset=str(reader.config.get("preset", "?")),
         created=str(reader.config.get("created", "")),
         status=reader.status,
+        labels=reader.labels,
         problems=tuple(reader.problems),
     )
 

@@ -27,6 +27,11 @@ def host() -> str:
     return f"[{name}]" if ":" in name else name
 
 
+def may_act() -> bool:
+    """Pages may start, stop and label runs: only where nobody but this machine can open them."""
+    return links().local_only
+
+
 def client() -> str:
     """A name for this browser tab, under which its viser frame is known to the viser server."""
     return st.session_state.setdefault("client", uuid4().hex)

@@ -13,7 +13,7 @@ from app.figures.weights import profile_lines
 from app.plot import chart
 from app.readers import RunInfo
 from app.theme import learner_label
-from app.views import rerun
+from app.views import rerun, start
 from tom.metrics import describe
 
 TITLE = "Live"
@@ -55,6 +55,7 @@ def page() -> None:
         bind="query-params",
         placeholder="the usual ones",
     )
+    start.panel()
     _followed(chosen, metrics)
     st.space("small")
     rerun.frame(runs, watched(runs, chosen))
@@ -96,6 +97,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     shown = watched(runs, chosen)
     alive = sum(run.status.alive for run in runs)
     st.caption(_headline(alive, shown))
+    start.failures()
     cards(shown)
     for run in shown:
         widgets.show_problems(run)

@@ -1,6 +1,7 @@
 """The cached readers: what is on the disk now, a damaged run beside the others."""
 
 import json
+import os
 import shutil
 import time
 from pathlib import Path
@@ -9,7 +10,9 @@ import pytest
 from studio_runs import PENDULUM_TOM, RUNS, info
 
 from app import readers
+from tom.record import lock, manage
 from tom.record.reader import RunReader
+from tom.record.store import Store
 
 
 @pytest.fixture
@@ -51,9 +54,23 @@ def test_a_new_status_is_seen(own: Path) -> None:
     path = own / PENDULUM_TOM / "status.json"
     status = json.loads(path.read_text())
     path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time()}))
+    writer = lock.hold(own / PENDULUM_TOM)
+    assert info(own, PENDULUM_TOM).status.alive
+    os.close(writer)
+    run = info(own, PENDULUM_TOM)
+    assert (run.status.shown, "ended" in run.status.reason) == ("dead", True)
+    (own / PENDULUM_TOM / ".writer").unlink()  # as on another machine: its beat decides
     assert info(own, PENDULUM_TOM).status.alive
     path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time() - 31}))
     assert info(own, PENDULUM_TOM).status.shown == "dead"
+
+
+def test_what_people_call_a_run_is_seen(own: Path) -> None:
+    assert info(own, PENDULUM_TOM).name == PENDULUM_TOM
+    manage.rename(Store(own), PENDULUM_TOM, "the good one")
+    manage.tag(Store(own), PENDULUM_TOM, add=["keep"])
+    run = info(own, PENDULUM_TOM)
+    assert (run.name, run.labels.tags) == ("the good one", ("keep",))
 
 
 def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:

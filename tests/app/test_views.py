@@ -53,6 +53,28 @@ def test_live_shows_chosen_curves(store: Path) -> None:
     assert array(line["y"]).tolist() == recorded(store, PENDULUM_TOM, "model/holdout_nll")[1]
 
 
+def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
+    app = draw("live")
+    app.selectbox(key="start env").select("hopper").run()
+    app.text_input(key="start seeds").input("0-1").run()
+    app.text_input(key="start set sac.lr").input("0.001").run()
+    assert app.button(key="start").label == "Start 2 trainings"
+    shown = next(code.value for code in app.code if "tom train" in code.value)
+    assert shown.startswith("tom train --env hopper --learner tom --preset paper --seed 0")
+    assert shown.endswith(f"--sac.lr=0.001 --store {store}")
+    app.text_input(key="start set sac.discount").input("2").run()
+    assert "discount" in app.error[0].value
+    assert not [button for button in app.button if button.key == "start"]
+
+
+def test_live_changes_nothing_where_others_can_open_it(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in Links(store=str(store), host="0.0.0.0").environment().items():
+        monkeypatch.setenv(name, value)
+    assert not draw("live").button
+
+
 def test_compare_shows_the_mean_over_seeds(store: Path) -> None:
     app = draw("compare", env="inverted-pendulum")
     mean = trace(figures(app)[0], name="TOM (n = 2)")

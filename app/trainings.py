@@ -1,0 +1,103 @@
+"""Trainings as processes of this machine: started and stopped for a page, and whether they live."""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.links import VARIABLE
+from tom.errors import UserError
+from tom.record import layout, lock
+from tom.record.store import Store
+
+LOG_TAIL = 8
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+
+
+@dataclass(frozen=True)
+class Started:
+    """A training that this studio started."""
+
+    words: tuple[str, ...]
+    """what follows `tom` on the command line"""
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    @property
+    def failed(self) -> bool:
+        """It ended by itself, and not well (1 is also the code of one that was stopped)."""
+        return self.process.poll() not in (None, 0, 1)
+
+    def tail(self) -> str:
+        """The last lines of what it printed."""
+        return "\n".join(self.log.read_text(errors="replace").splitlines()[-LOG_TAIL:])
+
+
+def start(words: Sequence[str]) -> Started:
+    """Run `tom WORDS` in a session of its own: it outlives the studio."""
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    handle, name = tempfile.mkstemp(prefix="tom-train-", suffix=".log")
+    with os.fdopen(handle, "wb") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tom", *words],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+        )
+    return Started(tuple(words), process, Path(name))
+
+
+def stop(store: Store, run_id: str) -> None:
+    """Ask the process that writes a run to stop at the end of its step, with a checkpoint.
+
+    Raises UserError where the run is not in training, or not by a process of this machine that
+    may be signalled. The process is held before it is looked at, so no other can get the signal.
+    """
+    run = store.run(run_id)
+    if not run.status.alive:
+        raise UserError(f"run '{run_id}' is not in training: nothing to stop")
+    elsewhere = UserError(
+        f"run '{run_id}' trains on another machine or for another user: stop it there"
+    )
+    if sys.platform != "linux":
+        raise elsewhere
+    try:
+        process = os.pidfd_open(run.status.pid)
+    except OSError:
+        raise elsewhere from None
+    try:
+        if not _writes(run.status.pid, run.path):
+            raise elsewhere
+        signal.pidfd_send_signal(process, signal.SIGTERM)
+    except OSError:
+        raise elsewhere from None
+    finally:
+        os.close(process)
+
+
+def gone(run: Path) -> bool:
+    """The process of this machine that wrote the run folder has ended; False for any other's."""
+    try:
+        here = (run / layout.LOCK).read_bytes() == _BOOT.read_bytes()
+    except OSError:
+        return False
+    return here and not lock.held(run)
+
+
+def _writes(pid: int, run: Path) -> bool:
+    """Process `pid` has the lock file of the run folder open."""
+    own = (run / layout.LOCK).stat()
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            found = link.stat()
+        except OSError:
+            continue  # closed meanwhile
+        if (found.st_dev, found.st_ino) == (own.st_dev, own.st_ino):
+            return True
+    return False
