@@ -4,11 +4,11 @@ import sys
 from collections.abc import Sequence
 
 from tom import __version__
-from tom.cli import bench, demo, doctor, record_sac, reproduce, runs, studio, train, weigh
+from tom.cli import bench, demo, doctor, record_sac, reproduce, runs, studio, sweep, train, weigh
 from tom.cli.parser import Parser
 from tom.errors import UserError
 
-COMMANDS = (demo, train, studio, record_sac, weigh, reproduce, bench, runs, doctor)
+COMMANDS = (demo, train, studio, record_sac, weigh, sweep, reproduce, bench, runs, doctor)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

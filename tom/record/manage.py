@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from tom.errors import UserError
-from tom.record import labels, layout
+from tom.record import labels, layout, lock
 from tom.record.files import read_json, replace_json
+from tom.record.heartbeat import BEAT_S
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
 from tom.record.store import Store
@@ -84,19 +85,13 @@ def unwritten(reader: RunReader) -> Iterator[None]:
 
     Raises UserError when one is writing it.
     """
-    busy = UserError(f"run '{reader.run_id}' is being written: stop it first")
     if reader.status.alive:
-        raise busy
-    lock = os.open(reader.path / layout.LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(lock)
-        raise busy from None
+        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+    holding = lock.hold(reader.path)
     try:
         yield
     finally:
-        os.close(lock)
+        os.close(holding)
 
 
 @contextmanager
@@ -104,12 +99,12 @@ def _changing(store: Store, run_id: str) -> Iterator[tuple[Path, Labels]]:
     """The folder of a run and its labels, which nobody else changes inside the block."""
     path = store.run(run_id).path
     with _refused(f"cannot label run '{run_id}'"):
-        lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+        folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            fcntl.flock(folder, fcntl.LOCK_EX)
             yield path, _held(path)
         finally:
-            os.close(lock)
+            os.close(folder)
 
 
 def _held(path: Path) -> Labels:

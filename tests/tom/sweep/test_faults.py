@@ -1,0 +1,199 @@
+"""Sweeps of real trainings that are killed, interrupted, starved of disk, or that always fail."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tom.record import RunReader, Store, checkpoint
+from tom.sweep.local import ATTEMPTS, Driver
+from tom.sweep.plan import Trial, checked, trials
+
+pytestmark = pytest.mark.fault
+
+STEPS, EVERY = 500, 100
+PLAN = {
+    "env": ["inverted-pendulum"],
+    "learner": ["mle", "pmac", "tom"],
+    "seeds": 2,
+    "steps": STEPS,
+    "preset": "smoke",
+    "settings": {"checkpoint_every": EVERY},
+}
+WAIT_S = 240.0
+CLOCKS = ("time/wall_s", "time/record_s", "time/env_steps_per_s", "time/checkpoint_s")
+
+
+def plan(**changes) -> list[Trial]:
+    return trials(checked({**PLAN, **changes}))
+
+
+def until(done: Callable[[], object], poll: Callable[[], object] = lambda: None) -> None:
+    """Poll until `done`; fails after WAIT_S."""
+    end = time.monotonic() + WAIT_S
+    while not done():
+        assert time.monotonic() < end, "this never happened"
+        poll()
+        time.sleep(0.1)
+
+
+def finish(driver: Driver) -> None:
+    until(driver.poll)
+    driver.stop()
+
+
+def numbers(run: RunReader) -> pd.DataFrame:
+    """What a run measured, without its clocks."""
+    table = run.metrics()
+    return table.drop(columns=[name for name in table if str(name) in CLOCKS])
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """The whole sweep, run in peace."""
+    store = Store(tmp_path_factory.mktemp("undisturbed"))
+    finish(Driver(store, plan(), workers=2))
+    return store
+
+
+def assert_same_runs(store: Store, undisturbed: Store) -> None:
+    """All runs finished, every number as in peace, to the last bit."""
+    found = {run.run_id: run for run in store.runs()}
+    assert set(found) == {trial.run_id for trial in plan()}
+    for run_id, run in found.items():
+        assert run.status.state == "finished", run_id
+        pd.testing.assert_frame_equal(
+            numbers(run), numbers(undisturbed.run(run_id)), check_exact=True
+        )
+
+
+def command(store: Path) -> list[str]:
+    words = ["--env", "inverted-pendulum", "--learner", "mle", "pmac", "tom", "--seeds", "2"]
+    words += ["--steps", str(STEPS), "--preset", "smoke", "--checkpoint-every", str(EVERY)]
+    return [sys.executable, "-m", "tom", "sweep", *words, "--jobs", "2", "--store", str(store)]
+
+
+def beyond_a_checkpoint(store: Store) -> list[RunReader]:
+    """Running, and killed now they would not have to begin anew."""
+    return [run for run in store.runs() if run.status.alive and saved(run)]
+
+
+def saved(run: RunReader) -> int | None:
+    return checkpoint.newest(run.path / checkpoint.FOLDER)
+
+
+def test_killed_trainings_go_on_to_the_same_numbers(tmp_path: Path, undisturbed: Store):
+    driver = Driver(Store(tmp_path), plan(), workers=2, back_off_s=0.1)
+    until(lambda: beyond_a_checkpoint(driver.store), driver.poll)
+    killed = [seat for seat in driver.seats if seat.process]
+    for seat in killed:
+        assert seat.process
+        seat.process.kill()
+    finish(driver)
+    assert [seat.state for seat in driver.seats] == ["finished"] * 6
+    assert_same_runs(driver.store, undisturbed)
+
+
+def test_a_killed_driver_takes_its_trainings_along_and_the_same_command_goes_on(
+    tmp_path: Path, undisturbed: Store
+):
+    store = Store(tmp_path)
+    driver = subprocess.Popen(command(tmp_path))
+    until(lambda: beyond_a_checkpoint(store))
+    driver.kill()
+    driver.wait()
+    until(lambda: not any(run.status.alive for run in store.runs()))
+    assert "stopped" in {run.status.state for run in store.runs()}
+    assert subprocess.run(command(tmp_path), check=False).returncode == 0
+    assert_same_runs(store, undisturbed)
+
+
+def test_ctrl_c_stops_everything_and_the_same_command_goes_on(tmp_path: Path, undisturbed: Store):
+    store = Store(tmp_path)
+    driver = subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, text=True)
+    until(lambda: beyond_a_checkpoint(store))
+    driver.send_signal(signal.SIGINT)
+    out, _ = driver.communicate(timeout=WAIT_S)
+    assert driver.returncode == 1
+    assert "the same command goes on" in out
+    assert not any(run.status.alive for run in store.runs())
+    assert subprocess.run(command(tmp_path), check=False).returncode == 0
+    assert_same_runs(store, undisturbed)
+
+
+def test_what_always_fails_is_reported_and_stops_nobody(tmp_path: Path):
+    """Networks that no memory holds: every attempt ends at once."""
+    bad = plan(learner=["mle"], seeds=1, settings={"sac": {"hidden": 10**8}})
+    good = plan(learner=["mle"], seeds=1)
+    driver = Driver(Store(tmp_path), [*bad, *good], workers=1, back_off_s=0.1)
+    finish(driver)
+    failed, finished = driver.seats
+    assert (failed.state, finished.state) == ("failed", "finished")
+    assert failed.attempts == ATTEMPTS
+    assert "memory" in failed.note
+    assert failed.log.read_text().count("$ tom train") == ATTEMPTS
+
+
+def test_a_run_that_died_before_its_first_checkpoint_begins_anew(tmp_path: Path):
+    (trial,) = plan(learner=["mle"], seeds=1)
+    driver = Driver(Store(tmp_path), [trial], workers=1, back_off_s=0.1)
+    until(lambda: (tmp_path / trial.run_id / "metrics.jsonl").exists(), driver.poll)
+    (seat,) = driver.seats
+    assert seat.process
+    seat.process.kill()
+    finish(driver)
+    assert seat.state == "finished"
+    trash = tmp_path / ".trash" / trial.run_id
+    assert not trash.exists() or (trash / "config.json").exists()
+
+
+def test_a_damaged_checkpoint_is_not_the_end(tmp_path: Path):
+    (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
+    first = Driver(Store(tmp_path), [trial], workers=1)
+    until(lambda: beyond_a_checkpoint(first.store), first.poll)
+    first.stop()
+    assert first.seats[0].state == "stopped"
+    for path in (tmp_path / trial.run_id / "checkpoint").rglob("state.pt"):
+        path.write_bytes(path.read_bytes()[:-10])
+    second = Driver(Store(tmp_path), [trial], workers=1, back_off_s=0.1)
+    finish(second)
+    assert second.seats[0].state == "finished"
+    assert (tmp_path / ".trash" / trial.run_id / "config.json").exists()
+
+
+def fill(path: Path) -> None:
+    """Write into `path` until the disk is full."""
+    with path.open("wb") as file, suppress(OSError):
+        while os.write(file.fileno(), bytes(65536)):
+            pass
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of its own with little room; needs root."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=12m", "tmpfs", folder], check=True)
+    yield folder
+    subprocess.run(["umount", "-l", folder], check=True)
+
+
+def test_a_full_disk_is_waited_for(small_disk: Path, undisturbed: Store):
+    store = Store(small_disk / "store")
+    driver = Driver(store, plan(), workers=2, low_bytes=500_000, back_off_s=0.1)
+    until(lambda: beyond_a_checkpoint(store), driver.poll)
+    ballast = small_disk / "somebody's film"
+    fill(ballast)
+    until(lambda: not any(seat.process for seat in driver.seats), driver.poll)
+    assert driver.full
+    assert "failed" not in [seat.state for seat in driver.seats]
+    ballast.unlink()
+    finish(driver)
+    assert_same_runs(store, undisturbed)

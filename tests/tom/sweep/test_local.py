@@ -1,0 +1,104 @@
+"""A sweep's driver without and with real trainings; what is slow or violent is in test_faults."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tom.cli import main
+from tom.record import RunWriter, Store, lock
+from tom.sweep.local import Driver
+from tom.sweep.plan import checked, trials
+
+SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "250")
+
+
+def sweep(capsys, store: Path, *words: str) -> tuple[int, str, str]:
+    capsys.readouterr()
+    try:
+        code = main(["sweep", *words, "--store", str(store)])
+    except SystemExit as stop:
+        code = int(str(stop.code))
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--dry-run", "--json")
+    planned = json.loads(out)
+    assert code == 0
+    assert [row["state"] for row in planned["runs"]] == ["new"]
+    assert planned["hours"] == 0  # nothing to judge it by
+    assert list(tmp_path.iterdir()) == []
+
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--json")
+    (row,) = json.loads(out)
+    assert code == 0
+    assert (row["state"], row["env_step"]) == ("finished", 250)
+    assert Store(tmp_path).run(row["run_id"]).status.state == "finished"
+    before = (tmp_path / row["run_id"] / "metrics.jsonl").stat().st_mtime_ns
+
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE)
+    assert code == 0
+    assert "was there already" in out
+    assert (tmp_path / row["run_id"] / "metrics.jsonl").stat().st_mtime_ns == before
+
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--seeds", "2", "--dry-run", "--json")
+    assert [r["state"] for r in json.loads(out)["runs"]] == ["finished", "new"]
+    assert "1 to do" in sweep(capsys, tmp_path, *SMOKE, "--seeds", "2", "--dry-run")[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ((), "--env and --learner"),
+        (("--env", "hoper", "--learner", "mle"), "did you mean 'hopper'"),
+        ((*SMOKE, "--seeds", "0"), "seeds"),
+        ((*SMOKE, "--jobs", "0"), "--jobs 0"),
+        ((*SMOKE, "--only", "1"), "runs 0 to 0"),
+        ((*SMOKE, "--sac.lr", "-1"), "sac.lr"),
+        ((*SMOKE, "--engine", "pbs"), "pbs"),
+        (("--file", "/no/plan.yaml"), "cannot read"),
+        (("--sead", "3"), "did you mean --seed"),
+    ],
+)
+def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys):
+    store = tmp_path / "store"
+    code, out, err = sweep(capsys, store, *words)
+    assert code == 2
+    assert named in err
+    assert err.count("\n") == 1
+    assert out == ""
+    assert not store.exists()
+
+
+def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("env: hopper\nlearner: [tom, mle]\nseeds: 2\nsettings: {sac: {tau: 0.1}}\n")
+    words = ("--file", str(plan), "--learner", "tom", "--sac.lr", "1e-4", "--dry-run", "--json")
+    code, out, _ = sweep(capsys, tmp_path / "store", *words)
+    assert code == 0
+    assert [(r["learner"], r["seed"]) for r in json.loads(out)["runs"]] == [("tom", 0), ("tom", 1)]
+
+
+def test_nothing_is_started_on_a_full_disk(tmp_path: Path):
+    planned = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
+    driver = Driver(Store(tmp_path), planned, workers=1, low_bytes=1e18)
+    assert not driver.poll()
+    assert driver.full
+    assert [seat.state for seat in driver.seats] == ["waiting"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_another_process_writes_is_left_to_it(tmp_path: Path):
+    (trial,) = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
+    writer = RunWriter.create(Store(tmp_path), trial.run_id, trial.config)
+    try:
+        driver = Driver(Store(tmp_path), [trial], workers=1)
+        assert not driver.poll()
+        assert driver.seats[0].state == "elsewhere"
+        assert lock.held(writer.path)
+        assert not driver.poll()
+        assert driver.seats[0].process is None
+    finally:
+        writer.close()

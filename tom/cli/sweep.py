@@ -1,0 +1,195 @@
+"""`tom sweep`: many trainings, stopped and taken up again by the same command."""
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from tom.cli.parser import add_config_options, overrides
+from tom.cli.sweep_table import Watcher, seat_row
+from tom.cli.tables import show
+from tom.config import OnlineConfig
+from tom.envs import ENV_NAMES
+from tom.errors import UserError
+from tom.learners import LEARNER_NAMES
+from tom.presets import PRESETS
+from tom.record import Store
+from tom.sweep.local import ATTEMPTS, Driver
+from tom.sweep.plan import Trial, checked, merged, read_plan, same_run, trials
+from tom.sweep.projection import Cost, cost
+from tom.sweep.slurm import script
+
+POLL_S = 0.5
+OWN_OPTIONS = {"env", "learner", "preset", "seed", "steps"}
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "sweep",
+        usage="tom sweep --env ENV ... --learner LEARNER ... [--seeds N] [options]",
+        help="train many: every environment with every learner and seed",
+        description="Train every environment with every learner and seed. Runs that are done are "
+        "skipped, broken ones go on from their checkpoint, and one that ends "
+        f"{ATTEMPTS} times without getting further is reported and left. Ctrl-C stops all "
+        "cleanly; the same command goes on.",
+    )
+    parser.add_argument("--env", nargs="+", metavar="ENV", help=", ".join(ENV_NAMES))
+    parser.add_argument("--learner", nargs="+", metavar="LEARNER", help=", ".join(LEARNER_NAMES))
+    parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 to N - 1 [1]")
+    parser.add_argument("--steps", type=int, metavar="N", help="env steps of each run")
+    parser.add_argument("--preset", metavar="PRESET", help=", ".join(PRESETS) + " [paper]")
+    parser.add_argument("--file", type=Path, help="the same in YAML; options here come on top")
+    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--jobs", type=int, metavar="N", help="runs at a time [one a core]")
+    parser.add_argument(
+        "--engine",
+        choices=("local", "slurm"),
+        default="local",
+        help="local: here; slurm: print an array script [local]",
+    )
+    parser.add_argument("--only", type=int, metavar="I", help="only the I-th run of the plan")
+    parser.add_argument("--dry-run", action="store_true", help="what would run, hours and disk")
+    parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
+    add_config_options(parser, OnlineConfig, leave_out=OWN_OPTIONS)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    planned, jobs = _planned(args), _jobs(args)
+    store = Store(args.store)
+    if args.dry_run:
+        return _dry_run(args, store, planned, jobs)
+    if args.engine == "slurm":
+        print(script(planned, args.store, _own_words(), _longest(store, planned)))
+        return 0
+    store.ensure_writable()
+    return _drive(args, Driver(store, planned, jobs))
+
+
+def _planned(args: argparse.Namespace) -> list[Trial]:
+    """The trainings that were asked for; options of the command line come on top of the file."""
+    content: dict[str, Any] = read_plan(args.file) if args.file else {}
+    names = ("env", "learner", "seeds", "steps", "preset")
+    content |= {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    held = content.get("settings", {})
+    if isinstance(held, dict):  # anything else is an error that `checked` names
+        content["settings"] = merged(held, overrides(args))
+    missing = [f"--{name}" for name in ("env", "learner") if not content.get(name)]
+    if missing:
+        raise UserError(f"a sweep needs {' and '.join(missing)} (or --file PLAN.yaml)")
+    found = trials(checked(content))
+    if args.only is None:
+        return found
+    if not 0 <= args.only < len(found):
+        raise UserError(f"--only {args.only}: this sweep has runs 0 to {len(found) - 1}")
+    return [found[args.only]]
+
+
+def _jobs(args: argparse.Namespace) -> int:
+    if args.jobs is not None and args.jobs < 1:
+        raise UserError(f"--jobs {args.jobs}: must be at least 1")
+    return args.jobs or len(os.sched_getaffinity(0))
+
+
+def _drive(args: argparse.Namespace, driver: Driver) -> int:
+    for name in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
+            signal.signal(name, signal.default_int_handler)
+    stream = sys.stderr if args.json else sys.stdout
+    with Watcher(driver, stream) as watcher:
+        try:
+            while not driver.poll():
+                watcher.look()
+                time.sleep(POLL_S)
+        except KeyboardInterrupt:
+            watcher.say("stopping: every training writes a checkpoint (Ctrl-C again: at once)")
+        finally:
+            driver.stop()
+        watcher.look()
+    return _report(args, driver)
+
+
+def _report(args: argparse.Namespace, driver: Driver) -> int:
+    states = [seat.state for seat in driver.seats]
+    if args.json:
+        print(json.dumps([seat_row(driver, seat) for seat in driver.seats]))
+    failed = [seat for seat in driver.seats if seat.state == "failed"]
+    for seat in failed:
+        text = seat.note.replace("\n", "\n    ")
+        print(f"{seat.run_id} failed: {text}\n    log: {seat.log}", file=sys.stderr)
+    done = states.count("finished")
+    stream = sys.stderr if args.json else sys.stdout
+    print(f"{done} of {len(states)} runs finished, {len(failed)} failed", file=stream)
+    if "stopped" in states or "waiting" in states:
+        print("stopped: the same command goes on", file=stream)
+    return 0 if done == len(states) else 1
+
+
+def _dry_run(args: argparse.Namespace, store: Store, planned: list[Trial], jobs: int) -> int:
+    runs = store.runs()
+    rows = []
+    for trial in planned:
+        found = same_run(trial, runs)
+        state = found.status.shown if found else "new"
+        expected = None if state == "finished" else cost(trial, runs)
+        rows.append(_dry_row(trial, found.run_id if found else trial.run_id, state, expected))
+    todo = [row for row in rows if row["state"] != "finished"]
+    hours = sum(row["hours"] or 0.0 for row in todo) / jobs
+    disk = sum(row["megabytes"] or 0.0 for row in todo)
+    if args.json:
+        print(json.dumps({"runs": rows, "hours": hours, "megabytes": disk}))
+        return 0
+    cells = [["" if v is None else _cell(v) for v in row.values()] for row in rows]
+    show(f"{len(rows)} runs, {len(todo)} to do", list(rows[0]), cells)
+    unknown = sorted({f"{r['env']} {r['learner']}" for r in todo if r["hours"] is None})
+    print(f"about {hours:.1f} h with {jobs} at a time and {disk / 1000:.1f} GB", end="")
+    free = _free_gb(store.path)
+    print(f" ({free:.0f} GB are free)" if free is not None else "")
+    if unknown:
+        print(f"without {', '.join(unknown)}: {store.path}/ has no finished run to judge them by")
+    return 0
+
+
+def _dry_row(trial: Trial, run_id: str, state: str, expected: Cost | None) -> dict[str, Any]:
+    return {
+        "run": run_id,
+        "env": trial.env,
+        "learner": trial.learner,
+        "seed": trial.seed,
+        "steps": trial.config.total_steps,
+        "state": state,
+        "hours": expected.hours if expected else None,
+        "megabytes": expected.megabytes if expected else None,
+        "judged by": expected.source if expected else None,
+    }
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _free_gb(store: Path) -> float | None:
+    return shutil.disk_usage(store).free / 1e9 if store.is_dir() else None
+
+
+def _longest(store: Store, planned: list[Trial]) -> float | None:
+    """The hours of the longest run, where all can be judged."""
+    runs = store.runs()
+    expected = [cost(trial, runs) for trial in planned]
+    if any(one is None for one in expected):
+        return None
+    return max(one.hours for one in expected if one)
+
+
+def _own_words() -> list[str]:
+    """This very command, for each task of an array to repeat."""
+    words = [word for word in sys.argv[1:] if word not in ("--engine=slurm", "--dry-run")]
+    while "--engine" in words:
+        at = words.index("--engine")
+        del words[at : at + 2]
+    return words

@@ -1,0 +1,125 @@
+"""What a running sweep shows: a live table on a terminal, lines elsewhere."""
+
+from time import monotonic
+from typing import Any, TextIO
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from tom.record import RunReader
+from tom.sweep.local import Driver, Seat
+
+LINE_EVERY_S = 30.0
+LOOK_EVERY_S = 1.0
+ORDER = ("running", "elsewhere", "failed", "stopped", "waiting", "finished")
+COLUMNS = ("run", "state", "step", "of", "last return", "best return", "steps/s", "left", "note")
+
+
+def seat_row(driver: Driver, seat: Seat) -> dict[str, Any]:
+    """Where one training stands, for a script."""
+    status = RunReader(driver.store.path / seat.run_id).status
+    return {
+        "run_id": seat.run_id,
+        "env": seat.trial.env,
+        "learner": seat.trial.learner,
+        "seed": seat.trial.seed,
+        "state": seat.state,
+        "env_step": status.env_step,
+        "last_return": status.last_return,
+        "best_return": status.best_return,
+        "note": seat.note,
+    }
+
+
+class Watcher:
+    """Shows a sweep as it goes; `look` may be called as often as one likes."""
+
+    def __init__(self, driver: Driver, stream: TextIO) -> None:
+        self._driver = driver
+        self._console = Console(file=stream)
+        live = self._console.is_terminal
+        self._live = Live(console=self._console, auto_refresh=False) if live else None
+        self._shown = -LINE_EVERY_S
+        self._states: dict[str, str] = {}
+
+    def __enter__(self) -> "Watcher":
+        if self._live:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live:
+            self._live.stop()
+
+    def say(self, line: str) -> None:
+        self._console.print(line, markup=False)
+
+    def look(self) -> None:
+        """Show where the sweep stands."""
+        if self._live:
+            if monotonic() - self._shown >= LOOK_EVERY_S or self._changed():
+                self._shown = monotonic()
+                self._live.update(self._picture(), refresh=True)
+            return
+        for seat in self._changed():
+            note = f" ({seat.note.splitlines()[0]})" if seat.note else ""
+            print(f"{seat.run_id}: {seat.state}{note}", file=self._console.file, flush=True)
+        if monotonic() - self._shown >= LINE_EVERY_S:
+            self._shown = monotonic()
+            print(self._summary(), file=self._console.file, flush=True)
+
+    def _changed(self) -> list[Seat]:
+        """The trainings whose state is another than at the last look."""
+        new = [s for s in self._driver.seats if self._states.get(s.trial.run_id) != s.state]
+        self._states |= {seat.trial.run_id: seat.state for seat in new}
+        return new
+
+    def _summary(self) -> str:
+        states = [seat.state for seat in self._driver.seats]
+        parts = [f"{states.count(name)} {name}" for name in ORDER if name in states]
+        full = "; the disk is full: waiting for room" if self._driver.full else ""
+        return ", ".join(parts) + full
+
+    def _picture(self) -> Group:
+        """As many runs as the terminal has lines for, those that matter first."""
+        table = Table(title_justify="left")
+        for column in COLUMNS:
+            left = column in ("run", "state", "note")
+            table.add_column(column, justify="left" if left else "right", no_wrap=column != "note")
+        seats = sorted(self._driver.seats, key=lambda seat: ORDER.index(seat.state))
+        room = max(self._console.height - 8, 3)
+        for seat in seats[:room]:
+            table.add_row(*map(Text, self._cells(seat)))
+        more = f", {len(seats) - room} more not shown" if len(seats) > room else ""
+        return Group(table, Text(self._summary() + more))
+
+    def _cells(self, seat: Seat) -> tuple[str, ...]:
+        note = seat.note.splitlines()[0][:60] if seat.note else ""
+        if seat.state == "waiting":
+            steps = str(seat.trial.config.total_steps)
+            return (seat.run_id, seat.state, "", steps, "", "", "", "", note)
+        status = RunReader(self._driver.store.path / seat.run_id).status
+        return (
+            seat.run_id,
+            status.phase if seat.state == "running" and status.phase else seat.state,
+            str(status.env_step),
+            str(status.total),
+            _number(status.last_return),
+            _number(status.best_return),
+            _number(status.env_steps_per_s),
+            _clock(status.eta_s) if seat.state in ("running", "elsewhere") else "",
+            note,
+        )
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}"
+
+
+def _clock(seconds: float | None) -> str:
+    if seconds is None:
+        return ""
+    minutes = round(seconds / 60)
+    return f"{minutes // 60}:{minutes % 60:02d} h"

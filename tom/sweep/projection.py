@@ -1,0 +1,58 @@
+"""How long a sweep will take and how much it will write, from runs like it that are finished."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from tom.record import RunReader
+from tom.record.sizes import sizes
+from tom.sweep.plan import Trial
+
+SAMPLES = 5  # finished runs looked at for each environment and learner
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one training is expected to take; `source` says from which runs."""
+
+    hours: float
+    megabytes: float
+    source: str
+
+
+def cost(trial: Trial, runs: Sequence[RunReader]) -> Cost | None:
+    """The cost of `trial` from finished runs of the same environment and preset; None without any.
+
+    Runs of the same learner count before those of another. Time and disk grow with the steps; a
+    longer run also fits a larger buffer, so what is judged from a short one is a lower bound.
+    """
+    like = [run for run in runs if _alike(run, trial)]
+    same = [run for run in like if run.learner == trial.learner]
+    chosen = (same or like)[:SAMPLES]
+    found = [one for run in chosen if (one := _per_step(run)) is not None]
+    if not found:
+        return None
+    seconds, written = (median(values) for values in zip(*found, strict=True))
+    steps = trial.config.total_steps
+    trained = steps - trial.settings.get("exploration_steps", 0)
+    other = "" if same else f" of {chosen[0].learner}"
+    source = f"{len(found)} run{'s' if len(found) > 1 else ''}{other}"
+    return Cost(seconds * trained / 3600, written * steps / 1e6, source)
+
+
+def _alike(run: RunReader, trial: Trial) -> bool:
+    same = run.env == trial.env and run.config.get("preset") == trial.preset
+    return same and run.status.state == "finished" and run.learner != "sac"
+
+
+def _per_step(run: RunReader) -> tuple[float, float] | None:
+    """Seconds and bytes of one env step after exploration, which costs next to nothing."""
+    table = run.metrics()
+    if "time/wall_s" not in table or not run.status.env_step:
+        return None
+    known = table[["env_step", "time/wall_s"]].dropna().to_numpy()
+    trained = known[known[:, 0] >= run.config["config"].get("exploration_steps", 0)]
+    if len(trained) < 2 or trained[-1, 0] <= trained[0, 0]:
+        return None
+    steps, seconds = trained[-1] - trained[0]
+    return seconds / steps, sum(sizes(run).values()) / run.status.env_step
