@@ -232,7 +232,7 @@ class RunConfig(Config):
 class OnlineConfig(RunConfig):
     """MBPO in a MuJoCo task (Algorithm 2)."""
 
-    exploration_steps: Whole = 5000
+    exploration_steps: Count = 5000
     """uniformly random steps before training starts"""
     fit_every: Count = 250
     """env steps between model fits"""

@@ -16,7 +16,7 @@ from tom.events import Collected, Event, Metrics, Notice, Weights
 
 POLICY = "try a lower --sac.lr, and a shorter --rollout.length if the rollouts exploded before"
 MODEL = "try a lower --model.lr"
-DUAL = "try a lower --tom.q-lr"
+DUAL = "try a lower --tom.q-lr or --tom.discriminator-lr"
 FATAL: dict[str, str] = {
     **dict.fromkeys(("critic/loss", "critic/q", "actor/loss", "actor/entropy"), POLICY),
     "temperature/value": POLICY,
@@ -28,6 +28,8 @@ FATAL: dict[str, str] = {
 
 EXPLODED_SHARE = 1e-3
 """share of modelled steps far outside the data from which on a notice says so"""
+NAMED = 8
+"""dimensions that a notice names one by one"""
 SHORT_EPISODES = 10
 """episodes of one step in a row from which on a notice says so"""
 
@@ -99,9 +101,11 @@ class Watch:
         still = torch.nonzero(self._low == self._high).flatten().tolist()
         if not still or len(still) == len(self._low):
             return ""
+        named = ", ".join(map(str, still[:NAMED])) + (", ..." if len(still) > NAMED else "")
         return (
-            f"observation dimensions {still} have never changed: they are predicted to stay as "
-            "they are; leave them out of the observation if they carry nothing"
+            f"{len(still)} of {len(self._low)} observation dimensions ({named}) have never "
+            "changed: they are predicted to stay as they are; leave them out of the observation "
+            "if they carry nothing"
         )
 
     def _small(self) -> str:
@@ -165,10 +169,10 @@ def _rollouts(env_step: int, values: Mapping[str, float]) -> Iterator[Notice]:
 
 
 def _first_batch(config: RunConfig) -> tuple[int, int]:
-    """Rows that the first minibatch is drawn from, and the largest minibatch."""
+    """Rows that the first minibatch is drawn from, and the smallest minibatch."""
     match config:
         case OnlineConfig():
-            return config.exploration_steps, max(config.model.batch_size, config.sac.batch_size)
+            return config.exploration_steps, min(config.model.batch_size, config.sac.batch_size)
         case SacRecordingConfig():
             return max(config.exploration_steps, 1), config.sac.batch_size
         case _:

@@ -132,6 +132,11 @@ def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     table = pd.DataFrame(usable)
     if table.empty:
         return pd.DataFrame({"env_step": np.zeros(0, np.int64)})
+    return tidy(table)
+
+
+def tidy(table: pd.DataFrame) -> pd.DataFrame:
+    """Rows with an `env_step` each, as `metrics_table` promises them."""
     metrics = [name for name in table.columns if name != "env_step"]
     numbers = table[metrics].apply(pd.to_numeric, errors="coerce").astype(np.float64)
     table = pd.concat([table[["env_step"]].astype(np.int64), numbers], axis=1)

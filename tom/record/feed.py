@@ -5,6 +5,7 @@ and comes back is fed again from the beginning.
 """
 
 import logging
+import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from tom.record.store import Store
 
 POLL_S = 1.0
 FLUSH_S = 2.0
+BLOCK_BYTES = 1_000_000
 
 _log = logging.getLogger(__name__)
 
@@ -37,19 +39,29 @@ class Tail:
         self._offset = 0
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """New whole rows; damaged ones are passed over."""
+        """New whole rows; damaged ones are passed over. A file that was cut starts again."""
+        while whole := self._next_block():
+            for line in whole.splitlines():
+                row = parse_json_line(line)
+                if row is not None and isinstance(row.get("env_step"), int):
+                    yield row
+
+    def _next_block(self) -> bytes:
+        """Some whole lines; empty where there are no new ones."""
         try:
             with self._path.open("rb") as file:
+                size = file.seek(0, os.SEEK_END)
+                if size < self._offset:  # a resumed run writes what follows once more
+                    self._offset = file.seek(0)
                 file.seek(self._offset)
-                text = file.read()
+                text = file.read(BLOCK_BYTES)
+                while text and b"\n" not in text and (more := file.read(BLOCK_BYTES)):
+                    text += more
         except FileNotFoundError:
-            return
+            return b""
         whole = text[: text.rfind(b"\n") + 1]
         self._offset += len(whole)
-        for line in whole.splitlines():
-            row = parse_json_line(line)
-            if row is not None and isinstance(row.get("env_step"), int):
-                yield row
+        return whole
 
 
 class Follower:

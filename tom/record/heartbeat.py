@@ -12,6 +12,9 @@ from tom.record.writer import RunWriter
 BEAT_S = 2.0
 """Seconds between two heartbeats."""
 
+WARNINGS = 8
+"""kinds of warnings that the status names"""
+
 WINDOW_S = 120.0
 """Speed and time left are judged by the last so many seconds."""
 
@@ -30,6 +33,7 @@ class Heartbeat:
         now = clock()
         self.status = Status("running", "start", 0, total, now, now, os.getpid())
         self._begun = timer()
+        self._warnings: dict[str, str] = {}  # by kind, the newest last
         self._samples: deque[tuple[float, int]] = deque([(self._begun, 0)])
         self._stop = threading.Event()
         self.beat()
@@ -44,10 +48,13 @@ class Heartbeat:
                 self._samples = deque([(self._timer(), env_step)])
             self.status = replace(self.status, env_step=env_step, phase=phase)
 
-    def warn(self, warning: str) -> None:
-        """The last thing that a reader of the run must know."""
+    def warn(self, kind: str, warning: str) -> None:
+        """What a reader of the run must know; a newer warning takes the place of its kind's."""
         with self._lock:
-            self.status = replace(self.status, warning=warning)
+            self._warnings.pop(kind, None)
+            self._warnings[kind] = warning
+            newest = tuple(self._warnings.values())[-WARNINGS:]
+            self.status = replace(self.status, warnings=newest)
 
     def returned(self, value: float) -> float:
         """An evaluation returned `value`; the best return so far."""

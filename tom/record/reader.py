@@ -22,6 +22,7 @@ from tom.record.decode import Arrays
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
 from tom.record.profiles import Profiles
+from tom.record.rows import read_metrics
 from tom.record.status import Status
 
 T = TypeVar("T")
@@ -108,7 +109,12 @@ class RunReader:
             read = self._read(layout.METRICS_TABLE, _table)
             if read is not None and "env_step" in read:
                 return read
-        return decode.metrics_table(self._lines(layout.METRICS))
+        read = self._read(layout.METRICS, read_metrics)
+        if read is None:
+            return decode.metrics_table([])
+        for problem in read[1]:
+            self._problem(problem)
+        return read[0]
 
     def profiles(self) -> Profiles:
         """The weight profile of every model fit."""

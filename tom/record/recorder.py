@@ -118,7 +118,7 @@ class Recorder:
                 if self._sink:
                     self._sink.field(event)
             case Notice():
-                self._heartbeat.warn(f"step {event.env_step}: {event.message}")
+                self._heartbeat.warn(event.kind, f"step {event.env_step}: {event.message}")
                 self._writer.notice(event.env_step, event.kind, event.message)
             case TrainedPolicy():
                 self._writer.policy(event.arrays)

@@ -22,7 +22,7 @@ class Status:
     started: float = 0.0  # unix seconds
     pid: int = 0
     reason: str = ""  # why it stopped or failed, at which step, and what to try
-    warning: str = ""  # the last notice: its step, what was found, and what to try
+    warnings: tuple[str, ...] = ()  # the last notice of each kind: step, what, and what to try
     eta_s: float | None = None
     env_steps_per_s: float | None = None
     last_return: float | None = None
@@ -55,9 +55,12 @@ def parse(content: dict[str, Any]) -> Status:
 
 
 def _checked(name: str, value: Any) -> Any:
-    if name in ("state", "phase", "reason", "warning"):
+    if name in ("state", "phase", "reason"):
         if isinstance(value, str):
             return value
+    elif name == "warnings":
+        if isinstance(value, list) and all(isinstance(text, str) for text in value):
+            return tuple(value)
     elif name in ("env_step", "total", "pid"):
         if _number(value):
             return int(value)

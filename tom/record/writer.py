@@ -19,8 +19,9 @@ from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.events import Episode, Weights
 from tom.record import decode, layout, lock
-from tom.record.files import JsonLines, read_json, read_json_lines, replace, replace_json, sync
+from tom.record.files import JsonLines, read_json, replace, replace_json, sync
 from tom.record.profiles import effective_share, profile, zero_share
+from tom.record.rows import read_metrics
 from tom.record.status import Status
 from tom.record.store import Store
 from tom.record.versions import git_commit, machine, versions
@@ -220,8 +221,8 @@ class RunWriter:
 
     def metrics_table(self) -> None:
         """Write the Parquet copy of the metrics."""
-        rows, _ = read_json_lines(self.path / layout.METRICS)
-        table = pa.Table.from_pandas(decode.metrics_table(rows), preserve_index=False)
+        rows, _ = read_metrics(self.path / layout.METRICS)
+        table = pa.Table.from_pandas(rows, preserve_index=False)
         self._table(layout.METRICS_TABLE, table, sync=True)
 
     def close(self) -> None:
