@@ -9,7 +9,7 @@ from app import text
 from app.buffer import Against
 from app.figures.base import note, styled
 from app.figures.scales import octaves, relative_scale
-from app.regions import Floats, Mask, Plane, spread
+from app.regions import Floats, Plane, spread
 from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour
 
 POINTS = 8000
@@ -80,9 +80,7 @@ def apart_bars(gaps: Sequence[tuple[str, float]], height: int) -> go.Figure:
     return styled(figure, "standard deviations from the buffer's mean", height, keep="apart")
 
 
-def weights_against(
-    found: Against, learner: str, x: str, height: int, *, ages: bool = False
-) -> go.Figure:
+def weights_against(found: Against, learner: str, x: str, height: int) -> go.Figure:
     """Mean weight of equal groups of transitions, and below what nine of ten of them are."""
     colour = learner_colour(learner)
     figure = go.Figure()
@@ -104,15 +102,5 @@ def weights_against(
     figure.add_hline(y=1, line={"color": NEUTRAL, "width": 1.2, "dash": "dash"})
     styled(figure, text.plotly(x), height, keep=f"against {x}")
     figure.update_layout(showlegend=False)
-    if ages:
-        figure.update_xaxes(
-            range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
-        )
     figure.update_yaxes(rangemode="tozero", title_text="weight")
     return figure
-
-
-def chosen_points(figure: go.Figure, mask: Mask) -> list[int]:
-    """Which of a map's points (in its own order) lie in a region (N,)."""
-    row = np.asarray(figure.data[0].customdata)[:, 1].astype(np.int64)  # type: ignore[attr-defined]
-    return np.flatnonzero(mask[row]).tolist()

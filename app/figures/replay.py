@@ -4,6 +4,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from app import text
 from app.aggregate import Curve, decimate
 from app.figures.base import note, styled
 from app.replays import Replay
@@ -61,7 +62,7 @@ def reward_curve(replay: Replay, frame: int, height: int) -> go.Figure:
     seconds = replay.dt * np.arange(replay.episode.length)
     lines = [("real", replay.episode.reward, NEUTRAL, 2.0)]
     if replay.imagined is not None:
-        name = f"imagined by {learner_label(replay.learner)}'s model"
+        name = f"imagined by {text.plotly(learner_label(replay.learner))}'s model"
         lines.append((name, replay.imagined.reward, learner_colour(replay.learner), 1.5))
     for name, values, colour, width in lines:
         figure.add_trace(_line(seconds, values, name, colour, width, "reward"))

@@ -11,6 +11,9 @@ from app.theme import ACCENT, Mode
 GLOW: dict[Mode, float] = {"light": 1.7, "dark": 1.1}
 """brightness of the light from all sides"""
 
+FRONT = (-1.5, -4.0, 2.5)
+"""where the light from the front comes from: it shines towards the origin"""
+
 Vector = tuple[float, float, float]
 
 
@@ -19,6 +22,8 @@ class Frame:
 
     title: str
     """the panel's"""
+    fill = 0.0
+    """brightness of the light from the front"""
     shadows = False
     """shadows cost a weak machine half of its frames"""
 
@@ -68,7 +73,18 @@ class Frame:
         # No environment map: viser fades the canvas in when its default one is there, and when
         # another map arrives during that, the scene stays pale until it is opened again.
         self.client.scene.configure_environment_map(None)
-        self.client.scene.add_light_ambient("/glow", intensity=GLOW[self.mode])
+        self._light()
+
+    def _light(self) -> None:
+        """Light from all sides, and some from where the reader looks from."""
+        scene = self.client.scene
+        scene.add_light_ambient("/glow", intensity=GLOW[self.mode])
+        scene.add_light_directional("/fill", intensity=self.fill, position=FRONT)
+
+    def clear(self) -> None:
+        """Take everything out of the scene but its light."""
+        self.client.scene.reset()
+        self._light()
 
     def _build_panel(self) -> None:
         raise NotImplementedError

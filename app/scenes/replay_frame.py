@@ -32,6 +32,7 @@ class ReplayFrame(Frame):
 
     title = "Replay"
     shadows = True
+    fill = 1.5
 
     def _build_panel(self) -> None:
         self._replay: Replay | None = None
@@ -73,7 +74,7 @@ class ReplayFrame(Frame):
         other = self._replay is None or self._replay.env != replay.env
         self._replay = replay
         with self.client.atomic():
-            self.client.scene.reset()
+            self.clear()
             self._scene = ReplayScene(self.client.scene, replay, self.mode)
         if other and replay.road:
             self.look(CAMERA, LOOK_AT)

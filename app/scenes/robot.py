@@ -35,7 +35,6 @@ class Robot:
                 batched_colors=tint,
                 opacity=opacity,
                 lod="off",
-                receive_shadow=False,  # on themselves shadows are too coarse: half goes black
             )
             for i, (vertices, faces) in enumerate(solids.meshes)
         ]

@@ -33,6 +33,7 @@ class StatesFrame(Frame):
 
     title = "Heavy and light"
     shadows = True
+    fill = 1.5
 
     def _build_panel(self) -> None:
         self._scene: StatesScene | None = None
@@ -74,7 +75,7 @@ class StatesFrame(Frame):
 
     def _draw(self, groups: list, height: float, env: str) -> None:
         with self.client.atomic():
-            self.client.scene.reset()
+            self.clear()
             self._scene = StatesScene(self.client.scene, groups, height, self.mode)
             self._pose()
         if env != self._env:

@@ -1,8 +1,11 @@
 """Weights: which part of the replay buffer a learner looks at, fit by fit."""
 
 import streamlit as st
+from numpy.typing import NDArray
 
-from app import pictures, readers, session, text, widgets
+from app import buffer_reader, pictures, readers, session, text, widgets
+from app.buffer import Floats, against
+from app.figures.regions import weights_against
 from app.figures.weights import effective_sample, weight_map, weight_profile
 from app.plot import Point, chart
 from app.readers import RunInfo
@@ -15,6 +18,11 @@ PATH = "weights"
 
 RELATIVE = "against uniform"
 LINEAR = "as they are"
+AGAINST = (
+    "Solid: mean weight of 30 equal groups of transitions. Dotted: nine of ten transitions of a "
+    "group weigh less. Dashed: all count the same. Model error: root mean square over the "
+    "dimensions, each in standard deviations of its change in a step."
+)
 
 
 def page() -> None:
@@ -56,7 +64,36 @@ def page() -> None:
         chart(
             figure, "effective sample", "effective sample size and share of zero weights", _choose
         )
+    _against(run, int(profiles.env_step[chosen]))
     widgets.show_problems(run)
+
+
+def _against(run: RunInfo, step: int) -> None:
+    """Weight against age, episode return, model error and policy version, where they are kept."""
+    kept = buffer_reader.fits(run)
+    if not kept:
+        return
+    fit = buffer_reader.at_or_before(kept, step)
+    rows = buffer_reader.rows(run, fit)
+    if rows is None:
+        st.caption("The replay buffer of this run cannot be read.")
+        return
+    other = "" if fit == step else f" (every single weight was kept there, not at {step:,})"
+    st.markdown(f"**What the weights of step {fit:,} go with**{other}", help=AGAINST)
+    errors = buffer_reader.model_errors(run, fit)
+    panels: list[tuple[str, NDArray, Floats]] = [("age in the buffer", rows.age, rows.weight)]
+    if run.env != pictures.ENV:
+        panels.append(("return of the episode", rows.episode_return, rows.weight))
+        panels.append(("policy version (0: exploration)", rows.version, rows.weight))
+    if not isinstance(errors, str):
+        index, error, at = errors
+        panels.append((f"one-step error of the model of step {at:,}", error, rows.weight[index]))
+    for column, (name, quantity, weight) in zip(st.columns(len(panels)), panels, strict=True):
+        with column, st.container(border=True):
+            figure = weights_against(against(quantity, weight), run.learner, name, 230)
+            chart(figure, f"against {name.split(' of the model')[0]}", f"weight against {name}")
+    if isinstance(errors, str):
+        st.caption(f"No model error: {text.markdown(errors)}.")
 
 
 def _chosen_fit(profiles: Profiles) -> int:

@@ -193,3 +193,16 @@ def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
     kept = {"qpos": np.asarray(recorded.obs)[:, :2] + 5}
     assert states.poses("hopper", recorded, kept, states.moments(ended, [7]))[0, WINDOW, 0] == 0
+
+
+def test_weights_shows_what_they_go_with(store: Path, rows: Rows) -> None:
+    app = draw("weights", run=PENDULUM_TOM, step=str(FIT))
+    age, returns, version, error = figures(app)[3:7]
+    groups = rows.weight.reshape(30, 10).mean(1)
+    assert array(age["data"][0]["y"]) == pytest.approx(groups)
+    assert array(version["data"][0]["x"])[0] == 0
+    for panel in (returns, version, error):
+        assert array(panel["data"][0]["y"]).min() >= 0
+    found = buffer_reader.model_errors(info(store, PENDULUM_TOM), FIT)
+    assert not isinstance(found, str)
+    assert array(error["data"][0]["x"]).max() <= found[1].max()

@@ -116,7 +116,7 @@ def test_weights_shows_every_fit_and_the_chosen_one(store: Path) -> None:
     profiles = RunReader(store / PENDULUM_TOM).profiles()
     step = int(profiles.env_step[1])
     app = draw("weights", run=PENDULUM_TOM, step=str(step))
-    heat, bars, sample = figures(app)
+    heat, bars, sample = figures(app)[:3]
     assert array(heat["data"][0]["z"]) == pytest.approx(np.log2(profiles.bins.T).clip(-4, 4))
     assert array(bars["data"][0]["y"]) == pytest.approx(profiles.bins[1])
     assert array(sample["data"][0]["y"]) == pytest.approx(100 * profiles.ess)
@@ -136,7 +136,7 @@ def test_weights_survives_a_step_of_another_run() -> None:
     app = draw("weights", run=PENDULUM_TOM, step="200")
     app.selectbox(key="run").select(ROAD_TOM).run()
     assert not app.exception
-    assert len(figures(app)) == 3
+    assert len(figures(app)) == 5  # no episodes and no policies: two panels less
 
 
 def test_road_shows_the_weights_over_the_map(store: Path) -> None:
@@ -170,7 +170,7 @@ def test_the_pages_of_an_empty_store_say_what_to_run(
     assert any("tom train" in command and "'" in command for command in commands)
 
 
-@pytest.mark.parametrize("view", ["live", "compare", "weights", "road"])
+@pytest.mark.parametrize("view", ["live", "compare", "weights", "regions", "replays", "road"])
 def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
     view: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,7 +184,8 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
     (bad / "weights" / "profiles.jsonl").write_text('{"env_step": 1}\n{"bins"')
     for name, value in Links(store=str(tmp_path)).environment().items():
         monkeypatch.setenv(name, value)
-    app = draw(view)
+    one_run = view in ("weights", "regions", "replays")
+    app = draw(view, **({"run": "bad"} if one_run and view != "weights" else {}))
     assert figures(app)
     assert view == "weights" or any("bad" in warning.value for warning in app.warning)
     assert "<img" not in json.dumps(figures(app))
