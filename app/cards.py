@@ -56,7 +56,7 @@ def card(run: RunInfo) -> None:
         strict=True,
     ):
         column.metric(label, value)
-    for words in (status.reason, status.warning):
+    for words in (status.reason, *status.warnings):
         if words:
             st.caption(text.markdown(words))
 
