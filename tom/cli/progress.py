@@ -17,7 +17,7 @@ class ProgressReport:
 
     def __init__(self, label: str, total: int, stream: TextIO) -> None:
         self._label, self._total, self._stream = label, total, stream
-        self._console = Console(file=stream)
+        self._console = _Console(file=stream)
         self._bar = _bar(self._console) if self._console.is_terminal else None
         self._task = self._bar.add_task(label, total=total, text="") if self._bar else None
         self._recent: deque[tuple[float, int]] = deque([(monotonic(), 0)], maxlen=200)
@@ -71,6 +71,12 @@ class ProgressReport:
         rate = self._rate()
         left = self._total - self._recent[-1][1]
         return f"eta {left / rate:.0f} s" if rate > 0 and left > 0 else ""
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Rich would end the process here; whoever trains decides instead."""
+        raise BrokenPipeError
 
 
 def _bar(console: Console) -> Progress:

@@ -1,0 +1,284 @@
+"""Damaged, foreign and strange run folders: named, and never in the way of the others."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+from threading import Event as Flag
+
+import numpy as np
+import pandas as pd
+import pytest
+from faults import assert_same_record, config, ended, stopped, tom
+
+from tom.errors import UserError
+from tom.record import RunReader, Store, checkpoint
+from tom.record.feed import stream
+from tom.record.manage import restore, trash
+from tom.run import resume, train
+
+pytestmark = pytest.mark.fault
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with a finished run and a stopped one."""
+    path = tmp_path_factory.mktemp("made") / "store"
+    train(config(), Store(path), "whole", rerun=True)
+    stopped(Store(path), 130, "stopped")
+    return path
+
+
+@pytest.fixture
+def store(made: Path, tmp_path: Path) -> Store:
+    return Store(shutil.copytree(made, tmp_path / "store"))
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def problems(store: Store) -> str:
+    store.runs()
+    return "\n".join(store.problems)
+
+
+@pytest.mark.quick
+def test_half_a_json_line__is_skipped_by_readers_and_cut_off_by_resume(store: Store):
+    path = store.path / "stopped"
+    rows = len(store.run("stopped").metrics())
+    for name in ("metrics.jsonl", "notices.jsonl", "weights/profiles.jsonl"):
+        with (path / name).open("ab") as file:
+            file.write(b'{"env_step":131,"critic/lo')
+    run = store.run("stopped")
+    assert len(run.metrics()) == rows
+    run.profiles()
+    run.notices()
+    assert len(run.problems) == 3
+    assert all("half written" in problem for problem in run.problems)
+    assert_same_record(store.run("whole"), resume(store, "stopped", rerun=False))
+
+
+@pytest.mark.quick
+def test_a_truncated_recording__is_left_alone_and_made_again_from_the_files(store: Store):
+    run = store.run("whole")
+    [recording] = run.rrd_files()
+    size = recording.stat().st_size
+    cut(recording)
+    assert len(run.metrics()) > 3
+    assert run.problems == []
+    assert sum(map(len, stream(run, Flag()))) > size / 4
+    longer = resume(store, "whole", steps=280, rerun=True)
+    assert [path.name for path in longer.rrd_files()] == ["run.rrd", "run-2.rrd"]
+
+
+@pytest.mark.quick
+def test_a_truncated_weights_file__is_named_and_the_rest_is_read(store: Store):
+    run = store.run("whole")
+    first, *others = run.snapshot_steps()
+    cut(run.path / "weights" / f"snapshot-{first:09d}.parquet")
+    assert len(run.snapshot(first)) == 0
+    assert all(len(run.snapshot(step)) for step in others)
+    assert run.problems[0].startswith(f"weights/snapshot-{first:09d}.parquet cannot be read")
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "without manifest", "newer format"])
+def test_a_damaged_checkpoint__is_named_and_the_one_before_used_to_the_same_end(
+    store: Store, damage: str
+):
+    folder = store.path / "stopped" / checkpoint.FOLDER
+    newest = folder / f"{checkpoint.newest(folder):09d}"
+    content = (newest / "state.pt").read_bytes()
+    match damage:
+        case "truncated":
+            cut(newest / "state.pt")
+        case "flipped":
+            middle = len(content) // 2
+            flipped = bytes([content[middle] ^ 1])
+            (newest / "state.pt").write_bytes(content[:middle] + flipped + content[middle + 1 :])
+        case "without manifest":
+            (newest / "manifest.json").unlink()
+        case _:
+            (newest / "manifest.json").write_text('{"schema": 99}')
+    done = resume(store, "stopped", rerun=False)
+    assert any(newest.name in text for text in done.status.warnings)
+    assert_same_record(store.run("whole"), done)
+
+
+def test_every_checkpoint_damaged__resume_is_refused_in_one_line_and_nothing_is_lost(store: Store):
+    for state in (store.path / "stopped" / checkpoint.FOLDER).rglob("state.pt"):
+        cut(state)
+    before = store.run("stopped").metrics()
+    with pytest.raises(UserError, match="no checkpoint that is whole"):
+        resume(store, "stopped", rerun=False)
+    pd.testing.assert_frame_equal(before, store.run("stopped").metrics())
+
+
+@pytest.mark.quick
+def test_a_checkpoint_that_fits_another_training__is_refused_in_one_line(
+    store: Store, tmp_path: Path
+):
+    other = stopped(Store(tmp_path / "other"), 130, env="hopper")
+    folder = store.path / "stopped" / checkpoint.FOLDER
+    shutil.rmtree(folder)
+    shutil.copytree(other.path / checkpoint.FOLDER, folder)
+    with pytest.raises(UserError, match="is another version's") as error:
+        resume(store, "stopped", rerun=False)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.quick
+def test_a_lost_piece_of_the_buffer__resume_says_so_and_touches_nothing(store: Store):
+    (store.path / "stopped" / "buffer" / "000000000.npz").unlink()
+    before = sorted(path.name for path in (store.path / "stopped").rglob("*"))
+    with pytest.raises(UserError, match="lost rows of its buffer"):
+        resume(store, "stopped", rerun=False)
+    assert sorted(path.name for path in (store.path / "stopped").rglob("*")) == before
+
+
+@pytest.mark.quick
+def test_a_folder_of_a_newer_format__is_read_as_far_as_known_and_not_resumed(store: Store):
+    path = store.path / "stopped" / "config.json"
+    content = json.loads(path.read_text())
+    content["schema"] = 2
+    content["config"]["invented_later"] = 1
+    path.write_text(json.dumps(content))
+    run = store.run("stopped")
+    assert len(run.metrics()) > 1
+    assert "newer version (schema 2" in run.problems[0]
+    with pytest.raises(UserError, match="made by another version"):
+        resume(store, "stopped", rerun=False)
+
+
+def test_a_folder_of_an_older_format__is_read_with_defaults_and_not_resumed(store: Store):
+    path = store.path / "stopped" / "config.json"
+    content = json.loads(path.read_text())
+    for name in ("machine", "matmul", "preset", "git_commit", "created", "versions"):
+        del content[name]
+    content["schema"] = 0
+    content["config"]["fit_each"] = content["config"].pop("fit_every")
+    path.write_text(json.dumps(content))
+    (store.path / "stopped" / "status.json").write_text('{"state": "stopped", "env_step": 130}')
+    run = store.run("stopped")
+    assert run.status.state == "stopped"
+    assert len(run.metrics()) > 1
+    assert len(store.runs()) == 2
+    with pytest.raises(UserError, match="made by another version"):
+        resume(store, "stopped", rerun=False)
+
+
+@pytest.mark.quick
+def test_folders_that_are_no_runs__are_named_and_the_others_listed(store: Store, tmp_path: Path):
+    (store.path / "empty").mkdir()
+    foreign = store.path / "foreign"
+    foreign.mkdir()
+    (foreign / "config.json").write_text('{"architectures": ["Bert"]}')
+    (foreign / "model.safetensors").write_bytes(bytes(100))
+    (store.path / "list").mkdir()
+    (store.path / "list" / "config.json").write_text("[1, 2]")
+    (tmp_path / "outside").mkdir()
+    (store.path / "link").symlink_to(tmp_path / "outside")
+    (store.path / "loop").symlink_to(store.path)
+    (store.path / "a file").write_text("x")
+    assert {run.run_id for run in store.runs()} == {"whole", "stopped"}
+    for name in ("empty: no run", "foreign: no run", "list: no run", "'link' is a link", "'loop'"):
+        assert name in problems(store)
+    for name in ("empty", "foreign", "list", "link", "loop"):
+        with pytest.raises(UserError):
+            trash(store, name)
+        with pytest.raises(UserError):
+            resume(store, name, rerun=False)
+    assert {p.name for p in store.path.iterdir()} >= {"empty", "foreign", "list", "link", "loop"}
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("part", ["buffer", "weights", "checkpoint", "metrics.jsonl", ".writer"])
+def test_a_part_of_a_run_that_links_out_of_the_store__is_neither_read_nor_written_through(
+    store: Store, tmp_path: Path, part: str
+):
+    inside, outside = store.path / "stopped" / part, tmp_path / "outside"
+    (store.path / "stopped" / "metrics.parquet").unlink()
+    inside.rename(outside)
+    inside.symlink_to(outside)
+    before = {p: p.read_bytes() for p in (outside, *outside.rglob("*")) if p.is_file()}
+    with pytest.raises(UserError, match="link"):
+        resume(store, "stopped", rerun=False)
+    run = store.run("stopped")
+    run.metrics()
+    run.buffer()
+    assert part in ("checkpoint", ".writer", "weights") or "leads out" in run.problems[0]
+    assert {p: p.read_bytes() for p in (outside, *outside.rglob("*")) if p.is_file()} == before
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("run_id", ["..", "../store", "/etc", ".trash", "a/../whole", "whole/"])
+def test_trash_of_what_is_no_run_of_the_store__is_refused_and_nothing_moves(
+    store: Store, run_id: str
+):
+    before = sorted(store.path.rglob("*"))
+    with pytest.raises(UserError):
+        trash(store, run_id)
+    with pytest.raises(UserError):
+        restore(store, run_id)
+    assert sorted(store.path.rglob("*")) == before
+
+
+def test_trash_behind_a_link__is_refused_and_nothing_leaves_the_store(store: Store, tmp_path: Path):
+    (tmp_path / "elsewhere").mkdir()
+    (store.path / ".trash").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match="link"):
+        trash(store, "whole")
+    assert not list((tmp_path / "elsewhere").iterdir())
+    assert store.run("whole").status.state == "finished"
+
+
+def test_a_thousand_run_folders__are_all_listed(made: Path, tmp_path: Path):
+    path = tmp_path / "many"
+    for number in range(1000):
+        folder = path / f"run-{number:04d}"
+        folder.mkdir(parents=True)
+        for name in ("config.json", "status.json", "metrics.jsonl"):
+            os.link(made / "whole" / name, folder / name)
+    assert len(Store(path).runs()) == 1000
+    code, out, _ = ended(tom("runs", "--store", path, "--json"))
+    assert code == 0
+    assert len(json.loads(out)) == 1000
+
+
+def test_metrics_of_200_megabytes__are_read_whole_in_bounded_memory(store: Store):
+    run = store.run("whole")
+    (run.path / "metrics.parquet").unlink()
+    lines = (run.path / "metrics.jsonl").read_bytes().splitlines()
+    row = json.loads(max(lines, key=len))
+    count = 200_000_000 // len(json.dumps(row))
+    with (run.path / "metrics.jsonl").open("w") as file:
+        for step in range(1, count + 1):
+            file.write(json.dumps({**row, "env_step": step}) + "\n")
+            if step == 5:
+                file.write("damaged\n")
+        file.write('{"env_step": ')
+    table = run.metrics()
+    assert table["env_step"].tolist() == list(range(1, count + 1))
+    known = {name: value for name, value in row.items() if value is not None}
+    np.testing.assert_allclose(table.iloc[-1][list(known)][1:], list(known.values())[1:])
+    assert run.problems == [
+        "metrics.jsonl: line 6 is damaged and was skipped",
+        "metrics.jsonl: the last line is half written and was skipped",
+    ]
+
+
+@pytest.mark.quick
+def test_a_large_metrics_file__is_the_same_table_as_row_by_row(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
+    run = store.run("whole")
+    (run.path / "metrics.parquet").unlink()
+    by_row = run.metrics()
+    monkeypatch.setattr("tom.record.rows.LARGE_BYTES", 0)
+    pd.testing.assert_frame_equal(by_row, run.metrics(), check_like=True)
+    with (run.path / "metrics.jsonl").open("a") as file:
+        file.write('{"env_step": 999, "critic/loss": "a word"}\n[1]\n{"no": 1}\n')
+    odd = RunReader(run.path)
+    assert odd.metrics()["env_step"].tolist() == [*by_row["env_step"], 999]
+    assert "is damaged and was skipped" in odd.problems[0]

@@ -1,0 +1,171 @@
+"""Several processes, several machines and clocks that go wrong."""
+
+import json
+import threading
+import time
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from faults import config, ended, one_line, stopped, stopping_at, tom, train_command, wait_until
+
+from tom.errors import UserError
+from tom.events import Metrics, Tick
+from tom.record import Recorder, RunReader, RunWriter, Store, lock
+from tom.run import resume, train
+
+pytestmark = pytest.mark.fault
+
+
+def test_two_processes_given_the_same_run_id__one_trains_the_other_is_refused_in_one_line(
+    tmp_path: Path,
+):
+    command = train_command(tmp_path / "store", steps=300)
+    results = [ended(p) for p in [tom(*command, "--run-id", "a") for _ in range(2)]]
+    assert sorted(code for code, _, _ in results) == [0, 2]
+    [refused] = [error for code, _, error in results if code == 2]
+    assert "run 'a' exists already" in one_line(refused)
+    [run] = Store(tmp_path / "store").runs()
+    assert (run.status.state, run.status.env_step, run.problems) == ("finished", 300, [])
+
+
+def test_two_processes_that_resume_the_same_run__one_goes_on_the_other_is_refused_in_one_line(
+    tmp_path: Path,
+):
+    stopped(Store(tmp_path), 130, steps=2000)
+    command = ("train", "--resume", "a", "--store", tmp_path, "--no-rerun", "--steps", 1500)
+    results = [ended(p) for p in [tom(*command) for _ in range(2)]]
+    assert sorted(code for code, _, _ in results) == [0, 2]
+    [refused] = [error for code, _, error in results if code == 2]
+    assert "written by another process" in refused or "is complete" in refused
+    assert Store(tmp_path).run("a").status.env_step == 1500
+
+
+@pytest.mark.quick
+def test_a_run_that_is_being_written__resume_is_refused_and_the_run_unharmed(tmp_path: Path):
+    store = Store(tmp_path)
+    refused: list[str] = []
+
+    def meddle(event: object) -> None:
+        if event == Tick(130, "optimise"):
+            with pytest.raises(UserError, match="being written by another process") as error:
+                resume(store, "a", rerun=False)
+            refused.append(str(error.value))
+
+    run = train(config(), store, "a", rerun=False, watchers=(meddle,))
+    assert len(refused) == 1
+    assert (run.status.state, run.problems) == ("finished", [])
+
+
+@pytest.mark.quick
+def test_a_run_written_on_another_machine__resume_is_refused_while_its_heart_beats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("tom.run.BEAT_S", 0.1)
+    run = stopped(Store(tmp_path), 130)
+    (run.path / ".writer").write_text("the boot of another machine")
+    status = json.loads((run.path / "status.json").read_text())
+    stop = threading.Event()
+
+    def beat() -> None:
+        while not stop.wait(0.02):
+            beating = {**status, "state": "running", "heartbeat": time.time()}
+            (run.path / "status.tmp").write_text(json.dumps(beating))
+            (run.path / "status.tmp").replace(run.path / "status.json")
+
+    heart = threading.Thread(target=beat)
+    heart.start()
+    wait_until(lambda: run.status.alive)
+    try:
+        with pytest.raises(UserError, match="on another machine: stop it there"):
+            resume(Store(tmp_path), "a", rerun=False)
+    finally:
+        stop.set()
+        heart.join()
+    assert resume(Store(tmp_path), "a", rerun=False).status.state == "finished"
+
+
+def _start_one(path: Path) -> None:
+    train(config(steps=50, exploration_steps=45), Store(path), rerun=False)
+
+
+def test_runs_of_one_learner_and_seed_begun_in_the_same_second__each_has_its_own_folder(
+    tmp_path: Path,
+):
+    fork = get_context("fork")
+    processes = [fork.Process(target=_start_one, args=(tmp_path,)) for _ in range(4)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0, 0, 0, 0]
+    assert [run.status.state for run in Store(tmp_path).runs()] == ["finished"] * 4
+
+
+@pytest.mark.quick
+def test_a_clock_that_goes_backwards__durations_stay_right_and_a_living_run_alive(tmp_path: Path):
+    clock, timer = [time.time()], [50.0]
+    writer = RunWriter.create(Store(tmp_path), "a", config())
+    recorder = Recorder(writer, clock=lambda: clock[0], timer=lambda: timer[0])
+    for step in range(1, 4):
+        recorder.consume(Metrics(step, {"critic/loss": 1.0}))
+        recorder.consume(Tick(step, "optimise"))
+        timer[0] += 10
+        clock[0] -= 3600  # somebody sets the clock, again and again
+    recorder.beat()
+    run = Store(tmp_path).run("a")
+    assert np.diff(run.metrics()["time/wall_s"]).tolist() == [10, 10]
+    assert run.metrics()["time/env_steps_per_s"].dropna().tolist() == [0.2, 0.1]
+    assert run.status.env_steps_per_s == pytest.approx(0.1)
+    assert not run.status.alive, "it was written three hours ago, for all that a reader knows"
+    clock[0] = time.time()
+    recorder.beat()
+    assert run.status.alive
+    recorder.finish("finished")
+
+
+@pytest.mark.quick
+def test_a_heartbeat_from_the_future__is_a_dead_run_not_an_immortal_one(tmp_path: Path):
+    run = stopped(Store(tmp_path), 130)
+    status = json.loads((run.path / "status.json").read_text())
+    dead = {**status, "state": "running", "heartbeat": time.time() + 7200}
+    (run.path / "status.json").write_text(json.dumps(dead))
+    assert run.status.shown == "dead"
+    assert not lock.held(run.path)
+    assert resume(Store(tmp_path), "a", rerun=False).status.state == "finished"
+
+
+@pytest.mark.quick
+def test_asked_twice_to_stop__ends_at_once_as_stopped_and_the_last_checkpoint_serves(
+    tmp_path: Path,
+):
+    stop, (ask,) = stopping_at(130)
+
+    def twice(event: object) -> None:
+        ask(event)  # pyright: ignore[reportArgumentType]
+        if stop.asked:
+            stop()
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config(), Store(tmp_path), "a", rerun=False, watchers=(twice,), stop=stop)
+    run = RunReader(tmp_path / "a")
+    assert (run.status.state, run.status.reason) == ("stopped", "interrupted")
+    assert resume(Store(tmp_path), "a", rerun=False).status.state == "finished"
+
+
+@pytest.mark.quick
+def test_a_terminal_that_is_gone__the_training_goes_on(tmp_path: Path):
+    def gone(event: object) -> None:
+        raise OSError(5, "Input/output error")
+
+    run = train(config(steps=60), Store(tmp_path), "a", rerun=False, watchers=(gone,))
+    assert run.status.state == "finished"
+
+
+def test_output_into_a_closed_pipe__the_training_goes_on_to_its_end(tmp_path: Path):
+    process = tom(*train_command(tmp_path, steps=300), "--run-id", "a")
+    assert process.stdout is not None
+    process.stdout.close()
+    process.wait(120)
+    assert RunReader(tmp_path / "a").status.state == "finished"
