@@ -46,6 +46,8 @@ class Adam:
         if self.members > 1:
             parts = [g.chunk(self.members) for g in gradients]
             gradients = [g for member in zip(*parts, strict=True) for g in member]
+        # The fused kernel reads memory in order, whatever a gradient's strides are.
+        gradients = [g.contiguous() for g in gradients]
         torch._foreach_add_(self.counters, 1)  # pyright: ignore[reportPrivateImportUsage]
         for decay, members, moved in self._groups:
             torch._fused_adam_(  # pyright: ignore[reportPrivateImportUsage]

@@ -21,7 +21,7 @@ RANKED = 20_000  # transitions a rank correlation is measured on
 
 def weight_metrics(weights: Tensor) -> dict[str, float]:
     """Shape of weights (N,), oldest first: ess, share of zeros, largest, rank against position."""
-    w = weights.to(torch.float64).numpy()
+    w = weights.to("cpu", torch.float64).numpy()
     step = max(len(w) // RANKED, 1)
     thinned = w[::step]
     varied = len(thinned) > 1 and bool(np.ptp(thinned) > 0)

@@ -4,7 +4,7 @@
 consumers' affair: this file knows no file, clock or socket.
 """
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import numpy as np
@@ -32,11 +32,16 @@ from tom.events import (
 )
 from tom.health import require_finite
 from tom.learners import make_learner
-from tom.learners.base import FitContext, Weighting
+from tom.learners.base import FitContext, Weighting, weighing
+from tom.lockstep import Work, alone
 from tom.policy_file import policy_arrays
 from tom.rng import Streams
 from tom.rollout import roll_out, start_states
 from tom.sac import Sac
+from tom.sac_work import Act, SacUpdates
+
+Steps = Generator[Event | Work, None, None]
+"""Part of a run: what it tells, and the work that it wants done before it goes on."""
 
 
 class Mbpo:
@@ -45,7 +50,7 @@ class Mbpo:
     def __init__(self, config: OnlineConfig) -> None:
         self.config = config
         self.task: MujocoTask = task(config.env)
-        self.streams = Streams(config.seed)
+        self.streams = Streams(config.seed, config.device)
         obs_dim, action_dim = self.task.obs_dim, self.task.action_dim
         generator = self.streams.torch
         self.sac = Sac(obs_dim, action_dim, config.sac, [generator("sac")])
@@ -56,11 +61,12 @@ class Mbpo:
         )
         rollout = config.rollout
         longest = max(rollout.length, rollout.final_length)
-        self.replay = ReplayBuffer(config.replay_capacity, obs_dim, action_dim)  # D_env
+        dims, device = (obs_dim, action_dim), config.device
+        self.replay = ReplayBuffer(config.replay_capacity, *dims, device)  # D_env
         self.model_buffer = ReplayBuffer(  # D_model
-            rollout.starts * rollout.retain * longest, obs_dim, action_dim
+            rollout.starts * rollout.retain * longest, *dims, device
         )
-        self.policy_buffer = ReplayBuffer(config.policy_capacity, obs_dim, action_dim)  # D_pol
+        self.policy_buffer = ReplayBuffer(config.policy_capacity, *dims, device)  # D_pol
         self.env = self.task.make()
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
         self.env_step = 0
@@ -73,7 +79,11 @@ class Mbpo:
         self._flushed = 0
 
     def events(self) -> Iterator[Event]:
-        """Algorithm 2, from where the run stands to its last step."""
+        """The run from where it stands to its last step, by itself."""
+        return alone(self.algorithm())
+
+    def algorithm(self) -> Steps:
+        """Algorithm 2; its heavy work is handed out, to be done alone or beside other members'."""
         config = self.config
         while self.env_step < min(config.exploration_steps, config.steps):
             yield from self.step_environment(explore=True)
@@ -82,21 +92,21 @@ class Mbpo:
             if (self.env_step - config.exploration_steps) % config.fit_every == 0:
                 yield from self.fit_and_roll_out()
             yield from self.step_environment(explore=False)
-            self.optimise_policy()
+            yield from self.optimise_policy()
             if self.env_step % config.evaluation.every == 0 or self.env_step == config.steps:
                 yield from self.evaluate()
             yield Tick(self.env_step, "optimise")
         yield from self._flush_collected()
         yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac.actor))
 
-    def fit_and_roll_out(self) -> Iterator[Event]:
+    def fit_and_roll_out(self) -> Steps:
         """Lines 3-19: weights, weighted model fit, rollouts from weighted start states."""
         yield Tick(self.env_step, "fit")
         yield from self._flush_collected()
         context = self._fit_context()
-        weighting = self.learner.weigh(context)
+        weighting = yield from weighing(self.learner, context)
         yield _weights_event(self.env_step, weighting)
-        report = self.model.fit(
+        report = yield from self.model.fitting(
             context.replay, weighting.row_weights, weighting.per_dim, self.streams.torch("fit")
         )
         rollout_metrics = self.roll_out_model(context.replay, weighting)
@@ -126,10 +136,10 @@ class Mbpo:
             generator,
         )
 
-    def step_environment(self, explore: bool) -> Iterator[Event]:
+    def step_environment(self, explore: bool) -> Steps:
         """Line 21: one step of pi in the environment, into D_env (and D_pol on policy)."""
         obs = self._begin_episode() if self._obs is None else self._obs
-        action = self._explore_action() if explore else self._policy_action(obs)
+        action = self._explore_action() if explore else (yield from self._policy_action(obs))
         next_obs, reward, terminated, truncated, _ = self.env.step(action)
         version = 0 if explore else self.policy_version
         row = (obs, action, float(reward), next_obs, terminated, truncated)
@@ -147,7 +157,7 @@ class Mbpo:
             )
             self._obs = None
 
-    def optimise_policy(self) -> None:
+    def optimise_policy(self) -> Steps:
         """Lines 26-28: G gradient steps of SAC on model and a few real transitions."""
         config = self.config
         size = config.sac.batch_size
@@ -155,15 +165,11 @@ class Mbpo:
         generator, updates = self.streams.torch("batches"), config.updates_per_step
         real_rows = uniform_indices(len(self.replay), updates * real, generator)
         model_rows = uniform_indices(len(self.model_buffer), updates * (size - real), generator)
-        real_batches = self.replay.gather(real_rows)
-        model_batches = self.model_buffer.gather(model_rows)
-        batches = [
-            TensorTransitions.join(
-                [_part(real_batches, k, real), _part(model_batches, k, size - real)]
-            )[None]
-            for k in range(updates)
-        ]
-        self._sac_metrics = self.sac.updates(batches)
+        real_part = self.replay.packed(real_rows).unflatten(0, (updates, real))
+        model_part = self.model_buffer.packed(model_rows).unflatten(0, (updates, size - real))
+        work = SacUpdates(self.sac, torch.cat([real_part, model_part], 1))
+        yield work
+        self._sac_metrics = work.metrics
         require_finite(self._sac_metrics, self.env_step)
         self.policy_version += 1
 
@@ -231,9 +237,11 @@ class Mbpo:
         action = self.streams.numpy("explore").uniform(-1.0, 1.0, self.task.action_dim)
         return action.astype(np.float32)
 
-    def _policy_action(self, obs: np.ndarray) -> np.ndarray:
-        batch = torch.as_tensor(obs, dtype=torch.float32)[None]
-        return self.policy(batch, 1, self.streams.torch("act"))[0, 0].numpy()
+    def _policy_action(self, obs: np.ndarray) -> Generator[Work, None, np.ndarray]:
+        seen = torch.as_tensor(obs, dtype=torch.float32)
+        work = Act(self.sac, seen, self.streams.torch("act"))
+        yield work
+        return work.action.numpy()
 
     def _fit_context(self) -> FitContext:
         return FitContext(
@@ -241,7 +249,7 @@ class Mbpo:
             policy_version=self.replay.policy_version(),
             policy_buffer=self.policy_buffer.transitions(),
             on_policy_steps=self.env_step - self.config.exploration_steps,
-            initial_obs=torch.as_tensor(np.stack(self._initial_obs)),
+            initial_obs=torch.as_tensor(np.stack(self._initial_obs)).to(self.streams.device),
             policy=self.policy,
             generator=self.streams.torch("weigh"),
             value_gradient=self.policy.value_gradient,
@@ -252,16 +260,12 @@ class Mbpo:
         self._flushed = self.replay.total_added
         if len(rows):
             versions = self.replay.policy_version()[-len(rows) :]
-            yield Collected(self.env_step, rows.copy().numpy(), versions.numpy().copy())
+            yield Collected(self.env_step, rows.copy().numpy(), versions.cpu().numpy().copy())
 
 
 def _weights_event(env_step: int, weighting: Weighting) -> Weights:
     def array(x: Tensor | None) -> np.ndarray | None:
-        return None if x is None else x.to(torch.float32).numpy()
+        return None if x is None else x.to("cpu", torch.float32).numpy()
 
-    weight = weighting.weights.to(torch.float32).numpy()
+    weight = weighting.weights.to("cpu", torch.float32).numpy()
     return Weights(env_step, weight, array(weighting.per_dim), array(weighting.log_ratio))
-
-
-def _part(rows: TensorTransitions, k: int, size: int) -> TensorTransitions:
-    return rows[k * size : (k + 1) * size]

@@ -20,15 +20,17 @@ Generators = Sequence[torch.Generator]
 class Streams:
     """The named random generators of one run (one seed)."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, device: torch.device | str = "cpu") -> None:
         self.seed = seed
+        self.device = torch.device(device)
         self._torch: dict[str, torch.Generator] = {}
         self._numpy: dict[str, np.random.Generator] = {}
 
     def torch(self, name: str) -> torch.Generator:
         """The torch generator called `name`, the same object at every call."""
         if name not in self._torch:
-            self._torch[name] = torch.Generator().manual_seed(self.integer(name))
+            fresh = torch.Generator(self.device)
+            self._torch[name] = fresh.manual_seed(self.integer(name))
         return self._torch[name]
 
     def numpy(self, name: str) -> np.random.Generator:

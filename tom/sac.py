@@ -43,6 +43,7 @@ class Sac:
     ) -> None:
         members, hidden = len(generators), [config.hidden] * config.layers
         self.config = config
+        self.dims = obs_dim, action_dim
         self.generators = generators
         self.target_entropy = (
             float(-action_dim) if config.target_entropy is None else config.target_entropy
@@ -52,11 +53,17 @@ class Sac:
         self.target_critic = deepcopy(self.critic)
         for net in (self.actor, self.critic, self.target_critic):
             net.requires_grad_(False)
-        self.log_temperature = torch.full((members,), log(config.initial_temperature))
+        self.log_temperature = torch.full(
+            (members,), log(config.initial_temperature), device=generators[0].device
+        )
         self.actor_optimiser = Adam(self.actor.tensors(), config.lr)
         self.critic_optimiser = Adam(self.critic.tensors(), config.lr)
         self.temperature_optimiser = Adam([self.log_temperature], config.lr)
         self._critics = self.critic.tensors(), self.target_critic.tensors()
+
+    @property
+    def device(self) -> torch.device:
+        return self.log_temperature.device
 
     @classmethod
     def joined(cls, members: "Sequence[Sac]") -> "Sac":
@@ -76,21 +83,22 @@ class Sac:
 
         Returns what it measured, (M,) each.
         """
-        return self.updates([batch])
+        return self.updates(batch.packed()[None])
 
     @torch.no_grad()
-    def updates(self, batches: Sequence[TensorTransitions]) -> dict[str, Tensor]:
-        """One gradient step on each (M, B, ...) batch; what the last one measured, (M,) each."""
-        shape = (len(batches), 2, *batches[0].action.shape[1:])
+    def updates(self, batches: Tensor) -> dict[str, Tensor]:
+        """G gradient steps on packed transitions (G, M, B, R); the last one's metrics, (M,)."""
+        shape = (len(batches), 2, batches.shape[2], self.dims[1])
         noise = normal(self.generators, shape).movedim(0, 2)  # (G, 2, M, B, A)
         steps = [self.step(*drawn) for drawn in zip(batches, noise, strict=True)]
         return {**steps[-1].metrics(), "temperature/value": self.log_temperature.exp()}
 
-    def step(self, batch: TensorTransitions, noise: Tensor) -> "Step":
-        """A gradient step whose standard normal draws are given, (2, M, B, A).
+    def step(self, rows: Tensor, noise: Tensor) -> "Step":
+        """A gradient step on packed transitions (M, B, R) with normal draws (2, M, B, A).
 
         Gradients are written out by hand (see `backprop`): on a GPU this whole step is one graph.
         """
+        batch = TensorTransitions.unpack(rows, *self.dims)
         critic_gradients, error, q = self.critic_gradients(batch, noise[0])
         self.critic_optimiser.step(critic_gradients)
         actor_gradients, loss, log_prob = self.actor_gradients(batch.obs, noise[1])
@@ -151,10 +159,11 @@ class Sac:
     # Acting
 
     @torch.no_grad()
-    def act(self, obs: Tensor) -> Tensor:
+    def act(self, obs: Tensor, generators: Generators) -> Tensor:
         """Sampled actions for obs (M, B, O): (M, B, A)."""
         mean, log_std = self._gaussian(self.actor(obs))
-        return squashed_gaussian(mean, log_std, normal(self.generators, mean.shape[1:]))[0]
+        noise = normal(generators, mean.shape[1:])
+        return torch.tanh(mean + log_std.exp() * noise)
 
     @torch.no_grad()
     def act_mean(self, obs: Tensor) -> Tensor:
@@ -225,7 +234,7 @@ class GaussianPolicy:
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """n sampled actions for obs (B, O): (n, B, A)."""
         mean, log_std = self._gaussian(obs)
-        noise = torch.randn(n, *mean.shape, generator=generator)
+        noise = torch.randn(n, *mean.shape, generator=generator, device=generator.device)
         return torch.tanh(mean + log_std.exp() * noise)
 
     @torch.no_grad()
@@ -234,6 +243,7 @@ class GaussianPolicy:
         return torch.tanh(self._gaussian(obs)[0])
 
     def _gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        obs = obs.to(self._actor.layers[0][0].device)
         mean, log_std = self._actor.member(self._index, obs).chunk(2, -1)
         return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
 

@@ -15,8 +15,9 @@ def test_it_is_torchs_own_with_its_weight_decay():
     reference = torch.optim.Adam(groups, lr=1e-2, fused=True)
     for step in range(5):
         gradients = tensors(step + 1)
+        gradients[0] = gradients[0].mT.contiguous().mT  # other strides than the parameter's
         for tensor, gradient in zip(theirs, gradients, strict=True):
-            tensor.grad = gradient
+            tensor.grad = gradient.contiguous()
         reference.step()
         adam.step(gradients)
         assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))

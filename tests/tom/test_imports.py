@@ -8,15 +8,16 @@ import pytest
 ROOT = Path(__file__).parents[2]
 LEVELS = [
     {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
-    | {"adam", "divergences", "statistics", "health"},
-    {"learners", "sac", "dynamics", "evaluate", "tabular", "planner", "cloning"}
+    | {"adam", "graphs", "lockstep", "divergences", "statistics", "health"},
+    {"learners", "sac", "sac_work", "dynamics", "evaluate", "tabular", "planner", "cloning"}
     | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
     {"run", "bench", "weighing"},
     {"imagine"},
     {"cli", "tabular_study", "road_study", "reports", "__main__"}
-    | {"weighing_files", "progression_study", "progression_files", "focus_study", "doctor"},
+    | {"weighing_files", "progression_study", "progression_files", "focus_study", "doctor"}
+    | {"returns_study", "online_study"},
 ]
 LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}
 

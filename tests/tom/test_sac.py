@@ -149,7 +149,7 @@ def test_a_member_learns_the_same_alone_and_in_a_fleet():
 def test_updates_in_one_go_are_the_updates_one_by_one():
     together, single = make(0), make(0)
     rows = [batch(seed=step) for step in range(5)]
-    measured = together.updates(rows)
+    measured = together.updates(torch.stack([one.packed() for one in rows]))
     last = [single.update(one) for one in rows][-1]
     assert all(torch.equal(measured[k], last[k]) for k in last)
 

@@ -67,9 +67,9 @@ def sac_flops(config: SacConfig) -> float:
 def _sac() -> Part:
     config = SacConfig()
     sac = Sac(OBS, ACTION, config, [torch.Generator().manual_seed(0)])
-    batch = transitions(BATCH)[None]
+    batches = transitions(BATCH)[None].packed().expand(5, -1, -1, -1)
     return Part(
-        "SAC update", lambda: [sac.updates([batch] * 5) for _ in range(4)], 20, sac_flops(config)
+        "SAC update", lambda: [sac.updates(batches) for _ in range(4)], 20, sac_flops(config)
     )
 
 

@@ -1,21 +1,23 @@
 """Moments of a buffer's columns, without a copy of the buffer."""
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
 
-AT_ONCE = 4  # columns gathered at once: as much memory as a few rows of a large buffer
+AT_ONCE = 4  # columns gathered at once: no more memory than a few columns of the buffer
 
 
-def column_moments(columns: Callable[[slice], Tensor], dim: int) -> tuple[Tensor, Tensor]:
-    """Standard deviation and mean (dim,) of columns that are asked for a few at a time.
+def column_moments(
+    columns: Tensor, minus: Tensor | None = None, rows: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Standard deviation and mean, (D,) each, of the columns of a table (N, D).
 
-    `columns(part)` gives those columns, (N, up to AT_ONCE).
+    Of the table's difference to `minus` (N, D), and of the rows (n,) alone, where they are given.
     """
-    parts = [
-        torch.std_mean(columns(slice(i, min(i + AT_ONCE, dim))), 0, correction=0)
-        for i in range(0, dim, AT_ONCE)
-    ]
-    std, mean = zip(*parts, strict=True)
+
+    def moments(part: slice) -> tuple[Tensor, Tensor]:
+        found = columns[:, part] if minus is None else columns[:, part] - minus[:, part]
+        return torch.std_mean(found if rows is None else found[rows], 0, correction=0)
+
+    starts = range(0, columns.shape[1], AT_ONCE)
+    std, mean = zip(*(moments(slice(i, i + AT_ONCE)) for i in starts), strict=True)
     return torch.cat(std), torch.cat(mean)

@@ -54,7 +54,7 @@ class ReplayBuffer:
         """Append N transitions in order; `policy_version` is (N,) or one for all."""
         if not len(rows):
             return  # a run folder without rows yet does not know their width
-        self._extend(_pack(rows), torch.as_tensor(policy_version).expand(len(rows)))
+        self._extend(rows.packed(), torch.as_tensor(policy_version).expand(len(rows)))
 
     def transitions(self) -> TensorTransitions:
         """Everything, oldest first; views while the buffer has not wrapped, a copy afterwards."""
@@ -66,7 +66,11 @@ class ReplayBuffer:
 
     def gather(self, index: Tensor) -> TensorTransitions:
         """The rows at `index` (n,), counted from the oldest."""
-        return self._unpack(self._rows.index_select(0, self._physical(index)))
+        return self._unpack(self.packed(index))
+
+    def packed(self, index: Tensor) -> Tensor:
+        """The same rows as they are stored, (n, R)."""
+        return self._rows.index_select(0, self._physical(index))
 
     def last(self, n: int) -> TensorTransitions:
         """The newest n rows (all, where there are fewer), oldest of them first."""
@@ -140,12 +144,4 @@ class ReplayBuffer:
         return (index + self._end) % self.capacity
 
     def _unpack(self, rows: Tensor) -> TensorTransitions:
-        o, a = self._dims
-        obs, action, reward, next_obs, terminated, truncated = rows.split((o, a, 1, o, 1, 1), dim=1)
-        flags = terminated.squeeze(1), truncated.squeeze(1)
-        return TensorTransitions(obs, action, reward.squeeze(1), next_obs, *flags)
-
-
-def _pack(t: TensorTransitions) -> Tensor:
-    flags = torch.stack((t.terminated, t.truncated), dim=1)
-    return torch.cat((t.obs, t.action, t.reward.unsqueeze(1), t.next_obs, flags), dim=1)
+        return TensorTransitions.unpack(rows, *self._dims)

@@ -38,7 +38,8 @@ class Transitions:
 
     def numpy(self) -> Transitions:
         """The same rows as numpy arrays; shares memory where it can."""
-        return Transitions(*(np.asarray(getattr(self, f.name)) for f in fields(self)))
+        parts = (getattr(self, f.name) for f in fields(self))
+        return Transitions(*(np.asarray(p.cpu() if isinstance(p, Tensor) else p) for p in parts))
 
     @staticmethod
     def concatenate(parts: Sequence[Transitions]) -> Transitions:
@@ -67,6 +68,19 @@ class TensorTransitions(Transitions):
     def copy(self) -> TensorTransitions:
         """The same rows in memory of their own (a buffer's rows are views that may change)."""
         return TensorTransitions(*(getattr(self, f.name).clone() for f in fields(self)))
+
+    def packed(self) -> Tensor:
+        """The same rows as one tensor (..., R), R = 2 O + A + 3: what `unpack` takes apart."""
+        flags = torch.stack((self.terminated, self.truncated), -1)
+        return torch.cat((self.obs, self.action, self.reward[..., None], self.next_obs, flags), -1)
+
+    @staticmethod
+    def unpack(rows: Tensor, obs_dim: int, action_dim: int) -> TensorTransitions:
+        """Packed rows (..., R) as transitions that are views of them."""
+        sizes = (obs_dim, action_dim, 1, obs_dim, 1, 1)
+        obs, action, reward, next_obs, terminated, truncated = rows.split(sizes, -1)
+        flags = terminated.squeeze(-1), truncated.squeeze(-1)
+        return TensorTransitions(obs, action, reward.squeeze(-1), next_obs, *flags)
 
     @staticmethod
     def join(parts: Sequence[TensorTransitions]) -> TensorTransitions:

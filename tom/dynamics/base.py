@@ -1,5 +1,6 @@
 """What a dynamics model is to the rest: fitted with weights, sampled from, asked for its mean."""
 
+from collections.abc import Generator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -7,6 +8,7 @@ import torch
 from torch import Tensor
 
 from tom.data.transitions import TensorTransitions
+from tom.lockstep import Work
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,16 @@ class DynamicsModel(Protocol):
         generator: torch.Generator,
     ) -> FitReport:
         """Fit to N transitions with weights (N,), mean 1, and per-dimension weights (N, O)."""
+        ...
+
+    def fitting(
+        self,
+        data: TensorTransitions,
+        weights: Tensor,
+        per_dim: Tensor | None,
+        generator: torch.Generator,
+    ) -> Generator[Work, None, FitReport]:
+        """`fit` as work that members of a fleet may do in one go."""
         ...
 
     def sample(

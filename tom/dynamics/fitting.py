@@ -6,9 +6,9 @@ random stream, holdout and end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
 
 import torch
 from torch import Tensor
@@ -36,6 +36,29 @@ class Job:
     weights: Tensor
     per_dim: Tensor | None
     generator: torch.Generator
+
+
+@dataclass
+class Fit:
+    """Work: a fit; then `report` is there."""
+
+    rank: ClassVar[int] = 3
+    job: Job
+    report: FitReport = field(init=False)
+
+    @property
+    def subject(self) -> NeuralDynamics:
+        return self.job.model
+
+    @property
+    def kind(self) -> Hashable:
+        return type(self.job.model), self.job.model.config, self.job.model.targets
+
+    @classmethod
+    def do(cls, works: Sequence[Fit], subject: NeuralDynamics) -> None:
+        reports = fit([w.job for w in works], subject.step)
+        for work, report in zip(works, reports, strict=True):
+            work.report = report
 
 
 @torch.no_grad()

@@ -5,7 +5,7 @@ What it predicts, and with which loss, is its subclass's affair (`mdn`, `ensembl
 fitted, alone or in a fleet, is told in `fitting`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from copy import copy
 from typing import Any, Self
 
@@ -19,8 +19,9 @@ from tom.config import ModelConfig
 from tom.data.columns import column_moments
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import TensorTransitions
-from tom.dynamics import fitting
 from tom.dynamics.base import FitReport
+from tom.dynamics.fitting import Fit, Job
+from tom.lockstep import Work, finished
 from tom.nn import StackedMLP
 
 MIN_STD = 1e-6  # a constant dimension is centred and left unscaled
@@ -120,7 +121,23 @@ class NeuralDynamics:
         generator: torch.Generator,
     ) -> FitReport:
         """Weighted maximum likelihood with early stopping: see `fitting.fit`."""
-        return fitting.fit([fitting.Job(self, data, weights, per_dim, generator)], self.step)[0]
+        return finished(self.fitting(data, weights, per_dim, generator))
+
+    def fitting(
+        self,
+        data: TensorTransitions,
+        weights: Tensor,
+        per_dim: Tensor | None,
+        generator: torch.Generator,
+    ) -> Generator[Work, None, FitReport]:
+        """`fit` as work that members of a fleet may do in one go."""
+        work = Fit(Job(self, data, weights, per_dim, generator))
+        yield work
+        return work.report
+
+    @property
+    def device(self) -> torch.device:
+        return self.elites.device
 
     def step(self, x: Tensor, y: Tensor, *scales: Tensor) -> Tensor:
         """A gradient step on minibatches (E, B, ...) already z-scored; each network's loss, (E,).
@@ -172,16 +189,11 @@ class NeuralDynamics:
 
     def fit_scales(self, data: TensorTransitions, rows: Tensor) -> None:
         """Scale inputs and targets by the moments of these rows (n,) of the data."""
-
-        def of(columns: Tensor, minus: Tensor | None = None) -> tuple[Tensor, Tensor]:
-            def part(which: slice) -> Tensor:
-                found = columns[:, which][rows]
-                return found if minus is None else found - minus[:, which][rows]
-
-            return column_moments(part, columns.shape[1])
-
-        inputs = (of(data.obs), of(data.action))
-        targets = (of(data.reward.unsqueeze(1)), of(data.next_obs, data.obs))
+        inputs = [column_moments(part, rows=rows) for part in (data.obs, data.action)]
+        targets = [
+            column_moments(data.reward.unsqueeze(1), rows=rows),
+            column_moments(data.next_obs, data.obs, rows),
+        ]
         for scale, parts in ((self.input_scale, inputs), (self.target_scale, targets)):
             std, mean = zip(*parts, strict=True)
             scale.take(torch.cat(std), torch.cat(mean))

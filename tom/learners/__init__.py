@@ -28,7 +28,7 @@ class LearnerEntry:
 LEARNERS: dict[str, LearnerEntry] = {
     "mle": LearnerEntry("MLE", lambda c, o, a, g: MleLearner()),
     "pmac": LearnerEntry("PMAC", lambda c, o, a, g: PmacLearner(c.pmac)),
-    "tom": LearnerEntry("TOM", lambda c, o, a, g: TomLearner(c.tom, o, a, g, c.device)),
+    "tom": LearnerEntry("TOM", lambda c, o, a, g: TomLearner(c.tom, o, a, g)),
     "vagram": LearnerEntry("VaGram (MDN)", lambda c, o, a, g: VagramLearner(c.vagram)),
     "vagram-ensemble": LearnerEntry(
         "VaGram (Ensemble)", lambda c, o, a, g: VagramLearner(c.vagram, "vagram-ensemble")

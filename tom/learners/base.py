@@ -4,14 +4,15 @@ Every learner fits the same dynamics model by weighted maximum likelihood; they 
 the answer to one question: how much does each transition (and dimension) count?
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from tom.data.transitions import TensorTransitions
+from tom.lockstep import Work
 
 
 class Policy(Protocol):
@@ -81,6 +82,20 @@ DEGENERATE = (
     "every weight is zero or some weight is not finite: this fit uses uniform weights",
 )
 """The notice of a fit whose weights were unusable."""
+
+
+def weighing(learner: "Learner", context: FitContext) -> Generator[Work, None, Weighting]:
+    """What `learner.weigh` answers, its trainings as work that a fleet may do in one go."""
+    if isinstance(learner, LearnerWithWork):
+        return (yield from learner.weighing(context))
+    return learner.weigh(context)
+
+
+@runtime_checkable
+class LearnerWithWork(Protocol):
+    """A learner that trains networks of its own at every fit."""
+
+    def weighing(self, context: FitContext) -> Generator[Work, None, Weighting]: ...
 
 
 class Learner(Protocol):

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable
 
-import torch
 from torch import Tensor
 
 from tom.config import TomConfig
 from tom.data.sampling import normalise
 from tom.envs.road_data import OfflineData
 from tom.learners.base import FitContext, Weighting
-from tom.learners.discriminator import Discriminator, discriminator_net
-from tom.learners.dual import DualProblem, q_net
+from tom.learners.discriminator import Discriminator, Judge, discriminator_net
+from tom.learners.dual import DualProblem, QFunction, q_net
 from tom.learners.scaling import Scaling
 
 Baseline = Callable[[OfflineData, FitContext, TomConfig], Weighting]
@@ -39,9 +38,8 @@ def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) ->
     replay, generator = context.replay, context.generator
     scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, -log_ratio, context.initial_obs, context.policy, config, scaling)
-    net = q_net(*_dims(context), config, generator)
-    optimiser = torch.optim.Adam(net.parameters(), lr=config.q_lr, fused=True)
-    net, _ = problem.minimise(net, optimiser, generator)
+    q = QFunction(q_net(*_dims(context), config, generator), config.but(q_weight_decay=0.0))
+    net, _ = problem.minimise(q, generator)
     raw, _ = problem.solution(net, generator)
     weights, _ = normalise(raw)
     return Weighting(weights, log_ratio=-log_ratio, metrics=metrics)
@@ -51,8 +49,7 @@ def discriminate(context: FitContext, config: TomConfig) -> tuple[Tensor, dict[s
     """The logit (N,) of a fresh discriminator between policy buffer and replay, and metrics."""
     net = discriminator_net(*_dims(context), config, context.generator)
     judge = Discriminator(net, context.replay, context.policy_buffer)
-    optimiser = torch.optim.Adam(net.parameters(), lr=config.discriminator_lr, fused=True)
-    metrics = judge.train(optimiser, config, context.generator)
+    metrics = judge.train(Judge(net, config), context.generator)
     return judge.log_ratio(), metrics
 
 

@@ -4,17 +4,21 @@ Trained with label 1 on the policy buffer and 0 on the replay buffer in balanced
 logit is log(p/q), p the policy's and q the replay's distribution (paper, eq. 26).
 """
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
+from tom.backprop import forward_trace, gradients
 from tom.config import TomConfig
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.learners.averaging import Average
 from tom.learners.scaling import Scaling
+from tom.learners.training import Trained
 from tom.nn import StackedMLP
 
 CHUNK = 4096  # rows judged at once; they stay in the processor's cache
@@ -38,45 +42,17 @@ class Discriminator:
         self.net = net
         self.replay = replay
         self.policy_buffer = policy_buffer
-        self.scaling = Scaling.of((replay.obs, replay.action, replay.next_obs - replay.obs))
+        self.scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
 
     def inputs(self, rows: TensorTransitions) -> Tensor:
         """z-scored (s, a, s' - s), (B, 2 O + A)."""
         return self.scaling(torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), dim=1))
 
-    def train(
-        self, optimiser: torch.optim.Optimizer, config: TomConfig, generator: torch.Generator
-    ) -> dict[str, float]:
-        """Gradient steps on the cross entropy; loss and accuracy over the last tenth of them.
-
-        From then on `net` is the average network, where the config asks for one.
-        """
-        average = Average(self.net, config.parameter_average)
-        tail = max(config.discriminator_steps // 10, 1)
-        losses, judged = [], []
-        for step, (positive, negative) in enumerate(self._batches(config, generator)):
-            logits = self.net(torch.cat((positive, negative))[None])[0, :, 0]
-            loss = cross_entropy(logits, config.label_smoothing)
-            if config.gradient_penalty > 0:
-                penalty = self._penalty(positive, negative, generator)
-                (loss + config.gradient_penalty * penalty).backward()
-            else:
-                loss.backward()
-            optimiser.step()
-            optimiser.zero_grad()
-            average.update()
-            if step >= config.discriminator_steps - tail:
-                losses.append(loss.detach())
-                judged.append(logits.detach().view(2, -1))
-        self.net = average.net
-        if not losses:
-            return {}
-        logits = torch.cat(judged, dim=1).flatten()
-        return {
-            "discriminator/loss": float(torch.stack(losses).mean()),
-            "discriminator/accuracy": float(accuracy(logits)),
-            "discriminator/calibration": float(calibration_error(logits)),
-        }
+    def train(self, judge: "Judge", generator: torch.Generator) -> dict[str, float]:
+        """Gradient steps on the cross entropy: see `TrainJudge`."""
+        work = TrainJudge(self, judge, generator)
+        TrainJudge.do([work], judge)
+        return work.metrics
 
     @torch.no_grad()
     def log_ratio(self) -> Tensor:
@@ -87,9 +63,10 @@ class Discriminator:
             logits[i : i + CHUNK] = self.net(self.inputs(rows)[None])[0, :, 0]
         return logits
 
-    def _batches(
+    def batches(
         self, config: TomConfig, generator: torch.Generator
     ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Inputs of rows of the policy buffer and of the replay, (B, D) each, for every step."""
         size, left = config.discriminator_batch, config.discriminator_steps
         while left > 0:
             n = min(left, BLOCK)
@@ -100,12 +77,96 @@ class Discriminator:
                 drawn.append(self.inputs(buffer[index.to(buffer.obs.device)]).split(size))
             yield from zip(*drawn, strict=True)
 
-    def _penalty(self, positive: Tensor, negative: Tensor, generator: torch.Generator) -> Tensor:
-        """E[(|d logit / d x| - 1)^2] on random mixtures of the two kinds of rows."""
-        mix = torch.rand(len(positive), 1, generator=generator).to(positive)
-        x = (mix * positive + (1 - mix) * negative).requires_grad_()
-        (slope,) = torch.autograd.grad(self.net(x[None]).sum(), x, create_graph=True)
-        return (slope.norm(dim=1) - 1).square().mean()
+
+class Judge(Trained):
+    """The discriminator's network, of one member or of many in lock-step."""
+
+    def __init__(self, net: StackedMLP, config: TomConfig) -> None:
+        super().__init__(net, config.discriminator_lr)
+        self.config = config
+
+    def step(self, positive: Tensor, negative: Tensor, *mix: Tensor) -> tuple[Tensor, Tensor]:
+        """A gradient step on rows (M, B, D) of both kinds; the losses (M,), the logits (M, 2 B).
+
+        `mix` (M, B, 1), uniform on [0, 1), says where the gradient penalty looks.
+        """
+        x, smoothing = torch.cat((positive, negative), 1), self.config.label_smoothing
+        if mix:
+            logits = self.net(x)[..., 0]
+            losses = torch.stack([cross_entropy(one, smoothing) for one in logits])
+            penalty = gradient_penalty(self.net, mix[0] * positive + (1 - mix[0]) * negative)
+            total = (losses + self.config.gradient_penalty * penalty).sum()
+            found = torch.autograd.grad(total, self.net.tensors())
+        else:
+            with torch.no_grad():
+                trace = forward_trace(self.net, x)
+            logits = trace.output[..., 0].requires_grad_()
+            losses = torch.stack([cross_entropy(one, smoothing) for one in logits])
+            (slope,) = torch.autograd.grad(losses.sum(), logits)
+            with torch.no_grad():
+                found = gradients(self.net, trace, slope.unsqueeze(-1))
+        self.optimiser.step(found)
+        return losses.detach(), logits.detach()
+
+
+@dataclass
+class TrainJudge:
+    """Work: gradient steps on the cross entropy; loss and accuracy over the last tenth of them.
+
+    From then on the discriminator's `net` is the average network, where the config asks for one.
+    """
+
+    rank: ClassVar[int] = 1
+    problem: Discriminator
+    subject: Judge
+    generator: torch.Generator
+    metrics: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> Hashable:
+        return repr(self.subject.config)
+
+    @classmethod
+    def do(cls, works: "Sequence[TrainJudge]", subject: Judge) -> None:
+        config = subject.config
+        averages = [Average(w.subject.net, config.parameter_average) for w in works]
+        last = config.discriminator_steps - max(config.discriminator_steps // 10, 1)
+        losses, judged = [], []
+        for step, rows in enumerate(zip(*(w._inputs() for w in works), strict=True)):
+            loss, logits = subject.step(*(torch.stack(part) for part in zip(*rows, strict=True)))
+            for average in averages:
+                average.update()
+            if step >= last:
+                losses.append(loss.clone())
+                judged.append(logits.clone().unflatten(1, (2, -1)))
+        for m, (work, average) in enumerate(zip(works, averages, strict=True)):
+            work.problem.net = average.net
+            if losses:
+                work._measure([one[m] for one in losses], [one[m] for one in judged])
+
+    def _inputs(self) -> Iterator[tuple[Tensor, ...]]:
+        config, generator = self.subject.config, self.generator
+        for rows in self.problem.batches(config, generator):
+            if config.gradient_penalty > 0:
+                mix = torch.rand(len(rows[0]), 1, generator=generator, device=generator.device)
+                yield *rows, mix.to(rows[0])
+            else:
+                yield rows
+
+    def _measure(self, losses: list[Tensor], judged: list[Tensor]) -> None:
+        logits = torch.cat(judged, dim=1).flatten()
+        self.metrics = {
+            "discriminator/loss": float(torch.stack(losses).mean()),
+            "discriminator/accuracy": float(accuracy(logits)),
+            "discriminator/calibration": float(calibration_error(logits)),
+        }
+
+
+def gradient_penalty(net: StackedMLP, x: Tensor) -> Tensor:
+    """E[(|d logit / d x| - 1)^2] at x (M, B, D), (M,)."""
+    x = x.detach().requires_grad_()
+    (slope,) = torch.autograd.grad(net(x).sum(), x, create_graph=True)
+    return torch.stack([(one.norm(dim=1) - 1).square().mean() for one in slope])
 
 
 def cross_entropy(logits: Tensor, smoothing: float) -> Tensor:

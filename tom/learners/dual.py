@@ -1,13 +1,14 @@
 """The dual problem of TOM (paper, eq. 16) over a network Q, and the weights at its Q (eq. 17)."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 from torch.nn.functional import relu, softplus
 
+from tom.backprop import forward_trace, gradients
 from tom.config import TomConfig
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import TensorTransitions
@@ -15,6 +16,7 @@ from tom.divergences import divergence
 from tom.learners.averaging import Average
 from tom.learners.base import Policy
 from tom.learners.scaling import Scaling
+from tom.learners.training import Trained
 from tom.nn import StackedMLP
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
@@ -39,6 +41,9 @@ class Batch:
     start_probs: Tensor  # (L, B) of the a0
     log_ratio: Tensor  # (B,)
     terminated: Tensor  # (B,)
+
+    def fields(self) -> tuple[Tensor, ...]:
+        return self.inputs, self.next_probs, self.start_probs, self.log_ratio, self.terminated
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,80 @@ def dual_loss(values: Values, batch: Batch, config: TomConfig) -> Tensor:
     return (1 - config.discount) * values.start.mean() + f.dual_term(y)
 
 
+def as_value(output: Tensor, config: TomConfig) -> Tensor:
+    """Q from the network's output."""
+    return softplus(output) if config.q_non_negative else output
+
+
+def values_of(q: Tensor, batch: Batch, config: TomConfig) -> Values:
+    """What the dual needs of Q at `batch.inputs`, (B + K B + L B,)."""
+    b, k = len(batch.log_ratio), batch.next_probs.numel()
+    following = (batch.next_probs * q[b : b + k].view_as(batch.next_probs)).sum(0)
+    start = (batch.start_probs * q[b + k :].view_as(batch.start_probs)).sum(0)
+    return Values(q[:b], following.detach() if config.semi_gradient else following, start)
+
+
+class QFunction(Trained):
+    """TOM's dual variable, of one member or of many in lock-step."""
+
+    def __init__(self, net: StackedMLP, config: TomConfig) -> None:
+        super().__init__(net, config.q_lr, config.q_weight_decay)
+        self.config = config
+
+    @torch.no_grad()
+    def step(self, bias_step: Tensor, *batches: Tensor) -> Tensor:
+        """A gradient step on the fields of `Batch`, members stacked in front; the losses (M,).
+
+        `bias_step` (M,) is that of `DualProblem.bias_step`.
+        """
+        trace = forward_trace(self.net, batches[0])
+        output = trace.output[..., 0].requires_grad_()
+        with torch.enable_grad():
+            losses = [
+                dual_loss(values_of(as_value(q, self.config), one, self.config), one, self.config)
+                for q, one in zip(output, map(Batch, *batches), strict=True)
+            ]
+            (slope,) = torch.autograd.grad(torch.stack(losses).sum(), output)
+        found = gradients(self.net, trace, slope.unsqueeze(-1))
+        self.optimiser.step(found)
+        if self.config.q_bias_step:
+            self.net.layers[-1][1].sub_(bias_step[:, None, None] * found[-1])
+        return torch.stack(losses).detach()
+
+
+@dataclass
+class Minimise:
+    """Work: gradient steps on the dual; then `net` is Q's (average) network."""
+
+    rank: ClassVar[int] = 2
+    problem: "DualProblem"
+    subject: QFunction
+    generator: torch.Generator
+    net: StackedMLP = field(init=False)
+    loss: float = field(init=False)  # mean of the last tenth
+
+    @property
+    def kind(self) -> Hashable:
+        return repr(self.problem.config)
+
+    @classmethod
+    def do(cls, works: "Sequence[Minimise]", subject: QFunction) -> None:
+        config = subject.config
+        averages = [Average(w.subject.net, config.parameter_average) for w in works]
+        bias_step = works[0].problem.log_ratio.new_tensor([w.problem.bias_step() for w in works])
+        losses = []
+        for batches in zip(*(w.problem.batches(w.generator) for w in works), strict=True):
+            stacked = [
+                torch.stack(parts) for parts in zip(*(one.fields() for one in batches), strict=True)
+            ]
+            losses.append(subject.step(bias_step, *stacked).clone())
+            for average in averages:
+                average.update()
+        tail = torch.stack(losses[-max(len(losses) // 10, 1) :])
+        for work, average, loss in zip(works, averages, tail.unbind(1), strict=True):
+            work.net, work.loss = average.net, float(loss.mean())
+
+
 @dataclass(frozen=True)
 class DualProblem:
     """A replay buffer with its r, a policy and a start distribution: what Q is fitted to."""
@@ -93,23 +172,11 @@ class DualProblem:
     config: TomConfig
     scaling: Scaling  # of (s, a)
 
-    def minimise(
-        self, net: StackedMLP, optimiser: torch.optim.Optimizer, generator: torch.Generator
-    ) -> tuple[StackedMLP, float]:
+    def minimise(self, q: "QFunction", generator: torch.Generator) -> tuple[StackedMLP, float]:
         """Gradient steps on the dual: Q's (average) network, and the last tenth's mean loss."""
-        average, losses = Average(net, self.config.parameter_average), []
-        bias, bias_step = net.biases[-1], self._bias_step()
-        for batch in self._batches(generator):
-            loss = dual_loss(self._values(net, batch), batch, self.config)
-            loss.backward()
-            optimiser.step()
-            if bias_step and bias.grad is not None:
-                bias.data -= bias_step * bias.grad
-            optimiser.zero_grad()
-            average.update()
-            losses.append(loss.detach())
-        tail = losses[-max(len(losses) // 10, 1) :]
-        return average.net, float(torch.stack(tail).mean())
+        work = Minimise(self, q, generator)
+        Minimise.do([work], q)
+        return work.net, work.loss
 
     @torch.no_grad()
     def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -143,7 +210,7 @@ class DualProblem:
         low, high = torch.quantile(q, 0.001), torch.quantile(q, 0.999)
         return float((low - q_start).clamp(min=0).mean() / (1 + high - low))
 
-    def _bias_step(self) -> float:
+    def bias_step(self) -> float:
         """The step of plain gradient descent on Q's output bias, in units of Q.
 
         A shift of Q by c moves y by (g (1 - terminated) - 1) c, the next to nothing that makes
@@ -155,7 +222,7 @@ class DualProblem:
         shift = 1 - self.config.discount * (1 - self.replay.terminated)
         return self.config.q_bias_step / float(shift.square().mean())
 
-    def _batches(self, generator: torch.Generator) -> Iterator[Batch]:
+    def batches(self, generator: torch.Generator) -> Iterator[Batch]:
         """`q_steps` batches, drawn uniformly with replacement, gathered a block at a time."""
         size, samples = self.config.q_batch, self.config.action_samples
         for first in range(0, self.config.q_steps, BLOCK):
@@ -177,18 +244,8 @@ class DualProblem:
                 rows.terminated.split(size),
             )
 
-    def _values(self, net: StackedMLP, batch: Batch) -> Values:
-        q = self._q(net, batch.inputs)
-        b, k = len(batch.log_ratio), batch.next_probs.numel()
-        following = (batch.next_probs * q[b : b + k].view_as(batch.next_probs)).sum(0)
-        start = (batch.start_probs * q[b + k :].view_as(batch.start_probs)).sum(0)
-        if self.config.semi_gradient:
-            following = following.detach()
-        return Values(q[:b], following, start)
-
     def _q(self, net: StackedMLP, inputs: Tensor) -> Tensor:
-        q = net(inputs[None])[0, :, 0]
-        return softplus(q) if self.config.q_non_negative else q
+        return as_value(net(inputs[None])[0, :, 0], self.config)
 
     def _inputs(self, obs: Tensor, action: Tensor) -> Tensor:
         return self.scaling(torch.cat((obs, action), dim=-1))

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tom.data.columns import column_moments
+
 MIN_STD = 1e-6  # a constant column is centred and left unscaled
 
 
@@ -19,9 +21,15 @@ class Scaling:
     std: Tensor
 
     @staticmethod
-    def of(columns: Sequence[Tensor]) -> Scaling:
-        """The scaling of groups of columns, (N, D_i) each, laid side by side."""
-        std, mean = zip(*(torch.std_mean(c, 0, correction=0) for c in columns), strict=True)
+    def of(columns: Sequence[Tensor], change: tuple[Tensor, Tensor] | None = None) -> Scaling:
+        """The scaling of groups of columns, (N, D_i) each, laid side by side.
+
+        `change` is (after, before), (N, D) each: a last group, of the differences.
+        """
+        moments = [column_moments(group) for group in columns]
+        if change:
+            moments.append(column_moments(*change))
+        std, mean = zip(*moments, strict=True)
         spread = torch.cat(std)
         return Scaling(
             torch.cat(mean), torch.where(spread < MIN_STD, torch.ones_like(spread), spread)

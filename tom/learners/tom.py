@@ -4,6 +4,7 @@ Discriminator, dual Q, weights: lines 3-11 of the paper's Algorithm 2.
 `occupancy_weights` is the way in for other programs; `TomLearner` is what a training keeps.
 """
 
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +16,16 @@ from tom.config import TomConfig
 from tom.data.sampling import normalise
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.learners.base import DEGENERATE, FitContext, Policy, Weighting, uniform
-from tom.learners.discriminator import Discriminator, discriminator_net, membership_reward
-from tom.learners.dual import DualProblem, q_net
+from tom.learners.discriminator import (
+    Discriminator,
+    Judge,
+    TrainJudge,
+    discriminator_net,
+    membership_reward,
+)
+from tom.learners.dual import DualProblem, Minimise, QFunction, q_net
 from tom.learners.scaling import Scaling
-from tom.nn import StackedMLP
+from tom.lockstep import Work, finished
 
 __all__ = ["Occupancy", "TomConfig", "TomLearner", "occupancy_weights"]
 
@@ -48,23 +55,6 @@ class Occupancy:
     notices: tuple[tuple[str, str], ...]
 
 
-class Trained:
-    """A network and the optimiser that goes on with it from fit to fit."""
-
-    def __init__(self, net: StackedMLP, lr: float, weight_decay: float = 0.0) -> None:
-        self.net = net
-        self.optimiser = torch.optim.Adam(
-            net.parameters(), lr=lr, weight_decay=weight_decay, fused=True
-        )
-
-    def state_dict(self) -> dict[str, Any]:
-        return {"net": self.net.state_dict(), "optimiser": self.optimiser.state_dict()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.net.load_state_dict(state["net"])
-        self.optimiser.load_state_dict(state["optimiser"])
-
-
 class Networks:
     """TOM's two networks for given dimensions; either may be started afresh."""
 
@@ -73,22 +63,21 @@ class Networks:
         obs_dim: int,
         action_dim: int,
         config: TomConfig,
-        device: torch.device | str,
         generator: torch.Generator,
+        device: torch.device | None = None,
     ) -> None:
         self.dims = obs_dim, action_dim
         self.config = config
-        self.device = device
-        self.restart_discriminator(generator)
-        self.restart_q(generator)
+        device = device or generator.device
+        judge = discriminator_net(*self.dims, config, generator).to(device)
+        self.discriminator = Judge(judge, config)
+        self.q = QFunction(q_net(*self.dims, config, generator).to(device), config)
 
     def restart_discriminator(self, generator: torch.Generator) -> None:
-        net = discriminator_net(*self.dims, self.config, generator).to(self.device)
-        self.discriminator = Trained(net, self.config.discriminator_lr)
+        self.discriminator.restart(discriminator_net(*self.dims, self.config, generator))
 
     def restart_q(self, generator: torch.Generator) -> None:
-        net = q_net(*self.dims, self.config, generator).to(self.device)
-        self.q = Trained(net, self.config.q_lr, self.config.q_weight_decay)
+        self.q.restart(q_net(*self.dims, self.config, generator))
 
 
 def estimate(
@@ -98,24 +87,27 @@ def estimate(
     policy: Policy,
     initial_obs: Tensor,
     generator: torch.Generator,
-) -> Occupancy:
+) -> Generator[Work, None, Occupancy]:
     """Train the networks further and weigh `replay` by them."""
     config = networks.config
     metrics: dict[str, float] = {}
     if config.discriminator:
         judge = Discriminator(networks.discriminator.net, replay, policy_buffer)
-        metrics |= judge.train(networks.discriminator.optimiser, config, generator)
+        judging = TrainJudge(judge, networks.discriminator, generator)
+        yield judging
+        metrics |= judging.metrics
         log_ratio = judge.log_ratio()
     else:
         log_ratio = membership_reward(replay, policy_buffer)
     scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, log_ratio, initial_obs, policy, config, scaling)
-    net, loss = problem.minimise(networks.q.net, networks.q.optimiser, generator)
-    raw, q = problem.solution(net, generator)
+    dual = Minimise(problem, networks.q, generator)
+    yield dual
+    raw, q = problem.solution(dual.net, generator)
     weights, degenerate = normalise(raw)
-    start_gap = problem.start_gap(net, q, generator)
+    start_gap = problem.start_gap(dual.net, q, generator)
     metrics |= {
-        "dual/loss": loss,
+        "dual/loss": dual.loss,
         "dual/q_mean": float(q.mean()),
         "dual/start_gap": start_gap,
         "weights/raw_mean": float(raw.mean()),
@@ -149,8 +141,8 @@ def occupancy_weights(
     replay, lately = buffer.torch(), policy_buffer.torch()
     starts = torch.as_tensor(initial_obs).to(replay.obs)
     dims = replay.obs.shape[1], replay.action.shape[1]
-    networks = Networks(*dims, config, replay.obs.device, generator)
-    return estimate(networks, replay, lately, policy, starts, generator)
+    networks = Networks(*dims, config, generator, replay.obs.device)
+    return finished(estimate(networks, replay, lately, policy, starts, generator))
 
 
 class TomLearner:
@@ -167,13 +159,16 @@ class TomLearner:
         obs_dim: int,
         action_dim: int,
         generator: torch.Generator,
-        device: torch.device | str = "cpu",
     ) -> None:
         self.config = config
-        self.networks = Networks(obs_dim, action_dim, config, device, generator)
+        self.networks = Networks(obs_dim, action_dim, config, generator)
         self.degenerate = 0
 
     def weigh(self, context: FitContext) -> Weighting:
+        return finished(self.weighing(context))
+
+    def weighing(self, context: FitContext) -> Generator[Work, None, Weighting]:
+        """`weigh`, its two trainings as work that members of a fleet may do in one go."""
         config, networks = self.config, self.networks
         if context.on_policy_steps < config.warmup:
             return uniform(context.replay, ready=False)
@@ -181,7 +176,7 @@ class TomLearner:
             networks.restart_discriminator(context.generator)
         if config.q_reset:
             networks.restart_q(context.generator)
-        found = estimate(
+        found = yield from estimate(
             networks,
             context.replay,
             context.policy_buffer,

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from tom.config import VagramConfig
+from tom.data.columns import column_moments
 from tom.data.sampling import normalise
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
 
@@ -54,7 +55,7 @@ class VagramLearner:
         replay = context.replay
         if context.value_gradient is None or context.on_policy_steps == 0:
             return uniform(replay, ready=False)
-        scale = (replay.next_obs - replay.obs).std(0, correction=0)
+        scale, _ = column_moments(replay.next_obs, minus=replay.obs)
         raw = value_gradient_weights(replay.next_obs, scale, context.value_gradient)
         per_dim, degenerate = normalise(clip_rows(raw, self.config.clip_quantile).flatten())
         per_dim = per_dim.view_as(raw)

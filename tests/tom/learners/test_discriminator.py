@@ -7,13 +7,13 @@ from tom.config import TomConfig
 from tom.data.transitions import TensorTransitions
 from tom.learners.discriminator import (
     Discriminator,
+    Judge,
     accuracy,
     calibration_error,
     cross_entropy,
     discriminator_net,
     membership_reward,
 )
-from tom.learners.tom import Trained
 
 SHIFT = 1.0
 CONFIG = QUICK.but(discriminator_steps=300, discriminator_lr=1e-3, parameter_average=0.99)
@@ -25,8 +25,7 @@ def trained(
     g = generator(1)
     net = discriminator_net(replay.obs.shape[1], replay.action.shape[1], config, g)
     found = Discriminator(net, replay, policy_buffer)
-    fresh = Trained(net, config.discriminator_lr)
-    return found, found.train(fresh.optimiser, config, g)
+    return found, found.train(Judge(net, config), g)
 
 
 def exact(batch: TensorTransitions) -> torch.Tensor:

@@ -10,14 +10,15 @@ from tom.data.transitions import TensorTransitions
 from tom.learners.dual import (
     Batch,
     DualProblem,
+    QFunction,
     Values,
     dual_argument,
     dual_loss,
     policy_actions,
     q_net,
+    values_of,
 )
 from tom.learners.scaling import Scaling
-from tom.learners.tom import Trained
 from tom.nn import StackedMLP
 
 
@@ -104,8 +105,9 @@ def test_the_gradient_runs_through_the_next_value_unless_it_is_stopped():
     for semi in (False, True):
         q = net()
         found = problem(replay, QUICK.but(semi_gradient=semi, q_batch=16), TwoActions())
-        first = next(iter(found._batches(generator())))
-        following = found._values(q, first).following
+        first = next(iter(found.batches(generator())))
+        value = q(first.inputs[None])[0, :, 0]
+        following = values_of(value, first, found.config).following
         slopes.append(following.requires_grad)
     assert slopes == [True, False]
 
@@ -113,9 +115,9 @@ def test_the_gradient_runs_through_the_next_value_unless_it_is_stopped():
 def test_minimising_lowers_the_dual_and_lets_the_flow_hold():
     config = QUICK.but(q_steps=400, q_lr=1e-3, q_bias_step=0.1, discount=0.9, action_samples=4)
     found, q = problem(rows(2000), config), net(config)
-    optimiser = Trained(q, config.q_lr).optimiser
-    _, early = replace(found, config=config.but(q_steps=10)).minimise(q, optimiser, generator())
-    _, late = found.minimise(q, optimiser, generator())
+    trained = QFunction(q, config)
+    _, early = replace(found, config=config.but(q_steps=10)).minimise(trained, generator())
+    _, late = found.minimise(trained, generator())
     assert late < early - 0.01
     raw, _ = found.solution(q, generator())
     assert float(raw.mean()) == pytest.approx(1.0, abs=0.05)
@@ -134,7 +136,7 @@ def test_start_gap_tells_uncovered_starts_from_covered_ones():
     for starts in (replay.obs[:50], torch.full((50, OBS), 8.0)):
         q = net(config)
         found = replace(problem(replay, config), initial_obs=starts)
-        fitted, _ = found.minimise(q, Trained(q, config.q_lr).optimiser, generator())
+        fitted, _ = found.minimise(QFunction(q, config), generator())
         gaps.append(found.start_gap(fitted, found.solution(fitted, generator())[1], generator()))
     assert gaps[0] < 0.1
     assert gaps[1] > 1
