@@ -1,8 +1,20 @@
 """`tom reproduce`: a claim of the paper, computed again and held against its acceptance."""
 
-from tom.cli import reproduce_focus, reproduce_progression, reproduce_road, reproduce_tabular
+from tom.cli import (
+    reproduce_focus,
+    reproduce_progression,
+    reproduce_returns,
+    reproduce_road,
+    reproduce_tabular,
+)
 
-STUDIES = (reproduce_road, reproduce_progression, reproduce_focus, reproduce_tabular)
+STUDIES = (
+    reproduce_road,
+    reproduce_progression,
+    reproduce_focus,
+    reproduce_returns,
+    reproduce_tabular,
+)
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:

@@ -1,0 +1,46 @@
+"""`tom reproduce returns` on small runs that were trained for real."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tom.cli import main
+
+TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
+
+
+def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    store, out = tmp_path / "store", tmp_path / "out"
+    assert main([*TRAIN, "--learner", "mle", "--store", str(store)]) == 0
+    capsys.readouterr()
+    words = ["reproduce", "returns", "--store", str(store), "--out", str(out), "--preset", "smoke"]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["summary"][0]["n"] == 1
+    assert len(found["missing"]) == 25
+    names = {"returns.png", "returns.svg", "returns.csv", "summary.csv", "report.html"}
+    assert names <= {path.name for path in out.iterdir()}
+    report = (out / "report.html").read_text()
+    assert "nothing to compare" in report
+    assert "hours of training" in report
+    assert "tom sweep --env hopper --learner tom --seeds 4" in report
+    assert main(words) == 0
+    assert "missing or short" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ((), "tom sweep"),
+        (("--env", "hoper"), "did you mean 'hopper'"),
+        (("--learner", "tomm"), "did you mean 'tom'"),
+        (("--preset", "papr"), "did you mean 'paper'"),
+    ],
+)
+def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys):
+    store, out = tmp_path / "store", tmp_path / "out"
+    asked = ["reproduce", "returns", *words, "--store", str(store), "--out", str(out)]
+    assert main(asked) == 2
+    assert named in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
