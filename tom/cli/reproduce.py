@@ -2,6 +2,7 @@
 
 from tom.cli import (
     reproduce_focus,
+    reproduce_online,
     reproduce_progression,
     reproduce_returns,
     reproduce_road,
@@ -12,6 +13,7 @@ STUDIES = (
     reproduce_road,
     reproduce_progression,
     reproduce_focus,
+    reproduce_online,
     reproduce_returns,
     reproduce_tabular,
 )

@@ -1,0 +1,53 @@
+"""Profiles of small recorded runs whose every weight is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tom import online_study as study
+from tom.events import Tick, Weights
+from tom.presets import resolve
+from tom.record import Recorder, RunWriter, Store
+
+N = 1000
+
+
+def record(store: Store, learner: str, weights: list[np.ndarray], env: str = "hopper") -> None:
+    """A run that fits its model at steps 250, 500 and so on."""
+    config = resolve(env, learner, "paper", {"snapshots": 0})
+    writer = RunWriter.create(store, store.new_run_id(env, learner, 0), config)
+    with Recorder(writer) as recorder:
+        for i, weight in enumerate(weights, start=1):
+            recorder.consume(Weights(250 * i, weight.astype(np.float32)))
+            recorder.consume(Tick(250 * i, "fit"))
+
+
+def on(first: int, last: int) -> np.ndarray:
+    """All weight on rows `first` to `last`, evenly."""
+    weight = np.zeros(N)
+    weight[first:last] = N / (last - first)
+    return weight
+
+
+def test_where_the_weight_lies(tmp_path: Path):
+    store = Store(tmp_path)
+    record(store, "tom", [np.ones(N), on(500, 600), on(850, 950), on(900, 1000)])
+    record(store, "mle", [np.ones(N)] * 4)
+    (panel,) = study.panels(store.runs(), "paper")
+    assert panel.env_step.tolist() == [500, 750, 1000]  # the first fit was uniform
+    assert panel.share_newest == pytest.approx([0, 0.5, 1])
+    assert panel.peak == pytest.approx([0.5, 0.85, 0.9])
+    (line,) = study.verdict([panel])
+    assert line.startswith("TOM: in 1 of 3 profiles most weight lies outside the newest tenth")
+    assert "and in 2 the peak does" in line
+    assert [row["step"] for row in study.rows([panel])] == [500, 750, 1000]
+
+
+def test_the_longest_run_and_a_few_fits_spread_over_it(tmp_path: Path):
+    store = Store(tmp_path)
+    record(store, "pmac", [on(0, 100)] * 20)
+    record(store, "pmac", [on(0, 100)] * 3)
+    (panel,) = study.panels(store.runs(), "paper")
+    assert panel.env_step.tolist() == [250, 1500, 2750, 3750, 5000]
+    assert study.panels(store.runs(), "smoke") == []
