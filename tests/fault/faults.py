@@ -102,13 +102,13 @@ def train_command(store: Path, learner: str = "mle", **changes: object) -> list[
     return ["train", *which, "--store", store, "--no-rerun", *options]
 
 
-def ended(process: subprocess.Popen[str], timeout_s: float = 120) -> tuple[int, str, str]:
+def ended(process: subprocess.Popen[str], timeout_s: float = 240) -> tuple[int, str, str]:
     """Its exit code, output and errors."""
     out, error = process.communicate(timeout=timeout_s)
     return process.returncode, out, error
 
 
-def wait_until(found: Callable[[], bool], timeout_s: float = 60) -> None:
+def wait_until(found: Callable[[], bool], timeout_s: float = 150) -> None:
     deadline = time.monotonic() + timeout_s
     while not found():
         if time.monotonic() > deadline:

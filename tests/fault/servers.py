@@ -1,0 +1,131 @@
+"""Real servers for the fault tests: a studio, a Rerun hub, and what the kernel says of them."""
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.client import HTTPConnection
+from pathlib import Path
+
+from faults import wait_until
+
+from tom.record import hub
+
+
+@contextmanager
+def studio(store: Path, *arguments: object) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """A studio of `store`, and the port of its pages; ended with SIGTERM where it still runs."""
+    command = [sys.executable, "-m", "app", "--store", store, "--no-browser", *arguments]
+    process = subprocess.Popen(
+        [str(part) for part in command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        line = ""
+        while not (found := re.search(r"http://[^ :]+:(\d+)", line)):
+            line = process.stdout.readline()
+            assert line, "the studio ended before it was up"
+        yield process, int(found[1])
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+            process.wait(60)
+
+
+@contextmanager
+def live_hub(store: Path) -> Iterator[tuple[subprocess.Popen[bytes], int, int]]:
+    """A hub as the studio runs it: the process, the port of SDKs and that of its page."""
+    port, web_port = (hub.free_port("127.0.0.1") for _ in range(2))
+    process = subprocess.Popen(
+        hub.command("127.0.0.1", port, web_port, store), stderr=subprocess.DEVNULL
+    )
+    try:
+        wait_until(lambda: answers(web_port))
+        yield process, port, web_port
+    finally:
+        process.terminate()
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def answers(port: int, path: str = "/") -> bool:
+    """The server on `port` says 200."""
+    connection = HTTPConnection("127.0.0.1", port, timeout=5)
+    try:
+        connection.request("GET", path)
+        return connection.getresponse().status == 200
+    except OSError:
+        return False
+    finally:
+        connection.close()
+
+
+def is_taken(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def descendants(pid: int) -> set[int]:
+    """The processes under `pid`, by what the kernel says."""
+    parents: dict[int, int] = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            parents[int(entry.name)] = int(fields[1])
+    found = {pid}
+    while more := {child for child, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found - {pid}
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def command_of(pid: int) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+
+
+def environment_of(pid: int) -> dict[str, str]:
+    entries = Path(f"/proc/{pid}/environ").read_bytes().decode().split("\0")
+    return dict(entry.split("=", 1) for entry in entries if "=" in entry)
+
+
+def megabytes(pid: int) -> float:
+    """Memory that a process holds."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
+
+
+def listening(processes: set[int]) -> set[tuple[str, int]]:
+    """(address, port) on which one of the processes listens."""
+    inodes = set()
+    for pid in processes:
+        for link in Path(f"/proc/{pid}/fd").glob("*"):
+            try:
+                target = str(link.readlink())
+            except OSError:
+                continue
+            inodes |= {target[8:-1]} if target.startswith("socket:[") else set()
+    found = set()
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and fields[9] in inodes:
+                address, _, port = fields[1].partition(":")
+                found.add((address, int(port, 16)))
+    return found

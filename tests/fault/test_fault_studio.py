@@ -1,0 +1,258 @@
+"""The studio: runs that vanish, hostile words, several studios, an end without orphans."""
+
+import asyncio
+import json
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import streamlit as st
+from faults import config, ended, one_line, wait_until
+from servers import (
+    alive,
+    answers,
+    command_of,
+    descendants,
+    environment_of,
+    is_taken,
+    listening,
+    studio,
+)
+from streamlit.testing.v1 import AppTest
+
+from app import text
+from app.__main__ import main
+from app.launcher import DEFAULT_PORT
+from app.links import Links
+from app.router import VIEWS
+from app.server import recording_path
+from tom.errors import UserError
+from tom.presets import resolve
+from tom.record import Store, hub, manage
+from tom.run import train
+
+pytestmark = pytest.mark.fault
+
+NAMES = [view.__name__.rpartition(".")[2] for view in VIEWS]
+HOSTILE = "<img src=http://evil.example/x.png onerror=alert(1)>![x](http://evil.example/y.png)"
+ESCAPES = ("../../etc/passwd", "..", "a/../../b", "/etc/passwd", "\x00", HOSTILE, "' OR 1=1 --")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with two pendulum runs and one of road-and-rocks."""
+    store = Store(tmp_path_factory.mktemp("made") / "store")
+    train(config("tom"), store, "tom", rerun=True)
+    train(config("mle"), store, "mle", rerun=False)
+    given = {"steps": 60, "fit_every": 30, "random_transitions": 2000}
+    train(resolve("road-and-rocks", "tom", "smoke", given), store, "road", rerun=False)
+    return store.path
+
+
+@pytest.fixture
+def store(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A copy of it that the pages of this process show."""
+    path = shutil.copytree(made, tmp_path / "store")
+    for name, value in Links(store=str(path)).environment().items():
+        monkeypatch.setenv(name, value)
+    yield path
+    st.cache_data.clear()
+    st.cache_resource.clear()
+
+
+def page(name: str, **query: str) -> AppTest:
+    """A page of the studio as a browser with this address gets it."""
+    module = f"app.views.{name}"
+    script = f"import importlib\nimportlib.import_module({module!r}).page()\n"
+    app = AppTest.from_string(script, default_timeout=60)
+    for key, value in query.items():
+        app.query_params[key] = value
+    return app.run()
+
+
+def harmless(app: AppTest) -> None:
+    """Nothing on the page is markup that came from outside."""
+    assert not app.exception, app.exception[0].message
+    shown = (*app.markdown, *app.caption, *app.warning, *app.info, *app.error, *app.subheader)
+    for element in shown:
+        assert not re.search(r"(?<!\\)!\[x|(?<!\\)<img", element.value), element.value
+        assert not re.search(r"(?<![\\`])\]\(http://evil", element.value), element.value
+    for block in app.get("html"):
+        assert "<img" not in block.proto.body
+    for part in app.get("bidi_component"):
+        assert "<img" not in part.proto.json
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", NAMES)
+def test_a_page_open_while_its_run_is_deleted__goes_on_with_the_runs_that_are_left(
+    name: str, store: Path
+):
+    chosen = "road" if name == "road" else "tom"
+    app = page(name, run=chosen, runs=chosen, recording=chosen)
+    assert not app.exception
+    shutil.rmtree(store / chosen)
+    app.run()
+    assert not app.exception, app.exception[0].message
+    shutil.rmtree(store)
+    app.run()
+    assert not app.exception, app.exception[0].message
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_hostile_words_in_names_notes_settings_and_notices__are_shown_as_plain_words(
+    name: str, store: Path
+):
+    bad = shutil.copytree(store / ("road" if name == "road" else "tom"), store / "bad")
+    content = json.loads((bad / "config.json").read_text())
+    for key in ("learner", "preset", "command", "git_commit", "created"):
+        content[key] = HOSTILE
+    content["config"]["device"] = content["config"]["learner"] = HOSTILE
+    (bad / "config.json").write_text(json.dumps(content))
+    status = json.loads((bad / "status.json").read_text())
+    hostile = {"state": "failed", "phase": HOSTILE, "reason": HOSTILE, "warnings": [HOSTILE]}
+    (bad / "status.json").write_text(json.dumps({**status, **hostile}))
+    (bad / "notices.jsonl").write_text(
+        json.dumps({"env_step": 1, "kind": HOSTILE, "message": HOSTILE}) + "\n"
+    )
+    with (bad / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"env_step": 10_000, HOSTILE: 1.0}) + "\n")
+    manage.note(Store(store), "bad", HOSTILE)
+    try:
+        manage.rename(Store(store), "bad", HOSTILE)
+        manage.tag(Store(store), "bad", [HOSTILE])
+    except UserError:
+        pass  # a name or tag that is not allowed is as good as a harmless one
+    for query in ({}, {"run": "bad"}, {"runs": "bad"}):
+        harmless(page(name, **query))
+
+
+def bound() -> list[str]:
+    """Every query parameter that some page reads."""
+    found: set[str] = set()
+    for path in Path(text.__file__).parent.rglob("*.py"):
+        content = path.read_text()
+        found |= set(re.findall(r'key="([a-z_]+)"[^)]*?bind="query-params"', content, re.DOTALL))
+        found |= set(re.findall(r'query_params(?:\.get\(|\[)"([a-z_]+)"', content))
+    return sorted(found | {"run", "step"})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_hostile_query_parameters__change_nothing_and_read_nothing_outside(
+    name: str, store: Path, tmp_path: Path
+):
+    shutil.copytree(store / "tom", tmp_path / "outside")
+    for value in (*ESCAPES, "../outside"):
+        app = page(name, **dict.fromkeys(bound(), value))
+        harmless(app)
+        assert "outside" not in " ".join(str(m.value) for m in app.markdown)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("run_id", [*ESCAPES, "..%2f..", "store", "%00"])
+def test_hostile_run_ids_in_addresses__give_out_no_file(run_id: str, store: Path):
+    for name in ("run.rrd", "../tom/run.rrd", "config.json", "/etc/passwd", run_id):
+        assert recording_path(str(store), run_id, name) is None
+    for name in ("../mle/config.json", "config.json", "..", "checkpoint/000000240/state.pt"):
+        assert recording_path(str(store), "tom", name) is None
+
+
+def test_two_studios_on_one_store__both_serve_and_sigterm_leaves_no_orphan(made: Path):
+    with studio(made) as (first, port), studio(made) as (second, other):
+        assert port != other
+        assert answers(port, "/api/health")
+        assert answers(other, "/api/health")
+        children = {s.pid: descendants(s.pid) for s in (first, second)}
+        first.send_signal(signal.SIGTERM)
+        assert first.wait(30) == 0
+        wait_until(lambda: not any(map(alive, children[first.pid])))
+        assert answers(other, "/api/health")
+        assert all(map(alive, children[second.pid]))
+    wait_until(lambda: not any(map(alive, children[second.pid])))
+    assert not is_taken(port)
+    assert not is_taken(other)
+
+
+def test_a_studio_killed_with_sigkill__leaves_no_orphan(made: Path):
+    with studio(made) as (process, port):
+        children = descendants(process.pid)
+        process.kill()
+        process.wait()
+        wait_until(lambda: not any(map(alive, children)), timeout_s=20)
+        assert not is_taken(port)
+
+
+def test_a_taken_port__is_refused_in_one_line_when_asked_for_and_passed_over_when_not(made: Path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        command = [sys.executable, "-m", "app", "--store", str(made), "--no-browser"]
+        process = subprocess.Popen(
+            [*command, "--port", str(port)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        code, _, error = ended(process)
+        assert code == 2
+        assert f"port {port} is taken" in one_line(error)
+    with socket.socket() as default:
+        default.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if default.connect_ex(("127.0.0.1", DEFAULT_PORT)) != 0:
+            default.close()
+            default = socket.create_server(("127.0.0.1", DEFAULT_PORT))
+        with default, studio(made) as (_, found):
+            assert found != DEFAULT_PORT
+
+
+def test_servers_of_a_studio__listen_on_the_loopback_alone_and_send_no_statistics(made: Path):
+    with studio(made) as (process, port):
+        children = descendants(process.pid)
+        addresses = {address for address, _ in listening(children)}
+        assert addresses <= {"0100007F", "0" * 24 + "01000000"}
+        [rerun] = [pid for pid in children if command_of(pid).startswith(str(hub.binary()))]
+        settings = Path(environment_of(rerun)["XDG_CONFIG_HOME"]) / "rerun" / "analytics.json"
+        assert json.loads(settings.read_text())["analytics_enabled"] is False
+        assert gathers_statistics(port) is False
+
+
+def gathers_statistics(port: int) -> bool:
+    """What a running Streamlit tells each browser about usage statistics."""
+    forward = import_module("streamlit.proto.ForwardMsg_pb2")
+    back = import_module("streamlit.proto.BackMsg_pb2")
+    client = import_module("websockets.asyncio.client")
+
+    async def ask() -> bool:
+        address = f"ws://127.0.0.1:{port}/_stcore/stream"
+        origin = f"http://127.0.0.1:{port}"
+        async with client.connect(address, origin=origin, subprotocols=["streamlit"]) as browser:
+            message = back.BackMsg()
+            message.rerun_script.query_string = ""
+            await browser.send(message.SerializeToString())
+            while True:
+                answer = forward.ForwardMsg()
+                answer.ParseFromString(await asyncio.wait_for(browser.recv(), 30))
+                if answer.WhichOneof("type") == "new_session":
+                    return answer.new_session.config.gather_usage_stats
+
+    return asyncio.run(ask())
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "192.0.2.1"])
+def test_a_host_that_others_reach__is_explicit_and_warns_before_anything_starts(
+    host: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    with socket.create_server(("", 0)) as taken:  # so that nothing does start
+        port = str(taken.getsockname()[1])
+        asked = ["--store", str(tmp_path), "--host", host, "--port", port, "--no-browser"]
+        assert main(asked) == 2
+    warned = "reachable from other machines" in capsys.readouterr().err
+    assert warned == (host != "127.0.0.1")

@@ -1,0 +1,110 @@
+"""Checkpoints, data sets and settings are untrusted input: nothing in them is ever executed."""
+
+import ast
+import hashlib
+import json
+import pickle
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from faults import stopped
+
+from tom.errors import UserError
+from tom.record import RunReader, Store, checkpoint
+from tom.run import resume
+
+pytestmark = [pytest.mark.fault, pytest.mark.quick]
+
+ROOT = Path(__file__).parents[2]
+MODULES = ("pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "yaml", "jsonpickle")
+
+
+def sources() -> list[Path]:
+    return [path for package in ("tom", "app") for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
+    """Every call in a file, by the words it is called with."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call):
+            yield ast.unparse(node.func), node
+
+
+def test_the_source__unpickles_and_evaluates_nothing():
+    for path in sources():
+        for name, call in calls(path):
+            where = f"{path.relative_to(ROOT)}:{call.lineno}"
+            keywords = {word.arg: ast.unparse(word.value) for word in call.keywords}
+            assert name not in ("eval", "exec", "compile", "__import__"), where
+            assert name.partition(".")[0] not in MODULES, where
+            if name == "torch.load":
+                assert keywords.get("weights_only") == "True", where
+            if name == "np.load":
+                assert keywords.get("allow_pickle") == "False", where
+            if name in ("pd.read_pickle", "np.memmap"):
+                pytest.fail(where)
+            assert keywords.get("shell", "False") == "False", where
+
+
+class Evil:
+    """Creates a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return (Path.touch, (self.path,))
+
+
+def test_code_in_a_checkpoint_with_the_right_hash__is_not_executed_and_the_one_before_is_used(
+    tmp_path: Path,
+):
+    run = stopped(Store(tmp_path), 130)
+    folder = run.path / checkpoint.FOLDER
+    newest = folder / f"{checkpoint.newest(folder):09d}"
+    torch.save({"training": Evil(tmp_path / "executed")}, newest / "state.pt")
+    manifest = json.loads((newest / "manifest.json").read_text())
+    manifest["sha256"] = hashlib.sha256((newest / "state.pt").read_bytes()).hexdigest()
+    (newest / "manifest.json").write_text(json.dumps(manifest))
+    done = resume(Store(tmp_path), "a", rerun=False)
+    assert done.status.state == "finished"
+    assert any(newest.name in text for text in done.status.warnings)
+    assert not (tmp_path / "executed").exists()
+
+
+@pytest.mark.parametrize("name", ["buffer/000000000.npz", "episodes/000000080.npz", "policy.npz"])
+def test_code_in_an_array_file__is_not_executed_and_the_file_named(tmp_path: Path, name: str):
+    run = stopped(Store(tmp_path), 130)
+    evil = np.array([Evil(tmp_path / "executed")], dtype=object)
+    np.savez(run.path / name, reward_0=evil, obs=evil, weight_0=evil, env=evil)
+    reader = RunReader(run.path)
+    reader.buffer()
+    reader.episodes(80)
+    assert name == "policy.npz" or name in reader.problems[0]
+    if name == "policy.npz":
+        from tom.policy_file import read_policy
+
+        with pytest.raises(UserError, match="is no stored policy"):
+            read_policy(run.path / name)
+    assert not (tmp_path / "executed").exists()
+
+
+def test_a_pickle_in_place_of_settings__is_not_executed_and_is_no_run(tmp_path: Path):
+    run = stopped(Store(tmp_path), 130)
+    (run.path / "config.json").write_bytes(pickle.dumps(Evil(tmp_path / "executed")))
+    assert Store(tmp_path).runs() == []
+    (run.path / "config.json").write_text("!!python/object/apply:os.system ['touch executed']")
+    assert Store(tmp_path).runs() == []
+    assert not (tmp_path / "executed").exists()
+
+
+def test_an_archive_that_names_files_outside__writes_nothing(tmp_path: Path):
+    run = stopped(Store(tmp_path / "store"), 130)
+    with zipfile.ZipFile(run.path / "episodes" / "000000080.npz", "w") as archive:
+        archive.writestr("../../../escaped.npy", b"x")
+    RunReader(run.path).episodes(80)
+    assert not list(tmp_path.rglob("escaped*"))
