@@ -1,5 +1,6 @@
 """Replay buffers for the pages: read once, read again when their files have changed."""
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ from app.buffer import Floats, Rows, rows_at
 from app.readers import RunInfo, Stamp
 from tom.data.transitions import Transitions
 from tom.errors import UserError
-from tom.imagine import kept_model, step_errors
+from tom.imagine import KeptModel, kept_model, step_errors
 from tom.record import layout
 from tom.record.reader import RunReader
 
 ERROR_ROWS = 20_000
 """rows at most whose model error is computed: they are spread evenly over the buffer"""
+SHARED_ROWS = 5000
+"""the same where several runs' models are asked about one buffer"""
 
 
 def fits(run: RunInfo) -> list[int]:
@@ -48,6 +51,22 @@ def model_errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, in
     return _errors(run.path, run.env, step, _stamp(run), readers.stamp(_snapshot(run, step)))
 
 
+def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
+    """Error (K,) of `other`'s kept model on rows spread evenly over `run`'s buffer.
+
+    None where `other` kept no model.
+    """
+    checkpoints = [path.name for path in (Path(other.path) / "checkpoint").glob("[0-9]*")]
+    if not checkpoints:
+        return None
+    return _errors_on(run.path, _stamp(run), other.path, max(checkpoints))
+
+
+def length(run: RunInfo) -> int:
+    """Rows of a run's recorded buffer, all that were ever collected."""
+    return _length(run.path, _stamp(run))
+
+
 def _snapshot(run: RunInfo, step: int) -> Path:
     return Path(run.path) / layout.snapshot(step)
 
@@ -62,6 +81,28 @@ def _stamp(run: RunInfo) -> Stamp:
 @st.cache_resource(show_spinner=False, max_entries=4)
 def _buffer(path: str, changed: Stamp) -> tuple[Transitions, NDArray[np.int64]]:
     return RunReader(path).buffer()
+
+
+@st.cache_data(show_spinner=False, max_entries=512)
+def _length(path: str, changed: Stamp) -> int:
+    folder = Path(path) / "buffer"
+    last = layout.numbers(folder, ".npz")[-1:]
+    try:
+        with np.load(Path(path) / layout.segment(last[0]), allow_pickle=False) as file:
+            return last[0] + len(file["reward"])
+    except (IndexError, OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return 0
+
+
+@st.cache_data(show_spinner=False, max_entries=128)
+def _errors_on(path: str, changed: Stamp, other: str, checkpoint: str) -> Floats | None:
+    recorded = _buffer(path, changed)[0]
+    try:
+        kept = kept_model(RunReader(other))
+    except UserError:
+        return None
+    part = recorded[np.unique(np.linspace(0, len(recorded) - 1, SHARED_ROWS).astype(np.int64))]
+    return _one_step(kept, part)
 
 
 @st.cache_resource(show_spinner=False, max_entries=16)
@@ -84,8 +125,10 @@ def _errors(
     except UserError as error:
         return str(error)
     index = np.unique(np.linspace(0, len(found) - 1, ERROR_ROWS).astype(np.int64))
-    part = found.rows[index].numpy()
-    error = step_errors(
-        kept.predictor, *(np.asarray(x) for x in (part.obs, part.action, part.next_obs))
-    )
-    return index, error.astype(np.float64), kept.env_step
+    return index, _one_step(kept, found.rows[index]), kept.env_step
+
+
+def _one_step(kept: KeptModel, rows: Transitions) -> Floats:
+    part = rows.numpy()
+    parts = (np.asarray(x) for x in (part.obs, part.action, part.next_obs))
+    return step_errors(kept.predictor, *parts).astype(np.float64)

@@ -4,13 +4,14 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import buffer_reader, pictures, readers, regions, session, text, widgets
+from app import buffer_reader, pictures, readers, regions, session, text, weighings, widgets
 from app.buffer import Rows, dimension_names
 from app.figures.regions import apart_bars, region_map
 from app.plot import Region, chart
 from app.readers import RunInfo
 from app.regions import Mask, Plane
 from app.scenes.control import States
+from app.theme import learner_label
 from app.views.stage import stage
 
 TITLE = "Regions"
@@ -27,6 +28,9 @@ LISTED = 300
 """transitions of a region in its table"""
 CORNERS = 60
 """corners of an outline that an address holds"""
+WEIGHINGS = 3
+"""weighings at most whose weights can be chosen: the newest"""
+OWN = "the run itself"
 COMPONENTS = "two principal components of (s, a, s')"
 DRAWN, TOP, ZERO, AGE, ALL = "what I draw", "heaviest 1 %", "weight zero", "an age", "everything"
 
@@ -43,8 +47,7 @@ def page() -> None:
     with top[0]:
         run = widgets.pick_run(kept)
     with top[1]:
-        step = widgets.pick_step("Fit at step", buffer_reader.fits(run))
-    rows = buffer_reader.rows(run, step)
+        rows = _pick_weights(run)
     if rows is None:
         st.warning("The replay buffer of this fit cannot be read.")
         widgets.show_problems(run)
@@ -61,6 +64,25 @@ def page() -> None:
     _scenes(run, rows, mask)
     _transitions(rows, mask, names, actions)
     widgets.show_problems(run)
+
+
+def _pick_weights(run: RunInfo) -> Rows | None:
+    """The buffer with the weights of one of the run's own fits, or of a weighing (the probe)."""
+    found = weighings.of_run(run.run_id, buffer_reader.length(run))
+    others = {
+        f"{learner_label(learner)} s{seed}, {weighing.name}": weight
+        for weighing in found[:WEIGHINGS]
+        for (learner, seed), weight in weighings.weights(weighing).items()
+    }
+    chosen = OWN
+    if others:
+        chosen = st.selectbox(
+            "Weights of", [OWN, *others], key="weights", bind="query-params",
+            help="the run's own fits, or what `tom weigh` made of its buffer (page Probe)",
+        )  # fmt: skip
+    if chosen in others:
+        return buffer_reader.weighed_rows(run, others[chosen])
+    return buffer_reader.rows(run, widgets.pick_step("Fit at step", buffer_reader.fits(run)))
 
 
 def _pick_plane(rows: Rows, names: list[str]) -> Plane:

@@ -170,7 +170,9 @@ def test_the_pages_of_an_empty_store_say_what_to_run(
     assert any("tom train" in command and "'" in command for command in commands)
 
 
-@pytest.mark.parametrize("view", ["live", "compare", "weights", "regions", "replays", "road"])
+@pytest.mark.parametrize(
+    "view", ["live", "compare", "weights", "regions", "probe", "replays", "road"]
+)
 def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
     view: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,10 +186,9 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
     (bad / "weights" / "profiles.jsonl").write_text('{"env_step": 1}\n{"bins"')
     for name, value in Links(store=str(tmp_path)).environment().items():
         monkeypatch.setenv(name, value)
-    one_run = view in ("weights", "regions", "replays")
-    app = draw(view, **({"run": "bad"} if one_run and view != "weights" else {}))
+    app = draw(view, **({"run": "bad"} if view in ("regions", "replays") else {}))
     assert figures(app)
-    assert view == "weights" or any("bad" in warning.value for warning in app.warning)
+    assert view in ("weights", "probe") or any("bad" in warning.value for warning in app.warning)
     assert "<img" not in json.dumps(figures(app))
     for element in (*app.markdown, *app.caption, *app.warning):
         assert not re.search(r"(?<!\\)!\[|(?<!\\)<img", element.value)

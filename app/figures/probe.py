@@ -1,0 +1,133 @@
+"""Several learners on one buffer: their weight profiles, and their models' errors along it."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from app import text
+from app.buffer import Floats
+from app.figures.base import DASHES, styled
+from app.figures.weights import bin_centres
+from app.theme import NEUTRAL, faded, learner_colour, learner_label, learner_symbol
+
+AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
+
+
+def probe_profiles(
+    profiles: Mapping[str, NDArray[np.float64]], random: float, height: int, *, log: bool
+) -> go.Figure:
+    """The median profile over seeds of each learner (S, bins), with the range of its seeds.
+
+    `random` is the share of the buffer, from the oldest on, that is random data.
+    """
+    figure = go.Figure()
+    for learner, values in profiles.items():
+        x = bin_centres(values.shape[1])
+        name = text.plotly(learner_label(learner))
+        if len(values) > 1:
+            figure.add_trace(_range(x, values, learner))
+        figure.add_trace(
+            go.Scatter(
+                x=x,
+                y=np.median(values, 0),
+                name=f"{name} ({len(values)} seed{'s' * (len(values) > 1)})",
+                meta=text.plotly(learner),
+                mode="lines",
+                line={"color": learner_colour(learner), "width": 2, "shape": "hvh"},
+                legendgroup=name,
+                hovertemplate=f"{name}<br>%{{x:.0f}} % of the buffer's age"
+                "<br>weight %{y:.3g}<extra></extra>",
+            )
+        )
+    figure.add_hline(y=1, line={"color": NEUTRAL, "width": 1.5, "dash": "dash"})
+    if random > 0:
+        figure.add_vline(x=100 * random, line={"color": NEUTRAL, "width": 1, "dash": "dot"})
+    styled(figure, "position in the buffer", height, keep="probe")
+    figure.update_xaxes(**AGES)
+    figure.update_yaxes(title_text="mean weight", type="log" if log else "linear")
+    return figure
+
+
+def _range(x: Floats, values: NDArray[np.float64], learner: str) -> go.Scatter:
+    return go.Scatter(
+        x=np.concatenate([x, x[::-1]]),
+        y=np.concatenate([values.max(0), values.min(0)[::-1]]),
+        fill="toself",
+        fillcolor=faded(learner_colour(learner), 0.15),
+        line={"width": 0},
+        mode="lines",
+        hoverinfo="skip",
+        legendgroup=text.plotly(learner_label(learner)),
+        showlegend=False,
+    )
+
+
+def errors_by_age(errors: Sequence[tuple[str, str, Floats]], bins: int, height: int) -> go.Figure:
+    """Mean model error of each part of the buffer: (run's name, learner, error of each row)."""
+    figure = go.Figure()
+    learners = [learner for _, learner, _ in errors]
+    for i, (name, learner, error) in enumerate(errors):
+        parts = np.array_split(error, min(bins, len(error)))
+        figure.add_trace(
+            go.Scatter(
+                x=bin_centres(len(parts)),
+                y=[part.mean() for part in parts],
+                name=text.plotly(name),
+                mode="lines+markers",
+                line={
+                    "color": learner_colour(learner),
+                    "width": 2,
+                    "dash": DASHES[learners[:i].count(learner) % len(DASHES)],
+                },
+                marker={"size": 5, "symbol": learner_symbol(learner)},
+                hovertemplate=f"{text.plotly(name)}<br>%{{x:.0f}} % of the buffer's age"
+                "<br>error %{y:.3g}<extra></extra>",
+            )
+        )
+    styled(figure, "position in the buffer", height, keep="errors by age")
+    figure.update_xaxes(**AGES)
+    figure.update_yaxes(title_text="one-step error (std)", rangemode="tozero")
+    return figure
+
+
+def focus(
+    values: Mapping[str, Sequence[tuple[str, float, float]]], height: int, keep: str
+) -> go.Figure:
+    """For each learner the error of its runs on the policy's transitions and on the others.
+
+    `values` are (run, policy, other) by learner; a line joins a run's two errors.
+    """
+    figure = go.Figure()
+    ticks = []
+    for i, (learner, runs) in enumerate(values.items()):
+        colour = learner_colour(learner)
+        ticks.append(text.plotly(learner_label(learner)))
+        for k, (name, policy, other) in enumerate(runs):
+            nudge = 0.12 * (k - (len(runs) - 1) / 2)
+            figure.add_trace(
+                go.Scatter(
+                    x=[i - 0.15 + nudge, i + 0.15 + nudge],
+                    y=[policy, other],
+                    customdata=["the policy's transitions", "the other transitions"],
+                    meta=text.plotly(name),
+                    mode="lines+markers",
+                    line={"color": faded(colour, 0.5), "width": 1.5},
+                    marker={
+                        "size": 10,
+                        "color": [colour, "rgba(0,0,0,0)"],
+                        "line": {"color": colour, "width": 2},
+                        "symbol": "circle",
+                    },
+                    showlegend=False,
+                    hovertemplate=f"{text.plotly(name)}<br>%{{customdata}}"
+                    "<br>error %{y:.3g}<extra></extra>",
+                )
+            )
+    styled(figure, "", height, keep=keep)
+    figure.update_xaxes(
+        tickvals=list(range(len(ticks))), ticktext=ticks, range=[-0.6, len(ticks) - 0.4]
+    )
+    figure.update_yaxes(title_text="error (std)", rangemode="tozero")
+    return figure

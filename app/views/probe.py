@@ -1,0 +1,184 @@
+"""Probe: every learner's weights of one run's buffer; and does weighting help the model?"""
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+
+from app import buffer_reader, form, pictures, readers, session, text, trainings, weighings, widgets
+from app.figures.probe import probe_profiles
+from app.plot import chart
+from app.readers import RunInfo
+from app.theme import learner_label
+from app.trainings import Started
+from app.views import model_error
+from app.weighings import Weighing
+from tom.progression import Progression
+from tom.record import layout
+from tom.record.reader import RunReader
+from tom.weighing import RANDOM, WEIGHERS
+
+TITLE = "Probe"
+ICON = ":material/experiment:"
+PATH = "probe"
+
+PRESETS = ("paper", "exact")
+
+
+def page() -> None:
+    """A buffer; the learners' weights of it; the errors of their models."""
+    listing = readers.listing(session.links().store)
+    online = [run for run in listing.runs if run.env != pictures.ENV]
+    kept = [run for run in online if buffer_reader.length(run)]
+    if not kept:
+        st.info("No run of a MuJoCo task has collected transitions yet.")
+        return
+    top = st.columns([1, 1], vertical_alignment="bottom")
+    with top[0]:
+        run = widgets.pick_run(kept, "Buffer of run")
+    found = weighings.of_run(run.run_id, buffer_reader.length(run))
+    with top[1]:
+        chosen = _pick_weighing(found)
+    st.subheader("Several learners on the same buffer", anchor=False)
+    if chosen is None:
+        st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
+    else:
+        _weighed(chosen)
+    _weigh(run, kept, folded=chosen is not None)
+    st.subheader("Does it help?", anchor=False)
+    same = [other for other in kept if other.env == run.env]
+    model_error.on_one_buffer(run, same)
+    model_error.recorded(same)
+    widgets.show_problems(run)
+
+
+def _pick_weighing(found: list[Weighing]) -> Weighing | None:
+    by_name = {weighing.name: weighing for weighing in found}
+    if not found:
+        st.selectbox("Weighed", ["not yet"], disabled=True)
+        return None
+    chosen = st.selectbox(
+        "Weighed", list(by_name), key="weighed", bind="query-params",
+        help="results of `tom weigh` in the folder weighings/, newest first",
+    )  # fmt: skip
+    return by_name.get(chosen or "", found[0])
+
+
+def _weighed(weighing: Weighing) -> None:
+    of = weighings.weights(weighing)
+    if not of:
+        st.warning("The weights of this weighing cannot be read.")
+        return
+    count = len(next(iter(of.values())))
+    left, right = st.columns([5, 4])
+    with left, st.container(border=True):
+        head = st.columns([3, 1], vertical_alignment="center")
+        head[0].markdown(
+            f"**By the policy of {text.markdown(weighing.policy)}**: the dotted line ends the "
+            "random data"
+        )
+        log = head[1].toggle("Log axis", key="log", bind="query-params")
+        figure = probe_profiles(weighings.profiles(of), weighing.ordered_from / count, 400, log=log)
+        chart(figure, "probe", "weight profiles of several learners on the same buffer")
+    with right, st.container(border=True):
+        st.markdown("**What the weights come to**: medians over seeds")
+        st.dataframe(
+            table(weighings.numbers(weighing, of)), hide_index=True, height="content",
+            column_config=_columns(),
+        )  # fmt: skip
+        st.caption(f"TOM with its preset {text.markdown(weighing.preset)}. Weights have mean 1.")
+
+
+def table(found: dict[str, list[Progression]]) -> pd.DataFrame:
+    """A line for each learner: medians over its seeds."""
+
+    def median(rows: list[Progression], name: str) -> float:
+        values = [getattr(row, name) for row in rows]
+        return float("nan") if None in values else float(np.median(values))
+
+    return pd.DataFrame(
+        {
+            "learner": learner_label(learner),
+            "seeds": len(rows),
+            "ESS": median(rows, "ess"),
+            "zero": median(rows, "zeros"),
+            "random data": median(rows, "random_mean"),
+            "newest tenth": median(rows, "last_two"),
+            "rank corr.": median(rows, "spearman"),
+        }
+        for learner, rows in found.items()
+    )
+
+
+def _columns() -> dict:
+    number = st.column_config.NumberColumn
+    return {
+        "seeds": number(width=50),
+        "ESS": number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
+        "zero": number(format="percent", help="share of transitions with weight zero"),
+        "random data": number(format="%.3g", help="mean weight of the random data"),
+        "newest tenth": number(format="%.3g", help="mean weight of the newest tenth of the buffer"),
+        "rank corr.": number(
+            format="%.3g",
+            help="of the tenths of the ordered part with their order: 1 when newer counts more "
+            "throughout",
+        ),
+    }
+
+
+def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
+    """A form that starts `tom weigh` on this buffer."""
+    policies = [
+        other.run_id
+        for other in kept
+        if other.env == run.env and (RunReader(other.path).path / layout.POLICY).is_file()
+    ]
+    policies.sort(key=lambda name: name != run.run_id)
+    with st.expander("Weigh this buffer", icon=":material/scale:", expanded=not folded):
+        row = st.columns([4, 4, 2, 2])
+        policy = row[0].selectbox("By the policy of", [*policies, RANDOM], key="weigh policy")
+        learners = row[1].multiselect(
+            "Learners", WEIGHERS, ["tom", "pmac", "mle"], key="weigh learners",
+            format_func=learner_label,
+        )  # fmt: skip
+        preset = row[2].selectbox("TOM's preset", PRESETS, key="weigh preset")
+        seeds = row[3].number_input("Seeds", 1, 10, 2, key="weigh seeds")
+        words = command(
+            run.run_id, str(policy), learners, str(preset), int(seeds), session.links().store
+        )
+        st.code(form.shown(words), language="bash", wrap_lines=True)
+        if not session.may_act():
+            st.caption("This studio is open to other machines, so its pages change nothing.")
+        elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
+            st.session_state["weighing"] = trainings.start(words)
+        if run.run_id not in policies:
+            st.caption("This run holds no policy of its own: it is written when a run has ended.")
+    _progress()
+
+
+def command(
+    run_id: str, policy: str, learners: list[str], preset: str, seeds: int, store: str
+) -> list[str]:
+    """What follows `tom` to weigh a run's buffer."""
+    seed_words = [str(seed) for seed in range(seeds)]
+    return [
+        "weigh", run_id, "--policy", policy, "--learner", *learners, "--seeds", *seed_words,
+        "--preset", preset, "--store", store,
+    ]  # fmt: skip
+
+
+@st.fragment(run_every=2)
+def _progress() -> None:
+    """What the weighing that was started here says; the page is drawn again when it is done."""
+    begun: Started | None = st.session_state.get("weighing")
+    if begun is None:
+        return
+    if begun.process.poll() is None:
+        last = begun.tail().splitlines()[-1:] or ["started"]
+        st.caption(f"Weighing: {text.markdown(last[0])}")
+        return
+    if begun.process.returncode:
+        st.error("The weighing ended without a result:", icon=":material/error:")
+        st.code(begun.tail(), language=None)
+        return
+    del st.session_state["weighing"]
+    st.rerun()

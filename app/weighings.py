@@ -1,0 +1,88 @@
+"""What `tom weigh` left behind for a run's buffer: several learners' weights of the same rows."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from tom.data.sampling import bin_means
+from tom.progression import Progression, progression
+from tom.record.files import read_json
+from tom.weighing_files import REPORT, WEIGHTS
+
+FOLDER = Path("weighings")
+"""where `tom weigh` puts its results when it is started where the studio was"""
+BINS = 100
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """One result of `tom weigh`."""
+
+    path: str
+    policy: str
+    preset: str
+    ordered_from: int  # rows before it are random data
+    written: int  # of the report, mtime_ns
+
+    @property
+    def name(self) -> str:
+        return Path(self.path).name
+
+
+def of_run(run_id: str, rows: int, folder: Path = FOLDER) -> list[Weighing]:
+    """The weighings of a run's whole buffer of `rows` transitions, newest first.
+
+    What is no weighing, or of other data, is left out.
+    """
+    found = [_read(path.parent, run_id, rows) for path in folder.glob(f"*/{REPORT}")]
+    return sorted((w for w in found if w is not None), key=lambda w: w.written, reverse=True)
+
+
+def weights(weighing: Weighing) -> dict[tuple[str, int], NDArray[np.float32]]:
+    """The weights (N,) by learner and seed; empty when the file cannot be read."""
+    try:
+        table = pq.ParquetFile(Path(weighing.path) / WEIGHTS).read().to_pandas()
+    except (OSError, ValueError, pa.ArrowException):
+        return {}
+    found = {}
+    for column in table.columns:
+        learner, _, seed = str(column).rpartition("-s")
+        if learner and seed.isdigit():
+            found[learner, int(seed)] = table[column].to_numpy(np.float32)
+    return found
+
+
+def profiles(of: dict[tuple[str, int], NDArray[np.float32]]) -> dict[str, NDArray[np.float64]]:
+    """The weight profiles of each learner's seeds: (S, BINS)."""
+    learners = list(dict.fromkeys(learner for learner, _ in of))
+    return {
+        name: np.stack([bin_means(w, BINS).numpy() for (n, _), w in of.items() if n == name])
+        for name in learners
+    }
+
+
+def numbers(
+    weighing: Weighing, of: dict[tuple[str, int], NDArray[np.float32]]
+) -> dict[str, list[Progression]]:
+    """What each learner's weights come to, a summary for each seed."""
+    found: dict[str, list[Progression]] = {}
+    for (learner, _), weight in of.items():
+        found.setdefault(learner, []).append(progression(weight, weighing.ordered_from))
+    return found
+
+
+def _read(path: Path, run_id: str, rows: int) -> Weighing | None:
+    try:
+        report: dict[str, Any] = read_json(path / REPORT)
+        written = (path / REPORT).stat().st_mtime_ns
+        first = int(report["ordered_from"])
+        if report["data"] != run_id or report["rows"] != rows or not 0 <= first < rows:
+            return None
+        return Weighing(str(path), str(report["policy"]), str(report["preset"]), first, written)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

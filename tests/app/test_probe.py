@@ -1,0 +1,132 @@
+"""Probe: stored weighings of a run's buffer, and what the learners' models err."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from studio_pages import array, draw, figures, trace
+from studio_runs import PENDULUM_TOM, info
+
+from app import buffer_reader, weighings
+from app.views.model_error import focus_values
+from app.weighings import FOLDER
+from tom.cli import main
+from tom.progression import progression
+from tom.record.reader import RunReader
+
+pytestmark = pytest.mark.usefixtures("studio", "weighed")
+ROWS = 400
+
+
+@pytest.fixture(scope="module")
+def results(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A real weighing of the pendulum's buffer, small."""
+    out = tmp_path_factory.mktemp("probe") / "made"
+    words = [
+        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--learner", "tom", "pmac", "mle",
+        "--seeds", "0", "1", "--preset", "paper", "--footprint", "100", "--store", str(store),
+        "--tom.discriminator-steps", "30", "--tom.q-steps", "30", "--tom.q-hidden", "32",
+        "--tom.discriminator-hidden", "32", "--matmul", "default", "--out", str(out),
+    ]  # fmt: skip
+    assert main(words) == 0
+    return out
+
+
+@pytest.fixture
+def weighed(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The studio was started in a folder with that weighing."""
+    folder = tmp_path / "here" / FOLDER
+    shutil.copytree(results, folder / "made")
+    monkeypatch.chdir(folder.parent)
+    return folder / "made"
+
+
+def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
+    found = weighings.of_run(PENDULUM_TOM, ROWS)
+    assert [w.name for w in found] == ["made"]
+    assert found[0].policy == PENDULUM_TOM
+    assert weighings.of_run("another", ROWS) == []
+    assert weighings.of_run(PENDULUM_TOM, ROWS + 1) == []
+    table = pd.read_parquet(weighed / "weights.parquet")
+    of = weighings.weights(found[0])
+    assert set(of) == {(name, seed) for name in ("tom", "pmac", "mle") for seed in (0, 1)}
+    assert of["tom", 1] == pytest.approx(table["tom-s1"].to_numpy())
+
+
+def test_damaged_weighings_are_left_out(weighed: Path) -> None:
+    (weighed / "weights.parquet").write_bytes(b"torn")
+    assert weighings.weights(weighings.of_run(PENDULUM_TOM, ROWS)[0]) == {}
+    assert draw("probe", run=PENDULUM_TOM).warning
+    (weighed / "report.json").write_text("[")
+    assert weighings.of_run(PENDULUM_TOM, ROWS) == []
+
+
+def test_the_page_lays_all_learners_over_one_buffer(weighed: Path) -> None:
+    app = draw("probe", run=PENDULUM_TOM)
+    table = pd.read_csv(weighed / "profile.csv")
+    for learner in ("tom", "pmac", "mle"):
+        line = trace(figures(app)[0], meta=learner)
+        of = table[table["learner"] == learner].groupby("bin")["mean_weight"]
+        assert array(line["y"]) == pytest.approx(np.array(of.median()), rel=1e-3, abs=1e-5)
+    report = json.loads((weighed / "report.json").read_text())
+    split = figures(app)[0]["layout"]["shapes"][1]
+    assert split["x0"] == pytest.approx(100 * report["ordered_from"] / ROWS)
+    shown = app.dataframe[0].value.set_index("learner")
+    weights = pd.read_parquet(weighed / "weights.parquet")
+    expected = [
+        progression(weights[f"tom-s{s}"].to_numpy(), report["ordered_from"]) for s in (0, 1)
+    ]
+    assert shown.loc["TOM", "ESS"] == pytest.approx(np.median([p.ess for p in expected]))
+    assert shown.loc["MLE", "random data"] == pytest.approx(1)
+
+
+def test_a_buffer_that_nobody_weighed_says_so() -> None:
+    app = draw("probe", run="pendulum-mle-0")
+    assert any("Nobody has weighed" in note.value for note in app.info)
+    assert any("tom weigh pendulum-mle-0" in code.value for code in app.code)
+
+
+@pytest.mark.slow
+def test_the_page_starts_a_weighing_and_shows_it() -> None:
+    app = draw("probe", run="pendulum-mle-0")
+    app.multiselect(key="weigh learners").set_value(["mle", "pmac"])
+    app.number_input(key="weigh seeds").set_value(1)
+    app.button(key="weigh").click().run()
+    begun = app.session_state["weighing"]
+    assert begun.process.wait(60) == 0, begun.tail()
+    app.run()
+    assert not app.exception
+    assert [trace(figures(app)[0], meta=name)["meta"] for name in ("mle", "pmac")]
+
+
+def test_every_kept_model_is_asked_about_the_same_buffer(store: Path) -> None:
+    run, other = info(store, PENDULUM_TOM), info(store, "pendulum-mle-0")
+    own, theirs = buffer_reader.errors_on(run, run), buffer_reader.errors_on(run, other)
+    assert own is not None
+    assert theirs is not None
+    assert len(own) == len(theirs) == ROWS
+    line = trace(figures(draw("probe", run=PENDULUM_TOM))[1], name="TOM s0 (its own)")
+    assert array(line["y"]) == pytest.approx(own.reshape(20, -1).mean(1))
+
+
+def test_does_it_help_shows_what_the_runs_measured(store: Path) -> None:
+    runs = [info(store, name) for name in (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")]
+    found = focus_values(runs, "model/error_policy", "model/error_other")
+    assert {name: len(values) for name, values in found.items()} == {"tom": 2, "mle": 1}
+    recorded = RunReader(store / "pendulum-mle-0").metrics()["model/error_policy"].dropna()
+    assert found["mle"][0][1] == recorded.iloc[-1]
+    one_step = figures(draw("probe", run=PENDULUM_TOM))[2]
+    line = trace(one_step, meta="pendulum-mle-0")
+    assert array(line["y"]).tolist() == list(found["mle"][0][1:])
+
+
+def test_regions_can_show_a_weighings_weights(weighed: Path) -> None:
+    weight = pd.read_parquet(weighed / "weights.parquet")["tom-s1"].to_numpy()
+    app = draw("regions", run=PENDULUM_TOM, weights="TOM s1, made")
+    table = app.dataframe[0].value.set_index("")
+    heaviest = np.sort(weight)[-round(0.01 * ROWS) :]
+    assert table.loc["mean weight", "region"] == f"{heaviest.mean():,.2f}"
+    assert table.loc["transitions", "buffer"] == str(ROWS)
