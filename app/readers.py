@@ -9,6 +9,7 @@ import streamlit as st
 
 from app import pictures, trainings
 from app.pictures import Picture
+from app.settings import Settings, flat
 from tom.errors import UserError
 from tom.record import layout
 from tom.record.labels import Labels
@@ -35,6 +36,8 @@ class RunInfo:
     status: Status
     problems: tuple[str, ...]
     labels: Labels
+    settings: Settings
+    """the whole configuration: path to words"""
 
     @property
     def name(self) -> str:
@@ -121,7 +124,10 @@ def _as_it_is(run: RunInfo) -> RunInfo:
     return replace(run, status=replace(run.status, heartbeat=last, reason=words))
 
 
-@st.cache_data(show_spinner=False, max_entries=2048)
+# What is read is shared, not copied, as no page changes it: 200 copies of tables take a second.
+
+
+@st.cache_resource(show_spinner=False, max_entries=2048)
 def _info(path: str, config: Stamp, status: Stamp, labels: Stamp) -> RunInfo:
     reader = RunReader(path)
     return RunInfo(
@@ -134,11 +140,9 @@ def _info(path: str, config: Stamp, status: Stamp, labels: Stamp) -> RunInfo:
         created=str(reader.config.get("created", "")),
         status=reader.status,
         labels=reader.labels,
+        settings=flat(reader.config.get("config")),
         problems=tuple(reader.problems),
     )
-
-
-# Tables are shared, not copied, as no page changes one: a copy of 200 tables takes a second.
 
 
 @st.cache_resource(show_spinner=False, max_entries=512)

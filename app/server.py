@@ -5,9 +5,16 @@ from pathlib import Path
 
 import streamlit as st
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import (
+    FileResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+)
 from starlette.routing import Route
 
+from app import shortlinks
 from app.links import Links
 from app.plot import LIBRARY, LIBRARY_PATH
 from app.router import VIEWS
@@ -38,7 +45,14 @@ def routes(links: Links) -> list[Route]:
     def library(_: Request) -> Response:
         return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
 
+    def short(request: Request) -> Response:
+        found = shortlinks.target(links.store, request.path_params["code"])
+        if found is None:
+            return PlainTextResponse("no such view", status_code=404)
+        return RedirectResponse(found, status_code=302)
+
     return [
+        Route("/v/{code}", short),
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
         Route(LIBRARY_PATH, library),

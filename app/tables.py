@@ -17,27 +17,30 @@ def summary(grouped: Sequence[Group]) -> pd.DataFrame:
             "environment": group.env,
             "learner": learner_label(group.learner),
             "preset": group.preset,
+            "settings": group.variant,
             "n": group.n,
             "seeds": ", ".join(str(curve.seed) for curve in group.curves),
-            "steps": int(min(curve.step[-1] for curve in group.curves)),
+            "steps": float(min(curve.step[-1] for curve in group.curves)),
         }
         for name in ("final", "best"):
-            mean, low, high = interval(np.array([getattr(curve, name) for curve in group.curves]))
-            row |= {name: mean, f"{name} low": low, f"{name} high": high}
+            values = np.array([getattr(curve, name) for curve in group.curves])
+            found = interval(values, group.statistic)
+            row |= {name: found.value, f"{name} low": found.low, f"{name} high": found.high}
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def bands(grouped: Sequence[Group]) -> pd.DataFrame:
-    """A row a group and step: what the figures' lines and bands show."""
+def bands(grouped: Sequence[Group], x: str = "env_step") -> pd.DataFrame:
+    """A row a group and step: what the figures' lines and bands show, before any smoothing."""
     parts = [
         pd.DataFrame(
             {
                 "env": group.env,
                 "learner": group.learner,
                 "preset": group.preset,
-                "env_step": group.step,
-                "mean": group.mean,
+                "settings": group.variant,
+                x: group.step,
+                group.statistic: group.mean,
                 "low": group.low,
                 "high": group.high,
                 "runs": group.count,
@@ -48,7 +51,7 @@ def bands(grouped: Sequence[Group]) -> pd.DataFrame:
     return pd.concat(parts) if parts else pd.DataFrame()
 
 
-def runs(curves: Sequence[Curve]) -> pd.DataFrame:
+def runs(curves: Sequence[Curve], x: str = "env_step") -> pd.DataFrame:
     """A row a run and step."""
     parts = [
         pd.DataFrame(
@@ -57,7 +60,7 @@ def runs(curves: Sequence[Curve]) -> pd.DataFrame:
                 "env": curve.env,
                 "learner": curve.learner,
                 "seed": curve.seed,
-                "env_step": curve.step,
+                x: curve.step,
                 "value": curve.value,
             }
         )

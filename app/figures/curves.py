@@ -1,13 +1,14 @@
-"""Metrics against env steps: single runs, and groups with mean and band."""
+"""Metrics against env steps or another axis: single runs, and groups with their band."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.aggregate import Curve, Group, decimate
+from app.aggregate import GRID, Curve, Group, decimate, smoothed
 from app.figures.base import DASHES, note, styled
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 from tom.metrics import describe
@@ -16,13 +17,27 @@ POINTS = 1500
 """points of a line at most; what is left out is said on the figure"""
 
 
+@dataclass(frozen=True)
+class Axes:
+    """How the figure's axes are drawn."""
+
+    x: str = "env steps"
+    log_x: bool = False
+    log_y: bool = False
+
+
+PLAIN = Axes()
+
+
 def metric_title(metric: str) -> str:
     """A metric's path, its words in brackets where the table has some."""
     words = describe(metric)
     return metric if words == metric else f"{metric}: {words}"
 
 
-def run_curves(curves: Sequence[Curve], metric: str, height: int, *, legend: bool) -> go.Figure:
+def run_curves(
+    curves: Sequence[Curve], metric: str, height: int, *, legend: bool, axes: Axes = PLAIN
+) -> go.Figure:
     """One line a run, coloured by learner; the runs of one learner differ in their dashes."""
     figure = go.Figure()
     thinned = False
@@ -34,6 +49,7 @@ def run_curves(curves: Sequence[Curve], metric: str, height: int, *, legend: boo
             go.Scatter(
                 x=step,
                 y=value,
+                uid=curve.run_id,
                 name=text.plotly(f"{learner_label(curve.learner)} s{curve.seed}"),
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
@@ -43,48 +59,75 @@ def run_curves(curves: Sequence[Curve], metric: str, height: int, *, legend: boo
                     "dash": DASHES[learners[:i].count(curve.learner) % len(DASHES)],
                 },
                 marker={"size": 5, "symbol": learner_symbol(curve.learner)},
-                hovertemplate=_hover(curve),
+                hovertemplate=_hover(curve, axes.x),
                 showlegend=legend,
             )
         )
-    styled(figure, "env steps", height, keep=metric)
+    styled(figure, axes.x, height, keep=f"{metric} {axes}")
+    figure.update_xaxes(type="log" if axes.log_x else "linear")
+    figure.update_yaxes(type="log" if axes.log_y else "linear")
     return note(figure, f"thinned to {POINTS} points a line") if thinned else figure
 
 
-def group_curves(groups: Sequence[Group], metric: str, height: int, *, singles: bool) -> go.Figure:
-    """Mean over seeds with its band; thin lines for single runs; dotted where runs are missing."""
+def group_curves(
+    groups: Sequence[Group],
+    metric: str,
+    height: int,
+    *,
+    singles: bool,
+    axes: Axes = PLAIN,
+    window: int = 1,
+) -> go.Figure:
+    """A line a group with its band; thin lines for single runs; dotted where runs are missing.
+
+    `window`: points over which lines and bands are averaged, which the figure then says.
+    """
     figure = go.Figure()
-    presets = sorted({g.preset for g in groups})
+    kinds = sorted({(g.preset, g.variant) for g in groups})
+    presets = len({preset for preset, _ in kinds})
     for group in groups:
+        smooth = smoothed(group, window)
         if singles and group.n > 1:
-            for curve in group.curves:
-                figure.add_trace(_single(curve))
-        if group.n > 1:
-            figure.add_trace(_band(group))
-        dash = DASHES[presets.index(group.preset) % len(DASHES)]
-        figure.add_traces(_mean(group, group_name(group, several_presets=len(presets) > 1), dash))
-    return styled(figure, "env steps", height, keep=metric)
+            figure.add_traces([_single(curve, axes) for curve in group.curves])
+        if np.isfinite(group.low).any():
+            figure.add_trace(_band(smooth))
+        dash = DASHES[kinds.index((group.preset, group.variant)) % len(DASHES)]
+        name = group_name(group, several_presets=presets > 1)
+        figure.add_traces(_middle(smooth, name, dash, axes))
+    styled(figure, axes.x, height, keep=f"{metric} {axes}")
+    figure.update_xaxes(type="log" if axes.log_x else "linear")
+    figure.update_yaxes(type="log" if axes.log_y else "linear")
+    words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
+    if any(group.thinned for group in groups):
+        words.append(f"thinned to {GRID} points a line")
+    return note(figure, "<br>".join(words)) if words else figure
 
 
 def group_name(group: Group, *, several_presets: bool = False) -> str:
-    """`TOM (n = 3)`; the preset too where there are several."""
+    """`TOM (n = 3)`; the preset and other settings too where they set groups apart."""
     preset = f", {group.preset}" if several_presets else ""
+    variant = f", {group.variant}" if group.variant else ""
     count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
-    return f"{learner_label(group.learner)}{preset} ({count})"
+    return f"{learner_label(group.learner)}{preset}{variant} ({count})"
 
 
-def _single(curve: Curve) -> go.Scatter:
+def _identity(group: Group | Curve) -> str:
+    return text.plotly(f"{group.env} {group.learner} {group.preset} {group.variant}")
+
+
+def _single(curve: Curve, axes: Axes) -> go.Scatter:
     step, value, _ = decimate(curve.step, curve.value, POINTS)
     return go.Scatter(
         x=step,
         y=value,
+        uid=curve.run_id,
         name=text.plotly(curve.run_id),
         meta=curve.run_id,
         mode="lines",
         line={"color": learner_colour(curve.learner), "width": 1},
         opacity=0.35,
-        hovertemplate=_hover(curve),
-        legendgroup=text.plotly(f"{curve.learner} {curve.preset}"),
+        hovertemplate=_hover(curve, axes.x),
+        legendgroup=_identity(curve),
         showlegend=False,
     )
 
@@ -95,18 +138,19 @@ def _band(group: Group) -> go.Scatter:
     return go.Scatter(
         x=np.concatenate([step, step[::-1]]),
         y=np.concatenate([group.high[here], group.low[here][::-1]]),
-        name="95 % band",
+        uid=f"{_identity(group)} band",
+        name="band",
         fill="toself",
         fillcolor=faded(learner_colour(group.learner), 0.18),
         line={"width": 0},
         mode="lines",
         hoverinfo="skip",
-        legendgroup=text.plotly(f"{group.learner} {group.preset}"),
+        legendgroup=_identity(group),
         showlegend=False,
     )
 
 
-def _mean(group: Group, name: str, dash: str) -> list[go.Scatter]:
+def _middle(group: Group, name: str, dash: str, axes: Axes) -> list[go.Scatter]:
     full = group.complete
     parts = [go.Scatter(x=group.step[full], y=group.mean[full], customdata=group.count[full])]
     if not full.all():
@@ -114,9 +158,12 @@ def _mean(group: Group, name: str, dash: str) -> list[go.Scatter]:
         value = np.where(_beside(~full), group.mean, np.nan)
         parts.append(go.Scatter(x=group.step, y=value, customdata=group.count))
     marked = len(group.step) < 40 and not group.interpolated
+    statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
     for i, part in enumerate(parts):
         part.update(
+            uid=f"{_identity(group)} {'line' if i == 0 else 'dots'}",
             name=text.plotly(name) if i == 0 else "fewer runs than n",
+            meta=group.curves[0].run_id if group.n == 1 else None,
             mode="lines+markers" if marked and i == 0 else "lines",
             line={
                 "color": learner_colour(group.learner),
@@ -124,9 +171,9 @@ def _mean(group: Group, name: str, dash: str) -> list[go.Scatter]:
                 "dash": dash if i == 0 else "dot",
             },
             marker={"size": 6, "symbol": learner_symbol(group.learner)},
-            hovertemplate=f"<b>{text.plotly(learner_label(group.learner))}</b> mean of "
-            "%{customdata} runs<br>%{x:,} steps: %{y:.4g}<extra></extra>",
-            legendgroup=text.plotly(f"{group.learner} {group.preset}"),
+            hovertemplate=f"<b>{text.plotly(learner_label(group.learner))}</b> {statistic} of "
+            f"%{{customdata}} runs<br>{_at(axes.x)}: %{{y:.4g}}<extra></extra>",
+            legendgroup=_identity(group),
             showlegend=i == 0,
         )
     return parts
@@ -140,6 +187,10 @@ def _beside(here: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return wider
 
 
-def _hover(curve: Curve) -> str:
+def _hover(curve: Curve, x: str = "env steps") -> str:
     name = f"{text.plotly(learner_label(curve.learner))}</b> seed {curve.seed}"
-    return f"<b>{name}<br>{text.plotly(curve.run_id)}<br>%{{x:,}} steps: %{{y:.4g}}<extra></extra>"
+    return f"<b>{name}<br>{text.plotly(curve.run_id)}<br>{_at(x)}: %{{y:.4g}}<extra></extra>"
+
+
+def _at(x: str) -> str:
+    return "%{x:,} steps" if x == "env steps" else f"{text.plotly(x)} %{{x:.4g}}"

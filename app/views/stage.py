@@ -6,14 +6,18 @@ from app import session
 from app.scenes.control import Choice, Selection, tell
 
 
-def stage(choice: Choice, height: int) -> None:
-    """Show `choice` in 3D. A rerun of the page does not reload the frame."""
+def stage(choice: Choice, height: int, part: str = "") -> None:
+    """Show `choice` in 3D. A rerun of the page does not reload the frame.
+
+    A page with several frames gives each a `part` of its own.
+    """
     links = session.links()
     if not links.viser_port:
         st.caption("The 3D scene runs when the studio is started with `tom studio`.")
         return
+    client = f"{session.client()}{part}"
     try:
-        tell(links.control, session.client(), Selection(choice, session.mode()))
+        tell(links.control, client, Selection(choice, session.mode()))
     except OSError:
         st.warning("The 3D server does not answer; it is started again by itself.")
-    st.iframe(links.viser(session.host(), session.client()), height=height)
+    st.iframe(links.viser(session.host(), client), height=height)

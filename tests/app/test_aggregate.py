@@ -7,13 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.aggregate import (
+    GRID,
     Curve,
     aggregate,
-    bootstrap_band,
     curve_points,
     decimate,
     groups,
     interval,
+    points_against,
+    smoothed,
 )
 
 
@@ -64,23 +66,64 @@ def test_groups_differ_in_everything_but_the_seed() -> None:
     ]
 
 
-def test_band_is_the_percentile_bootstrap() -> None:
-    values = np.random.default_rng(1).normal(size=(6, 1))
-    low, high = bootstrap_band(values, resamples=20_000)
-    draws = np.random.default_rng(2).choice(values[:, 0], (20_000, 6)).mean(1)
-    assert low[0] == pytest.approx(np.quantile(draws, 0.025), abs=0.03)
-    assert high[0] == pytest.approx(np.quantile(draws, 0.975), abs=0.03)
+def test_band_is_the_percentile_bootstrap_and_the_same_at_every_call() -> None:
+    values = np.random.default_rng(1).normal(size=12)
+    curves = [curve([value], seed=i) for i, value in enumerate(values)]
+    group = aggregate(curves)
+    draws = np.random.default_rng(2).choice(values, (20_000, 12)).mean(1)
+    assert group.low[0] == pytest.approx(np.quantile(draws, 0.025), abs=0.08)
+    assert group.high[0] == pytest.approx(np.quantile(draws, 0.975), abs=0.08)
+    again = aggregate(curves)
+    assert (again.low[0], again.high[0]) == (group.low[0], group.high[0])
 
 
-def test_band_is_the_same_at_every_call() -> None:
-    values = np.random.default_rng(1).normal(size=(4, 9))
-    assert np.array_equal(bootstrap_band(values), bootstrap_band(values))
+def test_median_and_iqm_and_the_band_of_one_deviation() -> None:
+    curves = [curve([value], seed=i) for i, value in enumerate([0.0, 1, 2, 3, 100])]
+    assert aggregate(curves, "median").mean.tolist() == [2]
+    assert aggregate(curves, "iqm").mean.tolist() == [2]
+    plain = aggregate(curves[:2], "mean", "deviation")
+    assert plain.low[0] == pytest.approx(0.5 - np.sqrt(0.5))
+    assert plain.high[0] == pytest.approx(0.5 + np.sqrt(0.5))
+    assert np.isnan(aggregate(curves, "mean", "none").low).all()
+
+
+def test_a_missing_run_does_not_count_in_the_median() -> None:
+    group = aggregate([curve([1, 1]), curve([3], seed=1), curve([5, 9], seed=2)], "median")
+    assert group.mean.tolist() == [3, 5]
+
+
+def test_smoothing_comes_after_the_runs_are_put_together() -> None:
+    group = aggregate([curve([0, 3, 6, 9]), curve([0, 3, 0, 3], seed=1)])
+    smooth = smoothed(group, 3)
+    assert smooth.mean.tolist() == pytest.approx([1.5, 2, 4, 4.5])
+    assert smooth.curves == group.curves
+    assert smoothed(group, 1) is group
+
+
+def test_a_group_of_very_long_runs_is_thinned() -> None:
+    group = aggregate([curve(list(range(5000)))])
+    assert group.thinned
+    assert len(group.step) == GRID
+    assert (group.step[0], group.step[-1]) == (0, 4999)
+
+
+def test_any_metric_may_be_the_x_axis() -> None:
+    frame = pd.DataFrame(
+        {
+            "env_step": [0, 10, 20, 30],
+            "eval/return": [np.nan, 5.0, np.nan, 7.0],
+            "weights/ess": [1.0, np.nan, 0.5, np.nan],
+        }
+    )
+    x, value = points_against(frame, "eval/return", "weights/ess")
+    assert x.tolist() == [0.75]  # at step 30 nothing is known of the other any more
+    assert value.tolist() == [5]
 
 
 def test_interval_of_one_number_has_no_bounds() -> None:
-    mean, low, high = interval(np.array([3.0]))
-    assert mean == 3
-    assert np.isnan([low, high]).all()
+    found = interval(np.array([3.0]))
+    assert found.value == 3
+    assert np.isnan([found.low, found.high]).all()
 
 
 def test_points_are_those_that_were_recorded() -> None:

@@ -1,0 +1,165 @@
+"""Curves: a line and a band for each learner, a figure for each environment, a table, CSV."""
+
+from collections.abc import Mapping, Sequence
+from urllib.parse import quote
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+
+from app import tables, text
+from app.aggregate import Curve, Group, groups
+from app.comparing import measure
+from app.comparing.measure import Measure
+from app.figures.curves import group_curves, metric_title, run_curves
+from app.plot import Point, chart
+from app.readers import RunInfo
+from tom import statistics
+from tom.record.reader import RunReader
+
+NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
+
+
+def draw(runs: Sequence[RunInfo]) -> None:
+    """The figures, what must be said about them, the table, and all of it as CSV."""
+    how = measure.choose(runs)
+    found = measure.curves(runs, how.metric, how.axes.x)
+    if not any(len(curve.step) for curve in found):
+        st.info(f"None of these runs has recorded {text.markdown(how.metric)} yet.")
+        return
+    st.caption(text.markdown(metric_title(how.metric)))
+    if not measure.advancing(found):
+        _crossing(found, how)
+        return
+    grouped = groups(found, how.statistic, how.band)
+    _figures(grouped, how)
+    _remarks(grouped, found, how)
+    if how.axes.x == measure.STEPS:
+        _replay(runs)
+    table = tables.summary(grouped)
+    st.dataframe(shown(table), hide_index=True, column_config=columns())
+    downloads(
+        {
+            "Lines and bands": (tables.bands(grouped, how.axes.x), "lines"),
+            "Single runs": (tables.runs(found, how.axes.x), "runs"),
+            "Table": (table, "table"),
+        },
+        how.metric,
+    )
+
+
+def _figures(grouped: Sequence[Group], how: Measure) -> None:
+    envs = sorted({group.env for group in grouped})
+    wide = len(envs) == 1
+    layout = st.columns(1 if wide else 2)
+    for i, env in enumerate(envs):
+        here = [group for group in grouped if group.env == env]
+        with layout[i % len(layout)], st.container(border=True):
+            st.markdown(f"**{text.markdown(env)}**")
+            figure = group_curves(
+                here,
+                how.metric,
+                460 if wide else 360,
+                singles=how.singles,
+                axes=how.axes,
+                window=how.window,
+            )
+            label = f"{how.metric} against {how.axes.x} in {env}"
+            chart(figure, f"compare {env}", label, None if how.axes.x != measure.STEPS else _jump)
+
+
+def _jump(point: Point) -> None:
+    """A click on a single run's line is remembered: its replay at that step is one click away."""
+    if isinstance(point.meta, str):
+        st.session_state["compare jump"] = (point.meta, int(point.x))
+
+
+def _crossing(found: Sequence[Curve], how: Measure) -> None:
+    """One metric against another that goes to and fro: single runs only."""
+    st.caption(
+        f"{text.markdown(how.axes.x)} goes to and fro, so runs are drawn one by one, in the order "
+        "of their env steps; no mean can be taken."
+    )
+    for env in sorted({curve.env for curve in found if len(curve.step)}):
+        here = [curve for curve in found if curve.env == env and len(curve.step)]
+        with st.container(border=True):
+            st.markdown(f"**{text.markdown(env)}**")
+            figure = run_curves(here, how.metric, 420, legend=len(here) <= 12, axes=how.axes)
+            chart(figure, f"crossing {env}", f"{how.metric} against {how.axes.x} in {env}")
+    downloads({"Single runs": (tables.runs(found, how.axes.x), "runs")}, how.metric)
+
+
+def _remarks(grouped: Sequence[Group], found: Sequence[Curve], how: Measure) -> None:
+    words = [f"Line: {NAMES[how.statistic]} over seeds."]
+    if how.band == "bootstrap":
+        words[0] += f" Band: 95 % bootstrap interval of the {NAMES[how.statistic]} "
+        words[0] += "(1000 resamples of the seeds)."
+    elif how.band == "deviation":
+        words[0] += " Band: one standard deviation of the seeds around their mean."
+    few = min((group.n for group in grouped if group.n > 1), default=0)
+    if few and statistics.remark(few):
+        words.append(f"{text.markdown(statistics.remark(few)).capitalize()}.")
+    if any(group.n == 1 for group in grouped):
+        words.append("One seed has no band: a single run says little.")
+    if any(not group.complete.all() for group in grouped):
+        words.append("Dotted: not all n runs reach these steps.")
+    if any(group.interpolated for group in grouped):
+        words.append("Runs that were recorded at other steps are interpolated between theirs.")
+    if any(group.variant for group in grouped):
+        words.append("Settings that set runs of one learner apart are named.")
+    if any(len({c.seed for c in g.curves}) < g.n for g in grouped):
+        words.append("A seed that was run twice counts twice.")
+    if empty := sum(not len(curve.step) for curve in found):
+        words.append(f"{empty} runs have recorded nothing of this yet.")
+    st.caption(" ".join(words))
+
+
+def _replay(runs: Sequence[RunInfo]) -> None:
+    """A link to the episodes of the point that was clicked last."""
+    run_id, step = st.session_state.get("compare jump", ("", 0))
+    run = next((run for run in runs if run.run_id == run_id), None)
+    steps = RunReader(run.path).evaluation_steps() if run else []
+    if run is None or not steps:
+        st.caption("Click a point of a single run for its replay.")
+        return
+    at = min(steps, key=lambda evaluated: abs(evaluated - step))
+    address = f"/replays?run={quote(run_id)}&step={at}"
+    st.markdown(f"[Replay of {text.markdown(run.name)}, step {at:,}]({address})")
+
+
+def shown(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with each interval in one column of words, without columns that say nothing."""
+    found = table.copy()
+    for name in ("final", "best"):
+        low, high = found.pop(f"{name} low"), found.pop(f"{name} high")
+        words = [
+            f"{text.number(a)} to {text.number(b)}" if np.isfinite(a) else "-"
+            for a, b in zip(low, high, strict=True)
+        ]
+        found.insert(list(found.columns).index(name) + 1, f"{name}, 95 %", words)
+    return found if any(found["settings"].tolist()) else found.drop(columns="settings")
+
+
+def columns() -> dict:
+    number = st.column_config.NumberColumn
+    return {
+        "n": number("n", help="runs in the group"),
+        "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
+        "final": number("final", format="%.4g", help="over runs, of the last value"),
+        "best": number("best", format="%.4g", help="over runs, of the best value"),
+    }
+
+
+def downloads(files: Mapping[str, tuple[pd.DataFrame, str]], name: str) -> None:
+    """A button for each table, which gives it as CSV."""
+    with st.container(horizontal=True):
+        for label, (table, suffix) in files.items():
+            st.download_button(
+                label,
+                lambda table=table: table.to_csv(index=False),
+                f"{name.replace('/', '-')}-{suffix}.csv",
+                "text/csv",
+                icon=":material/download:",
+                on_click="ignore",
+                key=f"download {label}",
+            )

@@ -1,0 +1,198 @@
+"""Statistics over seeds in one environment: profiles, who beats whom, steps to reach a value."""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+from numpy.typing import NDArray
+
+from app import text
+from app.aggregate import Group, groups, interval
+from app.comparing import measure
+from app.comparing.curves import downloads
+from app.figures.curves import group_name
+from app.figures.statistics import Profile, improvement, profiles
+from app.plot import chart
+from app.readers import RunInfo
+from tom import statistics
+
+FINAL, BEST, HEIGHT = "last value", "best value", "mean height"
+SCORES = (FINAL, BEST, HEIGHT)
+THRESHOLDS = 61
+REACH = 0.8
+"""share of the way from the worst to the best score: the default of `steps to reach`"""
+
+
+def draw(runs: Sequence[RunInfo]) -> None:
+    """One environment, one score a run, and what its distribution says."""
+    row = st.columns([3, 4, 3, 3], vertical_alignment="bottom")
+    env = row[0].selectbox(
+        "Environment compared", sorted({run.env for run in runs}), key="task", bind="query-params"
+    )
+    metric = row[1].segmented_control(
+        "Of", list(measure.METRICS), default=measure.RETURN, required=True, key="of",
+        bind="query-params",
+    )  # fmt: skip
+    score = row[2].selectbox(
+        "Score of a run", SCORES, key="score", bind="query-params",
+        help="mean height: area under the curve up to the step that every run reaches, over its "
+        "length",
+    )  # fmt: skip
+    name = measure.METRICS[metric or measure.RETURN]
+    found = measure.curves([run for run in runs if run.env == env], name)
+    grouped = groups(found)
+    if not grouped:
+        st.info("None of these runs has been evaluated yet.")
+        return
+    until = min(float(curve.step[-1]) for group in grouped for curve in group.curves)
+    scores = [scores_of(group, score or FINAL, until) for group in grouped]
+    everything = np.concatenate(scores)
+    level = row[3].number_input(
+        "Steps to reach", value=default_level(everything), step=None, format="%.4g", key="reach",
+        help="sample efficiency: the first recorded step at which a run is at this value",
+    )  # fmt: skip
+    names = _names(grouped)
+    st.caption(
+        f"{text.markdown(statistics.remark([group.n for group in grouped]) or 'Ten seeds or more')}"
+        f". Mean height is taken up to step {until:,.0f}, which every run reaches."
+    )
+    _profiles(grouped, names, scores, score or FINAL)
+    pairs = compared(names, scores)
+    _improvement(pairs, [grouped[i].learner for i, _ in combinations(range(len(grouped)), 2)])
+    table = reached(grouped, names, float(level))
+    st.markdown(f"**Sample efficiency**: env steps until {text.markdown(name)} is {level:,.4g}")
+    st.dataframe(table, hide_index=True, column_config=_columns())
+    downloads(
+        {
+            "Scores": (_scores(names, grouped, scores), "scores"),
+            "Improvement": (_pairs(pairs), "improvement"),
+            "Steps to reach": (table, "reached"),
+        },
+        name,
+    )
+
+
+def scores_of(group: Group, score: str, until: float) -> NDArray[np.float64]:
+    """One number a run (n,)."""
+    if score == HEIGHT:
+        heights = [statistics.area_under_curve(c.step, c.value, until) for c in group.curves]
+        return np.array([h if np.isfinite(h) else c.final
+                         for h, c in zip(heights, group.curves, strict=True)])  # fmt: skip
+    return np.array([c.best if score == BEST else c.final for c in group.curves])
+
+
+def default_level(scores: NDArray[np.float64]) -> float:
+    """A value that good runs reach and others may not, in three digits."""
+    low, high = float(scores.min()), float(scores.max())
+    return float(f"{low + REACH * (high - low):.3g}")
+
+
+def compared(
+    names: Sequence[str], scores: Sequence[NDArray[np.float64]]
+) -> list[tuple[str, str, statistics.Interval]]:
+    """P(first beats second) for every pair of groups."""
+    draws = np.random.default_rng(0)
+    return [
+        (
+            names[i],
+            names[j],
+            statistics.probability_of_improvement(scores[i][:, None], scores[j][:, None], draws),
+        )
+        for i, j in combinations(range(len(names)), 2)
+    ]
+
+
+def reached(grouped: Sequence[Group], names: Sequence[str], level: float) -> pd.DataFrame:
+    """For each group how many runs reach the level, and the median step where they do."""
+    rows = []
+    for name, group in zip(names, grouped, strict=True):
+        steps = np.array([statistics.steps_to_reach(c.step, c.value, level) for c in group.curves])
+        middle = float(np.median(steps))
+        rows.append(
+            {
+                "group": name,
+                "reached": f"{int(np.isfinite(steps).sum())} of {group.n}",
+                "median step": middle if np.isfinite(middle) else np.nan,
+                "first": float(steps.min()) if np.isfinite(steps).any() else np.nan,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _names(grouped: Sequence[Group]) -> list[str]:
+    several = len({group.preset for group in grouped}) > 1
+    return [group_name(group, several_presets=several).partition(" (")[0] for group in grouped]
+
+
+def _profiles(
+    grouped: Sequence[Group], names: Sequence[str], scores: Sequence[NDArray], score: str
+) -> None:
+    everything = np.concatenate(scores)
+    margin = 0.05 * (np.ptp(everything) or 1.0)
+    at = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
+    draws = np.random.default_rng(0)
+    found = []
+    for name, group, values in zip(names, grouped, scores, strict=True):
+        share = statistics.performance_profile(values[:, None], at)
+        low, high = statistics.profile_band(values[:, None], at, draws, resamples=300)
+        found.append(Profile(name, group.learner, share, low, high))
+    left, right = st.columns([3, 2])
+    with left, st.container(border=True):
+        st.markdown("**Performance profile**: share of runs above a score, 95 % bootstrap band")
+        label = f"share of runs whose {score} is above a threshold"
+        chart(profiles(found, at, score, 340), "performance profile", label)
+    with right:
+        rows = []
+        for name, values in zip(names, scores, strict=True):
+            row: dict[str, object] = {"group": name, "n": len(values)}
+            for statistic in ("mean", "median", "iqm"):
+                row[statistic] = str(interval(values, statistic))
+            rows.append(row)
+        st.markdown(f"**{score.capitalize()}** of the runs, with 95 % bootstrap intervals")
+        st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"})
+
+
+def _improvement(
+    pairs: Sequence[tuple[str, str, statistics.Interval]], learners: Sequence[str]
+) -> None:
+    if not pairs:
+        st.caption("One group alone has nobody to be better than.")
+        return
+    with st.container(border=True):
+        st.markdown(
+            "**Probability of improvement**: that a run of the first beats a run of the second",
+            help="ties count half; bars: 95 % bootstrap interval, none where a group has one run",
+        )
+        figure = improvement(pairs, learners, 90 + 34 * len(pairs))
+        chart(figure, "improvement", "probability that a run of one group beats one of another")
+
+
+def _scores(names: Sequence[str], grouped: Sequence[Group], scores: Sequence[NDArray]):
+    return pd.DataFrame(
+        [
+            {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
+            for name, group, values in zip(names, grouped, scores, strict=True)
+            for curve, value in zip(group.curves, values, strict=True)
+        ]
+    )
+
+
+def _pairs(pairs: Sequence[tuple[str, str, statistics.Interval]]) -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {"first": a, "second": b, "probability": p.value, "low": p.low, "high": p.high}
+            for a, b, p in pairs
+        ]
+    )
+
+
+def _columns() -> dict:
+    steps = st.column_config.NumberColumn
+    return {
+        "median step": steps(
+            "median step", format="localized", help="over all runs; empty where most never do"
+        ),
+        "first": steps("first run", format="localized"),
+    }

@@ -1,0 +1,82 @@
+"""Runs side by side: a column each, every axis linked."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from app import text
+from app.aggregate import Curve
+from app.figures.base import GRID, styled
+from app.figures.scales import octaves, relative_scale
+from app.figures.weights import bin_centres, shown_fits
+from app.theme import Mode, learner_colour, learner_symbol
+from tom.record.profiles import Profiles
+
+
+def side_by_side(
+    parts: Sequence[tuple[str, Curve, Profiles]], mode: Mode, height: int
+) -> go.Figure:
+    """Return above, weights of every fit below, for each (name, curve, profiles)."""
+    figure = make_subplots(
+        rows=2,
+        cols=len(parts),
+        column_titles=[text.plotly(name) for name, *_ in parts],
+        horizontal_spacing=0.02,
+        vertical_spacing=0.06,
+    )
+    bins = [profiles.bins for *_, profiles in parts if len(profiles.bins)]
+    flat = np.concatenate([part.ravel() for part in bins]) if bins else np.ones(1)
+    scale = relative_scale(flat, mode)
+    last = max((i for i, (*_, held) in enumerate(parts, 1) if len(held.env_step)), default=0)
+    for column, (_, curve, profiles) in enumerate(parts, 1):
+        figure.add_trace(_line(curve), 1, column)
+        if len(profiles.env_step):
+            shown = shown_fits(len(profiles.env_step), len(profiles.env_step) - 1)
+            weights = profiles.bins[shown].T
+            figure.add_trace(
+                go.Heatmap(
+                    x=profiles.env_step[shown],
+                    y=bin_centres(len(weights)),
+                    z=octaves(weights),
+                    customdata=weights,
+                    hovertemplate="step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
+                    "weight %{customdata:.3g}<extra></extra>",
+                    showscale=column == last,
+                    **scale,
+                ),
+                2,
+                column,
+            )
+    styled(figure, "", height, keep="side by side")
+    figure.update_layout(margin={"t": 34})
+    figure.update_xaxes(matches="x")
+    for row, first in ((1, "y"), (2, f"y{len(parts) + 1}")):
+        figure.update_yaxes(matches=first, showticklabels=False, row=row)
+        figure.update_yaxes(showticklabels=True, row=row, col=1)
+    figure.update_xaxes(title_text="env steps", row=2)
+    figure.update_xaxes(ticks="", showticklabels=False, row=1)
+    figure.update_yaxes(gridcolor=GRID)
+    figure.update_yaxes(title_text="return", row=1, col=1)
+    figure.update_yaxes(
+        tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"], range=[0, 100.2], row=2
+    )
+    figure.update_traces(
+        selector={"type": "heatmap"},
+        colorbar={"len": 0.48, "y": 0, "yanchor": "bottom"},
+    )
+    return figure
+
+
+def _line(curve: Curve) -> go.Scatter:
+    return go.Scatter(
+        x=curve.step,
+        y=curve.value,
+        meta=curve.run_id,
+        mode="lines+markers",
+        line={"color": learner_colour(curve.learner), "width": 2},
+        marker={"size": 5, "symbol": learner_symbol(curve.learner)},
+        hovertemplate=f"{text.plotly(curve.run_id)}<br>%{{x:,}} steps: %{{y:.4g}}<extra></extra>",
+        showlegend=False,
+    )

@@ -1,0 +1,96 @@
+"""Performance profiles and the probability of improvement, as figures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from app import text
+from app.figures.base import styled
+from app.theme import NEUTRAL, faded, learner_colour
+from tom.statistics import Interval
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Share of a group's runs above each threshold (T,), and its band (NaN for one run)."""
+
+    name: str
+    learner: str
+    share: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+def profiles(
+    found: Sequence[Profile], thresholds: NDArray[np.float64], score: str, height: int
+) -> go.Figure:
+    """Share of runs whose score is above each threshold, a line a group (higher is better)."""
+    figure = go.Figure()
+    for one in found:
+        colour = learner_colour(one.learner)
+        if np.isfinite(one.low).any():
+            figure.add_trace(
+                go.Scatter(
+                    x=np.concatenate([thresholds, thresholds[::-1]]),
+                    y=np.concatenate([one.high, one.low[::-1]]),
+                    fill="toself",
+                    fillcolor=faded(colour, 0.18),
+                    line={"width": 0},
+                    mode="lines",
+                    hoverinfo="skip",
+                    showlegend=False,
+                    legendgroup=text.plotly(one.name),
+                )
+            )
+        figure.add_trace(
+            go.Scatter(
+                x=thresholds,
+                y=one.share,
+                name=text.plotly(one.name),
+                mode="lines",
+                line={"color": colour, "width": 2.4},
+                legendgroup=text.plotly(one.name),
+                hovertemplate=f"{text.plotly(one.name)}: %{{y:.0%}} of the runs above %{{x:.4g}}"
+                "<extra></extra>",
+            )
+        )
+    styled(figure, f"{score} above", height, keep=f"profile {score}")
+    figure.update_yaxes(range=[-0.02, 1.02], tickformat=".0%", title_text="share of runs")
+    return figure
+
+
+def improvement(
+    pairs: Sequence[tuple[str, str, Interval]], learners: Sequence[str], height: int
+) -> go.Figure:
+    """P(a run of the first beats a run of the second) for each pair, with its interval."""
+    names = [f"{text.plotly(first)} > {text.plotly(second)}" for first, second, _ in pairs]
+    value = np.array([found.value for *_, found in pairs])
+    low = np.array([found.low for *_, found in pairs])
+    high = np.array([found.high for *_, found in pairs])
+    colours = [learner_colour(learner) for learner in learners]
+    figure = go.Figure(
+        go.Scatter(
+            x=value,
+            y=names,
+            mode="markers",
+            marker={"size": 10, "color": colours},
+            error_x={
+                "type": "data",
+                "symmetric": False,
+                "array": np.nan_to_num(high - value),
+                "arrayminus": np.nan_to_num(value - low),
+                "color": NEUTRAL,
+                "thickness": 2,
+            },
+            hovertemplate="P(%{y}) = %{x:.2f}<extra></extra>",
+            showlegend=False,
+        )
+    )
+    figure.add_vline(x=0.5, line={"color": NEUTRAL, "width": 1.5, "dash": "dash"})
+    styled(figure, "probability of improvement", height, keep="improvement")
+    figure.update_xaxes(range=[-0.03, 1.03], showgrid=True)
+    figure.update_yaxes(autorange="reversed", showgrid=False)
+    return figure

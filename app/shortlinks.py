@@ -1,0 +1,55 @@
+"""Short addresses that restore a view: `/v/<code>` leads to the page with all its choices.
+
+The views lie in `<store>/.views`, one small file each, named by what they hold.
+"""
+
+import hashlib
+import json
+import re
+from pathlib import Path
+from urllib.parse import urlencode
+
+import streamlit as st
+
+from app import session
+from tom.record.files import replace_json
+
+FOLDER = ".views"
+CODE = re.compile(r"[0-9a-f]{8}")
+LONGEST = 8000
+
+
+def save(store: Path | str, page: str, query: str) -> str:
+    """Remember a page's address; its code. The same view has the same code."""
+    code = hashlib.sha256(f"{page}?{query}".encode()).hexdigest()[:8]
+    folder = Path(store) / FOLDER
+    folder.mkdir(exist_ok=True)
+    replace_json(folder / f"{code}.json", {"page": page, "query": query[:LONGEST]}, sync=False)
+    return code
+
+
+def target(store: Path | str, code: str) -> str | None:
+    """Where a code leads on this server; None for one that leads nowhere."""
+    path = Path(store) / FOLDER / f"{code}.json"
+    if not CODE.fullmatch(code) or path.is_symlink():
+        return None
+    try:
+        held = json.loads(path.read_text())
+        page, query = str(held["page"]), str(held["query"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return f"/{page}?{query}" if re.fullmatch(r"[a-z]*", page) and query.isprintable() else None
+
+
+def button() -> None:
+    """A small menu with the address of what is shown, short where the store may be written."""
+    with st.popover("Link", icon=":material/link:", width="stretch"):
+        query = urlencode([(k, v) for k in st.query_params for v in st.query_params.get_all(k)])
+        here = (st.context.url or "").split("?")[0]
+        page = here.rstrip("/").rpartition("/")[2]
+        address = f"{here}?{query}"
+        if session.may_act() and st.button("Make a short link", key="short link"):
+            code = save(session.links().store, page, query)
+            address = f"{here.rstrip('/').removesuffix(page)}v/{code}"
+        st.caption("This address shows what you see now, filters and choices included.")
+        st.code(address, language=None, wrap_lines=True)
