@@ -125,6 +125,8 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
 def _headline(alive: int, shown: Sequence[RunInfo]) -> str:
     if alive:
         return f"{alive} training now · refreshed every {REFRESH_S} s"
+    if not shown:
+        return "Nothing is training now, and no run is left in the store"
     return f"Nothing is training now: the last runs of {text.markdown(shown[0].env)}"
 
 

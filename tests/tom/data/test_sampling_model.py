@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from tom.data.sampling import WeightedSampler, normalise
 
-WEIGHTS = st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1e6, width=32)), min_size=1, max_size=40)
+WEIGHTS = st.lists(
+    st.one_of(st.just(0.0), st.floats(2.0**-20, 2.0**20, width=32)), min_size=1, max_size=40
+)
 
 
 def plain_draws(weights: list[float], n: int, seed: int) -> list[int]:

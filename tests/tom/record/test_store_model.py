@@ -120,7 +120,7 @@ TestStore.settings = settings(
 
 @pytest.mark.fault
 class TestAnythingDoneToAStore(StoreMachine.TestCase):
-    """Many more of them."""
+    """The store lists, trashes and restores exactly what a dictionary would."""
 
     settings = settings(
         max_examples=120, stateful_step_count=25, deadline=None, suppress_health_check=QUIET
