@@ -1,6 +1,6 @@
 """Curves: a line and a band for each learner, a figure for each environment, a table, CSV."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from urllib.parse import quote
 
 import numpy as np
@@ -8,7 +8,7 @@ import pandas as pd
 import streamlit as st
 
 from app import tables, text
-from app.aggregate import Curve, Group, groups
+from app.aggregate import Curve, Group
 from app.comparing import measure
 from app.comparing.measure import Measure
 from app.figures.curves import group_curves, metric_title, run_curves
@@ -23,15 +23,14 @@ NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 def draw(runs: Sequence[RunInfo]) -> None:
     """The figures, what must be said about them, the table, and all of it as CSV."""
     how = measure.choose(runs)
-    found = measure.curves(runs, how.metric, how.axes.x)
+    found, grouped = measure.grouped(runs, how.metric, how.axes.x, how.statistic, how.band)
     if not any(len(curve.step) for curve in found):
         st.info(f"None of these runs has recorded {text.markdown(how.metric)} yet.")
         return
     st.caption(text.markdown(metric_title(how.metric)))
-    if not measure.advancing(found):
+    if not grouped:
         _crossing(found, how)
         return
-    grouped = groups(found, how.statistic, how.band)
     _figures(grouped, how)
     _remarks(grouped, found, how)
     if how.axes.x == measure.STEPS:
@@ -40,9 +39,9 @@ def draw(runs: Sequence[RunInfo]) -> None:
     st.dataframe(shown(table), hide_index=True, column_config=columns())
     downloads(
         {
-            "Lines and bands": (tables.bands(grouped, how.axes.x), "lines"),
-            "Single runs": (tables.runs(found, how.axes.x), "runs"),
-            "Table": (table, "table"),
+            "Lines and bands": (lambda: tables.bands(grouped, how.axes.x), "lines"),
+            "Single runs": (lambda: tables.runs(found, how.axes.x), "runs"),
+            "Table": (lambda: table, "table"),
         },
         how.metric,
     )
@@ -86,7 +85,7 @@ def _crossing(found: Sequence[Curve], how: Measure) -> None:
             st.markdown(f"**{text.markdown(env)}**")
             figure = run_curves(here, how.metric, 420, legend=len(here) <= 12, axes=how.axes)
             chart(figure, f"crossing {env}", f"{how.metric} against {how.axes.x} in {env}")
-    downloads({"Single runs": (tables.runs(found, how.axes.x), "runs")}, how.metric)
+    downloads({"Single runs": (lambda: tables.runs(found, how.axes.x), "runs")}, how.metric)
 
 
 def _remarks(grouped: Sequence[Group], found: Sequence[Curve], how: Measure) -> None:
@@ -150,13 +149,13 @@ def columns() -> dict:
     }
 
 
-def downloads(files: Mapping[str, tuple[pd.DataFrame, str]], name: str) -> None:
-    """A button for each table, which gives it as CSV."""
+def downloads(files: Mapping[str, tuple[Callable[[], pd.DataFrame], str]], name: str) -> None:
+    """A button for each table, which is made when it is asked for and given as CSV."""
     with st.container(horizontal=True):
-        for label, (table, suffix) in files.items():
+        for label, (make, suffix) in files.items():
             st.download_button(
                 label,
-                lambda table=table: table.to_csv(index=False),
+                lambda make=make: make().to_csv(index=False),
                 f"{name.replace('/', '-')}-{suffix}.csv",
                 "text/csv",
                 icon=":material/download:",

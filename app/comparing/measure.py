@@ -7,7 +7,16 @@ import numpy as np
 import streamlit as st
 
 from app import readers, settings
-from app.aggregate import Band, Curve, Statistic, curve_points, points_against
+from app.aggregate import (
+    Band,
+    Curve,
+    Group,
+    Statistic,
+    curve_points,
+    groups,
+    points_against,
+)
+from app.cache import Kept
 from app.figures.curves import Axes
 from app.readers import RunInfo
 
@@ -22,6 +31,9 @@ BANDS: dict[str, Band] = {
 }
 WINDOWS = (1, 3, 5, 9, 15, 25, 51, 101)
 IQM = "interquartile mean: the mean of the middle half of the runs; of fewer than four the mean"
+
+
+_GROUPED: Kept[tuple[list[Curve], list[Group]]] = Kept(32)
 
 
 @dataclass(frozen=True)
@@ -74,6 +86,23 @@ def choose(runs: Sequence[RunInfo]) -> Measure:
         int(window),
         singles,
     )
+
+
+def grouped(
+    runs: Sequence[RunInfo],
+    metric: str,
+    x: str = STEPS,
+    statistic: Statistic = "mean",
+    band: Band = "bootstrap",
+) -> tuple[list[Curve], list[Group]]:
+    """The curves of the runs, and their groups where they can be put together (else none)."""
+    held = tuple((run.path, run.status.total, readers.recorded(run)) for run in runs)
+
+    def make() -> tuple[list[Curve], list[Group]]:
+        found = curves(runs, metric, x)
+        return found, groups(found, statistic, band) if advancing(found) else []
+
+    return _GROUPED.get((held, metric, x, statistic, band), make)
 
 
 def curves(runs: Sequence[RunInfo], metric: str, x: str = STEPS) -> list[Curve]:

@@ -9,7 +9,7 @@ import streamlit as st
 from numpy.typing import NDArray
 
 from app import text
-from app.aggregate import Group, groups, interval
+from app.aggregate import Group, interval
 from app.comparing import measure
 from app.comparing.curves import downloads
 from app.figures.curves import group_name
@@ -41,8 +41,7 @@ def draw(runs: Sequence[RunInfo]) -> None:
         "length",
     )  # fmt: skip
     name = measure.METRICS[metric or measure.RETURN]
-    found = measure.curves([run for run in runs if run.env == env], name)
-    grouped = groups(found)
+    _, grouped = measure.grouped([run for run in runs if run.env == env], name)
     if not grouped:
         st.info("None of these runs has been evaluated yet.")
         return
@@ -66,9 +65,9 @@ def draw(runs: Sequence[RunInfo]) -> None:
     st.dataframe(table, hide_index=True, column_config=_columns())
     downloads(
         {
-            "Scores": (_scores(names, grouped, scores), "scores"),
-            "Improvement": (_pairs(pairs), "improvement"),
-            "Steps to reach": (table, "reached"),
+            "Scores": (lambda: _scores(names, grouped, scores), "scores"),
+            "Improvement": (lambda: _pairs(pairs), "improvement"),
+            "Steps to reach": (lambda: table, "reached"),
         },
         name,
     )

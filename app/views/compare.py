@@ -66,4 +66,4 @@ def _settings(runs: Sequence[RunInfo]) -> None:
         f"{text.markdown(settings.NONE)}: the run's version did not have it."
     )
     st.dataframe(table, hide_index=True)
-    curves.downloads({"Settings": (table, "settings")}, "compare")
+    curves.downloads({"Settings": (lambda: table, "settings")}, "compare")

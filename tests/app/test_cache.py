@@ -1,0 +1,16 @@
+"""Results are made once, and the ones asked for last are kept."""
+
+from app.cache import Kept
+
+
+def test_a_result_is_made_once_and_the_oldest_is_forgotten() -> None:
+    made: list[str] = []
+
+    def make(name: str) -> str:
+        made.append(name)
+        return name.upper()
+
+    kept: Kept[str] = Kept(2)
+    for name in ("a", "b", "a", "c", "a", "b"):
+        assert kept.get(name, lambda name=name: make(name)) == name.upper()
+    assert made == ["a", "b", "c", "b"]
