@@ -13,6 +13,7 @@ from torch import Tensor
 
 from tom.config import OnlineConfig, RunConfig, SacRecordingConfig
 from tom.events import Collected, Event, Metrics, Notice, Weights
+from tom.lockstep import Work
 
 POLICY = "try a lower --sac.lr, and a shorter --rollout.length if the rollouts exploded before"
 MODEL = "try a lower --model.lr"
@@ -55,11 +56,15 @@ class Watch:
         self._low: Tensor | None = None  # (O,) smallest obs so far
         self._high: Tensor | None = None
 
-    def over(self, events: Iterable[Event]) -> Iterator[Event]:
-        """The events, each followed by the notices that it calls for. Raises DivergedError."""
+    def over(self, events: Iterable[Event | Work]) -> Iterator[Event | Work]:
+        """The events, each followed by the notices that it calls for. Raises DivergedError.
+
+        Work is passed on as it comes.
+        """
         for event in events:
             yield event  # first recorded, then judged
-            yield from self.look(event)
+            if not isinstance(event, Work):
+                yield from self.look(event)
 
     def look(self, event: Event) -> Iterator[Notice]:
         """What `event` gives reason to say."""

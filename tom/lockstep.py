@@ -8,9 +8,7 @@ networks joined into a stack. A training cannot tell the difference.
 
 from collections import defaultdict
 from collections.abc import Generator, Hashable, Iterator, Sequence
-from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
-
-import torch
+from typing import Any, ClassVar, TypeVar
 
 from tom.graphs import graphed
 
@@ -18,34 +16,25 @@ Told = TypeVar("Told")
 Result = TypeVar("Result")
 
 
-class Subject(Protocol):
-    """What work moves: networks and their optimisers. Many can be joined into one."""
-
-    step: Any
-    device: torch.device
-
-    @classmethod
-    def joined(cls, subjects: Sequence[Any]) -> Any: ...
-
-
-@runtime_checkable
-class Work(Protocol):
+class Work:
     """A piece of a training that members of equal `kind` can do in one go.
 
-    Where members wait with different work, that of the lowest `rank` is done first: the others
-    may be brought the same in the meantime.
+    Its `subject` is what it moves: networks and their optimisers, with a `step`, a `device`, and
+    `joined`, which makes one of many. Where members wait with different work, that of the lowest
+    `rank` is done first: the others may be brought the same in the meantime.
     """
 
     rank: ClassVar[int]
     subject: Any
 
     @property
-    def kind(self) -> Hashable: ...
+    def kind(self) -> Hashable:
+        raise NotImplementedError
 
     @classmethod
-    def do(cls, works: Sequence[Self], subject: Any) -> None:
+    def do(cls, works: Sequence[Any], subject: Any) -> None:
         """Do all of them with `subject`, theirs joined in the same order."""
-        ...
+        raise NotImplementedError
 
 
 def alone(steps: Generator[Told | Work, None, Result]) -> Generator[Told, None, Result]:
@@ -77,27 +66,35 @@ class Lockstep:
     def __init__(self) -> None:
         self._joints: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
 
-    def run(
-        self, trainings: Sequence[Generator[Told | Work, None, Any]]
-    ) -> Iterator[tuple[int, Told]]:
-        """What each training tells, with its number, in the order in which it comes."""
+    def run(self, trainings: Sequence[Generator[Work, None, Result]]) -> list[Result | Exception]:
+        """What each training comes to, or the error that ended it; the others go on without it.
+
+        KeyboardInterrupt, and an error in the shared work itself, end all.
+        """
         running, waiting = dict(enumerate(trainings)), {}
-        while running:
-            for number in [n for n in running if n not in waiting]:
-                for item in running[number]:
-                    if isinstance(item, Work):
-                        waiting[number] = item
-                        break
-                    yield number, item
-                else:
-                    del running[number]
-            self._do_first(waiting)
+        results: dict[int, Result | Exception] = {}
+        try:
+            while running:
+                for number in [n for n in running if n not in waiting]:
+                    try:
+                        waiting[number] = next(running[number])
+                    except StopIteration as end:
+                        results[number] = end.value
+                    except Exception as error:  # its own affair, and told to the caller
+                        results[number] = error
+                    if number in results:
+                        del running[number]
+                self._do_first(waiting)
+        finally:
+            for training in running.values():
+                training.close()
+        return [results[number] for number in range(len(trainings))]
 
     def _do_first(self, waiting: dict[int, Work]) -> None:
         """Do the work of lowest rank, equal kinds in one go."""
         rank = min((work.rank for work in waiting.values()), default=0)
         kinds: dict[Hashable, list[Work]] = defaultdict(list)
-        for number in [n for n, work in waiting.items() if work.rank == rank]:
+        for number in sorted(n for n, work in waiting.items() if work.rank == rank):
             work = waiting.pop(number)
             kinds[type(work), work.kind].append(work)
         for works in kinds.values():
@@ -114,6 +111,7 @@ class Lockstep:
             return
         if key not in self._joints:
             joint = type(subjects[0]).joined(subjects) if len(key) > 1 else subjects[0]
+            vars(joint).pop("step", None)  # a copy of a member that was captured by itself
             if joint.device.type == "cuda":
                 joint.step = graphed(joint.step)
             self._joints[key] = subjects, joint  # the subjects too: an id lives as they do

@@ -1,6 +1,6 @@
 """One training, from its configuration to a finished run folder; put down and taken up again."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from time import perf_counter
 from typing import Any, Protocol
 
@@ -13,6 +13,7 @@ from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.events import Event, Notice, Tick
 from tom.health import Watch
+from tom.lockstep import Work, finished
 from tom.matmul import choose_matmul
 from tom.mbpo import Mbpo
 from tom.offline import Offline
@@ -24,6 +25,7 @@ from tom.sac_recording import SacRecording
 
 AnyConfig = OnlineConfig | RoadConfig | SacRecordingConfig
 Consumer = Callable[[Event], None]
+Recorded = Generator[Work, None, RunReader]
 STOPPED = "stopped at step {step}: tom train --resume {run} goes on"
 
 
@@ -77,11 +79,25 @@ def train(
     it as `stopped` at once, any other error as `failed` with its reason; both go on to the
     caller. What was recorded until then stays.
     """
+    return finished(recorded(config, store, run_id, rerun, watchers, command, stop))
+
+
+def recorded(
+    config: AnyConfig,
+    store: Store,
+    run_id: str | None = None,
+    rerun: bool = True,
+    watchers: Sequence[Consumer] = (),
+    command: str = "",
+    stop: Stop | None = None,
+) -> Recorded:
+    """`train` as a member of a fleet runs it: its heavy work is handed out."""
     torch.set_num_threads(config.threads)
     matmul = choose_matmul(config.matmul)
     writer = _new_writer(store, run_id, config, matmul=matmul.record(), command=command)
     with Recorder(writer, open_sink(writer) if rerun else None) as recorder:
-        _record(make_training(config), Watch(config), recorder, writer, watchers, stop)
+        training = make_training(config)
+        yield from _record(training, Watch(config), recorder, writer, watchers, stop)
     return RunReader(writer.path)
 
 
@@ -111,6 +127,19 @@ def resume(
     On the same machine with the same versions the result is bit for bit that of a run never
     interrupted. Raises UserError where the run cannot go on.
     """
+    return finished(resumed(store, run_id, steps, rerun, watchers, command, stop))
+
+
+def resumed(
+    store: Store,
+    run_id: str,
+    steps: int | None = None,
+    rerun: bool = True,
+    watchers: Sequence[Consumer] = (),
+    command: str = "",
+    stop: Stop | None = None,
+) -> Recorded:
+    """`resume` as a member of a fleet runs it: its heavy work is handed out."""
     reader = store.run(run_id)
     config = recorded_config(reader)
     if steps is not None:
@@ -132,7 +161,7 @@ def resume(
         writer.resumed(config, command)
         for problem in held.problems:
             recorder.consume(Notice(held.env_step, "checkpoint", problem))
-        _record(training, watch, recorder, writer, watchers, stop)
+        yield from _record(training, watch, recorder, writer, watchers, stop)
     return RunReader(writer.path)
 
 
@@ -212,10 +241,14 @@ def _record(
     writer: RunWriter,
     watchers: Sequence[Consumer],
     stop: Stop | None,
-) -> None:
+) -> Generator[Work, None, None]:
     every, total = writer.config.checkpoint_every, writer.config.total_steps
     listening = list(watchers)
-    for event in watch.over(training.events()):
+    steps = training.algorithm() if isinstance(training, Mbpo) else training.events()
+    for event in watch.over(steps):
+        if isinstance(event, Work):
+            yield event
+            continue
         recorder.consume(event)
         _tell(listening, event)
         if not (isinstance(event, Tick) and event.ends_step):

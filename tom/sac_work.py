@@ -7,11 +7,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from tom.lockstep import Work
 from tom.sac import Sac
 
 
 @dataclass
-class Act:
+class Act(Work):
     """Work: an action drawn for one observation (O,); then `action` (A,) is there, on the CPU."""
 
     rank: ClassVar[int] = 0
@@ -33,7 +34,7 @@ class Act:
 
 
 @dataclass
-class SacUpdates:
+class SacUpdates(Work):
     """Work: a gradient step on each of G packed batches (G, B, R); then `metrics`, (1,) each."""
 
     rank: ClassVar[int] = 4

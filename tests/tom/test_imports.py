@@ -14,6 +14,7 @@ LEVELS = [
     {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
     {"run", "bench", "weighing"},
+    {"fleet"},
     {"imagine"},
     {"cli", "tabular_study", "road_study", "reports", "__main__"}
     | {"weighing_files", "progression_study", "progression_files", "focus_study", "doctor"}

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         print(script(planned, args.store, _own_words(), _longest(store, planned)))
         return 0
     store.ensure_writable()
-    return _drive(args, Driver(store, planned, jobs))
+    return drive(args, Driver(store, planned, jobs))
 
 
 def _planned(args: argparse.Namespace) -> list[Trial]:
@@ -96,7 +96,8 @@ def _jobs(args: argparse.Namespace) -> int:
     return args.jobs or len(os.sched_getaffinity(0))
 
 
-def _drive(args: argparse.Namespace, driver: Driver) -> int:
+def drive(args: argparse.Namespace, driver: Driver) -> int:
+    """Run the sweep to its end with a table of how it goes; the exit code."""
     for name in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
             signal.signal(name, signal.default_int_handler)

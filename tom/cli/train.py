@@ -1,7 +1,8 @@
-"""`tom train`: one training, recorded into a run folder."""
+"""`tom train`: one training, or every learner with every seed, each in its own run folder."""
 
 import argparse
 import json
+import os
 import shlex
 import signal
 import sys
@@ -11,8 +12,10 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from tom.cli import train_many
 from tom.cli.parser import DEST, add_config_options, add_run_options, one_line, overrides
 from tom.cli.progress import ProgressReport
+from tom.cli.sweep import drive
 from tom.envs import ENV_NAMES
 from tom.errors import UserError
 from tom.health import DivergedError
@@ -21,6 +24,7 @@ from tom.presets import PRESETS, config_type, resolve
 from tom.record import RunReader, Store, checkpoint
 from tom.record.files import size_of
 from tom.run import AnyConfig, Stop, recorded_config, resume, train, unfinished
+from tom.sweep.local import Driver
 
 OWN_OPTIONS = {"env", "learner", "preset"}
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -31,15 +35,28 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "train",
         usage="tom train --env ENV --learner LEARNER [options]",
-        help="train one learner in one environment",
-        description="Train one learner in one environment. The settings below are those of "
-        "--env (default hopper); road-and-rocks has its own: tom train --env road-and-rocks "
-        "--help.",
+        help="train a learner in an environment",
+        description="Train one learner in one environment, or several learners and seeds at once. "
+        "The settings below are those of --env (default hopper); road-and-rocks has its own: "
+        "tom train --env road-and-rocks --help.",
     )
     goes_on = any(word.split("=")[0] == "--resume" for word in arguments)
     parser.add_argument("--env", required=not goes_on, metavar="ENV", help=", ".join(ENV_NAMES))
     parser.add_argument(
-        "--learner", required=not goes_on, metavar="LEARNER", help=", ".join(LEARNER_NAMES)
+        "--learner",
+        nargs="+",
+        required=not goes_on,
+        metavar="LEARNER",
+        help=f"one or more of {', '.join(LEARNER_NAMES)}",
+    )
+    parser.add_argument(
+        "--seeds", nargs="+", type=_seed, metavar="N", help="a training for each of these seeds"
+    )
+    parser.add_argument(
+        "--engine",
+        choices=train_many.ENGINES,
+        help="several trainings: processes, one a core [on a CPU], or a fleet, all in one process "
+        "with their networks stacked [on a GPU]. The same command goes on where they were stopped",
     )
     parser.add_argument(
         "--preset", default="paper", metavar="PRESET", help=", ".join(PRESETS) + " [paper]"
@@ -65,12 +82,22 @@ def run(args: argparse.Namespace) -> int:
         return _resume(args, args.resume, _steps(given))
     if not (args.env and args.learner):
         raise UserError("--resume auto needs the --env and --learner of the run")
+    if len(args.learner) > 1 or args.seeds or args.engine or given.get("device", "cpu") != "cpu":
+        return _train_many(args)
     try:
-        config = resolve(args.env, args.learner, args.preset, given)
+        config = resolve(args.env, args.learner[0], args.preset, given)
     except ValidationError as error:
         raise one_line(error) from None
     begun = unfinished(Store(args.store), config) if args.resume else None
     return _resume(args, begun, config.steps) if begun else record(config, args)
+
+
+def _train_many(args: argparse.Namespace) -> int:
+    trials, store = train_many.trials_of(args), Store(args.store)
+    if train_many.wants_fleet(args, trials):
+        return train_many.run_fleet(args, trials, _stop_on_signals())
+    store.ensure_writable()
+    return drive(args, Driver(store, trials, len(os.sched_getaffinity(0))))
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
@@ -91,10 +118,7 @@ def _watched(
     args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
 ) -> int:
     """Run `training` with progress on the terminal; the signals that ask for it stop it cleanly."""
-    stop = Stop()
-    for name in STOPPING:
-        if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
-            signal.signal(name, stop)
+    stop = _stop_on_signals()
     label = f"{config.env} {config.learner} seed {config.seed}"
     stream = sys.stderr if args.json else sys.stdout
     with ProgressReport(label, config.total_steps, stream) as progress:
@@ -113,6 +137,20 @@ def _watched(
             return 1
     _print_summary(done, args.json)
     return 0 if done.status.state == "finished" else 1
+
+
+def _stop_on_signals() -> Stop:
+    stop = Stop()
+    for name in STOPPING:
+        if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
+            signal.signal(name, stop)
+    return stop
+
+
+def _seed(word: str) -> int:
+    if not word.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{word}' is no seed: a whole number, 0 or more")
+    return int(word)
 
 
 def _steps(given: dict[str, Any]) -> int | None:

@@ -17,6 +17,7 @@ from tom.config import ModelConfig
 from tom.data.sampling import WeightedSampler, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import FitReport
+from tom.lockstep import Work
 
 if TYPE_CHECKING:
     from tom.dynamics.neural import NeuralDynamics
@@ -39,16 +40,13 @@ class Job:
 
 
 @dataclass
-class Fit:
+class Fit(Work):
     """Work: a fit; then `report` is there."""
 
     rank: ClassVar[int] = 3
+    subject: NeuralDynamics
     job: Job
     report: FitReport = field(init=False)
-
-    @property
-    def subject(self) -> NeuralDynamics:
-        return self.job.model
 
     @property
     def kind(self) -> Hashable:

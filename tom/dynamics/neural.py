@@ -131,7 +131,7 @@ class NeuralDynamics:
         generator: torch.Generator,
     ) -> Generator[Work, None, FitReport]:
         """`fit` as work that members of a fleet may do in one go."""
-        work = Fit(Job(self, data, weights, per_dim, generator))
+        work = Fit(self, Job(self, data, weights, per_dim, generator))
         yield work
         return work.report
 

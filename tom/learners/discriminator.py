@@ -19,6 +19,7 @@ from tom.data.transitions import TensorTransitions
 from tom.learners.averaging import Average
 from tom.learners.scaling import Scaling
 from tom.learners.training import Trained
+from tom.lockstep import Work
 from tom.nn import StackedMLP
 
 CHUNK = 4096  # rows judged at once; they stay in the processor's cache
@@ -110,7 +111,7 @@ class Judge(Trained):
 
 
 @dataclass
-class TrainJudge:
+class TrainJudge(Work):
     """Work: gradient steps on the cross entropy; loss and accuracy over the last tenth of them.
 
     From then on the discriminator's `net` is the average network, where the config asks for one.

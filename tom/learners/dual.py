@@ -17,6 +17,7 @@ from tom.learners.averaging import Average
 from tom.learners.base import Policy
 from tom.learners.scaling import Scaling
 from tom.learners.training import Trained
+from tom.lockstep import Work
 from tom.nn import StackedMLP
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
@@ -129,7 +130,7 @@ class QFunction(Trained):
 
 
 @dataclass
-class Minimise:
+class Minimise(Work):
     """Work: gradient steps on the dual; then `net` is Q's (average) network."""
 
     rank: ClassVar[int] = 2
