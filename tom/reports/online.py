@@ -26,7 +26,8 @@ def online_figure(found: Sequence[Panel]) -> Figure:
                 if own:
                     _draw(ax, own[0])
                 else:
-                    ax.set_axis_off()
+                    ax.set(xticks=[], yticks=[])
+                    ax.text(0.5, 0.5, "no such run", transform=ax.transAxes, ha="center")
                 ax.set_title(LEARNERS[learner].label)
             line[0].set_ylabel(f"{env}\nmean weight")
         for ax in axes[-1]:

@@ -1,0 +1,34 @@
+"""The report of a study that is held against an acceptance: claim, figures, what is met."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tom.reports.html import Report, Rows, write_report
+from tom.reports.origin import origin
+
+_BEGUN = time.monotonic()  # a study is a process of its own
+
+
+def write_study(
+    folder: Path,
+    title: str,
+    claim: str,
+    checks: Rows,
+    figures: Sequence[tuple[str, Path]],
+    tables: Sequence[tuple[str, Rows]] = (),
+    **how: str,
+) -> Path:
+    """Write `report.html`: `checks` are rows with `name` and `met` (None where it is not judged).
+
+    `how` adds to the origin, such as seeds. The hours are those of this process.
+    """
+    judged = [row for row in checks if row["met"] is not None]
+    failed = [str(row["name"]) for row in judged if not row["met"]]
+    found = [f"{len(judged) - len(failed)} of {len(judged)} figures of our acceptance are met."]
+    if failed:
+        found.append(f"Not met, so different from what was expected: {'; '.join(failed)}.")
+    shown = [{**row, "met": {True: "yes", False: "NO", None: ""}[row["met"]]} for row in checks]  # pyright: ignore[reportArgumentType]
+    made = origin((time.monotonic() - _BEGUN) / 3600) | how
+    report = Report(title, claim, found, figures, [("Acceptance", shown), *tables], made)
+    return write_report(report, folder)
