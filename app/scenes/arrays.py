@@ -42,6 +42,14 @@ def columns(grid: NDArray[np.float64]) -> Columns:
     )
 
 
+def flat(grid: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """The weights as a picture (CELLS, CELLS, 4), row 0 at the lowest y; empty cells are clear."""
+    known = np.isfinite(grid)
+    share = octaves(np.where(known, grid, 1.0)) / (2 * OCTAVES) + 0.5
+    alpha = np.where(known, 235, 0).astype(np.uint8)
+    return np.concatenate([on_scale(share, COLUMNS), alpha[..., None]], -1)
+
+
 def ground(road: RoadMap, mode: Mode) -> NDArray[np.uint8]:
     """The map's floor: (GROUND_PIXELS, GROUND_PIXELS, 3), row 0 at the lowest y."""
     middle = (np.arange(GROUND_PIXELS) + 0.5) / GROUND_PIXELS

@@ -1,7 +1,6 @@
 """Road-and-rocks in 3D: the nodes that draw a picture."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import viser
@@ -10,77 +9,181 @@ from numpy.typing import NDArray
 from app.colours import linear, rgb
 from app.pictures import Picture
 from app.roadmap import RoadMap, circle, outline
-from app.scenes import arrays
-from app.theme import NEUTRAL, Mode, learner_colour
+from app.scenes import arrays, solids
+from app.scenes.robot import Robot
+from app.theme import NEUTRAL, Mode, learner_colour, learner_label
 
 CAMERA = (0.5, -0.12, 0.82)
 LOOK_AT = (0.5, 0.45, 0.0)
 LIFT = 0.006
 """lines lie this much above what they are drawn on"""
+GAP = 0.18
+"""between two maps side by side"""
+EXPERTS = 3
+"""cars that drive the expert's ways"""
+PIXELS = 10
+"""of a cell, in the flat picture of the weights"""
 _BOULDER = {"light": (176, 167, 155), "dark": (84, 80, 78)}
 _LINE = {"light": (255, 255, 255), "dark": (205, 210, 222)}
 
 
-@dataclass
-class Handles:
-    """The nodes of a scene that layers show and hide."""
+class RoadScene:
+    """One run's map: the ground once, then fit after fit by `update`."""
 
-    columns: viser.SceneNodeHandle
-    expert: viser.SceneNodeHandle
-    learnt: viser.SceneNodeHandle
-    true: viser.SceneNodeHandle
-    modelled: viser.SceneNodeHandle
-    boulders: viser.SceneNodeHandle
+    def __init__(
+        self, scene: viser.SceneApi, picture: Picture, mode: Mode, name: str = "", x: float = 0.0
+    ) -> None:
+        """`name` begins the names of its nodes; the map's corner stands at `x`."""
+        self._scene, self._name, self.mode = scene, f"/road{name}", mode
+        scene.add_frame(self._name, show_axes=False, position=(x, 0.0, 0.0))
+        draw_map(scene, picture.road, mode, self._name)
+        self._rocks = _draw_boulders(scene, picture.road, mode, self._name)
+        self.update(picture)
+
+    def update(self, picture: Picture) -> None:
+        """Show another fit of the same map; everything is visible until `show` is called."""
+        scene, name = self._scene, self._name
+        colour = rgb(learner_colour(picture.learner))
+        self.cars = [
+            Fleet(scene, f"{name}/expert cars", picture.expert[:EXPERTS], rgb(NEUTRAL)),
+            Fleet(scene, f"{name}/learnt cars", picture.learnt, colour),
+        ]
+        over = arrays.TALLEST + LIFT
+        field = picture.points, picture.true, picture.modelled
+        self.layers: dict[str, list[Shown]] = {
+            "columns": [_columns(scene, f"{name}/weights", picture)],
+            "flat": [_flat(scene, f"{name}/flat", picture)],
+            "expert": [_lines(scene, f"{name}/expert", picture.expert, rgb(NEUTRAL), over, 1.4)],
+            "learnt": [_lines(scene, f"{name}/learnt", picture.learnt, colour, over + LIFT, 3.5)],
+            "cars": [*self.cars],
+            "true": [_arrows(scene, f"{name}/true", field[0], field[1], rgb(NEUTRAL))],
+            "modelled": [_arrows(scene, f"{name}/modelled", field[0], field[2], colour)],
+            "boulders": [self._rocks],
+        }
+        words = f"{learner_label(picture.learner)}, fit of step {picture.step:,}"
+        scene.add_label(f"{name}/title", words, position=(0.5, 1.03, 0.02), anchor="bottom-center")
+
+    def show(self, layers: Mapping[str, bool]) -> None:
+        """Show and hide layers by name."""
+        for name, shown in layers.items():
+            for node in self.layers[name]:
+                node.visible = shown
+
+    @property
+    def longest(self) -> int:
+        """Steps of the longest way."""
+        return max(fleet.longest for fleet in self.cars)
+
+    def drive(self, step: float) -> None:
+        """Put every car to a step of its way; one that has arrived stays there."""
+        for fleet in self.cars:
+            fleet.drive(step)
 
 
-def draw(scene: viser.SceneApi, picture: Picture, mode: Mode) -> Handles:
-    """Draw all of a picture; nodes of an earlier one of the same name are replaced."""
-    draw_map(scene, picture.road, mode)
-    colour = rgb(learner_colour(picture.learner))
+class Fleet:
+    """Cars on recorded ways."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        lines: Sequence[NDArray],
+        colour: tuple[int, int, int],
+    ) -> None:
+        self._ways = [solids.car(line, arrays.TALLEST + 2 * LIFT) for line in lines if len(line)]
+        self._robot = (
+            Robot(scene, name, self._ways[0], [colour] * len(self._ways)) if self._ways else None
+        )
+        self.drive(0)
+
+    @property
+    def longest(self) -> int:
+        """Steps of the longest way."""
+        return max((len(way.position) - 1 for way in self._ways), default=0)
+
+    def drive(self, step: float) -> None:
+        """Put every car to a step of its way."""
+        if self._robot is None:
+            return
+        at = [min(int(step), len(way.position) - 1) for way in self._ways]
+        self._robot.pose(
+            np.stack([way.position[i] for way, i in zip(self._ways, at, strict=True)]),
+            np.stack([way.wxyz[i] for way, i in zip(self._ways, at, strict=True)]),
+        )
+
+    @property
+    def visible(self) -> bool:
+        return self._robot is not None and self._robot.visible
+
+    @visible.setter
+    def visible(self, shown: bool) -> None:
+        if self._robot is not None:
+            self._robot.visible = shown
+
+
+Shown = viser.SceneNodeHandle | Fleet
+
+
+def place(number: int) -> float:
+    """Where the corner of the map `number` of several stands, along x."""
+    return number * (1 + GAP)
+
+
+def view(count: int) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Camera and what it looks at, for `count` maps side by side."""
+    middle = (place(count) - GAP) / 2
+    away = 1 + 0.28 * (count - 1)  # several maps have a wider frame
+    (_, y, z), (_, at, ground) = CAMERA, LOOK_AT
+    return (middle, at + (y - at) * away, z * away), (middle, at, ground)
+
+
+def _columns(scene: viser.SceneApi, name: str, picture: Picture) -> viser.SceneNodeHandle:
     bars = arrays.columns(picture.grid)
     vertices, faces = arrays.unit_box()
-    return Handles(
-        columns=scene.add_batched_meshes_simple(
-            "/weights",
-            vertices,
-            faces,
-            batched_wxyzs=arrays.upright(len(bars.position)),
-            batched_positions=bars.position,
-            batched_scales=bars.scale,
-            batched_colors=linear(bars.colour),  # viser takes instance colours as intensities
-            flat_shading=True,
-            lod="off",
-        ),
-        expert=_lines(scene, "/expert", picture.expert, rgb(NEUTRAL), arrays.TALLEST + LIFT, 1.4),
-        learnt=_lines(scene, "/learnt", picture.learnt, colour, arrays.TALLEST + 2 * LIFT, 3.5),
-        true=_arrows(scene, "/true", picture.points, picture.true, rgb(NEUTRAL)),
-        modelled=_arrows(scene, "/modelled", picture.points, picture.modelled, colour),
-        boulders=_draw_boulders(scene, picture.road, mode),
+    return scene.add_batched_meshes_simple(
+        name,
+        vertices,
+        faces,
+        batched_wxyzs=arrays.upright(len(bars.position)),
+        batched_positions=bars.position,
+        batched_scales=bars.scale,
+        batched_colors=linear(bars.colour),  # viser takes instance colours as intensities
+        flat_shading=True,
+        lod="off",
     )
 
 
-def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode) -> None:
+def _flat(scene: viser.SceneApi, name: str, picture: Picture) -> viser.SceneNodeHandle:
+    fine = np.kron(arrays.flat(picture.grid), np.ones((PIXELS, PIXELS, 1), np.uint8))
+    return scene.add_image(
+        name, fine, 1.0, 1.0, format="png", position=(0.5, 0.5, LIFT / 2), visible=False
+    )
+
+
+def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str = "") -> None:
     """The floor with the road, its start and its goal."""
     scene.add_image(
-        "/ground", arrays.ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
+        f"{root}/ground", arrays.ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
     )
-    _lines(scene, "/edge", outline(road), _LINE[mode], LIFT, 2.5)
-    _lines(scene, "/centre", arrays.dashes(road.centre_line), _LINE[mode], LIFT, 1.5)
+    _lines(scene, f"{root}/edge", outline(road), _LINE[mode], LIFT, 2.5)
+    _lines(scene, f"{root}/centre", arrays.dashes(road.centre_line), _LINE[mode], LIFT, 1.5)
     for name, (x, y, radius), colour in (
         ("start", road.start, (43, 111, 224)),
         ("goal", road.goal, (31, 157, 85)),
     ):
         ring = [circle(x, y, radius), circle(x, y, radius * 0.93)]
-        _lines(scene, f"/{name}", ring, colour, 2 * LIFT, 3.5)
-        scene.add_label(f"/{name}/name", name, position=(x, y, 0.03), anchor="bottom-center")
+        _lines(scene, f"{root}/{name}", ring, colour, 2 * LIFT, 3.5)
+        scene.add_label(f"{root}/{name}/name", name, position=(x, y, 0.03), anchor="bottom-center")
 
 
-def _draw_boulders(scene: viser.SceneApi, road: RoadMap, mode: Mode) -> viser.SceneNodeHandle:
+def _draw_boulders(
+    scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str
+) -> viser.SceneNodeHandle:
     position, size = arrays.boulders(road)
     vertices, faces = arrays.stone()
     turn = np.random.default_rng(5).normal(size=(len(size), 4))
     return scene.add_batched_meshes_simple(
-        "/boulders",
+        f"{root}/boulders",
         vertices,
         faces,
         batched_wxyzs=turn / np.linalg.norm(turn, axis=1, keepdims=True),

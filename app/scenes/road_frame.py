@@ -2,109 +2,147 @@
 
 from functools import lru_cache
 
+import viser
+
 from app import pictures
 from app.pictures import Picture
 from app.scenes import road as scene
 from app.scenes.control import Road, Selection
 from app.scenes.frame import Frame
+from app.scenes.road import RoadScene
+from app.scenes.stage import sky
 from tom.errors import UserError
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
-PLAY_S = 0.8
+PLAY_S = 1.0
 """seconds that a fit is shown while the slider plays"""
+STEPS_PER_S = 20.0
+"""steps of the task that the cars drive in a second"""
+REST = 20
+"""steps that the cars wait when they have arrived"""
+LAYERS = (
+    ("columns", "weights as columns", True),
+    ("flat", "weights as colours", False),
+    ("expert", "expert's ways", True),
+    ("learnt", "learnt policy's ways", True),
+    ("cars", "cars", True),
+    ("true", "real displacement", False),
+    ("modelled", "modelled displacement", False),
+    ("boulders", "rocks", True),
+)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=128)
 def _picture(path: str, step: int) -> Picture | None:
     return pictures.load(RunReader(path), step)
 
 
 class RoadFrame(Frame):
-    """Shows fits of road-and-rocks runs."""
+    """Shows fits of road-and-rocks runs side by side."""
 
     title = "Road and rocks"
 
     def _build_panel(self) -> None:
-        self._handles: scene.Handles | None = None
-        self._drawn: tuple[str, int] | None = None
+        self._runs: tuple[str, ...] = ()
         self._steps: list[int] = []
+        self._scenes: list[RoadScene] = []
+        self._drawn: list[tuple[str, int]] = []
         self._since = 0.0
-        self.look(scene.CAMERA, scene.LOOK_AT)
+        self._driven = 0.0
         gui = self.client.gui
+        self.fit = gui.add_slider("fit", 0, 1, 1, 0)
+        self.words = gui.add_markdown("")
         self.play = gui.add_checkbox("play the fits", initial_value=False)
-        with gui.add_folder("Another run or fit", expand_by_default=False):
-            self.run = gui.add_dropdown("run", tuple(self._runs()) or ("none",))
-            self.fit = gui.add_slider("fit", 0, 1, 1, 0)
+        self.drive = gui.add_checkbox("let the cars drive", initial_value=False)
         with gui.add_folder("Layers", expand_by_default=False):
             self.layers = {
-                name: gui.add_checkbox(label, initial_value=shown)
-                for name, label, shown in (
-                    ("columns", "weights as columns", True),
-                    ("expert", "expert's trajectories", True),
-                    ("learnt", "learnt policy's trajectories", True),
-                    ("true", "real displacement", False),
-                    ("modelled", "modelled displacement", False),
-                    ("boulders", "rocks", True),
-                )
+                name: gui.add_checkbox(label, initial_value=shown) for name, label, shown in LAYERS
             }
-        self.run.on_update(lambda _: self._redraw())
-        self.fit.on_update(lambda _: self._redraw())
+        self.fit.on_update(self._fit_moved)
         for layer in self.layers.values():
             layer.on_update(lambda _: self._apply_layers())
 
     def _show(self, selection: Selection) -> None:
         choice = selection.choice
         assert isinstance(choice, Road)
-        runs = self._runs()
-        if not runs:
-            return
-        self.run.options = tuple(runs)
-        self.run.value = next((run for run in choice.runs if run in runs), runs[0])
-        self._read_steps()
+        store = Store(self.store)
+        newest = (run.run_id for run in store.runs() if run.env == pictures.ENV)
+        self._runs = choice.runs or tuple(newest)[:1]
+        found = {step for run in self._runs for step in pictures.steps(store.run(run))}
+        self._steps = sorted(found)
+        self.fit.max = max(len(self._steps) - 1, 1)
+        self.fit.disabled = len(self._steps) < 2
         if choice.step in self._steps:
             self.fit.value = self._steps.index(choice.step)
         self._redraw()
 
     def _mode_changed(self) -> None:
-        self._drawn = None
+        self._drawn = []
+
+    def _fit_moved(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:  # moved by the reader, not by what plays
+            with self._lock:
+                self._redraw()
 
     def _tick(self, seconds: float) -> None:
-        """The next fit while the slider plays; after the last the first."""
+        """The next fit while the fits play, after the last the first; the cars a bit further."""
         self._since += seconds
         if self.play.value and len(self._steps) > 1 and self._since >= PLAY_S:
             self._since = 0.0
             self.fit.value = (int(self.fit.value) + 1) % len(self._steps)
-
-    def _runs(self) -> list[str]:
-        return [run.run_id for run in Store(self.store).runs() if run.env == pictures.ENV]
-
-    def _read_steps(self) -> None:
-        try:
-            self._steps = pictures.steps(Store(self.store).run(self.run.value))
-        except UserError:
-            self._steps = []  # it was deleted or damaged meanwhile: the last picture stays
-        last = max(len(self._steps) - 1, 1)
-        self.fit.max = last
-        self.fit.disabled = len(self._steps) < 2
-        self.fit.value = min(int(self.fit.value), last)
+            self._redraw()
+        if self.drive.value:
+            longest = max((each.longest for each in self._scenes), default=0)
+            self._driven = (self._driven + seconds * STEPS_PER_S) % (longest + REST)
+            self._drive()
 
     def _redraw(self) -> None:
-        with self._lock:
-            self._read_steps()
-            if not self._steps:
-                return
-            step = self._steps[min(int(self.fit.value), len(self._steps) - 1)]
-            path = str(Store(self.store).resolve(self.run.value))
-            picture = _picture(path, step)
-            if picture is None or self._drawn == (path, step):
-                return
-            self._drawn = (path, step)
-            with self.client.atomic():
-                self._handles = scene.draw(self.client.scene, picture, self.mode)
-                self._apply_layers()
+        if not self._steps:
+            return
+        step = self._steps[min(int(self.fit.value), len(self._steps) - 1)]
+        shown = [found for run in self._runs if (found := self._fit_of(run, step)) is not None]
+        drawn = [(run, picture.step) for run, picture in shown]
+        if drawn == self._drawn or not shown:
+            return
+        same = [run for run, _ in drawn] == [run for run, _ in self._drawn]
+        with self.client.atomic():
+            if same:
+                for each, (_, picture) in zip(self._scenes, shown, strict=True):
+                    each.update(picture)
+            else:
+                self._draw([picture for _, picture in shown])
+            self._apply_layers()
+            self._drive()
+        self._drawn = drawn
+        self.words.content = f"the fit of step **{step:,}**"
+
+    def _fit_of(self, run: str, step: int) -> tuple[str, Picture] | None:
+        """A run's fit at `step`, else its last before; None when it was deleted or damaged."""
+        store = Store(self.store)
+        try:
+            steps = pictures.steps(store.run(run))
+        except UserError:
+            return None
+        at = max((s for s in steps if s <= step), default=steps[0] if steps else -1)
+        picture = _picture(str(store.resolve(run)), at) if steps else None
+        return None if picture is None else (run, picture)
+
+    def _draw(self, shown: list[Picture]) -> None:
+        if len(shown) != len(self._scenes):
+            self.look(*scene.view(len(shown)))
+        self.clear()
+        sky(self.client.scene, self.mode)
+        self._scenes = [
+            RoadScene(self.client.scene, picture, self.mode, str(i), scene.place(i))
+            for i, picture in enumerate(shown)
+        ]
+
+    def _drive(self) -> None:
+        for each in self._scenes:
+            each.drive(self._driven)
 
     def _apply_layers(self) -> None:
-        if self._handles is not None:
-            for name, box in self.layers.items():
-                getattr(self._handles, name).visible = bool(box.value)
+        with self._lock:
+            for each in self._scenes:
+                each.show({name: bool(box.value) for name, box in self.layers.items()})

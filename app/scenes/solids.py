@@ -45,14 +45,18 @@ def of(geometry: Geometry) -> Solids:
     )
 
 
-def car(line: NDArray) -> Solids:
-    """A car along places (H + 1, 2) of the unit square, its nose where it goes next."""
+def car(line: NDArray, above: float = 0.006) -> Solids:
+    """A car along places (H + 1, 2) of the unit square, its nose where it goes next.
+
+    Its wheels are `above` the ground.
+    """
     heading = headings(line)
     half = heading / 2
     zero = np.zeros_like(half)
     wxyz = np.stack([np.cos(half), zero, zero, np.sin(half)], -1)
     meshes = [box(sizes) for sizes in CAR_SIZES]
-    height = np.array([0.006 + CAR_SIZES[0][2] / 2, 0.006 + CAR_SIZES[0][2] + CAR_SIZES[1][2] / 2])
+    body, cabin = CAR_SIZES[0][2], CAR_SIZES[1][2]
+    height = above + np.array([body / 2, body + cabin / 2])
     back = np.array([0.0, -0.12 * CAR_SIZES[0][0]])[None, :, None]  # the cabin sits further back
     ahead = np.stack([np.cos(heading), np.sin(heading)], -1)[:, None]
     flat = line[:, None] + back * ahead

@@ -10,6 +10,7 @@ from app.pictures import ENV, Picture
 from app.plot import chart
 from app.readers import RunInfo
 from app.scenes.control import Road
+from app.scenes.export import as_html
 from app.theme import learner_label
 from app.views.stage import stage
 
@@ -18,6 +19,10 @@ ICON = ":material/add_road:"
 PATH = "road"
 
 HEIGHT = 620
+SMALL = 360
+"""height of a flat map where several stand side by side"""
+BESIDE = 3
+"""runs at most beside the first one"""
 TABLE = {
     "weights/road_share": "weight on the road",
     "weights/road_ratio": "road : rocks",
@@ -42,10 +47,12 @@ def page() -> None:
         "A car must follow the road; on the rocks steering is turned, differently in every cell. "
         "A linear model cannot be right everywhere: the weights decide where it is."
     )
-    top = st.columns([3, 2], vertical_alignment="bottom")
+    top = st.columns([3, 3, 2], vertical_alignment="bottom")
     with top[0]:
         run = widgets.pick_run(shown)
     with top[1]:
+        beside = _pick_others([other for other in shown if other.run_id != run.run_id])
+    with top[2]:
         step = widgets.pick_step("Record at step", readers.road_steps(run))
     picture = readers.road_picture(run, step)
     if picture is None:
@@ -53,12 +60,20 @@ def page() -> None:
         widgets.show_problems(run)
         return
     _numbers(run, picture)
-    left, right = st.columns([5, 4])
-    with left:
-        stage(Road((run.run_id,), step), HEIGHT)
-    with right:
-        figure = road_map(picture, session.mode(), HEIGHT)
-        chart(figure, "road map", "mean weight over the map, with road and trajectories")
+    together = [run, *beside]
+    ids = tuple(each.run_id for each in together)
+    if beside:
+        stage(Road(ids, step), HEIGHT)
+        for column, each in zip(st.columns(len(together)), together, strict=True):
+            with column, st.container(border=True):
+                _flat_map(each, step, SMALL)
+    else:
+        left, right = st.columns([5, 4])
+        with left:
+            stage(Road(ids, step), HEIGHT)
+        with right:
+            _flat_map(run, step, HEIGHT)
+    _export(together)
     st.markdown("**Every learner**: at the last step that was recorded")
     st.dataframe(comparison(shown), hide_index=True, column_config=_columns())
     st.caption(
@@ -68,6 +83,54 @@ def page() -> None:
     )
     for each in shown:
         widgets.show_problems(each)
+
+
+def _pick_others(others: list[RunInfo]) -> list[RunInfo]:
+    chosen = st.multiselect(
+        "Side by side with", [other.run_id for other in others], max_selections=BESIDE,
+        key="beside", bind="query-params", placeholder="no other run",
+    )  # fmt: skip
+    return [other for name in chosen for other in others if other.run_id == name]
+
+
+def _flat_map(run: RunInfo, step: int, height: int) -> None:
+    picture = _fit(run, step)
+    if picture is None:
+        st.caption(f"The map of {text.markdown(run.run_id)} cannot be read.")
+        return
+    if height == SMALL:
+        st.markdown(f"**{text.markdown(learner_label(run.learner))}**, step {picture.step:,}")
+    figure = road_map(picture, session.mode(), height)
+    words = "mean weight over the map, with road and trajectories"
+    chart(figure, f"road map {run.run_id}", words)
+
+
+def _fit(run: RunInfo, step: int) -> Picture | None:
+    """A run's record at `step`, else its last before."""
+    steps = readers.road_steps(run)
+    at = max((s for s in steps if s <= step), default=steps[0])
+    return readers.road_picture(run, at)
+
+
+def _export(runs: list[RunInfo]) -> None:
+    """A button that makes one HTML file of the runs' 3D scene, all fits, cars and arrows in it."""
+    steps = sorted({step for run in runs for step in readers.road_steps(run)})
+    mode = session.mode()
+
+    def page_of_it() -> str:
+        fits = [[_fit(run, step) for run in runs] for step in steps]
+        return as_html([[p for p in fit if p is not None] for fit in fits if all(fit)], mode)
+
+    st.download_button(
+        "Share the scene as one HTML file",
+        page_of_it,
+        file_name="road-and-rocks.html",
+        mime="text/html",
+        icon=":material/ios_share:",
+        on_click="ignore",
+        help="opens in any browser, with nothing else beside it: every fit in turn, the cars "
+        "drive; some MB",
+    )
 
 
 def comparison(runs: list[RunInfo]) -> pd.DataFrame:

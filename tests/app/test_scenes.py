@@ -1,21 +1,29 @@
 """The 3D scene: what is drawn, and that a frame shows what its page chose."""
 
+import base64
+import re
 import socket
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import viser
+import zstandard
 from studio_runs import ROAD_MLE, ROAD_TOM
 
 from app import pictures
 from app.links import Links
 from app.processes import free_port
 from app.roadmap import CELLS, on_road
-from app.scenes import arrays
+from app.scenes import arrays, solids
 from app.scenes import road as scene
 from app.scenes.control import Replay, Road, Selection, States, listen, packed, tell, unpacked
+from app.scenes.export import FRAME_S, REST_S, STRIDE, as_html
+from app.scenes.road import RoadScene
+from app.scenes.road_frame import LAYERS
 from app.scenes.server import trusted
 from tom.record.reader import RunReader
 
@@ -74,18 +82,69 @@ def test_lines_become_segments() -> None:
     assert arrays.segments([], 0).shape == (0, 2, 3)
 
 
-def test_the_scene_is_drawn_and_replaced(picture: pictures.Picture, store: Path) -> None:
-    server = viser.ViserServer("127.0.0.1", free_port("127.0.0.1"), verbose=False)
-    try:
-        handles = scene.draw(server.scene, picture, "light")
-        assert handles.columns.visible
-        assert not handles.modelled.visible
-        other = pictures.load(RunReader(store / ROAD_MLE), 60)
-        assert other is not None
-        again = scene.draw(server.scene, other, "dark")
-        assert again.columns is not handles.columns
-    finally:
-        server.stop()
+@pytest.fixture
+def server() -> Iterator[viser.ViserServer]:
+    made = viser.ViserServer("127.0.0.1", free_port("127.0.0.1"), verbose=False)
+    yield made
+    made.stop()
+
+
+def test_a_fit_takes_the_place_of_another(
+    server: viser.ViserServer, picture: pictures.Picture, store: Path
+) -> None:
+    drawn = RoadScene(server.scene, picture, "light")
+    before = drawn.layers["columns"][0]
+    other = pictures.load(RunReader(store / ROAD_MLE), 60)
+    assert other is not None
+    drawn.update(other)
+    assert drawn.layers["columns"][0] is not before
+    assert set(drawn.layers) == {name for name, _, _ in LAYERS}
+    drawn.show({"columns": False, "flat": True, "cars": False})
+    assert not drawn.layers["columns"][0].visible
+    assert drawn.layers["flat"][0].visible
+    assert not any(fleet.visible for fleet in drawn.cars)
+
+
+def test_maps_stand_side_by_side() -> None:
+    assert scene.place(0) == 0
+    assert scene.place(1) > 1
+    assert scene.view(1)[0] == pytest.approx(scene.CAMERA)
+    assert scene.view(1)[1] == pytest.approx(scene.LOOK_AT)
+    camera, at = scene.view(3)
+    assert camera[0] == at[0] == pytest.approx(scene.place(1) + 0.5)
+
+
+def test_cars_drive_the_recorded_ways(picture: pictures.Picture) -> None:
+    way = picture.learnt[0]
+    car = solids.car(way, 0.1)
+    assert car.position[:, 0, :2] == pytest.approx(way, abs=1e-6)
+    assert (car.position[..., 2] > 0.1).all()
+
+
+def test_the_flat_picture_is_clear_where_nothing_was_recorded() -> None:
+    grid = np.full((CELLS, CELLS), np.nan)
+    grid[0, 3] = 100
+    flat = arrays.flat(grid)
+    assert flat[0, 3].tolist() == [194, 44, 6, 235]
+    assert flat[..., 3].sum() == 235
+
+
+def test_the_export_is_one_page_with_every_fit(picture: pictures.Picture, store: Path) -> None:
+    other = pictures.load(RunReader(store / ROAD_MLE), 60)
+    assert other is not None
+    page = as_html([[picture, other], [picture, other]], "dark")
+    data = re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)
+    assert data is not None
+    packed_scene = base64.b64decode(data[1])
+    size = int.from_bytes(packed_scene[:8], "little")
+    inner = zstandard.ZstdDecompressor().decompress(packed_scene[8:], max_output_size=size)
+    length = int.from_bytes(inner[:8], "little")
+    scene_of = msgspec.msgpack.decode(inner[8 : 8 + length])
+    drive = (max(len(w) for w in picture.learnt) - 1) / STRIDE * FRAME_S
+    assert scene_of["durationSeconds"] >= 2 * (drive + REST_S)
+    names = {message.get("name") for _, message in scene_of["messages"]}
+    assert {"/road0/weights", "/road1/weights", "/road0/learnt cars/0", "/road1/goal"} <= names
+    assert not re.search(r'(?:src|href)="https?://', page)
 
 
 def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:

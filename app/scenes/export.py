@@ -1,0 +1,72 @@
+"""Road-and-rocks as one self-contained HTML file: fits that play, cars that drive."""
+
+from collections.abc import Mapping, Sequence
+
+import viser
+from viser.infra import StateSerializer
+
+from app.pictures import Picture
+from app.processes import free_port
+from app.scenes import road
+from app.scenes.frame import FRONT, GLOW
+from app.scenes.road import RoadScene
+from app.scenes.road_frame import LAYERS
+from app.scenes.stage import sky
+from app.theme import Mode
+
+HERE = "127.0.0.1"
+FRAME_S = 0.1
+STRIDE = 2
+"""steps of the task from one frame to the next"""
+REST_S = 1.0
+"""how long a fit stays when the cars have arrived"""
+
+
+def as_html(
+    fits: Sequence[Sequence[Picture]], mode: Mode, layers: Mapping[str, bool] | None = None
+) -> str:
+    """The pictures of R runs at F fits, (F, R), as a page that needs nothing else.
+
+    Its time line shows fit after fit; in each the cars drive all their way. It is made by a viser
+    server of this process that nobody is told of and that ends with the call.
+    """
+    server = viser.ViserServer(HERE, free_port(HERE), verbose=False)
+    try:
+        server.scene.set_up_direction("+z")
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_ambient("/glow", intensity=GLOW[mode])
+        server.scene.add_light_directional("/front", intensity=0.5, position=FRONT)
+        server.scene.world_axes.visible = False
+        server.initial_camera.position, server.initial_camera.look_at = road.view(len(fits[0]))
+        sky(server.scene, mode)
+        scenes = [
+            RoadScene(server.scene, picture, mode, str(i), road.place(i))
+            for i, picture in enumerate(fits[0])
+        ]
+        serializer = _record(server, scenes, fits, layers)
+        return serializer.as_html(dark_mode=mode == "dark")
+    finally:
+        server.stop()
+
+
+def _record(
+    server: viser.ViserServer,
+    scenes: Sequence[RoadScene],
+    fits: Sequence[Sequence[Picture]],
+    layers: Mapping[str, bool] | None,
+) -> StateSerializer:
+    shown = dict(layers) if layers else {name: on for name, _, on in LAYERS}
+    for each in scenes:
+        each.show(shown)
+    serializer = server.get_scene_serializer()
+    for number, pictures in enumerate(fits):
+        if number:
+            for each, picture in zip(scenes, pictures, strict=True):
+                each.update(picture)
+                each.show(shown)
+        for step in range(0, max(each.longest for each in scenes) + STRIDE, STRIDE):
+            for each in scenes:
+                each.drive(step)
+            serializer.insert_sleep(FRAME_S)
+        serializer.insert_sleep(REST_S)
+    return serializer
