@@ -166,7 +166,7 @@ def resumed(
 
 
 def _with_steps(config: AnyConfig, steps: int) -> AnyConfig:
-    if isinstance(config, SacRecordingConfig):
+    if isinstance(config, SacRecordingConfig) and steps != config.steps:
         raise UserError(
             "a SAC recording cannot be given other --steps: its halves depend on them; record anew"
         )
@@ -194,6 +194,8 @@ def unfinished(store: Store, config: AnyConfig) -> str | None:
         given = reader.config.get("config")
         if not isinstance(given, dict) or given.get("steps", 0) > config.steps:
             continue
+        if reader.learner == "sac" and given.get("steps") != config.steps:
+            continue  # the halves of a recording depend on them
         if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
             continue
         held = checkpoint.load(reader.path / checkpoint.FOLDER)

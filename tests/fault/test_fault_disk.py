@@ -135,7 +135,6 @@ def test_a_store_that_may_not_be_written__is_read_and_refused_in_one_line():
         shutil.rmtree(folder)
 
 
-@pytest.mark.quick
 def test_a_path_with_spaces_and_unicode__trains_resumes_and_is_shown_like_any_other(
     tmp_path: Path,
 ):

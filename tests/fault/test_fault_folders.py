@@ -82,7 +82,6 @@ def test_a_truncated_weights_file__is_named_and_the_rest_is_read(store: Store):
     assert run.problems[0].startswith(f"weights/snapshot-{first:09d}.parquet cannot be read")
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("damage", ["truncated", "flipped", "without manifest", "newer format"])
 def test_a_damaged_checkpoint__is_named_and_the_one_before_used_to_the_same_end(
     store: Store, damage: str
@@ -115,7 +114,6 @@ def test_every_checkpoint_damaged__resume_is_refused_in_one_line_and_nothing_is_
     pd.testing.assert_frame_equal(before, store.run("stopped").metrics())
 
 
-@pytest.mark.quick
 def test_a_checkpoint_that_fits_another_training__is_refused_in_one_line(
     store: Store, tmp_path: Path
 ):

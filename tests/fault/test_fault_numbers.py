@@ -127,7 +127,8 @@ def test_a_discriminator_that_separates_perfectly__weights_stay_finite_and_the_r
         return Transitions(obs, action, np.zeros(n, np.float32), obs, flags, flags)
 
     replay, lately = rows(0.0, 400), rows(50.0, 100)
-    changes = {"discriminator_steps": 300, "q_steps": 50, "discriminator_lr": 1e-2}
+    small = {"discriminator_hidden": 32, "q_hidden": 32}
+    changes = {**small, "discriminator_steps": 60, "q_steps": 20, "discriminator_lr": 1e-2}
     found = occupancy_weights(
         replay,
         lately,
@@ -159,7 +160,6 @@ def test_episodes_of_length_1__goes_on_and_says_so(tmp_path: Path, monkeypatch: 
     assert run.buffer()[0].terminated.all()
 
 
-@pytest.mark.quick
 def test_constant_observation_dimensions__goes_on_and_names_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -58,7 +58,6 @@ def test_a_run_that_is_being_written__resume_is_refused_and_the_run_unharmed(tmp
     assert (run.status.state, run.problems) == ("finished", [])
 
 
-@pytest.mark.quick
 def test_a_run_written_on_another_machine__resume_is_refused_while_its_heart_beats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -125,7 +124,6 @@ def test_a_clock_that_goes_backwards__durations_stay_right_and_a_living_run_aliv
     recorder.finish("finished")
 
 
-@pytest.mark.quick
 def test_a_heartbeat_from_the_future__is_a_dead_run_not_an_immortal_one(tmp_path: Path):
     run = stopped(Store(tmp_path), 130)
     status = json.loads((run.path / "status.json").read_text())

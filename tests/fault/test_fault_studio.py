@@ -89,7 +89,6 @@ def harmless(app: AppTest) -> None:
         assert "<img" not in part.proto.json
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("name", NAMES)
 def test_a_page_open_while_its_run_is_deleted__goes_on_with_the_runs_that_are_left(
     name: str, store: Path
@@ -154,7 +153,6 @@ def test_hostile_query_parameters__change_nothing_and_read_nothing_outside(
         assert "outside" not in " ".join(str(m.value) for m in app.markdown)
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("run_id", [*ESCAPES, "..%2f..", "store", "%00"])
 def test_hostile_run_ids_in_addresses__give_out_no_file(run_id: str, store: Path):
     for name in ("run.rrd", "../tom/run.rrd", "config.json", "/etc/passwd", run_id):

@@ -14,10 +14,11 @@ import torch
 from faults import stopped
 
 from tom.errors import UserError
+from tom.policy_file import read_policy
 from tom.record import RunReader, Store, checkpoint
 from tom.run import resume
 
-pytestmark = [pytest.mark.fault, pytest.mark.quick]
+pytestmark = pytest.mark.fault
 
 ROOT = Path(__file__).parents[2]
 MODULES = ("pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "yaml", "jsonpickle")
@@ -34,6 +35,7 @@ def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
             yield ast.unparse(node.func), node
 
 
+@pytest.mark.quick
 def test_the_source__unpickles_and_evaluates_nothing():
     for path in sources():
         for name, call in calls(path):
@@ -60,6 +62,7 @@ class Evil:
         return (Path.touch, (self.path,))
 
 
+@pytest.mark.quick
 def test_code_in_a_checkpoint_with_the_right_hash__is_not_executed_and_the_one_before_is_used(
     tmp_path: Path,
 ):
@@ -86,8 +89,6 @@ def test_code_in_an_array_file__is_not_executed_and_the_file_named(tmp_path: Pat
     reader.episodes(80)
     assert name == "policy.npz" or name in reader.problems[0]
     if name == "policy.npz":
-        from tom.policy_file import read_policy
-
         with pytest.raises(UserError, match="is no stored policy"):
             read_policy(run.path / name)
     assert not (tmp_path / "executed").exists()

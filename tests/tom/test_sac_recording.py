@@ -8,11 +8,11 @@ import torch
 
 from tom.config import SacRecordingConfig
 from tom.errors import UserError
-from tom.events import Evaluation, TrainedPolicy
+from tom.events import Evaluation, Event, TrainedPolicy
 from tom.policy_file import UniformPolicy, policy_arrays, read_policy
 from tom.progression_study import recorded
 from tom.record import RunReader, Store
-from tom.run import train
+from tom.run import Stop, resume, train, unfinished
 from tom.sac_recording import SacRecording
 
 STEPS, EXPLORATION = 1100, 900
@@ -149,3 +149,28 @@ def test_the_random_policy_is_uniform():
     assert float(actions.min()) > -1
     assert float(actions.max()) < 1
     assert float(actions.square().mean()) == pytest.approx(1 / 3, abs=0.01)
+
+
+def test_a_recording_that_was_stopped_goes_on_to_the_same_files(recording: RunReader, tmp_path):
+    stop = Stop()
+
+    def at_1500(event: Event) -> None:
+        if event.env_step == 1500:
+            stop()
+
+    store = Store(tmp_path)
+    stopped = train(config(), store, "a", rerun=False, watchers=(at_1500,), stop=stop)
+    assert (stopped.status.state, stopped.status.env_step) == ("stopped", 1500)
+    assert unfinished(store, config()) == "a"
+    assert unfinished(store, config(steps=1200)) is None
+    with pytest.raises(UserError, match="its halves depend on them"):
+        resume(store, "a", steps=1200, rerun=False)
+    done = resume(store, "a", rerun=False)
+    for name in ("obs", "reward", "truncated"):
+        ours, theirs = (getattr(run.buffer()[0], name) for run in (done, recording))
+        np.testing.assert_array_equal(ours, theirs)
+    for name, states in recording.buffer_state().items():
+        np.testing.assert_array_equal(done.buffer_state()[name], states)
+    ours, theirs = (read_policy(run.path / "policy.npz") for run in (done, recording))
+    obs = torch.randn(20, 11, generator=torch.Generator().manual_seed(1))
+    assert torch.equal(ours.mean(obs), theirs.mean(obs))

@@ -66,6 +66,7 @@ def _parts(repeats: int, as_json: bool) -> int:
 
 
 def _record(as_json: bool) -> int:
+    from tom.bench.checkpoints import checkpoint_costs
     from tom.bench.training import cycle_s
     from tom.record.bench import cost
 
@@ -73,7 +74,13 @@ def _record(as_json: bool) -> int:
     choose_matmul()
     train_s = cycle_s()
     title = f"recording, for each 250 env steps of Hopper ({train_s:.1f} s of CPU time)"
-    _print(title, [asdict(row) for row in cost(train_s)], as_json)
+    costs = [asdict(row) for row in cost(train_s)]
+    checkpoints = [asdict(row) for row in checkpoint_costs(train_s)]
+    if as_json:
+        print(json.dumps({"recording": costs, "checkpoints": checkpoints}))
+        return 0
+    _print(title, costs, as_json)
+    _print("checkpoints, one every 2000 steps", checkpoints, as_json)
     return 0
 
 

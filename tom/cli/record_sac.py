@@ -5,7 +5,7 @@ import argparse
 from pydantic import ValidationError
 
 from tom.cli.parser import add_config_options, add_run_options, leaf_fields, one_line, overrides
-from tom.cli.train import record
+from tom.cli.train import begin
 from tom.config import SacRecordingConfig
 from tom.envs import ENVS, task
 
@@ -22,6 +22,12 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "make of it.",
     )
     parser.add_argument("--env", required=True, metavar="ENV", help=", ".join(ENVS))
+    parser.add_argument(
+        "--resume",
+        choices=("auto",),
+        help="auto: go on with the newest recording of this very command that is not complete, or "
+        "begin a new one (a recording by its name: tom train --resume RUN)",
+    )
     parser.add_argument("--run-id", help="name of the run folder [env-sac-seed-time]")
     add_run_options(parser)
     paths = {path for path, _ in leaf_fields(SacRecordingConfig)}
@@ -36,4 +42,4 @@ def run(args: argparse.Namespace) -> int:
         config = SacRecordingConfig(env=env).but(**overrides(args))
     except ValidationError as error:
         raise one_line(error) from None
-    return record(config, args)
+    return begin(config, args)

@@ -88,6 +88,11 @@ def run(args: argparse.Namespace) -> int:
         config = resolve(args.env, args.learner[0], args.preset, given)
     except ValidationError as error:
         raise one_line(error) from None
+    return begin(config, args)
+
+
+def begin(config: AnyConfig, args: argparse.Namespace) -> int:
+    """Record `config`; with `--resume auto` go on where the same command left off."""
     begun = unfinished(Store(args.store), config) if args.resume else None
     return _resume(args, begun, config.steps) if begun else record(config, args)
 

@@ -1,0 +1,69 @@
+"""What a checkpoint costs: its size, its time, and its share of the training between two."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import torch
+
+from tom.config import OnlineConfig
+from tom.data.transitions import TensorTransitions
+from tom.mbpo import Mbpo
+from tom.presets import resolve
+from tom.record import checkpoint
+
+REPEATS = 3
+CYCLE = 250  # env steps that a training's time is known for
+
+
+@dataclass(frozen=True)
+class CheckpointCost:
+    """One checkpoint with full buffers; three are the most that ever lie on the disk."""
+
+    run: str
+    megabytes: float
+    megabytes_at_most: float
+    ms: float
+    share_percent: float | None
+
+
+def checkpoint_costs(train_s: float) -> list[CheckpointCost]:
+    """Hopper's and Humanoid's; `train_s` are the seconds of 250 training steps of Hopper."""
+    return [_cost(env, train_s if env == "hopper" else None) for env in ("hopper", "humanoid")]
+
+
+def _cost(env: str, train_s: float | None) -> CheckpointCost:
+    config = resolve(env, "tom")
+    assert isinstance(config, OnlineConfig)
+    training = _full(config)
+    with tempfile.TemporaryDirectory() as folder:
+        times, size = [], 0.0
+        for step in range(REPEATS):
+            begun = perf_counter()
+            path = checkpoint.save(Path(folder), step, {"training": training.state_dict()})
+            times.append(perf_counter() - begun)
+            size = (path / checkpoint.STATE).stat().st_size / 1e6
+    seconds = sorted(times)[REPEATS // 2]
+    between = None if train_s is None else train_s * config.checkpoint_every / CYCLE
+    share = None if between is None else 100 * seconds / between
+    most = size * (checkpoint.KEPT + 1)
+    return CheckpointCost(f"{env} tom {config.preset}", size, most, 1e3 * seconds, share)
+
+
+def _full(config: OnlineConfig) -> Mbpo:
+    """A training whose model and policy buffers hold as much as they can."""
+    training = Mbpo(config)
+    for _ in training.step_environment(explore=True):
+        pass
+    dims = (training.task.obs_dim, training.task.action_dim)
+    for buffer in (training.model_buffer, training.policy_buffer):
+        rows = _rows(buffer.capacity, *dims)
+        buffer.extend(rows)
+    return training
+
+
+def _rows(n: int, obs: int, action: int) -> TensorTransitions:
+    flat = torch.rand(n)
+    wide = torch.rand(n, obs)
+    return TensorTransitions(wide, torch.rand(n, action), flat, wide, flat.round(), flat.round())
