@@ -38,7 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="tom studio",
         description="Open the studio in the browser: live training, comparisons, weights, "
-        "road and rocks. It reads the store and writes nothing into it.",
+        "replays, road and rocks. It writes into the store only what is asked for on a page.",
     )
     parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--host", default="127.0.0.1", help="address to bind to (127.0.0.1)")
