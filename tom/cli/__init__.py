@@ -16,6 +16,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["studio"]:
         studio.hand_over(arguments[1:])
+    try:
+        args = build_parser(arguments).parse_args(arguments)
+        return args.run(args)
+    except UserError as error:
+        print(f"tom: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        return 1
+
+
+def build_parser(arguments: Sequence[str] = ()) -> Parser:
+    """The parser of every command; some options depend on what `arguments` ask for."""
     parser = Parser(
         prog="tom",
         description="See which data a learned dynamics model pays attention to, while it trains.",
@@ -23,15 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--version", action="version", version=f"tom {__version__}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in COMMANDS:
-        command.add_parser(subparsers, arguments)
-    try:
-        args = parser.parse_args(arguments)
-        return args.run(args)
-    except UserError as error:
-        print(f"tom: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        return 1
+        command.add_parser(subparsers, list(arguments))
+    return parser
 
 
 def script() -> None:
