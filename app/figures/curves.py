@@ -100,6 +100,8 @@ def group_curves(
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
         words.append(f"thinned to {GRID} points a line")
+    if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
+        words.append(f"single runs thinned to {POINTS} points each")
     return note(figure, "<br>".join(words)) if words else figure
 
 

@@ -9,7 +9,7 @@ import pytest
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app import pictures, readers, widgets
-from app.aggregate import Curve, aggregate
+from app.aggregate import GRID, Curve, aggregate
 from app.figures.curves import POINTS, group_curves, run_curves
 from app.figures.road import displacement_error, road_map
 from app.figures.scales import octaves, span
@@ -61,6 +61,16 @@ def test_a_long_curve_is_thinned_and_says_so() -> None:
     assert str(POINTS) in notes(figure)[0]
     whole = run_curves([long_curve(100)], "critic/loss", 300, legend=False)
     assert not notes(whole)
+
+
+def test_long_groups_and_their_single_runs_are_thinned_and_say_so() -> None:
+    group = aggregate([long_curve(100_000, seed) for seed in (0, 1)])
+    figure = group_curves([group], "critic/loss", 300, singles=True)
+    assert max(len(line.x) for line in traces(figure)) <= 2 * GRID
+    assert str(GRID) in notes(figure)[0]
+    assert str(POINTS) in notes(figure)[0]
+    few = aggregate([long_curve(100, seed) for seed in (0, 1)])
+    assert not notes(group_curves([few], "critic/loss", 300, singles=True))
 
 
 def test_the_mean_of_two_steps_is_dotted_where_a_run_is_missing() -> None:
