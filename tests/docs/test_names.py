@@ -1,0 +1,108 @@
+"""Every command, option, path and link that README and docs name exists."""
+
+import argparse
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from app.__main__ import _parser as studio_parser
+from tom.cli import build_parser
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+CODE = re.compile(r"```[a-z]*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
+COMMAND = re.compile(r"(?:^|[\s/&(])tom ((?:[a-z][\w-]*)(?:[^\n`;|&)]*))")
+LINK = re.compile(r"\]\(([^)#\s]+)\)")
+PLACE = re.compile(r"(?:tom|app|tests|docs|\.ci)/[\w./-]*[\w/]")
+OF_THE_SYSTEM = {"No space left on device"}
+EXAMPLES = {"docs/extend.md"}  # names files that do not exist yet: test_extend makes them
+
+
+def code(page: Path) -> Iterator[str]:
+    for block, inline in CODE.findall(page.read_text()):
+        yield (block or inline).replace("\\\n", " ")
+
+
+def commands() -> Iterator[tuple[Path, str]]:
+    for page in PAGES:
+        for text in code(page):
+            for line in text.splitlines():
+                for found in COMMAND.findall(line.split(" #")[0]):
+                    yield page, found.strip()
+
+
+def sub(parser: argparse.ArgumentParser, word: str) -> argparse.ArgumentParser | None:
+    """The parser of the subcommand `word`; None where `parser` has no subcommands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            assert word in action.choices, f"no such command: {word}"
+            return action.choices[word]
+    return None
+
+
+def check(command: str) -> None:
+    """The command's words and options are known; values may be placeholders."""
+    words = command.replace("[", " ").replace("]", " ").split()
+    parser = build_parser(words)
+    if words[0] == "studio":
+        parser, words = studio_parser(), words[1:]
+    while words and re.fullmatch(r"[a-z][a-z-]*", words[0]):
+        below = sub(parser, words[0])
+        if below is None:
+            break
+        parser, words = below, words[1:]
+    known = {option for action in parser._actions for option in action.option_strings}
+    for word in words:
+        option = word.split("=")[0].rstrip(",")
+        if option.startswith("--"):
+            assert option in known, f"{parser.prog} has no {option}"
+
+
+@pytest.mark.parametrize(
+    ("page", "command"),
+    sorted(set(commands())),
+    ids=lambda value: value if isinstance(value, str) else value.name,
+)
+def test_every_command_exists(page: Path, command: str):
+    check(command)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_somewhere(page: Path):
+    for link in LINK.findall(page.read_text()):
+        if "://" not in link:
+            assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_path_exists(page: Path):
+    if str(page.relative_to(ROOT)) in EXAMPLES:
+        return
+    for text in code(page):
+        for place in PLACE.findall(text) if " " not in text.strip() else ():
+            assert (ROOT / place).exists(), f"{page.name}: {place}"
+
+
+def test_the_commands_are_really_found():
+    found = {command.split()[0] for _, command in commands()}
+    assert {"train", "studio", "sweep", "runs", "reproduce", "demo", "doctor"} <= found
+
+
+def test_what_troubleshooting_quotes_is_said_by_the_code():
+    source = "".join(p.read_text() for part in ("tom", "app") for p in (ROOT / part).rglob("*.py"))
+    rows = (ROOT / "docs/troubleshooting.md").read_text().splitlines()
+    seen = [row.split("|")[1] for row in rows if row.startswith("| ")]
+    quoted = [text for cell in seen for text in re.findall(r"`([^`]+)`", cell)]
+    assert len(quoted) > 8
+    for text in quoted:
+        if text not in OF_THE_SYSTEM:
+            assert all(part.strip(" '") in source for part in text.split("...")), text
+
+
+def test_the_citation_file_is_of_this_version():
+    cited = YAML(typ="safe", pure=True).load((ROOT / "CITATION.cff").read_text())
+    assert f'version = "{cited["version"]}"' in (ROOT / "pyproject.toml").read_text()
+    assert cited["license"] == "MIT"
