@@ -94,7 +94,9 @@ def _trash(chosen: Sequence[RunInfo]) -> None:
     st.markdown("**Trash**: nothing is deleted; runs come back from below")
     count = len(chosen)
     words = "Move it to the trash" if count == 1 else f"Move {count} runs to the trash"
-    if st.button(words, icon=":material/delete:", key="trash"):
+    with st.popover(words, icon=":material/delete:"):
+        sure = st.button("Yes, move it" if count == 1 else "Yes, move them", key="trash")
+    if sure:
         store = Store(session.links().store)
         _try(lambda: [manage.trash(store, run.run_id) for run in chosen], "Moved to the trash")
 

@@ -145,6 +145,14 @@ def test_a_discriminator_that_separates_perfectly__weights_stay_finite_and_the_r
     assert "--tom.label-smoothing" in notice.message
 
 
+def test_a_discriminator_without_a_mistake_in_a_run__goes_on_and_says_so(tmp_path: Path):
+    # One step on one row of each kind, judged before it has learnt: right by luck.
+    lucky = {"discriminator_batch": 1, "discriminator_steps": 1, "warmup": 1}
+    run = goes_on(tmp_path, config("tom", tom=lucky))
+    assert "--tom.label-smoothing" in warned(run, "without a mistake")
+    assert np.isfinite(run.snapshot(run.snapshot_steps()[-1])["weight"]).all()
+
+
 @pytest.mark.quick
 def test_episodes_of_length_1__goes_on_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     # Hopper that counts as fallen unless its torso is ten metres up.
