@@ -13,12 +13,14 @@ from typing import Any
 from tom.cli.parser import add_config_options, overrides
 from tom.cli.sweep_table import Watcher, seat_row
 from tom.cli.tables import show
+from tom.cli.train_many import run_fleet
 from tom.config import OnlineConfig
 from tom.envs import ENV_NAMES
 from tom.errors import UserError
 from tom.learners import LEARNER_NAMES
 from tom.presets import PRESETS
 from tom.record import Store
+from tom.run import Stop
 from tom.sweep.local import ATTEMPTS, Driver
 from tom.sweep.plan import Trial, checked, merged, read_plan, same_run, trials
 from tom.sweep.projection import Cost, cost
@@ -48,9 +50,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--jobs", type=int, metavar="N", help="runs at a time [one a core]")
     parser.add_argument(
         "--engine",
-        choices=("local", "slurm"),
+        choices=("local", "fleet", "slurm"),
         default="local",
-        help="local: here; slurm: print an array script [local]",
+        help="local: processes, one a core, or fleets where --device is a GPU; fleet: the runs of "
+        "each environment in one process, networks stacked; slurm: print an array script [local]",
     )
     parser.add_argument("--only", type=int, metavar="I", help="only the I-th run of the plan")
     parser.add_argument("--dry-run", action="store_true", help="what would run, hours and disk")
@@ -67,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
     if args.engine == "slurm":
         print(script(planned, args.store, _own_words(), _longest(store, planned)))
         return 0
+    if args.engine == "fleet" or any(trial.config.device != "cpu" for trial in planned):
+        return _fleets(args, planned)
     store.ensure_writable()
     return drive(args, Driver(store, planned, jobs))
 
@@ -94,6 +99,21 @@ def _jobs(args: argparse.Namespace) -> int:
     if args.jobs is not None and args.jobs < 1:
         raise UserError(f"--jobs {args.jobs}: must be at least 1")
     return args.jobs or len(os.sched_getaffinity(0))
+
+
+def _fleets(args: argparse.Namespace, planned: list[Trial]) -> int:
+    """One fleet for each environment, one after the other; the exit code."""
+    stop = Stop()
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
+            signal.signal(name, stop)
+    code = 0
+    for env in dict.fromkeys(trial.env for trial in planned):
+        if stop.asked:
+            return 1
+        how = argparse.Namespace(env=env, store=args.store, json=args.json, no_rerun=True)
+        code |= run_fleet(how, [trial for trial in planned if trial.env == env], stop)
+    return code
 
 
 def drive(args: argparse.Namespace, driver: Driver) -> int:

@@ -81,6 +81,16 @@ def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
     assert [(r["learner"], r["seed"]) for r in json.loads(out)["runs"]] == [("tom", 0), ("tom", 1)]
 
 
+def test_a_sweep_of_fleets_goes_on_where_processes_left_off(tmp_path: Path, capsys):
+    words = (*SMOKE[:2], "--learner", "mle", "pmac", *SMOKE[4:], "--engine", "fleet")
+    code, out, _ = sweep(capsys, tmp_path, *words, "--json")
+    assert code == 0
+    assert {row["learner"]: row["env_step"] for row in json.loads(out)} == {"mle": 250, "pmac": 250}
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE)  # the same runs, now for processes
+    assert code == 0
+    assert "was there already" in out
+
+
 def test_nothing_is_started_on_a_full_disk(tmp_path: Path):
     planned = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
     driver = Driver(Store(tmp_path), planned, workers=1, low_bytes=1e18)
