@@ -36,11 +36,12 @@ def card(run: RunInfo) -> None:
     """Name and state, progress, and the numbers that matter."""
     status = run.status
     if status.alive and session.may_act():
-        left, right = st.columns([5, 1], vertical_alignment="center", gap="small")
+        left, right = st.columns([4, 1], vertical_alignment="center", gap="small")
         left.html(head(run))
         with right:
             _stop(run)
     else:
+        _asked().discard(run.run_id)
         st.html(head(run))
     st.progress(status.share, text=text.markdown(progress_line(run)))
     numbers = st.columns(4, gap="small")
@@ -62,20 +63,24 @@ def card(run: RunInfo) -> None:
 
 
 def _stop(run: RunInfo) -> None:
-    asked = st.session_state.setdefault("asked to stop", set())
-    if run.run_id in asked:
+    if run.run_id in _asked():
         st.caption("stopping", help="it ends after its step and writes a checkpoint")
         return
-    with st.popover("Stop", key=f"stop {run.run_id}"):
+    with st.popover("Stop", key=f"stop {run.run_id}", width="stretch"):
         st.write("The training ends after this step and writes a checkpoint. To go on with it:")
         st.code(f"tom train --resume {run.run_id}", language="bash")
         if st.button("Stop this training", key=f"stop {run.run_id} now", type="primary"):
             try:
                 trainings.stop(Store(session.links().store), run.run_id)
-                asked.add(run.run_id)
+                _asked().add(run.run_id)
                 st.rerun(scope="fragment")
             except UserError as error:
                 st.error(text.markdown(error))
+
+
+def _asked() -> set[str]:
+    """The runs that this reader has asked to stop and that have not ended yet."""
+    return st.session_state.setdefault("asked to stop", set())
 
 
 def progress_line(run: RunInfo) -> str:

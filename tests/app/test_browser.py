@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
-from studio_runs import PENDULUM_TOM
+from studio_runs import PENDULUM_TOM, RUNS
 
 from app.launcher import Studio, servers
 from app.screenshots import chromium
@@ -128,19 +129,48 @@ def record_another_return(run: Path, step: int) -> None:
 def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     page = visit.page
     page.goto(f"{visit.address}/?recording={PENDULUM_TOM}&runs={PENDULUM_TOM}")
-    curve = page.locator(".js-plotly-plot").first
-    curve.locator(".nsewdrag").first.wait_for()
-    zoomed = zoom_in(curve)
-    record_another_return(own / PENDULUM_TOM, 5000)
-    page.wait_for_function("plot => plot.calcdata[0].at(-1).x === 5000", arg=curve.element_handle())
-    assert shown_steps(curve) == zoomed  # the chart has followed the run and kept the zoom
+    see_a_curve_follow_its_run(visit, own / PENDULUM_TOM)
     wait_until_drawn(page.locator("iframe"), 0.03)  # Rerun: the robot, the bars, the curves
 
     visit.open("Compare", "compare")
-    page.get_by_text("95 % bootstrap").wait_for()
     page.locator(".js-plotly-plot").nth(1).wait_for()
-
+    take_the_table(page)
     visit.open("Weights", "weights")
+    click_the_first_fit(page, own)
+    visit.open("Regions", "regions")
+    lasso_a_region(page)
+    visit.open("Probe", "probe")
+    page.get_by_label("Buffer of run", exact=True).wait_for()
+    visit.open("Replays", "replays")
+    play_an_episode(page)
+    visit.open("Road and rocks", "road")
+    wait_until_drawn(page.locator("iframe"), 0.03)  # viser: columns of weight
+    follow_a_short_link(visit)
+    assert visit.errors == []
+    assert visit.asked <= LOCAL
+
+
+def see_a_curve_follow_its_run(visit: Visit, run: Path) -> None:
+    """The chart shows a new return, and keeps the part that the reader has zoomed to."""
+    curve = visit.page.locator(".js-plotly-plot").first
+    curve.locator(".nsewdrag").first.wait_for()
+    zoomed = zoom_in(curve)
+    record_another_return(run, 5000)
+    deadline = time.monotonic() + DRAWN_S
+    while curve.evaluate("plot => plot.calcdata[0].at(-1).x") != 5000:
+        assert time.monotonic() < deadline, "the curve does not follow its run"
+        visit.page.wait_for_timeout(200)
+    assert shown_steps(curve) == zoomed
+
+
+def take_the_table(page: "Page") -> None:
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Single runs").click()
+    table = pd.read_csv(download.value.path())
+    assert set(table["run"]) == {run_id for run_id, *_ in RUNS}
+
+
+def click_the_first_fit(page: "Page", store: Path) -> None:
     page.get_by_label("Run", exact=True).wait_for()
     chart = page.locator(".js-plotly-plot").first
     chart.locator(".hm").wait_for()
@@ -149,10 +179,50 @@ def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     page.mouse.click(frame["x"] + 0.02 * frame["width"], frame["y"] + 0.5 * frame["height"])
     page.wait_for_url("**/weights?*step=*")
     chosen = int(parse_qs(urlsplit(page.url).query)["step"][0])
-    assert chosen == RunReader(own / PENDULUM_TOM).profiles().env_step[0]
+    assert chosen == RunReader(store / PENDULUM_TOM).profiles().env_step[0]
     page.get_by_text(f"The fit at step {chosen:,}").wait_for()
 
-    visit.open("Road and rocks", "road")
-    wait_until_drawn(page.locator("iframe"), 0.03)  # viser: columns of weight
-    assert visit.errors == []
-    assert visit.asked <= LOCAL
+
+def lasso_a_region(page: "Page") -> None:
+    chart = page.locator(".js-plotly-plot").first
+    chart.locator(".nsewdrag").first.wait_for()
+    frame = chart.locator(".nsewdrag").first.bounding_box()
+    assert frame is not None
+    corners = [(0.2, 0.2), (0.8, 0.2), (0.8, 0.8), (0.2, 0.8), (0.2, 0.25)]
+    places = [(frame["x"] + a * frame["width"], frame["y"] + b * frame["height"])
+              for a, b in corners]  # fmt: skip
+    page.mouse.move(*places[0])
+    page.mouse.down()
+    for place in places[1:]:
+        page.mouse.move(*place, steps=4)
+    page.mouse.up()
+    page.wait_for_url("**/regions?*outline=*")
+
+
+def play_an_episode(page: "Page") -> None:
+    """The robot moves: the frame's own clock goes on after a click on its button."""
+    frame = page.frame_locator("iframe").first
+    clock = frame.get_by_text(" s of ")
+    clock.wait_for()
+    before = clock.inner_text()
+    frame.get_by_role("button", name="Play").click()
+    deadline = time.monotonic() + DRAWN_S
+    while clock.inner_text() == before:
+        assert time.monotonic() < deadline, f"the replay stands at {before}"
+        page.wait_for_timeout(200)
+
+
+def follow_a_short_link(visit: Visit) -> None:
+    """Who opens it sees the same."""
+    page = visit.page
+    page.goto(f"{visit.address}/compare?env=inverted-pendulum&logy=true")
+    page.get_by_text("1000 resamples").wait_for()
+    page.get_by_role("button", name="Link").click()
+    page.get_by_role("button", name="Make a short link").click()
+    link = page.get_by_text("/v/").first
+    link.wait_for()
+    page.goto(link.inner_text())
+    page.locator(".js-plotly-plot .nsewdrag").first.wait_for()
+    assert page.locator(".js-plotly-plot").count() == 1
+    assert "env=inverted-pendulum" in page.url
+    assert page.get_by_role("switch", name="log y").is_checked()
