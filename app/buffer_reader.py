@@ -7,9 +7,10 @@ import numpy as np
 import streamlit as st
 from numpy.typing import NDArray
 
-from app import pictures, readers
+from app import pictures, readers, regions
 from app.buffer import Floats, Rows, rows_at
 from app.readers import RunInfo, Stamp
+from app.regions import Plane
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.imagine import KeptModel, kept_model, step_errors
@@ -62,6 +63,11 @@ def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
     return _errors_on(run.path, _stamp(run), other.path, max(checkpoints))
 
 
+def principal_plane(run: RunInfo, rows: Rows) -> Plane:
+    """The principal components of some of a run's rows."""
+    return _plane(run.path, _stamp(run), rows.first, len(rows), rows)
+
+
 def length(run: RunInfo) -> int:
     """Rows of a run's recorded buffer, all that were ever collected."""
     return _length(run.path, _stamp(run))
@@ -81,6 +87,11 @@ def _stamp(run: RunInfo) -> Stamp:
 @st.cache_resource(show_spinner=False, max_entries=4)
 def _buffer(path: str, changed: Stamp) -> tuple[Transitions, NDArray[np.int64]]:
     return RunReader(path).buffer()
+
+
+@st.cache_resource(show_spinner=False, max_entries=8)
+def _plane(path: str, changed: Stamp, first: int, count: int, _rows: Rows) -> Plane:
+    return regions.principal_plane(_rows.rows)
 
 
 @st.cache_data(show_spinner=False, max_entries=512)

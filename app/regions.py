@@ -12,6 +12,9 @@ from tom.record.profiles import effective_share
 
 Mask = NDArray[np.bool_]
 
+FITTED = 20_000
+"""rows at most that principal components are found from"""
+
 
 @dataclass(frozen=True)
 class Plane:
@@ -24,20 +27,34 @@ class Plane:
 
 
 def principal_plane(rows: Transitions) -> Plane:
-    """The first two principal components of (s, a, s'), every dimension in its own deviation."""
-    whole = rows.numpy()
-    table = np.concatenate([whole.obs, whole.action, whole.next_obs], 1).astype(np.float64)
-    spread = table.std(0)
-    varied = spread > 1e-9
-    table = (table[:, varied] - table[:, varied].mean(0)) / spread[varied]
+    """The first two principal components of (s, a, s'), every dimension in its own deviation.
+
+    Found from at most FITTED rows, drawn evenly; the coordinates are of all N.
+    """
+    table = _table(rows, spread(len(rows), FITTED))
+    middle, deviation = table.mean(0), table.std(0)
+    scale = np.where(
+        deviation > 1e-9, 1 / np.maximum(deviation, 1e-9), 0.0
+    )  # constants are left out
+    table = (table - middle) * scale
     values, vectors = np.linalg.eigh(table.T @ table / max(len(table), 1))
     vectors = vectors[:, ::-1][:, :2]
     # An eigenvector's sign is arbitrary: the largest entry is made positive.
     vectors = vectors * np.sign(vectors[np.abs(vectors).argmax(0), np.arange(vectors.shape[1])])
     share = 100 * values[::-1][:2] / values.sum()
-    found = table @ vectors
+    turned = (scale[:, None] * vectors).astype(np.float32)
+    whole, o = rows.numpy(), np.shape(rows.obs)[1]
+    found = np.asarray(whole.obs) @ turned[:o] + np.asarray(whole.next_obs) @ turned[-o:]
+    found = found + np.asarray(whole.action) @ turned[o:-o] - (middle * scale) @ vectors
+    found = found.astype(np.float64)
     names = [f"component {i + 1} ({share[i]:.0f} % of the variance)" for i in range(2)]
     return Plane(found[:, 0], found[:, 1], names[0], names[1])
+
+
+def _table(rows: Transitions, index: NDArray[np.int64]) -> Floats:
+    """(s, a, s') of some rows, (K, 2 O + A)."""
+    part = rows[index].numpy()
+    return np.concatenate([part.obs, part.action, part.next_obs], 1).astype(np.float64)
 
 
 def named_plane(rows: Transitions, names: Sequence[str], x: str, y: str) -> Plane:
@@ -114,13 +131,14 @@ def apart(rows: Rows, mask: Mask, names: list[str]) -> list[tuple[str, float]]:
 
     `names` are those of the dimensions of s, then of a; the farthest first, constants left out.
     """
-    table = np.concatenate([rows.rows.obs, rows.rows.action], 1).astype(np.float64)
-    spread = table.std(0)
     if not mask.any():
         return []
-    gap = (table[mask].mean(0) - table.mean(0)) / np.where(spread > 1e-9, spread, np.inf)
+    table = np.concatenate([rows.rows.obs, rows.rows.action], 1)
+    here, whole = (part.mean(0, dtype=np.float64) for part in (table[mask], table))
+    deviation = table.std(0, dtype=np.float64)
+    gap = (here - whole) / np.where(deviation > 1e-9, deviation, np.inf)
     order = np.argsort(-np.abs(gap), kind="stable")
-    return [(names[i], float(gap[i])) for i in order if spread[i] > 1e-9]
+    return [(names[i], float(gap[i])) for i in order if deviation[i] > 1e-9]
 
 
 def picks(order: NDArray[np.int64], count: int, gap: int) -> list[int]:

@@ -54,7 +54,7 @@ def page() -> None:
         return
     names, actions = dimension_names(run.env, rows.rows)
     with top[2]:
-        plane = _pick_plane(rows, names)
+        plane = _pick_plane(run, rows, names)
     mask = _pick_region(rows, plane)
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
@@ -85,12 +85,12 @@ def _pick_weights(run: RunInfo) -> Rows | None:
     return buffer_reader.rows(run, widgets.pick_step("Fit at step", buffer_reader.fits(run)))
 
 
-def _pick_plane(rows: Rows, names: list[str]) -> Plane:
+def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:
     columns = st.columns(2)
     x = columns[0].selectbox("Across", [COMPONENTS, *names], key="across", bind="query-params")
     if x is None or x == COMPONENTS:
         columns[1].selectbox("Up", ["both are shown"], disabled=True)
-        return regions.principal_plane(rows.rows)
+        return buffer_reader.principal_plane(run, rows)
     others = [name for name in names if name != x]
     y = columns[1].selectbox("Up", others, key="up", bind="query-params") or others[0]
     return regions.named_plane(rows.rows, names, x, y)
