@@ -89,7 +89,7 @@ def saved(run: RunReader) -> int | None:
     return checkpoint.newest(run.path / checkpoint.FOLDER)
 
 
-def test_killed_trainings_go_on_to_the_same_numbers(tmp_path: Path, undisturbed: Store):
+def test_trainings_of_a_sweep_killed__go_on_to_the_same_numbers(tmp_path: Path, undisturbed: Store):
     driver = Driver(Store(tmp_path), plan(), workers=2, back_off_s=0.1)
     until(lambda: beyond_a_checkpoint(driver.store), driver.poll)
     killed = [seat for seat in driver.seats if seat.process]
@@ -101,7 +101,7 @@ def test_killed_trainings_go_on_to_the_same_numbers(tmp_path: Path, undisturbed:
     assert_same_runs(driver.store, undisturbed)
 
 
-def test_a_killed_driver_takes_its_trainings_along_and_the_same_command_goes_on(
+def test_the_driver_of_a_sweep_killed__stops_its_trainings_and_the_same_command_goes_on(
     tmp_path: Path, undisturbed: Store
 ):
     store = Store(tmp_path)
@@ -115,7 +115,9 @@ def test_a_killed_driver_takes_its_trainings_along_and_the_same_command_goes_on(
     assert_same_runs(store, undisturbed)
 
 
-def test_ctrl_c_stops_everything_and_the_same_command_goes_on(tmp_path: Path, undisturbed: Store):
+def test_ctrl_c_in_a_sweep__stops_everything_and_the_same_command_goes_on(
+    tmp_path: Path, undisturbed: Store
+):
     store = Store(tmp_path)
     driver = subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, text=True)
     until(lambda: beyond_a_checkpoint(store))
@@ -128,7 +130,7 @@ def test_ctrl_c_stops_everything_and_the_same_command_goes_on(tmp_path: Path, un
     assert_same_runs(store, undisturbed)
 
 
-def test_what_always_fails_is_reported_and_stops_nobody(tmp_path: Path):
+def test_a_training_that_always_fails__is_reported_and_stops_nobody(tmp_path: Path):
     """Networks that no memory holds: every attempt ends at once."""
     bad = plan(learner=["mle"], seeds=1, settings={"sac": {"hidden": 10**8}})
     good = plan(learner=["mle"], seeds=1)
@@ -141,7 +143,7 @@ def test_what_always_fails_is_reported_and_stops_nobody(tmp_path: Path):
     assert failed.log.read_text().count("$ tom train") == ATTEMPTS
 
 
-def test_a_run_that_died_before_its_first_checkpoint_begins_anew(tmp_path: Path):
+def test_death_before_the_first_checkpoint__begins_anew(tmp_path: Path):
     (trial,) = plan(learner=["mle"], seeds=1)
     driver = Driver(Store(tmp_path), [trial], workers=1, back_off_s=0.1)
     until(lambda: (tmp_path / trial.run_id / "metrics.jsonl").exists(), driver.poll)
@@ -154,7 +156,7 @@ def test_a_run_that_died_before_its_first_checkpoint_begins_anew(tmp_path: Path)
     assert not trash.exists() or (trash / "config.json").exists()
 
 
-def test_a_damaged_checkpoint_is_not_the_end(tmp_path: Path):
+def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one(tmp_path: Path):
     (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
     first = Driver(Store(tmp_path), [trial], workers=1)
     until(lambda: beyond_a_checkpoint(first.store), first.poll)
@@ -185,7 +187,9 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", folder], check=True)
 
 
-def test_a_full_disk_is_waited_for(small_disk: Path, undisturbed: Store):
+def test_disk_full_during_a_sweep__waits_for_room_and_ends_with_the_same_numbers(
+    small_disk: Path, undisturbed: Store
+):
     store = Store(small_disk / "store")
     driver = Driver(store, plan(), workers=2, low_bytes=500_000, back_off_s=0.1)
     until(lambda: beyond_a_checkpoint(store), driver.poll)

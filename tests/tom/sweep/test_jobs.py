@@ -28,7 +28,7 @@ def test_every_job_is_run_and_its_exit_code_reported(tmp_path: Path):
 
 
 @pytest.mark.fault
-def test_an_interrupted_sweep_stops_its_trainings_cleanly(tmp_path: Path):
+def test_interrupt_while_several_train__stops_all_with_a_checkpoint(tmp_path: Path):
     """The caller's Ctrl-C: the running training ends as `stopped`, with a checkpoint."""
     long = job("long", tmp_path, "--learner", "mle", "--steps", "100000")
 

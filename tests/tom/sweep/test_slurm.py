@@ -35,7 +35,7 @@ def test_the_time_follows_the_projection(tmp_path: Path):
 
 
 @pytest.mark.fault
-def test_a_task_whose_time_is_up_leaves_a_checkpoint_and_queues_again(tmp_path: Path):
+def test_the_time_of_a_slurm_task_is_up__leaves_a_checkpoint_and_queues_again(tmp_path: Path):
     words = ["sweep", "--env", "inverted-pendulum", "--learner", "mle", "tom", "--preset", "smoke"]
     words += ["--steps", "100000", "--store", str(tmp_path / "store")]
     planned = trials(checked({**PLAN, "steps": 100000}))
