@@ -29,7 +29,7 @@ pytestmark = pytest.mark.fault
 def killed_often(path: Path, kills: int, *, rerun: bool) -> RunReader:
     """A run killed so many times, each time read, and gone on with from its checkpoint."""
     rng = np.random.default_rng(kills)
-    steps = 80 + 20 * kills
+    steps = 80 + 30 * kills  # more than the kills let it come to, on a busy machine too
     truth = train(config("tom", steps=steps), Store(path / "truth"), "a", rerun=False)
     store = Store(path / "killed")
     store.path.mkdir()
@@ -40,19 +40,16 @@ def killed_often(path: Path, kills: int, *, rerun: bool) -> RunReader:
         begun = done(store)
         process = processes.Process(target=go_on, args=(store.path, "a", steps, rerun))
         process.start()
-        target = begun + int(rng.integers(1, 40))
+        target = begun + int(rng.integers(1, 25))
         wait_until(lambda p=process, t=target: done(store) >= t or not p.is_alive())
         process.join(float(rng.exponential(0.004)))  # anywhere within a step
         if process.pid is not None and process.is_alive():
             kill(process.pid)
         process.join()
-        assert process.exitcode in (-signal.SIGKILL, 0)
+        assert process.exitcode == -signal.SIGKILL
         check(truth, store, done(store))
         if checkpoint.newest(store.path / "a" / checkpoint.FOLDER) is None:
             shutil.rmtree(store.path / "a")  # killed before there was anything to go on from
-    last = store.run("a")
-    if last.status.state == "finished":
-        return last
     return resume(store, "a", steps, rerun=rerun)
 
 

@@ -147,7 +147,8 @@ def _watched(
 def _stop_on_signals() -> Stop:
     stop = Stop()
     for name in STOPPING:
-        if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
+        under_nohup = name is signal.SIGHUP and signal.getsignal(name) is signal.SIG_IGN
+        if not under_nohup:
             signal.signal(name, stop)
     return stop
 
