@@ -5,15 +5,24 @@ axis is always the member axis M.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from math import sqrt
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import relu, silu
 
 from tom.rng import Generators
 
 Activation = Callable[[Tensor], Tensor]
+
+_IN_PLACE: dict[Activation, Activation] = {
+    relu: torch.relu_,
+    silu: partial(silu, inplace=True),
+    torch.tanh: torch.tanh_,
+}
+"""the same without memory of its own, where no gradient will ask for what was there"""
 
 
 class StackedMLP(nn.Module):
@@ -81,11 +90,12 @@ class StackedMLP(nn.Module):
         return self._run(x.unsqueeze(0), [(w[only], b[only]) for w, b in self.layers]).squeeze(0)
 
     def _run(self, x: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
-        last = len(layers) - 1
+        in_place = None if torch.is_grad_enabled() else _IN_PLACE.get(self.activation)
+        activation, last = in_place or self.activation, len(layers) - 1
         for layer, (weight, bias) in enumerate(layers):
             x = torch.baddbmm(bias, x, weight)
             if layer < last:
-                x = self.activation(x)
+                x = activation(x)
         return x
 
 

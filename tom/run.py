@@ -16,6 +16,7 @@ from tom.health import Watch
 from tom.lockstep import Work, finished
 from tom.matmul import choose_matmul
 from tom.mbpo import Mbpo
+from tom.memory import keep_freed_memory
 from tom.offline import Offline
 from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, open_sink
 from tom.record.checkpoint import Checkpoint
@@ -92,6 +93,7 @@ def recorded(
     stop: Stop | None = None,
 ) -> Recorded:
     """`train` as a member of a fleet runs it: its heavy work is handed out."""
+    keep_freed_memory()
     torch.set_num_threads(config.threads)
     matmul = choose_matmul(config.matmul)
     writer = _new_writer(store, run_id, config, matmul=matmul.record(), command=command)
@@ -140,6 +142,7 @@ def resumed(
     stop: Stop | None = None,
 ) -> Recorded:
     """`resume` as a member of a fleet runs it: its heavy work is handed out."""
+    keep_freed_memory()
     reader = store.run(run_id)
     config = recorded_config(reader)
     if steps is not None:

@@ -70,14 +70,15 @@ class Mdn(NeuralDynamics):
 
     def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
         """A component by inverse distribution function, then a normal draw from it."""
-        logits, mean, log_var = self._split_output(output)
+        logits, mean, raw = output.unflatten(-1, (3, -1, self.targets)).unbind(-3)
         below = (logits - logits.amax(-2, keepdim=True)).exp().cumsum(-2)
         shape = (*below.shape[:-2], 1, below.shape[-1])
         u = torch.rand(*shape, generator=generator, device=generator.device)
         component = (below < u * below[..., -1:, :]).sum(-2, keepdim=True)
         component = component.clamp(max=mean.shape[-2] - 1)
         chosen_mean = mean.gather(-2, component).squeeze(-2)
-        chosen_std = (0.5 * log_var.gather(-2, component).squeeze(-2)).exp()
+        log_var = soft_bound(raw.gather(-2, component), LOG_VAR_MIN, LOG_VAR_MAX)
+        chosen_std = (0.5 * log_var.squeeze(-2)).exp()
         noise = torch.randn(*chosen_mean.shape, generator=generator, device=generator.device)
         return chosen_mean + chosen_std * noise
 

@@ -22,7 +22,7 @@ from tom.learners.training import Trained
 from tom.lockstep import Work
 from tom.nn import StackedMLP
 
-CHUNK = 4096  # rows judged at once; they stay in the processor's cache
+CHUNK = 1024  # rows judged at once; they stay in the processor's cache
 BLOCK = 32  # minibatches gathered at once
 
 

@@ -188,7 +188,8 @@ class DualProblem:
             part = slice(i, i + CHUNK)
             rows = self.replay[part]
             inputs, probs = self._policy_inputs(rows.next_obs, samples, generator)
-            q = self._q(net, torch.cat((self._inputs(rows.obs, rows.action), inputs.flatten(0, 1))))
+            every = torch.cat((self._inputs(rows.obs, rows.action), inputs.flatten(0, 1)))
+            q = torch.cat([self._q(net, block) for block in every.split(CHUNK)])
             following = (probs * q[len(rows) :].view_as(probs)).sum(0)
             values = Values(q[: len(rows)], following, following)
             y[part] = dual_argument(
