@@ -32,7 +32,7 @@ TEXT: dict[Mode, str] = {"light": "#1c2330", "dark": "#e8ecf4"}
 BORDER: dict[Mode, str] = {"light": "#dde2ec", "dark": "#2c3342"}
 
 # Buttons and sliders: no learner's colour, so that colour always means data.
-ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#8fa2d6"}
+ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#6379bd"}
 
 # Weight against the uniform one. Ink follows attention: pale blue counts less, the page's own
 # tone as much, strong orange more.

@@ -18,7 +18,7 @@ from app.plot import chart
 from app.readers import RunInfo
 from tom import statistics
 
-FINAL, BEST, HEIGHT = "last value", "best value", "mean height"
+FINAL, BEST, HEIGHT = "value at the end", "best value", "mean height"
 SCORES = (FINAL, BEST, HEIGHT)
 THRESHOLDS = 61
 REACH = 0.8
@@ -37,8 +37,8 @@ def draw(runs: Sequence[RunInfo]) -> None:
     )  # fmt: skip
     score = row[2].selectbox(
         "Score of a run", SCORES, key="score", bind="query-params",
-        help="mean height: area under the curve up to the step that every run reaches, over its "
-        "length",
+        help="all of them up to the step that every run reaches, so that a longer run has no "
+        "advantage; mean height: area under the curve over its length",
     )  # fmt: skip
     name = measure.METRICS[metric or measure.RETURN]
     _, grouped = measure.grouped([run for run in runs if run.env == env], name)
@@ -46,6 +46,12 @@ def draw(runs: Sequence[RunInfo]) -> None:
         st.info("None of these runs has been evaluated yet.")
         return
     until = min(float(curve.step[-1]) for group in grouped for curve in group.curves)
+    early = [group for group in grouped if all(c.step[0] <= until for c in group.curves)]
+    late = [text.markdown(name) for name in _names([g for g in grouped if g not in early])]
+    grouped = early
+    if not grouped:
+        st.info(f"No group has recorded anything up to step {until:,.0f}, where the first run ends.")
+        return
     scores = [scores_of(group, score or FINAL, until) for group in grouped]
     everything = np.concatenate(scores)
     level = row[3].number_input(
@@ -55,14 +61,15 @@ def draw(runs: Sequence[RunInfo]) -> None:
     names = _names(grouped)
     st.caption(
         f"{text.markdown(statistics.remark([group.n for group in grouped]) or 'Ten seeds or more')}"
-        f". Mean height is taken up to step {until:,.0f}, which every run reaches."
+        f". Scores are those up to step {until:,.0f}, which every run reaches."
+        + (f" Left out, as nothing was recorded until then: {', '.join(late)}." if late else "")
     )
     _profiles(grouped, names, scores, score or FINAL)
     pairs = compared(names, scores)
     _improvement(pairs, [grouped[i].learner for i, _ in combinations(range(len(grouped)), 2)])
     table = reached(grouped, names, float(level))
     st.markdown(f"**Sample efficiency**: env steps until {text.markdown(name)} is {level:,.4g}")
-    st.dataframe(table, hide_index=True, column_config=_columns())
+    st.dataframe(_shown(table), hide_index=True)
     downloads(
         {
             "Scores": (lambda: _scores(names, grouped, scores), "scores"),
@@ -74,12 +81,15 @@ def draw(runs: Sequence[RunInfo]) -> None:
 
 
 def scores_of(group: Group, score: str, until: float) -> NDArray[np.float64]:
-    """One number a run (n,)."""
-    if score == HEIGHT:
-        heights = [statistics.area_under_curve(c.step, c.value, until) for c in group.curves]
-        return np.array([h if np.isfinite(h) else c.final
-                         for h, c in zip(heights, group.curves, strict=True)])  # fmt: skip
-    return np.array([c.best if score == BEST else c.final for c in group.curves])
+    """One number a run (n,), of what was recorded up to step `until`."""
+    found = []
+    for curve in group.curves:
+        value = curve.value[curve.step <= until]
+        height = statistics.area_under_curve(curve.step, curve.value, until)
+        # A curve that begins where it ends has no area: its one value is its height.
+        height = height if np.isfinite(height) else value[-1]
+        found.append({FINAL: value[-1], BEST: value.max(), HEIGHT: height}[score])
+    return np.array(found, np.float64)
 
 
 def default_level(scores: NDArray[np.float64]) -> float:
@@ -187,11 +197,9 @@ def _pairs(pairs: Sequence[tuple[str, str, statistics.Interval]]) -> pd.DataFram
     )
 
 
-def _columns() -> dict:
-    steps = st.column_config.NumberColumn
-    return {
-        "median step": steps(
-            "median step", format="localized", help="over all runs; empty where most never do"
-        ),
-        "first": steps("first run", format="localized"),
-    }
+def _shown(table: pd.DataFrame) -> pd.DataFrame:
+    """The table in words: a group most of whose runs never get there has no median step."""
+    found = table.copy()
+    for name in ("median step", "first"):
+        found[name] = [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
+    return found.rename(columns={"first": "first run"})

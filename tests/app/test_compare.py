@@ -11,6 +11,8 @@ from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM
 
 from app import shortlinks
+from app.aggregate import Curve, aggregate
+from app.comparing.numbers import BEST, FINAL, HEIGHT, scores_of
 from app.links import Links
 from app.server import routes
 from tom.record import manage
@@ -100,6 +102,17 @@ def test_statistics_are_those_of_the_scores(store: Path) -> None:
     app.number_input(key="reach").set_value(float(tom.min())).run()
     reached = app.dataframe[1].value.set_index("group")
     assert reached.loc["TOM", "reached"] == "2 of 2"
+
+
+def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
+    step, value = np.array([100, 200, 300]), np.array([1.0, 5.0, 2.0])
+    curve = Curve("a", "ant", "tom", "paper", 0, step, value)
+    group = aggregate([curve])
+    assert scores_of(group, FINAL, 200).tolist() == [5]
+    assert scores_of(group, FINAL, 299).tolist() == [5]
+    assert scores_of(group, BEST, 100).tolist() == [1]
+    assert scores_of(group, HEIGHT, 200).tolist() == [3]
+    assert scores_of(group, HEIGHT, 100).tolist() == [1]
 
 
 def test_side_by_side_has_linked_axes(store: Path) -> None:
