@@ -1,6 +1,7 @@
 """What a run takes on the disk, and what of it can go."""
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from tom.record import checkpoint, layout
@@ -33,11 +34,17 @@ def checkpoints(reader: RunReader) -> list[Path]:
 def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
     """Delete all but the `keep` newest checkpoints of a run; the bytes that this frees.
 
-    Raises UserError while the run is being written.
+    A dry run touches nothing. Raises UserError while the run is being written.
     """
+    if dry_run:
+        return _bytes(checkpoints(reader)[keep:])
     with unwritten(reader):
         old = checkpoints(reader)[keep:]
-        freed = sum(f.stat().st_size for path in old for f in path.rglob("*") if f.is_file())
-        for path in old if not dry_run else ():
+        freed = _bytes(old)
+        for path in old:
             shutil.rmtree(path)
     return freed
+
+
+def _bytes(folders: Sequence[Path]) -> int:
+    return sum(f.stat().st_size for path in folders for f in path.rglob("*") if f.is_file())

@@ -1,0 +1,49 @@
+"""What the long studies leave behind, written from outcomes made up here."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from tom.cli import reproduce_progression, reproduce_road
+from tom.progression_study import Check as Number
+from tom.reports.style import new_figure, save
+from tom.road_study import Check, Outcome, Story
+
+
+def story(name: str, seed: int) -> Story:
+    """A case whose return grows, with weights over a map."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.random(9).tolist()
+    outcome = Outcome(name, seed, 60.0, *numbers, sac_return=-20.0, sac_success=1.0)
+    places, weights = rng.random((500, 2), np.float32), rng.random(500, np.float32)
+    return Story(outcome, [(0, -100.0), (100, -20.0 - seed)], places, weights)
+
+
+def test_road_and_rocks(tmp_path: Path):
+    stories = [story(name, seed) for name in ("mle", "tom") for seed in (0, 1, 2)]
+    checks = [Check("TOM's success", 1.0, ">= 0.8", True), Check("MLE's", 0.5, "<= 0.1", False)]
+    reproduce_road._write(tmp_path, stories, [s.outcome for s in stories], checks)
+    text = (tmp_path / "report.html").read_text()
+    assert "1 of 2 figures of our acceptance are met." in text
+    assert "expected: MLE&#x27;s." in text
+    assert text.count("data:image/png") == 3
+    assert "0-2" in text
+    assert {"returns.csv", "outcomes.csv", "checks.csv", "weights.svg"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+
+
+def test_weight_progression_judges_its_first_preset(tmp_path: Path):
+    figure = new_figure(2, 2)
+    save(figure, tmp_path, "progression")
+    args = argparse.Namespace(out=tmp_path, preset=["exact", "paper"], seeds=[0, 1])
+    asked = ("own", "tom", "random half")
+    numbers = [
+        Number("hopper", "exact", *asked, (0.1, 0.1), ("<=", 0.2)),
+        Number("hopper", "paper", *asked, (9.0, 9.0), ("<=", 0.2)),
+    ]
+    reproduce_progression._report(numbers, args)
+    text = (tmp_path / "report.html").read_text()
+    assert "1 of 1 figures of our acceptance are met." in text
+    assert "hopper, own policy, tom, random half" in text
