@@ -88,6 +88,7 @@ def aged(count: int, low: float, high: float) -> Mask:
     return (age >= low) & (age <= high)
 
 
+EXPLORED = "from exploration, %"
 QUANTITIES = (
     "transitions",
     "share of the buffer, %",
@@ -98,7 +99,7 @@ QUANTITIES = (
     "mean reward",
     "mean return of their episodes",
     "mean age, % (0: oldest)",
-    "from exploration, %",
+    EXPLORED,
     "ends an episode, %",
 )
 

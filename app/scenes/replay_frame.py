@@ -12,12 +12,13 @@ from app.scenes.control import Replay as Choice
 from app.scenes.control import Selection
 from app.scenes.frame import Frame
 from app.scenes.replay import ReplayScene
-from app.scenes.road import CAMERA, LOOK_AT
 from tom.errors import UserError
 from tom.record.store import Store
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0, "4 times": 4.0}
 
+BESIDE_THE_PANEL = (0.74, -0.4, 1.25)
+"""the camera on road-and-rocks: the panel covers the right"""
 WORDS_S = 0.2
 """seconds between two updates of the words and the curve while an episode plays"""
 
@@ -77,7 +78,7 @@ class ReplayFrame(Frame):
             self.clear()
             self._scene = ReplayScene(self.client.scene, replay, self.mode)
         if other and replay.road:
-            self.look(CAMERA, LOOK_AT)
+            self.look(BESIDE_THE_PANEL, (0.74, 0.42, 0.0))
         elif other:
             height = self._scene.height
             away = 1.6 + 0.9 * height

@@ -9,7 +9,7 @@ from app.buffer import Rows, dimension_names
 from app.figures.regions import apart_bars, region_map
 from app.plot import Region, chart
 from app.readers import RunInfo
-from app.regions import Mask, Plane
+from app.regions import EXPLORED, Mask, Plane
 from app.scenes.control import States
 from app.theme import learner_label
 from app.views.stage import stage
@@ -152,6 +152,8 @@ def _map(run: RunInfo, rows: Rows, plane: Plane) -> None:
 def _contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
     st.markdown(f"**In the region**: {mask.sum():,} of {len(rows):,} transitions")
     table = contents(rows, mask)
+    if run.env == pictures.ENV:  # recorded offline, by nobody's policy
+        table = table[table[""] != EXPLORED]
     right = {c: st.column_config.TextColumn(c, alignment="right") for c in table.columns[1:]}
     st.dataframe(table, hide_index=True, height="content", column_config=right)
     gaps = regions.apart(rows, mask, names)

@@ -101,14 +101,14 @@ def _numbers(replay: Replay) -> None:
     if replay.model_step is None:
         st.caption(f"No ghost: {text.markdown(replay.no_ghost)}.")
     else:
-        st.caption(
-            f"The ghost plays the recorded actions in the model that the run kept, of step "
-            f"{replay.model_step:,}: not the model of step {replay.step:,}. "
-            "Its place on the ground is integrated from its velocity."
-            if replay.model_step != replay.step
-            else f"The ghost plays the recorded actions in the run's model of step "
-            f"{replay.model_step:,}. Its place on the ground is integrated from its velocity."
+        at, own = f"{replay.model_step:,}", replay.model_step == replay.step
+        whose = (
+            f"the run's model of step {at}"
+            if own
+            else f"the model that the run kept, of step {at}: not the model of step {replay.step:,}"
         )
+        place = "" if replay.road else " Its place on the ground is integrated from its velocity."
+        st.caption(f"The ghost plays the recorded actions in {whose}.{place}")
 
 
 def _pick_evaluation(steps: list[int]) -> int:
