@@ -16,13 +16,10 @@ from app.figures.curves import group_name
 from app.figures.statistics import Profile, improvement, profiles
 from app.plot import chart
 from app.readers import RunInfo
+from app.scores import FINAL, SCORES, compared, default_level, reached, scores_of
 from tom import statistics
 
-FINAL, BEST, HEIGHT = "value at the end", "best value", "mean height"
-SCORES = (FINAL, BEST, HEIGHT)
 THRESHOLDS = 61
-REACH = 0.8
-"""share of the way from the worst to the best score: the default of `steps to reach`"""
 
 
 def draw(runs: Sequence[RunInfo]) -> None:
@@ -50,7 +47,7 @@ def draw(runs: Sequence[RunInfo]) -> None:
     late = [text.markdown(name) for name in _names([g for g in grouped if g not in early])]
     grouped = early
     if not grouped:
-        st.info(f"No group has recorded anything up to step {until:,.0f}, where the first run ends.")
+        st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
         return
     scores = [scores_of(group, score or FINAL, until) for group in grouped]
     everything = np.concatenate(scores)
@@ -78,56 +75,6 @@ def draw(runs: Sequence[RunInfo]) -> None:
         },
         name,
     )
-
-
-def scores_of(group: Group, score: str, until: float) -> NDArray[np.float64]:
-    """One number a run (n,), of what was recorded up to step `until`."""
-    found = []
-    for curve in group.curves:
-        value = curve.value[curve.step <= until]
-        height = statistics.area_under_curve(curve.step, curve.value, until)
-        # A curve that begins where it ends has no area: its one value is its height.
-        height = height if np.isfinite(height) else value[-1]
-        found.append({FINAL: value[-1], BEST: value.max(), HEIGHT: height}[score])
-    return np.array(found, np.float64)
-
-
-def default_level(scores: NDArray[np.float64]) -> float:
-    """A value that good runs reach and others may not, in three digits."""
-    low, high = float(scores.min()), float(scores.max())
-    return float(f"{low + REACH * (high - low):.3g}")
-
-
-def compared(
-    names: Sequence[str], scores: Sequence[NDArray[np.float64]]
-) -> list[tuple[str, str, statistics.Interval]]:
-    """P(first beats second) for every pair of groups."""
-    draws = np.random.default_rng(0)
-    return [
-        (
-            names[i],
-            names[j],
-            statistics.probability_of_improvement(scores[i][:, None], scores[j][:, None], draws),
-        )
-        for i, j in combinations(range(len(names)), 2)
-    ]
-
-
-def reached(grouped: Sequence[Group], names: Sequence[str], level: float) -> pd.DataFrame:
-    """For each group how many runs reach the level, and the median step where they do."""
-    rows = []
-    for name, group in zip(names, grouped, strict=True):
-        steps = np.array([statistics.steps_to_reach(c.step, c.value, level) for c in group.curves])
-        middle = float(np.median(steps))
-        rows.append(
-            {
-                "group": name,
-                "reached": f"{int(np.isfinite(steps).sum())} of {group.n}",
-                "median step": middle if np.isfinite(middle) else np.nan,
-                "first": float(steps.min()) if np.isfinite(steps).any() else np.nan,
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def _names(grouped: Sequence[Group]) -> list[str]:

@@ -12,8 +12,8 @@ from studio_runs import PENDULUM_TOM
 
 from app import shortlinks
 from app.aggregate import Curve, aggregate
-from app.comparing.numbers import BEST, FINAL, HEIGHT, scores_of
 from app.links import Links
+from app.scores import BEST, FINAL, HEIGHT, scores_of
 from app.server import routes
 from tom.record import manage
 from tom.record.reader import RunReader
