@@ -7,7 +7,9 @@ import shutil
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from tom.cli.parser import add_config_options, overrides
@@ -104,9 +106,7 @@ def _jobs(args: argparse.Namespace) -> int:
 def _fleets(args: argparse.Namespace, planned: list[Trial]) -> int:
     """One fleet for each environment, one after the other; the exit code."""
     stop = Stop()
-    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
-            signal.signal(name, stop)
+    _on_signals(stop)
     code = 0
     for env in dict.fromkeys(trial.env for trial in planned):
         if stop.asked:
@@ -118,9 +118,7 @@ def _fleets(args: argparse.Namespace, planned: list[Trial]) -> int:
 
 def drive(args: argparse.Namespace, driver: Driver) -> int:
     """Run the sweep to its end with a table of how it goes; the exit code."""
-    for name in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(name) != signal.SIG_IGN:  # as under nohup
-            signal.signal(name, signal.default_int_handler)
+    _on_signals(signal.default_int_handler)
     stream = sys.stderr if args.json else sys.stdout
     with Watcher(driver, stream) as watcher:
         try:
@@ -133,6 +131,14 @@ def drive(args: argparse.Namespace, driver: Driver) -> int:
             driver.stop()
         watcher.look()
     return _report(args, driver)
+
+
+def _on_signals(stop: Callable[[int, FrameType | None], object]) -> None:
+    """SIGINT (also where a shell put it in the background), SIGTERM and a closed terminal stop."""
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        under_nohup = name is signal.SIGHUP and signal.getsignal(name) is signal.SIG_IGN
+        if not under_nohup:
+            signal.signal(name, stop)
 
 
 def _report(args: argparse.Namespace, driver: Driver) -> int:

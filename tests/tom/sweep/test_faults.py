@@ -119,7 +119,12 @@ def test_ctrl_c_in_a_sweep__stops_everything_and_the_same_command_goes_on(
     tmp_path: Path, undisturbed: Store
 ):
     store = Store(tmp_path)
-    driver = subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, text=True)
+    driver = subprocess.Popen(
+        command(tmp_path),
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),  # as after a shell's `&`
+    )
     until(lambda: beyond_a_checkpoint(store))
     driver.send_signal(signal.SIGINT)
     out, _ = driver.communicate(timeout=WAIT_S)
