@@ -128,7 +128,10 @@ def modified(path: Path) -> int:
 
 def read_json(path: Path) -> dict[str, Any]:
     """The JSON object in `path`. Raises OSError, or ValueError when it is something else."""
-    content = json.loads(path.read_bytes())
+    try:
+        content = json.loads(path.read_bytes())
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
     if not isinstance(content, dict):
         raise ValueError("not a JSON object")
     return content
@@ -157,6 +160,6 @@ def parse_json_line(line: bytes) -> dict[str, Any] | None:
     """The JSON object in a line; None when it holds anything else."""
     try:
         row = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return row if isinstance(row, dict) else None

@@ -33,6 +33,7 @@ DAMAGE = (
     KeyError,
     TypeError,
     EOFError,
+    OverflowError,  # a number beyond every array's
     NotImplementedError,  # zipfile, for a method it does not know
     zipfile.BadZipFile,
     pa.ArrowException,

@@ -7,6 +7,8 @@ from typing import Any, TypeGuard
 DEAD_AFTER_S = 30.0
 """A run that says it is running and has not beaten for so long is dead."""
 
+HUGE = 2**62
+
 STATES = ("running", "finished", "stopped", "failed")
 
 
@@ -70,4 +72,6 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def _number(value: Any) -> TypeGuard[int | float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return abs(value) < HUGE  # neither infinite nor beyond what a clock or an array holds
