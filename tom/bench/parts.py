@@ -12,7 +12,6 @@ from tom.data.replay import ReplayBuffer
 from tom.data.sampling import WeightedSampler
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
-from tom.dynamics.neural import NeuralDynamics
 from tom.envs import task
 from tom.learners.base import FitContext
 from tom.learners.tom import TomLearner
@@ -27,8 +26,8 @@ CHUNKED = 20_000
 def parts() -> Iterator[Part]:
     """Every part that needs nothing but the project itself."""
     yield _sac()
-    yield _model_step("mdn", 3 * 10)
-    yield _model_step("ensemble", 2)
+    yield _model_step("mdn")
+    yield _model_step("ensemble")
     yield from _tom_steps()
     yield _rollout()
     yield _sampling()
@@ -49,17 +48,27 @@ def network_flops(sizes: list[int], rows: int) -> float:
     return 2.0 * rows * sum(a * b for a, b in pairwise(sizes))
 
 
-def sac_flops(config: SacConfig) -> float:
+def model_flops(config: ModelConfig, obs: int = OBS, action: int = ACTION) -> float:
+    """Matrix arithmetic of a step of the mixture density network's fit, or the ensemble's."""
+    per_dim, networks = {"mdn": (3 * config.components, 1), "ensemble": (2, config.members)}[
+        config.kind
+    ]
+    sizes = [obs + action, *[config.hidden] * config.layers, (1 + obs) * per_dim]
+    forward, first = network_flops(sizes, BATCH), network_flops(sizes[:2], BATCH)
+    return networks * (3 * forward - first)
+
+
+def sac_flops(config: SacConfig, obs: int = OBS, action: int = ACTION) -> float:
     """Matrix arithmetic of a SAC update.
 
     Critics: target forward, forward, and two backward products a layer but for the first layer's
     input; actor: forward at s and s', backward, and the critics' forward and input gradient.
     """
     hidden = [config.hidden] * config.layers
-    critic = network_flops([OBS + ACTION, *hidden, 1], BATCH)
-    critic_first = network_flops([OBS + ACTION, config.hidden], BATCH)
-    actor = network_flops([OBS, *hidden, 2 * ACTION], BATCH)
-    actor_first = network_flops([OBS, config.hidden], BATCH)
+    critic = network_flops([obs + action, *hidden, 1], BATCH)
+    critic_first = network_flops([obs + action, config.hidden], BATCH)
+    actor = network_flops([obs, *hidden, 2 * action], BATCH)
+    actor_first = network_flops([obs, config.hidden], BATCH)
     critics = 2 * (critic + critic + 2 * critic - critic_first)
     return critics + 2 * actor + (2 * actor - actor_first) + 2 * (critic + critic)
 
@@ -73,21 +82,16 @@ def _sac() -> Part:
     )
 
 
-def _model_step(kind: str, outputs_per_dim: int) -> Part:
+def _model_step(kind: str) -> Part:
     config = ModelConfig.model_validate({"kind": kind, "rounds": 1, "batches_per_round": 20})
     model = make_model(OBS, ACTION, config, torch.Generator().manual_seed(0))
-    assert isinstance(model, NeuralDynamics)
-    hidden = [config.hidden] * config.layers
-    sizes = [OBS + ACTION, *hidden, (1 + OBS) * outputs_per_dim]
-    forward = network_flops(sizes, BATCH) * model.ensemble
-    first = network_flops(sizes[:2], BATCH) * model.ensemble
     data = transitions(1000)
     weights, generator = torch.ones(len(data)), torch.Generator().manual_seed(1)
     return Part(
         f"{kind} step (in a fit)",
         lambda: model.fit(data, weights, None, generator),
         20,
-        3 * forward - first,
+        model_flops(config),
     )
 
 
@@ -96,7 +100,7 @@ def _tom_steps() -> Iterator[Part]:
     policy = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
 
     def weigh(steps: dict[str, int], rows: int) -> object:
-        config = TomConfig(warmup=1).but(**steps)
+        config = TomConfig.preset("paper").but(warmup=1, **steps)
         learner = TomLearner(config, OBS, ACTION, torch.Generator().manual_seed(0))
         return learner.weigh(
             FitContext(
@@ -111,9 +115,25 @@ def _tom_steps() -> Iterator[Part]:
         )
 
     none = {"discriminator_steps": 1, "q_steps": 1}
-    yield Part("discriminator step", lambda: weigh({**none, "discriminator_steps": 40}, 256), 40)
-    yield Part("dual Q step", lambda: weigh({**none, "q_steps": 40}, 256), 40)
-    yield Part("weights, 1000 transitions", lambda: weigh(none, CHUNKED), CHUNKED // 1000)
+    config = TomConfig()
+    judge = [2 * OBS + ACTION, config.discriminator_hidden, config.discriminator_hidden, 1]
+    q = [OBS + ACTION, config.q_hidden, config.q_hidden, 1]
+    judging, valuing = network_flops(judge, 2 * BATCH), network_flops(q, 3 * BATCH)
+    acting = network_flops([OBS, 256, 256, 2 * ACTION], 1000)
+    each = network_flops(judge, 1000) + 2 * network_flops(q, 1000) + acting
+    yield Part(
+        "discriminator step",
+        lambda: weigh({**none, "discriminator_steps": 40}, 256),
+        40,
+        3 * judging - network_flops(judge[:2], 2 * BATCH),
+    )
+    yield Part(
+        "dual Q step",
+        lambda: weigh({**none, "q_steps": 40}, 256),
+        40,
+        3 * valuing - network_flops(q[:2], 3 * BATCH) + acting * 2 * BATCH / 1000,
+    )
+    yield Part("weights, 1000 transitions", lambda: weigh(none, CHUNKED), CHUNKED // 1000, each)
 
 
 def _rollout() -> Part:
@@ -126,6 +146,17 @@ def _rollout() -> Part:
         "rollout, 1000 states",
         lambda: roll_out(model, policy, hopper.terminated, starts, 1, config, buffer, generator),
         CHUNKED // 1000,
+        rollout_flops(ModelConfig(), SacConfig()) * 1000,
+    )
+
+
+def rollout_flops(
+    model: ModelConfig, sac: SacConfig, obs: int = OBS, action: int = ACTION
+) -> float:
+    """Matrix arithmetic of one rollout step: the actor, then the mixture density network."""
+    outputs = (1 + obs) * 3 * model.components
+    return network_flops([obs, *[sac.hidden] * sac.layers, 2 * action], 1) + network_flops(
+        [obs + action, *[model.hidden] * model.layers, outputs], 1
     )
 
 

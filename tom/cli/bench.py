@@ -12,6 +12,7 @@ import torch
 
 from tom.cli.tables import show
 from tom.matmul import choose_matmul
+from tom.memory import keep_freed_memory
 from tom.record import Store
 from tom.sweep import Job, run_jobs
 
@@ -28,9 +29,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "what",
         nargs="?",
         default="parts",
-        choices=("parts", "learn", "record"),
-        help="parts: what each part of a training costs [the default]; record: the cost of "
-        "recording; learn: does inverted pendulum reach 950 within 6000 steps",
+        choices=("parts", "step", "memory", "learn", "record"),
+        help="parts: what each part of a training costs, and whole trainings from that [the "
+        "default]; step: a whole env step of the paper's Hopper; memory: a full Humanoid buffer; "
+        "record: the cost of recording; learn: does inverted pendulum reach 950 within 6000 steps",
     )
     parser.add_argument("--repeats", type=int, default=9, help="interleaved repeats (parts)")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -48,20 +50,62 @@ def run(args: argparse.Namespace) -> int:
         rows = learn(args.learner, args.seeds, args.steps, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         return 0 if all(row["reached_at"] is not None for row in rows) else 1
-    return _record(args.json) if args.what == "record" else _parts(args.repeats, args.json)
+    if args.what == "parts":
+        return _parts(args.repeats, args.json)
+    return {"record": _record, "step": _step, "memory": _memory}[args.what](args.json)
+
+
+NOT_MEASURED = (
+    "GPU: nothing here runs on one; see docs/speed.md",
+    "projected hours leave out evaluation and recording, and count every round of a fit",
+)
 
 
 def _parts(repeats: int, as_json: bool) -> int:
-    from tom.bench import parts, peers, timing
+    from tom.bench import parts, peers, projection, targets, timing
 
     torch.set_num_threads(1)
+    keep_freed_memory()
     backend = choose_matmul().chosen
     measured = [*parts.parts(), *peers.peers()]
-    rows, gflops = timing.measure(measured, max(repeats, 1), backend)
+    timings, gflops = timing.measure(measured, max(repeats, 1), backend)
+    rows = []
+    for timed in timings:
+        wanted, met = targets.target(timed) or (None, None)
+        rows.append({**asdict(timed), "target": wanted, "met": met})
+    hours = projection.hours({timed.part: timed.ms for timed in timings})
+    missing = [*NOT_MEASURED, *(f"{name}: not installed" for name in peers.missing())]
+    if as_json:
+        found = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
+        print(json.dumps({**found, "not_measured": missing}))
+        return 0
     title = f"CPU ms, one thread; {gflops:.0f} GFLOP/s in 256^3 products ({backend})"
-    _print(title, [asdict(row) for row in rows], as_json)
-    if peers.missing() and not as_json:
-        print(f"not measured, because not installed: {', '.join(peers.missing())}")
+    _print(title, rows, as_json)
+    _print("TOM on one core, hours at most", hours, as_json)
+    print("not measured:", *missing, sep="\n  ")
+    return 0
+
+
+def _step(as_json: bool) -> int:
+    from tom.bench import timing, training
+
+    ms, gflop = training.step_ms()
+    _, gflops = timing.measure([], 5, choose_matmul().chosen)
+    floor = gflop / gflops * 1000
+    row = {"ms": ms, "floor_ms": floor, "times_floor": ms / floor, "gflops": gflops}
+    row |= {"authors_ms": training.AUTHORS_MS, "met": ms <= training.AUTHORS_MS / 2}
+    _print(
+        "an env step of the paper's Hopper, CPU ms (the authors' on their machine)", [row], as_json
+    )
+    return 0
+
+
+def _memory(as_json: bool) -> int:
+    from tom.bench.training import buffer_memory
+
+    filled, fitted = buffer_memory()
+    row = {"filled_gb": filled, "after_fit_gb": fitted, "target": "< 2.5 GB", "met": fitted < 2.5}
+    _print("peak memory with 1e6 Humanoid transitions", [row], as_json)
     return 0
 
 
