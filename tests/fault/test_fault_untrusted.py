@@ -8,11 +8,13 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import torch
 from faults import stopped
 
+from tom.data.hdf5 import column, open_hdf5
 from tom.errors import UserError
 from tom.policy_file import read_policy
 from tom.record import RunReader, Store, checkpoint
@@ -92,6 +94,15 @@ def test_code_in_an_array_file__is_not_executed_and_the_file_named(tmp_path: Pat
         with pytest.raises(UserError, match="is no stored policy"):
             read_policy(run.path / name)
     assert not (tmp_path / "executed").exists()
+
+
+def test_a_data_set_whose_array_lies_in_another_file__is_refused_in_one_line(tmp_path: Path):
+    (tmp_path / "secret").write_bytes(bytes(40))
+    with h5py.File(tmp_path / "data.hdf5", "w") as file:
+        where = [(str(tmp_path / "secret"), 0, 40)]
+        file.create_dataset("rewards", (10,), "f4", external=where)
+    with open_hdf5(tmp_path / "data.hdf5") as file, pytest.raises(UserError, match="another file"):
+        column(file, "rewards", 1)
 
 
 def test_a_pickle_in_place_of_settings__is_not_executed_and_is_no_run(tmp_path: Path):

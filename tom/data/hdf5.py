@@ -28,6 +28,8 @@ def column(group: h5py.Group, name: str, axes: int) -> np.ndarray:
     where = f"'{name}' in {group.file.filename}:{group.name}"
     if not isinstance(stored, h5py.Dataset):
         raise UserError(f"no array {where}: only data with flat observations and actions is read")
+    if stored.external:  # the bytes of any file on this machine
+        raise UserError(f"{where} lies in another file: only data within the file is read")
     values = np.asarray(stored[()])
     if axes == 1 and values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]
