@@ -81,7 +81,9 @@ def _against(run: RunInfo, step: int) -> None:
     other = "" if fit == step else f" (every single weight was kept there, not at {step:,})"
     st.markdown(f"**What the weights of step {fit:,} go with**{other}", help=AGAINST)
     errors = buffer_reader.model_errors(run, fit)
-    panels: list[tuple[str, NDArray, Floats]] = [("age in the buffer", rows.age, rows.weight)]
+    panels: list[tuple[str, NDArray, Floats]] = [
+        ("position in the buffer, % (0: oldest)", rows.age, rows.weight)
+    ]
     if run.env != pictures.ENV:
         panels.append(("return of the episode", rows.episode_return, rows.weight))
         panels.append(("policy version (0: exploration)", rows.version, rows.weight))
