@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -63,9 +64,7 @@ def run_curves(
                 showlegend=legend,
             )
         )
-    styled(figure, axes.x, height, keep=f"{metric} {axes}")
-    figure.update_xaxes(type="log" if axes.log_x else "linear")
-    figure.update_yaxes(type="log" if axes.log_y else "linear")
+    _draw_axes(figure, metric, height, axes)
     return note(figure, f"thinned to {POINTS} points a line") if thinned else figure
 
 
@@ -94,9 +93,7 @@ def group_curves(
         dash = DASHES[kinds.index((group.preset, group.variant)) % len(DASHES)]
         name = group_name(group, several_presets=presets > 1)
         figure.add_traces(_middle(smooth, name, dash, axes))
-    styled(figure, axes.x, height, keep=f"{metric} {axes}")
-    figure.update_xaxes(type="log" if axes.log_x else "linear")
-    figure.update_yaxes(type="log" if axes.log_y else "linear")
+    _draw_axes(figure, metric, height, axes)
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
         words.append(f"thinned to {GRID} points a line")
@@ -115,6 +112,17 @@ def group_name(group: Group, *, several_presets: bool = False) -> str:
 
 def _identity(group: Group | Curve) -> str:
     return text.plotly(f"{group.env} {group.learner} {group.preset} {group.variant}")
+
+
+def _draw_axes(figure: go.Figure, metric: str, height: int, axes: Axes) -> None:
+    styled(figure, axes.x, height, keep=f"{metric} {axes}")
+    figure.update_xaxes(type="log" if axes.log_x else "linear")
+    figure.update_yaxes(type="log" if axes.log_y else "linear")
+    lines: list[Any] = list(figure.data)
+    places = {float(x) for line in lines for x in line.x[:2]}
+    if len(places) == 1 and not axes.log_x:
+        # One evaluation so far: where it lies says more than a thousandth to either side of it.
+        figure.update_xaxes(rangemode="tozero", autorangeoptions={"include": 0})
 
 
 def _single(curve: Curve, axes: Axes) -> go.Scatter:

@@ -73,6 +73,14 @@ def test_long_groups_and_their_single_runs_are_thinned_and_say_so() -> None:
     assert not notes(group_curves([few], "critic/loss", 300, singles=True))
 
 
+def test_a_single_evaluation_is_seen_where_it_lies_in_the_run() -> None:
+    one = Curve("a", "ant", "tom", "paper", 0, np.array([6000]), np.array([1.0]))
+    figure = run_curves([one], "eval/return", 300, legend=True)
+    assert figure.to_dict()["layout"]["xaxis"]["autorangeoptions"] == {"include": 0}
+    more = run_curves([one, long_curve(9)], "eval/return", 300, legend=True)
+    assert "autorangeoptions" not in more.to_dict()["layout"]["xaxis"]
+
+
 def test_the_mean_of_two_steps_is_dotted_where_a_run_is_missing() -> None:
     step = np.array([100, 200])
     whole = Curve("a", "ant", "tom", "paper", 0, step, np.array([1.0, 2.0]))
