@@ -32,6 +32,7 @@ class Frame:
         self.store = store
         self.mode: Mode = mode
         self._lock = threading.RLock()
+        self._closed = False
         self._dress()
         client.gui.set_panel_label(self.title)
         self._build_panel()
@@ -48,13 +49,15 @@ class Frame:
     def close(self) -> None:
         """Leave an empty scene and panel for a frame of another kind."""
         with self._lock:
+            self._closed = True
             self.client.gui.reset()
             self.client.scene.reset()
 
     def tick(self, seconds: float) -> None:
         """So much time has passed: whatever plays goes on."""
         with self._lock:
-            self._tick(seconds)
+            if not self._closed:  # the clock may still hold a frame that was just replaced
+                self._tick(seconds)
 
     def look(self, position: Vector, at: Vector) -> None:
         """Put the reader's camera somewhere."""
