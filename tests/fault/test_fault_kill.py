@@ -35,8 +35,7 @@ def killed_often(path: Path, kills: int, *, rerun: bool) -> RunReader:
     store.path.mkdir()
     (store.path / "step").write_bytes(b"%09d" % 0)
     processes = get_context("forkserver")
-    # Rerun at hand from the start, so that kills meet recordings that are being written.
-    processes.set_forkserver_preload(["tom.run", "rerun"] if rerun else ["tom.run"])
+    processes.set_forkserver_preload(["tom.run"])
     for _ in range(kills):
         begun = done(store)
         process = processes.Process(target=go_on, args=(store.path, "a", steps, rerun))
