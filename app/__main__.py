@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.launcher import Studio, run
+from app.links import LOOPBACK
 from tom.cli.parser import Parser
 from tom.errors import UserError
 from tom.record.store import Store
@@ -20,6 +21,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             from app.screenshots import take  # needs playwright, which only the test extra has
 
             return take(store, args.screenshots)
+        if args.host not in LOOPBACK:
+            print(
+                "tom studio: reachable from other machines, without a password: runs can be read "
+                "by everybody who reaches this host",
+                file=sys.stderr,
+            )
         studio = Studio(store=store, host=args.host, port=args.port, theme=args.theme)
         return run(studio, browser=not args.no_browser)
     except UserError as error:

@@ -20,10 +20,6 @@ from tom.record import hub
 
 DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
-OPEN = (
-    "tom studio: reachable from other machines, without a password: runs can be read by everybody "
-    "who reaches this host"
-)
 RESTARTS = 3
 """times that a viewer which died is started again"""
 
@@ -48,8 +44,6 @@ def run(studio: Studio, *, browser: bool) -> int:
             return 0
         if running is None:
             return 1
-        if not links.local_only:
-            print(OPEN, file=sys.stderr)
         print(f"tom studio: {links.address}  (store {studio.store}; Ctrl-C stops it)", flush=True)
         if browser and _has_display():
             webbrowser.open(links.address)
