@@ -46,6 +46,7 @@ def test_a_training_is_started_and_stopped(tmp_path: Path) -> None:
         trainings.stop(Store(tmp_path), "mine")
 
 
+@pytest.mark.slow
 def test_what_it_said_is_kept_when_it_does_not_begin(tmp_path: Path) -> None:
     begun = trainings.start(["train", "--env", "hoper", "--learner", "tom"])
     begun.process.wait(WAIT_S)

@@ -138,7 +138,7 @@ def test_a_recording_of_sac_goes_on_in_either_half(stop: int):
     check(config, stop)
 
 
-@pytest.mark.parametrize("learner", ["tom", "vagram"])
+@pytest.mark.parametrize("learner", ["tom", pytest.param("vagram", marks=pytest.mark.slow)])
 def test_road_and_rocks_that_finished_early_is_the_longer_run_when_it_goes_on(learner: str):
     """Its last look, out of turn, has left no trace in what came after."""
     longer = Offline(road(learner, 250))  # pyright: ignore[reportArgumentType]

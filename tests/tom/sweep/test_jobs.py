@@ -14,6 +14,7 @@ def job(name: str, store: Path, *more: str) -> Job:
     )
 
 
+@pytest.mark.slow
 def test_every_job_is_run_and_its_exit_code_reported(tmp_path: Path):
     ended: list[str] = []
     jobs = [

@@ -23,6 +23,7 @@ def sweep(capsys, store: Path, *words: str) -> tuple[int, str, str]:
     return code, said.out, said.err
 
 
+@pytest.mark.slow
 def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
     code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--dry-run", "--json")
     planned = json.loads(out)
