@@ -5,12 +5,20 @@ from collections.abc import Sequence
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from tom.focus_study import QUANTITIES, Focus
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
 
 MARKERS = {"tom exact": "D"}
+LABELS = {"pmac": "PMAC", "tom paper": "TOM, paper preset", "tom exact": "TOM, exact preset"}
+TICKS = {
+    "policy": "policy's\nown",
+    "policy_rollout": "own,\n5 steps",
+    "ordered": "ordered\nhalf",
+    "random": "random\nhalf",
+}
 SPREAD = 0.18  # between the learners of one quantity
 
 
@@ -18,7 +26,7 @@ def error_figure(found: Sequence[Focus]) -> Figure:
     """One point a seed: the error as a share of MLE's under the same seed (1: no difference)."""
     recordings = list(dict.fromkeys(f.recording for f in found))
     with rc_context(STYLE):
-        figure = new_figure(3.4 * len(recordings) + 1.2, 3.4)
+        figure = new_figure(2.9 * len(recordings) + 1.5, 2.8)
         axes = figure.subplots(1, len(recordings), squeeze=False, sharey=True)[0]
         for ax, name in zip(axes, recordings, strict=True):
             _draw(ax, [f for f in found if f.recording == name])
@@ -39,7 +47,17 @@ def _draw(ax: Axes, found: Sequence[Focus]) -> None:
         ]
         y = [getattr(f, q) / getattr(mle[f.seed], q) for q in QUANTITIES for f in of]
         colour = learner_colour(rival.split()[0])
-        ax.scatter(x, y, s=22, color=colour, marker=MARKERS.get(rival, "o"), label=rival, alpha=0.8)
+        ax.scatter(
+            x,
+            y,
+            s=22,
+            color=colour,
+            marker=MARKERS.get(rival, "o"),
+            label=LABELS.get(rival, rival),
+            alpha=0.8,
+        )
     ax.set_yscale("log")
-    ax.set_xticks(range(len(QUANTITIES)), list(QUANTITIES.values()), rotation=25, ha="right")
+    ax.set_xticks(range(len(QUANTITIES)), [TICKS[q] for q in QUANTITIES])
+    ax.yaxis.set_major_locator(FixedLocator([0.5, 0.75, 1, 1.5, 2, 3, 4]))
+    ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter("{x:g}")
