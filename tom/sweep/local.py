@@ -165,9 +165,11 @@ class Driver:
     def _judge(self, seat: Seat, why: str, hopeless: bool) -> None:
         """It ended before its time: once more, later, or never again."""
         seat.note = why.strip()
-        if shutil.disk_usage(self.store.path).free < self.low_bytes:
-            seat.attempts -= 1  # no fault of its own: it waits for room
-        seat.state = "failed" if hopeless or seat.attempts >= ATTEMPTS else "waiting"
+        full = shutil.disk_usage(self.store.path).free < self.low_bytes
+        if full:
+            seat.attempts -= 1  # no fault of its own, also where it was refused: it waits for room
+        given_up = not full and (hopeless or seat.attempts >= ATTEMPTS)
+        seat.state = "failed" if given_up else "waiting"
         seat.not_before = self._clock() + self.back_off_s * 2 ** max(seat.attempts - 1, 0)
 
     def _watch(self, seat: Seat) -> None:
