@@ -9,35 +9,13 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from kernel import alive, descendants
 from studio_runs import ROAD_TOM
 
 from app.__main__ import main
 from app.processes import free_port, is_free
 
 START_S = 90
-
-
-def descendants(pid: int) -> set[int]:
-    """The processes under `pid`, by what the kernel says."""
-    parents: dict[int, int] = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                fields = (entry / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            parents[int(entry.name)] = int(fields[1])
-    found = {pid}
-    while more := {child for child, parent in parents.items() if parent in found} - found:
-        found |= more
-    return found - {pid}
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

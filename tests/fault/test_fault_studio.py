@@ -14,11 +14,10 @@ from pathlib import Path
 import pytest
 import streamlit as st
 from faults import config, ended, one_line, wait_until
+from kernel import alive, descendants
 from servers import (
-    alive,
     answers,
     command_of,
-    descendants,
     environment_of,
     is_taken,
     listening,

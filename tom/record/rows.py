@@ -20,12 +20,16 @@ def read_metrics(path: Path) -> tuple[pd.DataFrame, list[str]]:
 
     Raises OSError when the file cannot be read.
     """
-    if path.stat().st_size >= LARGE_BYTES:
-        try:
-            table, problems = _columns(path)
-            return decode.tidy(table), problems
-        except (pa.ArrowException, KeyError, ValueError):
-            pass  # a row that fits no column: row by row, then
+    if path.stat().st_size < LARGE_BYTES:
+        return _by_row(path)
+    try:
+        table, problems = _columns(path)
+        return decode.tidy(table), problems
+    except (pa.ArrowException, KeyError, ValueError):  # a row that fits no column
+        return _by_row(path)
+
+
+def _by_row(path: Path) -> tuple[pd.DataFrame, list[str]]:
     rows, problems = read_json_lines(path)
     return decode.metrics_table(rows), problems
 

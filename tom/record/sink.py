@@ -7,6 +7,7 @@ Only `run.rrd` is written here. A live viewer is fed by the studio's hub from th
 import queue
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
@@ -86,12 +87,7 @@ class RerunSink:
         self._offer(lambda view: view.field(field))
 
     def close(self) -> str | None:
-        try:
-            self._queue.put(None, timeout=CLOSE_S)
-            self._thread.join(CLOSE_S)
-        except queue.Full:
-            pass  # the thread hangs: said below
-        if self._thread.is_alive():
+        if not self._ended():
             _leave_behind()
             return f"{self.path.name} did not take what was recorded and may be incomplete"
         if self._error:
@@ -99,6 +95,13 @@ class RerunSink:
         if self.dropped:
             return f"{self.path.name} was too slow: {self.dropped} entries were left out"
         return None
+
+    def _ended(self) -> bool:
+        """Whether the thread has come to its end in time, everything before it done."""
+        with suppress(queue.Full):  # a thread that hangs: it is alive below
+            self._queue.put(None, timeout=CLOSE_S)
+            self._thread.join(CLOSE_S)
+        return not self._thread.is_alive()
 
     def _offer(self, entry: Callable[["RerunView"], object]) -> None:
         try:

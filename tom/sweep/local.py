@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -99,11 +100,9 @@ class Driver:
         for seat in running:
             _signal(seat, signal.SIGTERM)
         until = self._clock() + wait_s
-        try:
+        with suppress(KeyboardInterrupt):  # asked twice: the checkpoints they have must do
             while self._clock() < until and any(_lives(seat) for seat in running):
                 time.sleep(0.1)
-        except KeyboardInterrupt:
-            pass  # asked twice: the checkpoints they have must do
         for seat in running:
             if _lives(seat):
                 _signal(seat, signal.SIGKILL)
