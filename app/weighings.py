@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tom.data.sampling import bin_means
 from tom.progression import Progression, progression
 from tom.record.files import read_json
-from tom.weighing_files import REPORT, WEIGHTS
+from tom.reports.weighing_files import REPORT, WEIGHTS
 
 FOLDER = Path("weighings")
 """where `tom weigh` puts its results when it is started where the studio was"""

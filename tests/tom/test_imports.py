@@ -16,9 +16,9 @@ LEVELS = [
     {"run", "bench", "weighing"},
     {"fleet"},
     {"imagine"},
-    {"cli", "tabular_study", "road_study", "reports", "__main__"}
-    | {"weighing_files", "progression_study", "progression_files", "focus_study", "doctor"}
-    | {"returns_study", "online_study"},
+    {"studies"},
+    {"reports"},
+    {"doctor", "cli", "__main__"},
 ]
 LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}
 

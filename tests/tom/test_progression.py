@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tom.progression import medians, progression, rank_correlation, same_profile
-from tom.progression_files import table, write
-from tom.progression_study import Case, Check, Condition, checks
+from tom.reports.progression_files import table, write
+from tom.studies.progression import Case, Check, Condition, checks
 from tom.weighing import Weighed
 
 

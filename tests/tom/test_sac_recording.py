@@ -10,10 +10,10 @@ from tom.config import SacRecordingConfig
 from tom.errors import UserError
 from tom.events import Evaluation, Event, TrainedPolicy
 from tom.policy_file import UniformPolicy, policy_arrays, read_policy
-from tom.progression_study import recorded
 from tom.record import RunReader, Store
 from tom.run import Stop, resume, train, unfinished
 from tom.sac_recording import SacRecording
+from tom.studies.progression import recorded
 
 STEPS, EXPLORATION = 1100, 900
 

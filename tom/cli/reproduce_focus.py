@@ -11,14 +11,14 @@ from tom.cli.study import out_folder, sac_recordings, say, stoppable
 from tom.cli.tables import show
 from tom.envs import task
 from tom.errors import UserError
-from tom.focus_study import QUANTITIES, RIVALS, Focus, study, summary
 from tom.matmul import choose_matmul
-from tom.progression_study import SAC_SEEDS
 from tom.record import Store
 from tom.record.files import plain
 from tom.reports.files import write_csv
 from tom.reports.focus import error_figure
 from tom.reports.style import save
+from tom.studies.focus import QUANTITIES, RIVALS, Focus, study, summary
+from tom.studies.progression import SAC_SEEDS
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:

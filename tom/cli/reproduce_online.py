@@ -4,7 +4,6 @@ import argparse
 import json
 from pathlib import Path
 
-from tom import online_study as study
 from tom.cli.study import out_folder
 from tom.cli.tables import show
 from tom.envs import ENVS, task
@@ -17,6 +16,7 @@ from tom.reports.html import Report, write_report
 from tom.reports.online import online_figure
 from tom.reports.origin import origin_of, seeds
 from tom.reports.style import save
+from tom.studies import online as study
 
 CLAIM = (
     "TOM's weights are not high only at the very end of the replay buffer, where data is nearly "

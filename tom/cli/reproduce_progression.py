@@ -8,17 +8,17 @@ from pathlib import Path
 
 import torch
 
-from tom import progression_files
 from tom.cli.study import out_folder, sac_recordings, say, stoppable
 from tom.cli.tables import show
 from tom.envs import task
 from tom.errors import UserError, unknown
 from tom.matmul import choose_matmul
-from tom.progression_study import SAC_SEEDS, Case, Check, cases, checks
 from tom.record import Store
 from tom.record.files import plain
+from tom.reports import progression_files
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
+from tom.studies.progression import SAC_SEEDS, Case, Check, cases, checks
 
 PRESETS = ("exact", "paper")
 CLAIM = (

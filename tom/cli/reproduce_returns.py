@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from tom import returns_study as study
 from tom.cli.study import out_folder
 from tom.cli.tables import show
 from tom.envs import ENVS, task
@@ -21,6 +20,7 @@ from tom.reports.html import Report, write_report
 from tom.reports.origin import origin_of, seeds
 from tom.reports.returns import return_figure
 from tom.reports.style import save
+from tom.studies import returns as study
 
 CLAIM = (
     "TOM performs best in aggregate in four of five environments, in sample efficiency and in "

@@ -22,7 +22,7 @@ from tom.reports.files import write_csv
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
 from tom.reports.style import save
-from tom.road_study import (
+from tom.studies.road import (
     Case,
     Check,
     Outcome,

@@ -24,7 +24,7 @@ from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
 from tom.reports.style import save
 from tom.reports.tabular import estimate_figure
-from tom.tabular_study import VARIANTS, Estimate, Variant, acceptance, cases, estimate, summary
+from tom.studies.tabular import VARIANTS, Estimate, Variant, acceptance, cases, estimate, summary
 
 JUDGED = VARIANTS[0]
 CLAIM = (

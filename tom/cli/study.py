@@ -10,9 +10,9 @@ from tom.cli.progress import ProgressReport
 from tom.config import SacRecordingConfig
 from tom.envs import task
 from tom.errors import UserError
-from tom.progression_study import SAC_SEEDS, recorded, recording_config
 from tom.record import RunReader, Store
 from tom.run import train
+from tom.studies.progression import SAC_SEEDS, recorded, recording_config
 
 
 def out_folder(path: Path) -> None:

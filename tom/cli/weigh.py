@@ -10,7 +10,6 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
-from tom import weighing_files
 from tom.cli.parser import add_config_options, leaf_fields, one_line, overrides
 from tom.cli.tables import show
 from tom.config import RunConfig, TomConfig
@@ -19,6 +18,7 @@ from tom.errors import UserError, unknown
 from tom.matmul import choose_matmul
 from tom.record import Store
 from tom.record.files import plain
+from tom.reports import weighing_files
 from tom.weighing import (
     RANDOM,
     WEIGHERS,

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from tom.focus_study import QUANTITIES, Focus
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
+from tom.studies.focus import QUANTITIES, Focus
 
 MARKERS = {"tom exact": "D"}
 LABELS = {"pmac": "PMAC", "tom paper": "TOM, paper preset", "tom exact": "TOM, exact preset"}

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tom.learners import LEARNER_NAMES, LEARNERS
-from tom.online_study import Panel
 from tom.reports.colours import NEUTRAL
 from tom.reports.style import STYLE, new_figure
+from tom.studies.online import Panel
 
 
 def online_figure(found: Sequence[Panel]) -> Figure:

@@ -11,7 +11,7 @@ from tom import statistics as st
 from tom.learners import LEARNERS
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
-from tom.returns_study import Cell, compared_at
+from tom.studies.returns import Cell, compared_at
 
 COLUMNS = 3
 FEW_POINTS = 10

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tom.envs import road
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
-from tom.road_study import Outcome, Story
+from tom.studies.road import Outcome, Story
 
 LEARNERS = {"mle": ("mle", "MLE"), "pmac, expert last": ("pmac", "PMAC"), "tom": ("tom", "TOM")}
 CELLS = 25  # of the weight map along each side

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
-from tom.tabular_study import Estimate
+from tom.studies.tabular import Estimate
 
 LABELS = {"chi2": "chi-square", "kl": "KL", "full-chi2": "full chi-square"}
 

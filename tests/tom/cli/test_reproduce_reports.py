@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from tom.cli import reproduce_progression, reproduce_road
-from tom.progression_study import Check as Number
 from tom.reports.style import new_figure, save
-from tom.road_study import Check, Outcome, Story
+from tom.studies.progression import Check as Number
+from tom.studies.road import Check, Outcome, Story
 
 
 def story(name: str, seed: int) -> Story:

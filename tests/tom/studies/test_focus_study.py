@@ -10,10 +10,10 @@ from tom.cli import main
 from tom.config import SacRecordingConfig
 from tom.data.transitions import Transitions
 from tom.envs import task
-from tom.focus_study import Focus, _tested, study, summary
 from tom.policy_file import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.run import train
+from tom.studies.focus import Focus, _tested, study, summary
 from tom.weighing import of_run
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tom import returns_study as study
 from tom.events import Metrics, Tick
 from tom.presets import resolve
 from tom.record import Recorder, RunWriter, Store
+from tom.studies import returns as study
 
 
 def record(

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from tom.data.sampling import bin_means
 from tom.learners import LEARNERS
-from tom.progression_study import Case, Check
 from tom.reports.progression import Panel, profile_figure
 from tom.reports.style import save
-from tom.weighing_files import profiles, write_weights
+from tom.reports.weighing_files import profiles, write_weights
+from tom.studies.progression import Case, Check
 
 BINS = 100
 FIGURE = "progression"

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from tom.road_study import (
+from tom.studies.road import (
     MLE_RETURN_MAX,
     TURNS,
     Outcome,

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tom.tabular_study import (
+from tom.studies.tabular import (
     VARIANTS,
     Case,
     Variant,

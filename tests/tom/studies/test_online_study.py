@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tom import online_study as study
 from tom.events import Tick, Weights
 from tom.presets import resolve
 from tom.record import Recorder, RunWriter, Store
+from tom.studies import online as study
 
 N = 1000
 
