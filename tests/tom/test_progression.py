@@ -8,7 +8,7 @@ import pytest
 
 from tom.progression import medians, progression, rank_correlation, same_profile
 from tom.reports.progression_files import table, write
-from tom.studies.progression import Case, Check, Condition, checks
+from tom.studies.progression import Condition, Finding, Result, checks
 from tom.weighing import Weighed
 
 
@@ -85,20 +85,20 @@ def rising() -> np.ndarray:
     return np.concatenate([np.full(500, 0.1), np.linspace(0.2, 8, 500) ** 1.5]) * noise
 
 
-def conditions(own: np.ndarray, turned: np.ndarray, moved: np.ndarray) -> list[Case]:
+def conditions(own: np.ndarray, turned: np.ndarray, moved: np.ndarray) -> list[Result]:
     recent = np.concatenate([np.zeros(900), np.arange(100.0)])
     at_random = np.random.default_rng(0).permutation(recent)
 
-    def case(condition: Condition, tom: np.ndarray, pmac: np.ndarray) -> Case:
+    def case(condition: Condition, tom: np.ndarray, pmac: np.ndarray) -> Result:
         found = [weighed("tom", seed, tom) for seed in range(3)]
         found += [weighed("pmac", seed, pmac) for seed in range(3)]
-        return Case("halfcheetah-s0", "halfcheetah", 500, condition, "exact", tuple(found))
+        return Result("halfcheetah-s0", "halfcheetah", 500, condition, "exact", tuple(found))
 
     parts = case("own", own, recent), case("random", turned, recent)
     return [*parts, case("shuffled", moved, at_random)]
 
 
-def study(own: np.ndarray, turned: np.ndarray, moved: np.ndarray) -> list[Check]:
+def study(own: np.ndarray, turned: np.ndarray, moved: np.ndarray) -> list[Finding]:
     return checks(conditions(own, turned, moved))
 
 
@@ -116,10 +116,10 @@ def test_one_that_follows_the_position_is_not():
 
 
 def test_the_median_over_seeds_is_judged():
-    check = Check("run", "exact", "own", "tom", "random half", (0.2, 0.9, 0.25), ("<=", 0.3))
+    check = Finding("run", "exact", "own", "tom", "random half", (0.2, 0.9, 0.25), ("<=", 0.3))
     assert check.median == 0.25
     assert check.met
-    assert Check("run", "exact", "own", "tom", "ESS", (0.2,), None).met is None
+    assert Finding("run", "exact", "own", "tom", "ESS", (0.2,), None).met is None
 
 
 def test_the_study_leaves_its_figure_and_tables(tmp_path: Path):

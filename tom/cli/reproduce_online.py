@@ -1,16 +1,12 @@
 """`tom reproduce online`: weight profiles over the buffer at several steps of a run."""
 
 import argparse
-import json
 from pathlib import Path
 
-from tom.cli.study import out_folder
+from tom.cli.study import add_output, add_stored, check_stored, out_folder, print_json
 from tom.cli.tables import show
-from tom.envs import ENVS, task
-from tom.errors import UserError, unknown
-from tom.presets import PRESETS
+from tom.errors import UserError
 from tom.record import Store
-from tom.record.files import plain
 from tom.reports.files import write_csv
 from tom.reports.html import Report, write_report
 from tom.reports.online import online_figure
@@ -34,18 +30,13 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         description="Draw where the weights lie in the replay buffer at several fits of the "
         "longest run of each environment and learner that the store has. Nothing is trained.",
     )
-    parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
-    parser.add_argument("--preset", default="paper", metavar="PRESET", help="[paper]")
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
-    parser.add_argument("--out", type=Path, default=Path("reports/online"))
-    parser.add_argument("--json", action="store_true", help="print the rows as JSON")
+    add_stored(parser)
+    add_output(parser, "online")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    envs = [task(env).name for env in args.env]
-    if args.preset not in PRESETS:
-        raise unknown("preset", args.preset, PRESETS)
+    envs = check_stored(args)
     found = study.panels(Store(args.store).runs(), args.preset)
     found = [panel for panel in found if panel.run.env in envs]
     if not found:
@@ -57,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     rows, said = study.rows(found), study.verdict(found)
     _write(args.out, found, rows, said)
     if args.json:
-        print(json.dumps(plain({"rows": rows, "verdict": said}), allow_nan=False))
+        print_json({"rows": rows, "verdict": said})
         return 0
     cells = [[_cell(row[name]) for name in COLUMNS] for row in rows]
     show("Where the weights lie: share on the newest tenth, position of the peak", COLUMNS, cells)

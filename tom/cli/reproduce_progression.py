@@ -1,24 +1,28 @@
 """`tom reproduce progression`: the weight progression on an ordered buffer."""
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 
-import torch
-
-from tom.cli.study import out_folder, sac_recordings, say, stoppable
+from tom.cli.study import (
+    add_output,
+    add_recordings,
+    check_recordings,
+    out_folder,
+    print_json,
+    sac_recordings,
+    say,
+    stoppable,
+)
 from tom.cli.tables import show
 from tom.envs import task
-from tom.errors import UserError, unknown
-from tom.matmul import choose_matmul
+from tom.errors import unknown
 from tom.record import Store
-from tom.record.files import plain
 from tom.reports import progression_files
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
-from tom.studies.progression import SAC_SEEDS, Case, Check, cases, checks
+from tom.studies.each import each
+from tom.studies.progression import Finding, Result, cases, checks, result
 
 PRESETS = ("exact", "paper")
 CLAIM = (
@@ -37,14 +41,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "its own policy, for the random policy and with its rows shuffled, and hold the profiles "
         "against the acceptance. Median over TOM's seeds; the first preset is judged.",
     )
-    parser.add_argument("--env", nargs="+", default=list(SAC_SEEDS), metavar="ENV")
-    parser.add_argument("--steps", type=int, default=50_000, help="steps of SAC [50000]")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="TOM's [0 1 2]")
+    add_recordings(parser)
     parser.add_argument("--sac-seeds", nargs="+", type=int, help="of recordings [as accepted]")
     parser.add_argument("--preset", nargs="+", default=list(PRESETS), help="TOM's [exact paper]")
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
-    parser.add_argument("--out", type=Path, default=Path("reports/progression"))
-    parser.add_argument("--json", action="store_true", help="print the checks as JSON")
+    add_output(parser, "progression")
     parser.set_defaults(run=run)
 
 
@@ -53,19 +53,16 @@ def run(args: argparse.Namespace) -> int:
     for preset in args.preset:
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
-    if args.steps < 1000 or min(args.seeds) < 0:
-        raise UserError("--steps must be at least 1000 and --seeds at least 0")
+    check_recordings(args)
     envs = [task(env).name for env in args.env]
     out_folder(args.out)
     runs = sac_recordings(Store(args.store), envs, args.sac_seeds, args.steps)
-    torch.set_num_threads(1)
-    choose_matmul()
-    done: list[Case] = []
-    for reader in runs:
-        for case in cases(reader, args.preset, args.seeds):
-            progression_files.keep_weights(args.out, case)
-            done.append(case)
-            say(f"{case.recording}: TOM {case.preset}, {case.condition}")
+    asked = cases(runs, args.preset, args.seeds)
+    done: list[Result] = []
+    for one in each(result, asked, args.jobs, args.out):
+        progression_files.keep_weights(args.out, one)
+        done.append(one)
+        say(f"{one.recording}: TOM {one.preset}, {one.condition}")
     found = checks(done)
     progression_files.write(args.out, done, found, args.preset[0])
     _report(found, args)
@@ -73,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if all(c.met is not False for c in found if c.preset == args.preset[0]) else 1
 
 
-def _report(found: Sequence[Check], args: argparse.Namespace) -> None:
+def _report(found: Sequence[Finding], args: argparse.Namespace) -> None:
     rows = [
         {
             "name": f"{c.recording}, {c.condition} policy, {c.learner}, {c.quantity}",
@@ -90,10 +87,10 @@ def _report(found: Sequence[Check], args: argparse.Namespace) -> None:
     write_study(args.out, "Weight progression", CLAIM, rows, drawn, seeds=used)
 
 
-def _print(found: Sequence[Check], args: argparse.Namespace) -> None:
+def _print(found: Sequence[Finding], args: argparse.Namespace) -> None:
     if args.json:
         rows = [{**asdict(c), "median": c.median, "met": c.met} for c in found]
-        print(json.dumps(plain({"checks": rows, "out": str(args.out)}), allow_nan=False))
+        print_json({"checks": rows, "out": str(args.out)})
         return
     titles, *rows = progression_files.table(found)
     plain_rows = [[cell.replace("**", "") for cell in row] for row in rows]

@@ -1,20 +1,16 @@
 """`tom reproduce returns`: return curves of every learner, from the runs that the store has."""
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tom.cli.study import out_folder
+from tom.cli.study import add_output, add_stored, check_stored, out_folder, print_json
 from tom.cli.tables import show
-from tom.envs import ENVS, task
 from tom.errors import UserError, unknown
 from tom.learners import LEARNER_NAMES
-from tom.presets import PRESETS
 from tom.record import Store
-from tom.record.files import plain
 from tom.reports.files import write_csv
 from tom.reports.html import Report, write_report
 from tom.reports.origin import origin_of, seeds
@@ -38,22 +34,17 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "the store has, compare learners at a step that all runs of an environment reach, and "
         "list what is missing. Nothing is trained: `tom sweep` makes the runs.",
     )
-    parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
+    add_stored(parser)
     parser.add_argument("--learner", nargs="+", default=list(LEARNER_NAMES), metavar="LEARNER")
-    parser.add_argument("--preset", default="paper", metavar="PRESET", help="[paper]")
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
-    parser.add_argument("--out", type=Path, default=Path("reports/returns"))
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    add_output(parser, "returns")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    envs = [task(env).name for env in args.env]
+    envs = check_stored(args)
     for learner in args.learner:
         if learner not in LEARNER_NAMES:
             raise unknown("learner", learner, LEARNER_NAMES)
-    if args.preset not in PRESETS:
-        raise unknown("preset", args.preset, PRESETS)
     cells, left_out = study.select(Store(args.store).runs(), args.preset)
     cells = [cell for cell in cells if cell.env in envs and cell.learner in args.learner]
     if not cells:
@@ -106,7 +97,7 @@ def _write(out: Path, cells: list[study.Cell], left_out: list[str], found: dict[
 
 def _print(args: argparse.Namespace, found: dict[str, Any]) -> None:
     if args.json:
-        print(json.dumps(plain({**found, "out": str(args.out)}), allow_nan=False))
+        print_json({**found, "out": str(args.out)})
         return
     names = ("env", "learner", "n", "at step", "mean", "low", "high", "IQM", "remark")
     rows = [[_cell(row[name]) for name in names] for row in found["summary"]]

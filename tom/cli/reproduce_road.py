@@ -1,30 +1,29 @@
 """`tom reproduce road`: where TOM drives and MLE does not, with controls and the sweep."""
 
 import argparse
-import json
-import os
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
-from multiprocessing import get_context
 from pathlib import Path
 
-import torch
-
-from tom.cli.study import out_folder
+from tom.cli.study import (
+    add_jobs,
+    add_output,
+    check_seeds,
+    out_folder,
+    print_json,
+    say,
+    show_checks,
+    stoppable,
+)
 from tom.cli.tables import show
-from tom.errors import UserError
-from tom.matmul import choose_matmul
-from tom.record.files import plain
 from tom.reports import road as figures
 from tom.reports.files import write_csv
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
 from tom.reports.style import save
+from tom.studies.checks import Check
+from tom.studies.each import each
 from tom.studies.road import (
-    Case,
-    Check,
     Outcome,
     Story,
     acceptance,
@@ -54,40 +53,27 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument(
         "--sweep-seeds", nargs="+", type=int, default=[4, 5], help="seeds of the sweep [4 5]"
     )
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
-    parser.add_argument("--out", type=Path, default=Path("reports/road"))
-    parser.add_argument("--json", action="store_true", help="print the checks as JSON")
+    add_jobs(parser)
+    add_output(parser, "road")
     parser.set_defaults(run=run)
 
 
+@stoppable
 def run(args: argparse.Namespace) -> int:
-    if min([*args.seeds, *args.sweep_seeds]) < 0 or args.jobs < 1:
-        raise UserError("--seeds and --sweep-seeds must be at least 0 and --jobs at least 1")
+    check_seeds(args.jobs, [*args.seeds, *args.sweep_seeds])
     out_folder(args.out)
-    main = [*acceptance_cases(args.seeds), *control_cases(args.seeds)]
-    stories = _tell_all([*main, *baseline_cases(args.seeds)], args.jobs)
-    sweep = [s.outcome for s in _tell_all(sweep_cases(args.sweep_seeds), args.jobs)]
+    main = [*acceptance_cases(args.seeds), *control_cases(args.seeds), *baseline_cases(args.seeds)]
+    asked = [*main, *sweep_cases(args.sweep_seeds)]
+    told: list[Story] = []
+    for story in each(tell, asked, args.jobs, args.out):
+        told.append(story)
+        say(f"{story.outcome.name} seed {story.outcome.seed} turn {story.outcome.turn:g}")
+    stories, sweep = told[: len(main)], [story.outcome for story in told[len(main) :]]
     outcomes = [s.outcome for s in stories]
     checks = [*acceptance(outcomes), *controls(outcomes)]
     _write(args.out, stories, sweep, checks)
     _print(checks, outcomes, args)
-    return 0 if all(check.passed for check in checks) else 1
-
-
-def _tell_all(cases: Sequence[Case], jobs: int) -> list[Story]:
-    """The stories of all cases, each in a single-threaded process."""
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _prepare) as pool:
-        stories = []
-        for story in pool.map(tell, cases):
-            stories.append(story)
-            o = story.outcome
-            print(f"{o.name} seed {o.seed} turn {o.turn:g}", file=sys.stderr, flush=True)
-        return stories
-
-
-def _prepare() -> None:
-    torch.set_num_threads(1)
-    choose_matmul()
+    return 0 if all(check.met for check in checks) else 1
 
 
 def _write(
@@ -110,7 +96,7 @@ def _write(
     if told:
         drawn["Mean weight over the map"] = (figures.map_figure(told), "weights")
     pngs = [(caption, save(figure, out, name)[0]) for caption, (figure, name) in drawn.items()]
-    rows = [{"name": c.name, "value": c.value, "bound": c.bound, "met": c.passed} for c in checks]
+    rows = [asdict(c) for c in checks]
     outcomes = [("By seed", [asdict(s.outcome) for s in stories])]
     used = in_short([s.outcome.seed for s in stories])
     write_study(out, "Road-and-rocks", CLAIM, rows, pngs, outcomes, seeds=used)
@@ -118,15 +104,10 @@ def _write(
 
 def _print(checks: Sequence[Check], outcomes: Sequence[Outcome], args: argparse.Namespace) -> None:
     if args.json:
-        rows = [asdict(c) for c in checks]
-        print(json.dumps(plain({"checks": rows, "out": str(args.out)}), allow_nan=False))
+        print_json({"checks": [asdict(c) for c in checks], "out": str(args.out)})
         return
     title = f"Road-and-rocks, seeds {' '.join(map(str, args.seeds))}"
-    show(
-        title,
-        ("figure", "value", "bound", "met"),
-        [(c.name, f"{c.value:.3g}", c.bound, "yes" if c.passed else "NO") for c in checks],
-    )
+    show_checks(title, checks)
     _show_seeds(outcomes)
     print(args.out)
 

@@ -1,30 +1,38 @@
 """`tom reproduce tabular`: TOM's weights held against exact ones on small MDPs."""
 
 import argparse
-import json
-import os
-import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
-from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
+from dataclasses import asdict, replace
 from typing import Any
 
-import torch
-
-from tom.cli.study import out_folder
+from tom.cli.study import (
+    add_jobs,
+    add_output,
+    check_seeds,
+    out_folder,
+    print_json,
+    say,
+    show_checks,
+    stoppable,
+)
 from tom.cli.tables import show
-from tom.errors import UserError
-from tom.matmul import choose_matmul
-from tom.record.files import plain
 from tom.reports.files import write_csv
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
 from tom.reports.style import save
 from tom.reports.tabular import estimate_figure
-from tom.studies.tabular import VARIANTS, Estimate, Variant, acceptance, cases, estimate, summary
+from tom.studies.checks import Check
+from tom.studies.each import each
+from tom.studies.tabular import (
+    VARIANTS,
+    Case,
+    Estimate,
+    Variant,
+    acceptance,
+    cases,
+    estimate,
+    summary,
+)
 
 JUDGED = VARIANTS[0]
 CLAIM = (
@@ -49,20 +57,19 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument(
         "--variant-seeds", nargs="*", type=int, default=[0, 1], help="MDPs of the other ways [0 1]"
     )
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
-    parser.add_argument("--out", type=Path, default=Path("reports/tabular"))
-    parser.add_argument("--json", action="store_true", help="print the checks as JSON")
+    add_jobs(parser)
+    add_output(parser, "tabular")
     parser.set_defaults(run=run)
 
 
+@stoppable
 def run(args: argparse.Namespace) -> int:
-    if min([*args.seeds, *args.variant_seeds]) < 0 or args.jobs < 1:
-        raise UserError("--seeds and --variant-seeds must be at least 0 and --jobs at least 1")
+    check_seeds(args.jobs, [*args.seeds, *args.variant_seeds])
     out_folder(args.out)
-    with ProcessPoolExecutor(args.jobs, get_context("spawn"), _prepare) as pool:
-        judged = _estimates(pool, JUDGED, args.seeds)
-        same = _estimates(pool, JUDGED, args.seeds, same_policy=True)
-        others = [e for v in VARIANTS[1:] for e in _estimates(pool, v, args.variant_seeds)]
+    found = _estimates(args)
+    same = [e for e in found if e.case.same_policy]
+    judged = [e for e in found if e.variant == JUDGED.label and not e.case.same_policy]
+    others = [e for e in found if e.variant != JUDGED.label]
     checks = acceptance([e.row() for e in judged], [e.row() for e in same])
     rows = [e.row() for e in (*judged, *others)]
     write_csv(args.out / "estimates.csv", rows)
@@ -71,41 +78,33 @@ def run(args: argparse.Namespace) -> int:
     drawn = [("Estimated against exact weights; the area is the replay's share", png)]
     tables = [("Ways to estimate: median and worst", summary(rows))]
     used = in_short(args.seeds)
-    write_study(args.out, "Exact weights", CLAIM, checks, drawn, tables, seeds=used)
+    judgement = [asdict(check) for check in checks]
+    write_study(args.out, "Exact weights", CLAIM, judgement, drawn, tables, seeds=used)
     if args.json:
-        print(json.dumps(plain({"checks": checks, "out": str(args.out)}), allow_nan=False))
+        print_json({"checks": [asdict(c) for c in checks], "out": str(args.out)})
     else:
         _print(checks, rows, len(judged))
         print(args.out)
-    return 0 if all(check["met"] for check in checks) else 1
+    return 0 if all(check.met for check in checks) else 1
 
 
-def _estimates(
-    pool: ProcessPoolExecutor, variant: Variant, seeds: Sequence[int], same_policy: bool = False
-) -> list[Estimate]:
-    chosen = [replace(case, same_policy=same_policy) for case in cases(seeds)]
-    found = []
-    for done in pool.map(partial(_estimate, variant), chosen):
-        found.append(done)
-        print(f"{variant.label}: {len(found)}/{len(chosen)}", file=sys.stderr, flush=True)
+def _estimates(args: argparse.Namespace) -> list[Estimate]:
+    judged = cases(args.seeds)
+    asked = [(replace(case, same_policy=same), JUDGED) for same in (False, True) for case in judged]
+    asked += [(case, variant) for variant in VARIANTS[1:] for case in cases(args.variant_seeds)]
+    found: list[Estimate] = []
+    for one in each(_estimate, asked, args.jobs, args.out):
+        found.append(one)
+        say(f"{len(found)}/{len(asked)} {one.variant}, MDP {one.case.seed}")
     return found
 
 
-def _estimate(variant: Variant, case) -> Estimate:
-    return estimate(case, variant)
+def _estimate(asked: tuple[Case, Variant]) -> Estimate:
+    return estimate(*asked)
 
 
-def _prepare() -> None:
-    torch.set_num_threads(1)
-    choose_matmul()
-
-
-def _print(checks: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]], runs: int) -> None:
-    show(
-        f"Estimated against exact weights: {JUDGED.label}, {runs} problems",
-        ("figure", "value", "bound", "met"),
-        [(c["name"], f"{c['value']:.3g}", c["bound"], "yes" if c["met"] else "NO") for c in checks],
-    )
+def _print(checks: Sequence[Check], rows: Sequence[dict[str, Any]], runs: int) -> None:
+    show_checks(f"Estimated against exact weights: {JUDGED.label}, {runs} problems", checks)
     table = summary(rows)
     show(
         "Ways to estimate: median and worst",

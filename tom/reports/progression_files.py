@@ -9,7 +9,7 @@ from tom.learners import LEARNERS
 from tom.reports.progression import Panel, profile_figure
 from tom.reports.style import save
 from tom.reports.weighing_files import profiles, write_weights
-from tom.studies.progression import Case, Check
+from tom.studies.progression import Finding, Result
 
 BINS = 100
 FIGURE = "progression"
@@ -22,17 +22,17 @@ TITLES = {
 }
 
 
-def keep_weights(folder: Path, case: Case) -> None:
+def keep_weights(folder: Path, case: Result) -> None:
     """Write every single weight of `case`."""
     name = f"{case.recording}-{case.condition}-{case.preset}.parquet"
     write_weights(folder / name, case.found)
 
 
-def write(folder: Path, done: Sequence[Case], found: Sequence[Check], preset: str) -> None:
+def write(folder: Path, done: Sequence[Result], found: Sequence[Finding], preset: str) -> None:
     """Write `profiles.csv`, `checks.csv`, `checks.md` and the figure of TOM's `preset`."""
     _write_profiles(folder / "profiles.csv", done)
     _write_table(folder, table(found))
-    by_recording: dict[str, dict[tuple[str, str], Case]] = {}
+    by_recording: dict[str, dict[tuple[str, str], Result]] = {}
     for case in done:
         if case.preset == preset:
             of = by_recording.setdefault(case.recording, {})
@@ -48,7 +48,7 @@ def write(folder: Path, done: Sequence[Case], found: Sequence[Check], preset: st
     save(profile_figure(panels, shares), folder, FIGURE)
 
 
-def table(found: Sequence[Check]) -> list[list[str]]:
+def table(found: Sequence[Finding]) -> list[list[str]]:
     """The checks as rows of text, the first one the titles: TOM's presets stand side by side."""
     presets = list(dict.fromkeys(c.preset for c in found))
     lines: dict[tuple[str, ...], dict[str, str]] = {}
@@ -62,7 +62,7 @@ def table(found: Sequence[Check]) -> list[list[str]]:
     return [titles, *([*key, *(of.get(p, "") for p in presets)] for key, of in lines.items())]
 
 
-def _value(c: Check) -> str:
+def _value(c: Finding) -> str:
     by_seed = " ".join(f"{v:.3g}" for v in c.values)
     verdict = {None: "", True: " yes", False: " **no**"}[c.met]
     return f"{c.median:.3g} ({by_seed}){verdict}"
@@ -76,7 +76,7 @@ def _write_table(folder: Path, rows: Sequence[Sequence[str]]) -> None:
     (folder / "checks.md").write_text("\n".join([titles, rule, *rest]) + "\n")
 
 
-def _write_profiles(path: Path, done: Sequence[Case]) -> None:
+def _write_profiles(path: Path, done: Sequence[Result]) -> None:
     with path.open("w", newline="") as file:
         lines = csv.writer(file)
         lines.writerow(["recording", "preset", "policy", "learner", "seed", "bin", "mean_weight"])

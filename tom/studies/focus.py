@@ -5,8 +5,9 @@ that SAC ended with; the paper's model is fitted with those weights, afresh; its
 on transitions that the policy makes anew, and on the two halves of the buffer.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import median
 from typing import Literal
 
@@ -56,23 +57,36 @@ QUANTITIES = {
 """The errors of a `Focus` and what they are measured on."""
 
 
-def study(
-    run: RunReader, rivals: Sequence[Rival], seeds: Sequence[int], preset: str = "paper"
-) -> Iterator[Focus]:
-    """Every rival under every seed on one recording, with the model of a run's `preset`.
+@dataclass(frozen=True)
+class Case:
+    """One learner under one seed on one recording, with the model of a run's `preset`.
 
     A seed draws the footprint that TOM is told about, the networks, the minibatches, and the
     transitions that the models are tested on, which no learner has seen.
     """
+
+    recording: Path
+    rival: Rival
+    seed: int
+    preset: str = "paper"
+
+
+def cases(
+    runs: Sequence[RunReader], seeds: Sequence[int], rivals: Sequence[Rival] = RIVALS
+) -> list[Case]:
+    """Every rival under every seed on every recording."""
+    return [Case(run.path, rival, seed) for run in runs for seed in seeds for rival in rivals]
+
+
+def focus(case: Case) -> Focus:
+    """Weigh, fit and test one case."""
+    run = RunReader(case.recording)
     data, policy, known = of_run(run), read_policy(run.path / NAME), task(run.env)
-    name = f"{run.env}-s{run.seed}"
-    for seed in seeds:
-        tested = _tested(data, policy, known, seed)
-        for rival in rivals:
-            config = _config(run.env, rival, preset).but(seed=seed)
-            (weighed,) = weigh(data, policy, known, config, (config.learner,), (seed,))
-            model = _fitted(data, weighed, config)
-            yield Focus(name, rival, seed, *_errors(model, weighed, tested))
+    config = _config(run.env, case.rival, case.preset).but(seed=case.seed)
+    (weighed,) = weigh(data, policy, known, config, (config.learner,), (case.seed,))
+    errors = _errors(_fitted(data, weighed, config), _tested(data, policy, known, case.seed))
+    of_weights = ess(torch.from_numpy(weighed.weights))
+    return Focus(f"{run.env}-s{run.seed}", case.rival, case.seed, of_weights, *errors)
 
 
 def summary(found: Sequence[Focus]) -> list[dict[str, str | float]]:
@@ -134,11 +148,10 @@ def _fitted(data: OrderedData, found: Weighed, config: OnlineConfig) -> Dynamics
     return model
 
 
-def _errors(model: DynamicsModel, found: Weighed, tested: _Tested) -> tuple[float, ...]:
-    """The numbers of a `Focus`, in its order."""
+def _errors(model: DynamicsModel, tested: _Tested) -> tuple[float, float, float, float]:
+    """The errors of a `Focus`, in its order."""
     scale, starts = tested.scale, unbroken(tested.policy)
     return (
-        ess(torch.from_numpy(found.weights)),
         one_step_error(model, tested.policy, scale),
         rollout_error(model, tested.policy, starts, scale),
         one_step_error(model, tested.ordered, scale),

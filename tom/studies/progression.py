@@ -5,10 +5,11 @@ policy, for the random policy (the profile must turn round), and for its own pol
 stored in another order (TOM's profile must stay, PMAC's, which goes by position, must not).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import median
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -28,7 +29,17 @@ SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
 
 @dataclass(frozen=True)
 class Case:
-    """All seeds and learners under one condition, weights in the order of collection."""
+    """One recording to be weighed under one condition by TOM's preset, and by PMAC beside it."""
+
+    recording: Path
+    condition: Condition
+    preset: Preset
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Result:
+    """All seeds and learners of one case, weights in the order of collection."""
 
     recording: str
     env: str
@@ -47,7 +58,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Check:
+class Finding:
     """One number of the acceptance, by seed; the median is judged."""
 
     recording: str
@@ -111,31 +122,39 @@ def _like(run: RunReader, config: SacRecordingConfig) -> bool:
     return all(sac[name] == ours["sac"][name] for name in sac if name in ours["sac"])
 
 
-def cases(run: RunReader, presets: Sequence[Preset], seeds: Sequence[int]) -> Iterator[Case]:
-    """The three conditions of one recording, under every preset of TOM."""
-    data = of_run(run)
-    known = task(run.env)
-    own, at_random = read_policy(run.path / NAME), UniformPolicy(known.obs_dim, known.action_dim)
-    order = np.random.default_rng(0).permutation(len(data))
-    shuffled = data.in_order(order)
+def cases(runs: Sequence[RunReader], presets: Sequence[Preset], seeds: Sequence[int]) -> list[Case]:
+    """The three conditions of every recording, under every preset of TOM."""
+    return [
+        Case(run.path, condition, preset, tuple(seeds))
+        for run in runs
+        for preset in presets
+        for condition in get_args(Condition)
+    ]
+
+
+def result(case: Case) -> Result:
+    """Weigh the recording of `case`; the random policy says nothing of PMAC, which asks none."""
+    run = RunReader(case.recording)
+    known, data = task(run.env), of_run(run)
+    policy = read_policy(run.path / NAME)
+    config = RunConfig(env=run.env, learner="tom", tom=TomConfig.preset(case.preset))
     both = ("tom", "pmac")
-    for preset in presets:
-        config = RunConfig(env=run.env, learner="tom", tom=TomConfig.preset(preset))
-        stored = weigh(shuffled, own, known, config, both, seeds)
-        parts: tuple[tuple[Condition, Iterator[Weighed]], ...] = (
-            ("own", weigh(data, own, known, config, both, seeds)),
-            ("random", weigh(data, at_random, known, config, ("tom",), seeds)),
-            ("shuffled", (one.in_order(order) for one in stored)),
-        )
-        for condition, found in parts:
-            kept = tuple(found)
-            name = f"{run.env}-s{run.seed}"
-            yield Case(name, run.env, data.ordered_from, condition, preset, kept)
+    if case.condition == "own":
+        found = weigh(data, policy, known, config, both, case.seeds)
+    elif case.condition == "random":
+        policy = UniformPolicy(known.obs_dim, known.action_dim)
+        found = weigh(data, policy, known, config, ("tom",), case.seeds)
+    else:
+        order = np.random.default_rng(0).permutation(len(data))
+        stored = weigh(data.in_order(order), policy, known, config, both, case.seeds)
+        found = (one.in_order(order) for one in stored)
+    name, first = f"{run.env}-s{run.seed}", data.ordered_from
+    return Result(name, run.env, first, case.condition, case.preset, tuple(found))
 
 
-def checks(done: Sequence[Case]) -> list[Check]:
+def checks(done: Sequence[Result]) -> list[Finding]:
     """Every number of the acceptance, of TOM and of PMAC beside it."""
-    found: list[Check] = []
+    found: list[Finding] = []
     for case in done:
         if case.condition == "own":
             found += _progress(case)
@@ -152,7 +171,7 @@ def checks(done: Sequence[Case]) -> list[Check]:
     return found
 
 
-def _progress(case: Case) -> list[Check]:
+def _progress(case: Result) -> list[Finding]:
     random, last, spearman = BOUNDS.get(case.env, (None, None, None))
     tom, pmac = case.reports("tom"), case.reports("pmac")
     return [
@@ -168,7 +187,7 @@ def _progress(case: Case) -> list[Check]:
     ]
 
 
-def _turned(case: Case) -> list[Check]:
+def _turned(case: Result) -> list[Finding]:
     tom = case.reports("tom")
     return [
         _check(case, "tom", "random half", [r.random_mean for r in tom], ">=", TURNED[0]),
@@ -176,7 +195,7 @@ def _turned(case: Case) -> list[Check]:
     ]
 
 
-def _moved(case: Case, own: Case) -> list[Check]:
+def _moved(case: Result, own: Result) -> list[Finding]:
     kept = {
         learner: [
             same_profile(a.weights, b.weights)
@@ -192,13 +211,13 @@ def _moved(case: Case, own: Case) -> list[Check]:
 
 
 def _check(
-    case: Case,
+    case: Result,
     learner: str,
     quantity: str,
     values: Sequence[float | None],
     sign: Literal["<=", ">=", "<"] = "<=",
     limit: float | None = None,
-) -> Check:
+) -> Finding:
     numbers = tuple(float("nan") if v is None else float(v) for v in values)
     bound = None if limit is None else (sign, limit)
-    return Check(case.recording, case.preset, case.condition, learner, quantity, numbers, bound)
+    return Finding(case.recording, case.preset, case.condition, learner, quantity, numbers, bound)

@@ -16,6 +16,7 @@ from tom import offline
 from tom.config import RoadConfig
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.road_measure import returns
+from tom.studies.checks import Check, at_least, at_most
 
 TURNS = (0.0, 60.0, 90.0, 105.0, 120.0, 135.0, 150.0, 180.0)
 """mean turns of the sweep, degrees; the spread is half the turn"""
@@ -58,16 +59,6 @@ class Outcome:
     def normalised(self, value: float) -> float:
         """(R - R_random) / (R_expert - R_random)."""
         return (value - self.return_random) / (self.return_expert - self.return_random)
-
-
-@dataclass(frozen=True)
-class Check:
-    """One figure of the acceptance and the bound it is held against."""
-
-    name: str
-    value: float
-    bound: str
-    passed: bool
 
 
 @dataclass(frozen=True)
@@ -191,20 +182,20 @@ def acceptance(outcomes: Sequence[Outcome]) -> list[Check]:
     ratio = [o.road_ratio for o in tom]
     pairs = list(zip(tom, mle, strict=True))
     return [
-        _at_least("weight ratio road / rocks, median", float(np.median(ratio)), RATIO_MEDIAN),
-        _at_least("weight ratio road / rocks, minimum", min(ratio), RATIO_MIN),
-        _at_least("share of weight on the road", min(o.road_share for o in tom), SHARE_MIN),
-        _at_most(
+        at_least("weight ratio road / rocks, median", float(np.median(ratio)), RATIO_MEDIAN),
+        at_least("weight ratio road / rocks, minimum", min(ratio), RATIO_MIN),
+        at_least("share of weight on the road", min(o.road_share for o in tom), SHARE_MIN),
+        at_most(
             "error on expert data over MLE's",
             max(t.error_expert / m.error_expert for t, m in pairs),
             EXPERT_ERROR_MAX,
         ),
-        _at_most(
+        at_most(
             "error on the road over MLE's",
             max(t.error_road / m.error_road for t, m in pairs),
             ROAD_ERROR_MAX,
         ),
-        _at_least(
+        at_least(
             "error on rocks over MLE's", min(t.error_rocks / m.error_rocks for t, m in pairs), 1.0
         ),
         *(check for kind in ("sac", "planner") for check in _driving(tom, mle, kind)),
@@ -218,10 +209,10 @@ def _driving(tom: Sequence[Outcome], mle: Sequence[Outcome], kind: str) -> list[
     drives = [r >= TOM_RETURN_MIN and s >= TOM_SUCCESS_MIN for r, s in map(result, tom)]
     stuck = [r <= MLE_RETURN_MAX and s <= MLE_SUCCESS_MAX for r, s in map(result, mle)]
     return [
-        _at_least(
+        at_least(
             f"share of seeds where TOM drives ({kind})", float(np.mean(drives)), SEEDS_THAT_DRIVE
         ),
-        _at_least(f"share of seeds where MLE does not ({kind})", float(np.mean(stuck)), 1.0),
+        at_least(f"share of seeds where MLE does not ({kind})", float(np.mean(stuck)), 1.0),
     ]
 
 
@@ -231,26 +222,24 @@ def controls(outcomes: Sequence[Outcome]) -> list[Check]:
     mean_zero = _named(outcomes, "mle, mean-zero rocks")
     last, first = _named(outcomes, "pmac, expert last"), _named(outcomes, "pmac, expert first")
     return [
-        _at_most(
-            "labels swapped: weight ratio, median", float(np.median(ratio)), SWAPPED_RATIO_MAX
-        ),
-        _at_most("labels swapped: weight ratio, maximum", max(ratio), SWAPPED_RATIO_MAX),
-        _at_least(
+        at_most("labels swapped: weight ratio, median", float(np.median(ratio)), SWAPPED_RATIO_MAX),
+        at_most("labels swapped: weight ratio, maximum", max(ratio), SWAPPED_RATIO_MAX),
+        at_least(
             "mean-zero rocks: MLE's return (planner)",
             float(np.median([o.planner_return for o in mean_zero])),
             MEAN_ZERO_RETURN_MIN,
         ),
-        _at_least(
+        at_least(
             "mean-zero rocks: MLE's return (sac)",
             float(np.median([o.sac_return for o in mean_zero])),
             MEAN_ZERO_RETURN_MIN,
         ),
-        _at_least(
+        at_least(
             "PMAC, expert data stored last: success (planner)",
             float(np.median([o.planner_success for o in last])),
             TOM_SUCCESS_MIN,
         ),
-        _at_most(
+        at_most(
             "PMAC, expert data stored first: success (planner)",
             float(np.median([o.planner_success for o in first])),
             MLE_SUCCESS_MAX,
@@ -260,11 +249,3 @@ def controls(outcomes: Sequence[Outcome]) -> list[Check]:
 
 def _named(outcomes: Sequence[Outcome], name: str) -> list[Outcome]:
     return sorted((o for o in outcomes if o.name == name), key=lambda o: o.seed)
-
-
-def _at_least(name: str, value: float, bound: float) -> Check:
-    return Check(name, float(value), f">= {bound:g}", bool(value >= bound))
-
-
-def _at_most(name: str, value: float, bound: float) -> Check:
-    return Check(name, float(value), f"<= {bound:g}", bool(value <= bound))

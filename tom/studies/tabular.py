@@ -4,7 +4,7 @@ Each row is one MDP under one variant of the estimator; the variants differ in h
 and in what theory says must not be done.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from scipy.stats import rankdata
 from tom.config import TomConfig
 from tom.learners.base import Policy
 from tom.learners.tom import occupancy_weights
+from tom.studies.checks import Check, at_least, at_most
 from tom.tabular import (
     Array,
     Mdp,
@@ -113,13 +114,6 @@ def cases(seeds: Iterable[int]) -> list[Case]:
         for discount in (0.9, 0.99)
         for divergence in ("chi2", "kl")
     ]
-
-
-def study(cases: Iterable[Case], variants: Sequence[Variant] = VARIANTS) -> Iterator[Estimate]:
-    """Every variant on every case."""
-    for case in cases:
-        for variant in variants:
-            yield estimate(case, variant)
 
 
 def draw(case: Case, rng: np.random.Generator) -> tuple[Mdp, Array, Array]:
@@ -257,8 +251,8 @@ def _correlation(x: Array, y: Array) -> float:
 
 def acceptance(
     rows: Sequence[Mapping[str, Any]], same_policy: Sequence[Mapping[str, Any]]
-) -> list[dict[str, Any]]:
-    """The figures an estimator is held against: name, value, bound, met.
+) -> list[Check]:
+    """The figures an estimator is held against.
 
     `same_policy` are the rows of problems where the policy made the replay buffer itself.
     """
@@ -266,20 +260,12 @@ def acceptance(
     off = max(abs(row["raw_mean"] - 1) for row in rows)
     same = max(row["l1"] for row in same_policy)
     return [
-        _at_least("rank correlation of the weights, median", s["spearman"], 0.95),
-        _at_least("rank correlation of the weights, worst", s["spearman_worst"], 0.90),
-        _at_most("relative L1 error, median", s["l1"], 0.12),
-        _at_most("relative L1 error, worst", s["l1_worst"], 0.20),
-        _at_most("Bellman flow residual, worst", s["flow_worst"], 0.12),
-        _at_least("logit against log ratio, worst", s["log_ratio_worst"], 0.95),
-        _at_most("mean weight off 1, worst", off, 0.05),
-        _at_most("pi = pi_D: relative L1 distance from 1, worst", same, 0.12),
+        at_least("rank correlation of the weights, median", s["spearman"], 0.95),
+        at_least("rank correlation of the weights, worst", s["spearman_worst"], 0.90),
+        at_most("relative L1 error, median", s["l1"], 0.12),
+        at_most("relative L1 error, worst", s["l1_worst"], 0.20),
+        at_most("Bellman flow residual, worst", s["flow_worst"], 0.12),
+        at_least("logit against log ratio, worst", s["log_ratio_worst"], 0.95),
+        at_most("mean weight off 1, worst", off, 0.05),
+        at_most("pi = pi_D: relative L1 distance from 1, worst", same, 0.12),
     ]
-
-
-def _at_least(name: str, value: float, bound: float) -> dict[str, Any]:
-    return {"name": name, "value": value, "bound": f">= {bound:g}", "met": bool(value >= bound)}
-
-
-def _at_most(name: str, value: float, bound: float) -> dict[str, Any]:
-    return {"name": name, "value": value, "bound": f"<= {bound:g}", "met": bool(value <= bound)}

@@ -7,8 +7,9 @@ import numpy as np
 
 from tom.cli import reproduce_progression, reproduce_road
 from tom.reports.style import new_figure, save
-from tom.studies.progression import Check as Number
-from tom.studies.road import Check, Outcome, Story
+from tom.studies.checks import Check
+from tom.studies.progression import Finding
+from tom.studies.road import Outcome, Story
 
 
 def story(name: str, seed: int) -> Story:
@@ -40,8 +41,8 @@ def test_weight_progression_judges_its_first_preset(tmp_path: Path):
     args = argparse.Namespace(out=tmp_path, preset=["exact", "paper"], seeds=[0, 1])
     asked = ("own", "tom", "random half")
     numbers = [
-        Number("hopper", "exact", *asked, (0.1, 0.1), ("<=", 0.2)),
-        Number("hopper", "paper", *asked, (9.0, 9.0), ("<=", 0.2)),
+        Finding("hopper", "exact", *asked, (0.1, 0.1), ("<=", 0.2)),
+        Finding("hopper", "paper", *asked, (9.0, 9.0), ("<=", 0.2)),
     ]
     reproduce_progression._report(numbers, args)
     text = (tmp_path / "report.html").read_text()

@@ -13,7 +13,7 @@ from tom.envs import task
 from tom.policy_file import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.run import train
-from tom.studies.focus import Focus, _tested, study, summary
+from tom.studies.focus import Case, Focus, _tested, focus, summary
 from tom.weighing import of_run
 
 
@@ -63,14 +63,13 @@ def test_models_are_tested_on_what_no_learner_has_seen(recording: RunReader):
 
 
 def test_all_weight_on_new_rows_costs_the_random_half(recording: RunReader):
-    found = list(study(recording, ("mle", "pmac"), (0,), preset="smoke"))
-    assert [f.rival for f in found] == ["mle", "pmac"]
-    mle, pmac = found
+    mle = focus(Case(recording.path, "mle", 0, preset="smoke"))
+    pmac = focus(Case(recording.path, "pmac", 0, preset="smoke"))
+    assert (mle.rival, pmac.rival) == ("mle", "pmac")
     assert mle.ess == pytest.approx(1.0)
     assert pmac.ess < 0.6
     assert pmac.random > mle.random
-    (again,) = study(recording, ("mle",), (0,), preset="smoke")
-    assert again == mle
+    assert focus(Case(recording.path, "mle", 0, preset="smoke")) == mle
 
 
 @pytest.mark.slow
@@ -79,7 +78,7 @@ def test_the_command_writes_what_it_prints(recording: RunReader, tmp_path: Path,
     arguments = ["reproduce", "focus", "--env", "hopper", "--steps", "1000", "--seeds", "0"]
     assert main([*arguments, "--store", store, "--out", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {
-        "errors.csv", "summary.csv", "errors.png", "errors.svg"
+        "errors.csv", "summary.csv", "errors.png", "errors.svg", "cases"
     }  # fmt: skip
     assert "tom exact" in capsys.readouterr().out
 
