@@ -13,7 +13,8 @@ from tom.config import OnlineConfig
 from tom.errors import UserError
 from tom.lockstep import Lockstep
 from tom.record import RunReader, Store
-from tom.run import Consumer, Recorded, Stop, recorded, resumed, unfinished
+from tom.resume import resumed, unfinished
+from tom.run import Consumer, Recorded, Stop, recorded
 from tom.sweep.plan import Trial, same_run
 
 

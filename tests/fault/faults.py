@@ -17,7 +17,8 @@ from tom.config import OnlineConfig
 from tom.events import Event, Tick
 from tom.presets import resolve
 from tom.record import RunReader, Store
-from tom.run import Stop, resume, train
+from tom.resume import resume
+from tom.run import Stop, train
 
 SETTINGS = {
     "steps": 240,

@@ -13,7 +13,8 @@ from tom.errors import UserError
 from tom.events import Event, Tick
 from tom.record import RunReader, RunWriter, Store, checkpoint
 from tom.record.feed import stream
-from tom.run import resume, train
+from tom.resume import resume
+from tom.run import train
 
 pytestmark = pytest.mark.fault
 

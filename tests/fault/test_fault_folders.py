@@ -15,7 +15,8 @@ from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint
 from tom.record.feed import stream
 from tom.record.manage import restore, trash
-from tom.run import resume, train
+from tom.resume import resume
+from tom.run import train
 
 pytestmark = pytest.mark.fault
 

@@ -21,7 +21,8 @@ from faults import (
 )
 
 from tom.record import RunReader, Store, checkpoint
-from tom.run import resume, train
+from tom.resume import resume
+from tom.run import train
 
 pytestmark = pytest.mark.fault
 

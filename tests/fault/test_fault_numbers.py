@@ -20,7 +20,8 @@ from tom.health import DivergedError, Watch
 from tom.learners.tom import occupancy_weights
 from tom.policy_file import UniformPolicy
 from tom.record import RunReader, Store
-from tom.run import resume, train
+from tom.resume import resume
+from tom.run import train
 
 pytestmark = pytest.mark.fault
 

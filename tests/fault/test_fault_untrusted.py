@@ -18,7 +18,7 @@ from tom.data.hdf5 import column, open_hdf5
 from tom.errors import UserError
 from tom.policy_file import read_policy
 from tom.record import RunReader, Store, checkpoint
-from tom.run import resume
+from tom.resume import resume
 
 pytestmark = pytest.mark.fault
 

@@ -14,6 +14,7 @@ LEVELS = [
     {"rollout", "diagnostics", "presets", "road_measure", "road_policy"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
     {"run", "bench", "weighing"},
+    {"resume"},
     {"fleet"},
     {"imagine"},
     {"studies"},

@@ -12,7 +12,8 @@ from tom.errors import UserError
 from tom.events import Event
 from tom.presets import resolve
 from tom.record import RunReader, Store, checkpoint
-from tom.run import Stop, resume, train
+from tom.resume import resume
+from tom.run import Stop, train
 
 STEPS, STOP = 420, 333
 

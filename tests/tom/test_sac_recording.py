@@ -11,7 +11,8 @@ from tom.errors import UserError
 from tom.events import Evaluation, Event, TrainedPolicy
 from tom.policy_file import UniformPolicy, policy_arrays, read_policy
 from tom.record import RunReader, Store
-from tom.run import Stop, resume, train, unfinished
+from tom.resume import resume, unfinished
+from tom.run import Stop, train
 from tom.sac_recording import SacRecording
 from tom.studies.progression import recorded
 

@@ -23,7 +23,8 @@ from tom.learners import LEARNER_NAMES
 from tom.presets import PRESETS, config_type, resolve
 from tom.record import RunReader, Store, checkpoint
 from tom.record.files import size_of
-from tom.run import AnyConfig, Stop, recorded_config, resume, train, unfinished
+from tom.resume import recorded_config, resume, unfinished
+from tom.run import AnyConfig, Stop, train
 from tom.sweep.local import Driver
 
 OWN_OPTIONS = {"env", "learner", "preset"}

@@ -1,0 +1,146 @@
+"""A training that was put down is taken up again from its newest whole checkpoint."""
+
+from collections.abc import Sequence
+from typing import Any, Unpack
+
+import numpy as np
+import torch
+from pydantic import ValidationError
+
+from tom.config import OnlineConfig, RoadConfig, RunConfig, SacRecordingConfig
+from tom.data.transitions import Transitions
+from tom.errors import UserError
+from tom.events import Notice
+from tom.health import Watch
+from tom.lockstep import finished
+from tom.matmul import choose_matmul
+from tom.memory import keep_freed_memory
+from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, open_sink
+from tom.record.checkpoint import Checkpoint
+from tom.record.heartbeat import BEAT_S
+from tom.run import AnyConfig, Consumer, How, Recorded, Stop, Training, make_training, record
+
+
+def resume(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> RunReader:
+    """Go on with a run from its newest whole checkpoint, to `steps` where given.
+
+    On the same machine with the same versions the result is bit for bit that of a run never
+    interrupted. Raises UserError where the run cannot go on.
+    """
+    return finished(resumed(store, run_id, steps, **how))
+
+
+def resumed(
+    store: Store,
+    run_id: str,
+    steps: int | None = None,
+    rerun: bool = True,
+    watchers: Sequence[Consumer] = (),
+    command: str = "",
+    stop: Stop | None = None,
+) -> Recorded:
+    """`resume` as a member of a fleet runs it: its heavy work is handed out."""
+    keep_freed_memory()
+    reader = store.run(run_id)
+    config = recorded_config(reader)
+    if steps is not None:
+        config = _with_steps(config, steps)
+    if reader.status.alive:
+        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+    writer = RunWriter(reader.path, config)  # from here on no other process writes the run
+    try:
+        held = _checkpoint(reader, config)
+        torch.set_num_threads(config.threads)
+        choose_matmul(reader.config.get("matmul", {}).get("chosen", config.matmul))
+        training, watch = make_training(config), Watch(config)
+        mark = _go_on(reader, held, training, watch)
+    except BaseException:
+        writer.close()
+        raise
+    held.drop_unusable()
+    with Recorder(writer, open_sink(writer) if rerun else None, mark=mark) as recorder:
+        writer.resumed(config, command)
+        for problem in held.problems:
+            recorder.consume(Notice(held.env_step, "checkpoint", problem))
+        yield from record(training, watch, recorder, writer, watchers, stop)
+    return RunReader(writer.path)
+
+
+def unfinished(store: Store, config: AnyConfig) -> str | None:
+    """The newest run with these settings, or with fewer steps, that can go on to its last one.
+
+    Runs that are being written, and those without a whole checkpoint, are passed over.
+    """
+    wanted = config.model_dump(mode="json")
+    for reader in store.runs():
+        given = reader.config.get("config")
+        if not isinstance(given, dict) or given.get("steps", 0) > config.steps:
+            continue
+        if reader.learner == "sac" and given.get("steps") != config.steps:
+            continue  # the halves of a recording depend on them
+        if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
+            continue
+        held = checkpoint.load(reader.path / checkpoint.FOLDER)
+        if held is not None and held.env_step < config.total_steps:
+            return reader.run_id
+    return None
+
+
+def recorded_config(reader: RunReader) -> AnyConfig:
+    """The configuration a run was made with. Raises UserError where it is another version's."""
+    kinds: dict[bool, type[RunConfig]] = {True: RoadConfig, False: OnlineConfig}
+    kind = SacRecordingConfig if reader.learner == "sac" else kinds[reader.env == "road-and-rocks"]
+    try:
+        return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
+    except (KeyError, ValidationError) as error:
+        made_by = reader.config.get("versions", {}).get("tom-studio", "an unknown version")
+        first = error.errors()[0] if isinstance(error, ValidationError) else {"loc": error.args}
+        where = ".".join(str(part) for part in first["loc"])
+        raise UserError(
+            f"run '{reader.run_id}' was made by another version ({made_by}; its setting {where} "
+            "is not known): start it again"
+        ) from None
+
+
+def _with_steps(config: AnyConfig, steps: int) -> AnyConfig:
+    if isinstance(config, SacRecordingConfig) and steps != config.steps:
+        raise UserError(
+            "a SAC recording cannot be given other --steps: its halves depend on them; record anew"
+        )
+    return config.but(steps=steps)
+
+
+def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
+    held = checkpoint.load(reader.path / checkpoint.FOLDER)
+    if held is None:
+        raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: start it again")
+    if held.env_step >= config.total_steps:
+        raise UserError(
+            f"run '{reader.run_id}' is complete at step {held.env_step}: give it more with --steps"
+        )
+    return held
+
+
+def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch) -> dict[str, Any]:
+    """Put `training` where it stood; returns where its record stood."""
+    try:
+        state = held.state["training"]
+        training.load_state_dict(state, *_collected(reader, state["collected"]))
+        if "watch" in held.state:
+            watch.load_state_dict(held.state["watch"])
+        return held.state["record"]
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        reason = str(error).partition("\n")[0]
+        raise UserError(
+            f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is another "
+            f"version's ({type(error).__name__}: {reason}): start it again"
+        ) from error
+
+
+def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
+    rows, versions = reader.buffer()
+    if len(rows) < n:
+        raise UserError(
+            f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start again"
+        )
+    return rows[:n], versions[:n]
