@@ -13,7 +13,7 @@ from app.readers import RunInfo, Stamp
 from app.regions import Plane
 from tom.data.transitions import Transitions
 from tom.errors import UserError
-from tom.imagine import KeptModel, kept_model, step_errors
+from tom.imagine import KeptModel, kept_model, kept_step, step_errors
 from tom.record import layout
 from tom.record.reader import RunReader
 
@@ -57,10 +57,8 @@ def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
 
     None where `other` kept no model.
     """
-    checkpoints = [path.name for path in (Path(other.path) / "checkpoint").glob("[0-9]*")]
-    if not checkpoints:
-        return None
-    return _errors_on(run.path, _stamp(run), other.path, max(checkpoints))
+    step = kept_step(RunReader(other.path))
+    return None if step is None else _errors_on(run.path, _stamp(run), other.path, step)
 
 
 def principal_plane(run: RunInfo, rows: Rows) -> Plane:
@@ -106,7 +104,7 @@ def _length(path: str, changed: Stamp) -> int:
 
 
 @st.cache_data(show_spinner=False, max_entries=128)
-def _errors_on(path: str, changed: Stamp, other: str, checkpoint: str) -> Floats | None:
+def _errors_on(path: str, changed: Stamp, other: str, step: int) -> Floats | None:
     recorded = _buffer(path, changed)[0]
     try:
         kept = kept_model(RunReader(other))

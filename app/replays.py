@@ -11,7 +11,7 @@ from app.roadmap import RoadMap
 from tom.envs import task
 from tom.errors import UserError
 from tom.events import Episode
-from tom.imagine import Imagined, KeptModel, imagine, joint_positions, kept_model
+from tom.imagine import Imagined, KeptModel, imagine, joint_positions, kept_model, kept_step
 from tom.record import scene
 from tom.record.reader import RunReader
 
@@ -99,17 +99,11 @@ def _road(run: RunReader) -> RoadMap | None:
 
 def _kept(run: RunReader) -> tuple[KeptModel | None, str]:
     try:
-        return _kept_at(str(run.path), _newest(run)), ""
+        return _kept_at(str(run.path), kept_step(run)), ""
     except UserError as error:
         return None, str(error)
 
 
 @lru_cache(maxsize=16)
-def _kept_at(path: str, checkpoint: str) -> KeptModel:
+def _kept_at(path: str, step: int | None) -> KeptModel:
     return kept_model(RunReader(path))
-
-
-def _newest(run: RunReader) -> str:
-    """The name of the newest checkpoint: what a cached model depends on."""
-    folder = run.path / "checkpoint"
-    return max((path.name for path in folder.glob("[0-9]*")), default="")

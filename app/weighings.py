@@ -9,13 +9,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from app.readers import RunInfo
 from tom.data.sampling import bin_means
 from tom.progression import Progression, progression
 from tom.record.files import read_json
+from tom.reports import weighing_files
 from tom.reports.weighing_files import REPORT, WEIGHTS
 
-FOLDER = Path("weighings")
-"""where `tom weigh` puts its results when it is started where the studio was"""
 BINS = 100
 
 
@@ -34,12 +34,13 @@ class Weighing:
         return Path(self.path).name
 
 
-def of_run(run_id: str, rows: int, folder: Path = FOLDER) -> list[Weighing]:
-    """The weighings of a run's whole buffer of `rows` transitions, newest first.
+def of_run(run: RunInfo, rows: int) -> list[Weighing]:
+    """The weighings in a run's store of its whole buffer of `rows` transitions, newest first.
 
     What is no weighing, or of other data, is left out.
     """
-    found = [_read(path.parent, run_id, rows) for path in folder.glob(f"*/{REPORT}")]
+    store = Path(run.path).parent
+    found = [_read(path, rows) for path in weighing_files.of_run(store, run.run_id)]
     return sorted((w for w in found if w is not None), key=lambda w: w.written, reverse=True)
 
 
@@ -76,12 +77,12 @@ def numbers(
     return found
 
 
-def _read(path: Path, run_id: str, rows: int) -> Weighing | None:
+def _read(path: Path, rows: int) -> Weighing | None:
     try:
         report: dict[str, Any] = read_json(path / REPORT)
         written = (path / REPORT).stat().st_mtime_ns
         first = int(report["ordered_from"])
-        if report["data"] != run_id or report["rows"] != rows or not 0 <= first < rows:
+        if report["rows"] != rows or not 0 <= first < rows:
             return None
         return Weighing(str(path), str(report["policy"]), str(report["preset"]), first, written)
     except (OSError, ValueError, KeyError, TypeError):

@@ -15,10 +15,13 @@ from tom.envs import MujocoTask, task
 from tom.errors import UserError
 from tom.events import Episode
 from tom.offline import KnownTask
-from tom.record import RunReader, checkpoint
+from tom.record import RunReader, checkpoint, layout
 
 BATCH = 4096
 """rows that are predicted at once: more do not fit the processor's cache"""
+
+PLACES = (checkpoint.FOLDER, layout.MODEL)
+"""folders of a run that may hold its model"""
 
 Floats = NDArray[np.float32]
 
@@ -43,7 +46,7 @@ class _RoadModel:
 
 @dataclass(frozen=True)
 class KeptModel:
-    """The dynamics model in a run's newest checkpoint, fitted last at or before `env_step`."""
+    """The dynamics model that a run ended with, fitted last at or before `env_step`."""
 
     env_step: int
     predictor: Predictor
@@ -57,15 +60,22 @@ class Imagined:
     reward: Floats  # (H,)
 
 
+def kept_step(run: RunReader) -> int | None:
+    """The step of the model that `kept_model` gives, whole or not; None where there is none."""
+    found = (checkpoint.newest(run.path / folder) for folder in PLACES)
+    return next((step for step in found if step is not None), None)
+
+
 def kept_model(run: RunReader) -> KeptModel:
-    """The model that `run` ended with. Raises UserError where it kept none."""
+    """The model in the newest checkpoint, or in a small copy. Raises UserError without one."""
     if run.learner == "sac":
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
-    held = checkpoint.load(run.path / checkpoint.FOLDER)
+    found = (checkpoint.load(run.path / folder) for folder in PLACES)
+    held = next((one for one in found if one is not None), None)
     if held is None:
-        raise UserError(
-            f"run '{run.run_id}' kept no dynamics model: it has no checkpoint that is whole"
-        )
+        small = "thinned" in run.config
+        why = "it is a small copy" if small else "it has no checkpoint that is whole"
+        raise UserError(f"run '{run.run_id}' kept no dynamics model: {why}")
     try:
         return KeptModel(held.env_step, _predictor(run, held.state["training"]))
     except (KeyError, RuntimeError, ValueError) as error:  # ValidationError is a ValueError
@@ -82,7 +92,7 @@ def _predictor(run: RunReader, state: dict[str, Any]) -> Predictor:
     # The model's settings alone: another version may have other ones elsewhere.
     config = ModelConfig.model_validate(run.config["config"]["model"])
     model = make_model(known.obs_dim, known.action_dim, config, torch.Generator())
-    model.load_state_dict(state["model"])
+    model.load_parameters(state["model"])
     return model
 
 

@@ -42,6 +42,8 @@ def resumed(
     """`resume` as a member of a fleet runs it: its heavy work is handed out."""
     keep_freed_memory()
     reader = store.run(run_id)
+    if "thinned" in reader.config:
+        raise UserError(f"run '{run_id}' is a small copy, which cannot go on: start it again")
     config = recorded_config(reader)
     if steps is not None:
         config = _with_steps(config, steps)

@@ -35,7 +35,7 @@ def page() -> None:
     top = st.columns([1, 1], vertical_alignment="bottom")
     with top[0]:
         run = widgets.pick_run(kept, "Buffer of run")
-    found = weighings.of_run(run.run_id, buffer_reader.length(run))
+    found = weighings.of_run(run, buffer_reader.length(run))
     with top[1]:
         chosen = _pick_weighing(found)
     st.subheader("Several learners on the same buffer", anchor=False)
@@ -58,7 +58,7 @@ def _pick_weighing(found: list[Weighing]) -> Weighing | None:
         return None
     chosen = st.selectbox(
         "Weighed", list(by_name), key="weighed", bind="query-params",
-        help="results of `tom weigh` in the folder weighings/, newest first",
+        help="results of `tom weigh` in the store, newest first",
     )  # fmt: skip
     return by_name.get(chosen or "", found[0])
 

@@ -68,7 +68,7 @@ def page() -> None:
 
 def _pick_weights(run: RunInfo) -> Rows | None:
     """The buffer with the weights of one of the run's own fits, or of a weighing (the probe)."""
-    found = weighings.of_run(run.run_id, buffer_reader.length(run))
+    found = weighings.of_run(run, buffer_reader.length(run))
     others = {
         f"{learner_label(learner)} s{seed}, {weighing.name}": weight
         for weighing in found[:WEIGHINGS]

@@ -1,6 +1,7 @@
 """Probe: stored weighings of a run's buffer, and what the learners' models err."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -11,13 +12,13 @@ from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, info
 
 from app import buffer_reader, weighings
+from app.links import Links
 from app.views.model_error import focus_values
-from app.weighings import FOLDER
 from tom.cli import main
 from tom.progression import progression
 from tom.record.reader import RunReader
 
-pytestmark = pytest.mark.usefixtures("studio", "weighed")
+pytestmark = pytest.mark.usefixtures("weighed")
 ROWS = 400
 
 
@@ -36,20 +37,25 @@ def results(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def weighed(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The studio was started in a folder with that weighing."""
-    folder = tmp_path / "here" / FOLDER
-    shutil.copytree(results, folder / "made")
-    monkeypatch.chdir(folder.parent)
-    return folder / "made"
+def weighed(
+    studio: Links, store: Path, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """The studio shows a store with that weighing."""
+    there = tmp_path / "store"
+    shutil.copytree(store, there, copy_function=os.link)
+    shutil.copytree(results, there / "weighings" / "made")
+    for name, value in Links(store=str(there)).environment().items():
+        monkeypatch.setenv(name, value)
+    return there / "weighings" / "made"
 
 
 def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
-    found = weighings.of_run(PENDULUM_TOM, ROWS)
+    run = info(weighed.parents[1], PENDULUM_TOM)
+    found = weighings.of_run(run, ROWS)
     assert [w.name for w in found] == ["made"]
     assert found[0].policy == PENDULUM_TOM
-    assert weighings.of_run("another", ROWS) == []
-    assert weighings.of_run(PENDULUM_TOM, ROWS + 1) == []
+    assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0"), ROWS) == []
+    assert weighings.of_run(run, ROWS + 1) == []
     table = pd.read_parquet(weighed / "weights.parquet")
     of = weighings.weights(found[0])
     assert set(of) == {(name, seed) for name in ("tom", "pmac", "mle") for seed in (0, 1)}
@@ -57,11 +63,12 @@ def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
 
 
 def test_damaged_weighings_are_left_out(weighed: Path) -> None:
+    run = info(weighed.parents[1], PENDULUM_TOM)
     (weighed / "weights.parquet").write_bytes(b"torn")
-    assert weighings.weights(weighings.of_run(PENDULUM_TOM, ROWS)[0]) == {}
+    assert weighings.weights(weighings.of_run(run, ROWS)[0]) == {}
     assert draw("probe", run=PENDULUM_TOM).warning
     (weighed / "report.json").write_text("[")
-    assert weighings.of_run(PENDULUM_TOM, ROWS) == []
+    assert weighings.of_run(run, ROWS) == []
 
 
 def test_the_page_lays_all_learners_over_one_buffer(weighed: Path) -> None:

@@ -12,9 +12,13 @@ from tom.envs import road, task
 from tom.errors import UserError
 from tom.evaluate import evaluate
 from tom.events import Episode
-from tom.imagine import imagine, joint_positions, kept_model, step_errors
+from tom.imagine import imagine, joint_positions, kept_model, kept_step, step_errors
+from tom.policy_file import read_policy
 from tom.presets import resolve
 from tom.record import RunReader, Store
+from tom.record.export import export_small
+from tom.record.health import verify
+from tom.resume import resume
 from tom.run import train
 
 
@@ -121,3 +125,31 @@ def test_a_run_without_a_model_says_so(hopper: RunReader, tmp_path: Path):
     shutil.rmtree(bare / "checkpoint")
     with pytest.raises(UserError, match="kept no dynamics model"):
         kept_model(RunReader(bare))
+
+
+def test_a_small_copy_keeps_the_model_and_cannot_go_on(hopper: RunReader, tmp_path: Path):
+    store = Store(tmp_path / "kept")
+    small = RunReader(export_small(hopper, store.path, keep=("model", "policy")))
+    assert kept_step(small) == kept_step(hopper) == 360
+    episode = hopper.episodes(hopper.evaluation_steps()[-1])[0]
+    obs, action = torch.from_numpy(episode.obs[:-1]), torch.from_numpy(episode.action)
+    ours, theirs = (kept_model(run).predictor.predict(obs, action)[1] for run in (small, hopper))
+    change = (theirs - obs).std(0)
+    assert ((ours - theirs).abs() / change).mean() < 0.01
+    assert read_policy(small.path / "policy.npz").env == "hopper"
+    assert verify(small) == []
+    before = sorted(small.path.iterdir())
+    with pytest.raises(UserError, match="small copy, which cannot go on"):
+        resume(store, "hopper", steps=400)
+    assert sorted(small.path.iterdir()) == before
+
+
+def test_a_small_copy_without_its_model_says_so(
+    hopper: RunReader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("tom.record.thin.SMALL", 100)
+    small = RunReader(export_small(hopper, tmp_path))
+    assert kept_step(small) is None
+    assert "model" in small.config["thinned"]["left_out"]
+    with pytest.raises(UserError, match="it is a small copy"):
+        kept_model(small)

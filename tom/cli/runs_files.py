@@ -8,10 +8,13 @@ from pathlib import Path
 from tom.cli.tables import show
 from tom.errors import UserError
 from tom.record import RunReader, Store, sizes
-from tom.record.export import EXPORTERS, export
+from tom.record.export import EXPORTERS, export, export_small
 from tom.record.health import repair, verify
+from tom.record.thin import PARTS
+from tom.reports.index import NAME as README
+from tom.reports.index import index, small_copies
+from tom.reports.weighing_files import copy_small, of_run
 
-KINDS = tuple(name for name in EXPORTERS if name != "small")
 MB = 1e6
 
 
@@ -22,13 +25,21 @@ def add_verbs(verbs, add_verb) -> None:
     verb.add_argument("run_ids", metavar="RUN", nargs="*")
     verb = add_verb(verbs, "repair", repair_runs, "mend damaged runs; nothing is lost")
     verb.add_argument("run_ids", metavar="RUN", nargs="+")
-    verb = add_verb(verbs, "export", export_runs, "write runs in another format")
-    verb.add_argument("run_ids", metavar="RUN", nargs="+")
-    verb.add_argument("--format", choices=KINDS, default="csv", help="[csv]")
+    verb = add_verb(
+        verbs, "export", export_runs, "write runs [all finished ones] in another format"
+    )
+    verb.add_argument("run_ids", metavar="RUN", nargs="*")
+    verb.add_argument("--format", choices=tuple(EXPORTERS), default="csv", help="[csv]")
     verb.add_argument(
         "--small", action="store_true", help="a small copy of the run folder, to show and share"
     )
+    verb.add_argument(
+        "--keep", nargs="+", choices=tuple(PARTS), default=[], metavar="PART",
+        help="what a small copy keeps whatever its size: " + ", ".join(PARTS),
+    )  # fmt: skip
     verb.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
+    text = "write the store's README.md: its small copies, and how each was made"
+    add_verb(verbs, "index", write_index, text)
     verb = add_verb(verbs, "size", size, "what runs [all] take on the disk, in MB")
     verb.add_argument("run_ids", metavar="RUN", nargs="*")
     verb = add_verb(verbs, "prune", prune, "delete old checkpoints of runs [all finished ones]")
@@ -64,10 +75,33 @@ def repair_runs(args: argparse.Namespace) -> int:
 
 
 def export_runs(args: argparse.Namespace) -> int:
-    kind = "small" if args.small else args.format
-    runs = _chosen(Store(args.store), args.run_ids)
-    paths = [str(export(run, kind, args.out)) for run in runs]
+    if args.keep and not args.small:
+        raise UserError("--keep says what a small copy keeps: add --small")
+    paths = [
+        str(path)
+        for run in _finished(Store(args.store), args.run_ids)
+        for path in (_small(run, args) if args.small else [export(run, args.format, args.out)])
+    ]
     print(json.dumps(paths) if args.json else "\n".join(paths))
+    return 0
+
+
+def _small(run: RunReader, args: argparse.Namespace) -> list[Path]:
+    """A small copy of a run and of the weighings of its buffer."""
+    return [export_small(run, args.out, args.keep), *copy_small(args.store, run.run_id, args.out)]
+
+
+def write_index(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    runs = small_copies(store)
+    if not runs:
+        raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
+    path = store.path / README
+    try:
+        path.write_text(index(runs, [w for run in runs for w in of_run(store.path, run.run_id)]))
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from error
+    print(json.dumps(str(path)) if args.json else path)
     return 0
 
 
@@ -86,9 +120,7 @@ def size(args: argparse.Namespace) -> int:
 def prune(args: argparse.Namespace) -> int:
     if args.keep < 0:
         raise UserError(f"--keep {args.keep}: must be 0 or more")
-    runs = _chosen(Store(args.store), args.run_ids)
-    if not args.run_ids:
-        runs = [run for run in runs if run.status.state == "finished"]
+    runs = _finished(Store(args.store), args.run_ids)
     found = {run.run_id: sizes.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
     freed = {name: count for name, count in found.items() if count}
     if args.json:
@@ -104,6 +136,12 @@ def prune(args: argparse.Namespace) -> int:
 def _chosen(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
     """The named runs, or all; a name that is wrong stops everything before it begins."""
     return [store.run(run_id) for run_id in run_ids] if run_ids else store.runs()
+
+
+def _finished(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
+    """The named runs, or all that have finished."""
+    runs = _chosen(store, run_ids)
+    return runs if run_ids else [run for run in runs if run.status.state == "finished"]
 
 
 def _megabytes(counts: Sequence[int]) -> list[str]:

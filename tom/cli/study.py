@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -128,4 +129,5 @@ def say(line: str) -> None:
 def _record(store: Store, config: SacRecordingConfig) -> RunReader:
     label = f"{config.env} sac seed {config.seed}"
     with ProgressReport(label, config.total_steps, sys.stderr) as progress:
-        return train(config, store, watchers=(progress.consume,), rerun=False)
+        command = shlex.join(["tom", *sys.argv[1:]])
+        return train(config, store, watchers=(progress.consume,), rerun=False, command=command)

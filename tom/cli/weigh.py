@@ -2,9 +2,11 @@
 
 import argparse
 import json
+import shlex
 import sys
 from datetime import datetime
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import torch
@@ -16,8 +18,9 @@ from tom.config import RunConfig, TomConfig
 from tom.envs import ENVS, task
 from tom.errors import UserError, unknown
 from tom.matmul import choose_matmul
-from tom.record import Store
+from tom.record import Store, layout
 from tom.record.files import plain
+from tom.record.versions import git_commit, versions
 from tom.reports import weighing_files
 from tom.weighing import (
     RANDOM,
@@ -60,7 +63,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         help="real transitions of the policy that TOM compares with [1000]",
     )  # fmt: skip
     parser.add_argument("--preset", default="exact", help="TOM's: exact or paper [exact]")
-    parser.add_argument("--out", type=Path, help="new folder [weighings/DATA-by-POLICY-TIME]")
+    parser.add_argument("--out", type=Path, help="new folder [STORE/weighings/DATA-by-POLICY-TIME]")
     parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     paths = {path for path, _ in leaf_fields(RunConfig)}
@@ -78,11 +81,11 @@ def run(args: argparse.Namespace) -> int:
     for name in args.learner:
         if name not in WEIGHERS:
             raise unknown("learner", name, WEIGHERS)
-    out = args.out or _default_out(data, args.policy)
+    out = args.out or _default_out(store, data, args.policy)
     weighing_files.check_free(out)
     torch.set_num_threads(config.threads)
     choose_matmul(config.matmul)
-    found: list[Weighed] = []
+    begun, found = perf_counter(), list[Weighed]()
     learners, seeds = list(dict.fromkeys(args.learner)), list(dict.fromkeys(args.seeds))
     for one in weigh(data, policy, known, config, learners, seeds, args.footprint):
         found.append(one)
@@ -93,6 +96,12 @@ def run(args: argparse.Namespace) -> int:
         "footprint": args.footprint,
         "config": {"tom": config.tom.model_dump(), "pmac": config.pmac.model_dump()},
         **weighing_files.summary(data, found),
+        "made": {
+            "command": shlex.join(["tom", *sys.argv[1:]]),
+            "git_commit": git_commit(),
+            "versions": versions(),
+            "hours": (perf_counter() - begun) / 3600,
+        },
     }
     weighing_files.write(out, data, found, args.bins, report)
     _print(report, out, args.json)
@@ -120,10 +129,10 @@ def _config(args: argparse.Namespace, env: str) -> RunConfig:
         raise one_line(error) from None
 
 
-def _default_out(data: OrderedData, policy: str) -> Path:
+def _default_out(store: Store, data: OrderedData, policy: str) -> Path:
     by = Path(policy).parent.name if policy.endswith(".npz") else Path(policy).name
     name = f"{data.name}-by-{by}" if by != data.name else f"{data.name}-by-its-own"
-    return Path("weighings") / f"{name}-{datetime.now():%y%m%d-%H%M%S}"
+    return store.path / layout.WEIGHINGS / f"{name}-{datetime.now():%y%m%d-%H%M%S}"
 
 
 def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:

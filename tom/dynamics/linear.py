@@ -107,6 +107,9 @@ class LinearDynamics:
         return {"coefficients": self.coefficients.clone(), "std": self.std.clone()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.load_parameters(state)
+
+    def load_parameters(self, state: dict[str, Any]) -> None:
         self.coefficients, self.std = state["coefficients"], state["std"]
 
 

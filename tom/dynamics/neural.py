@@ -240,11 +240,14 @@ class NeuralDynamics:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.load_parameters(state)
+        self.optimiser.load_state_dict(state["optimiser"])
+
+    def load_parameters(self, state: dict[str, Any]) -> None:
         self.net.load_state_dict(state["net"])
         with torch.no_grad():
             for parameter, value in zip(self.extra_parameters(), state["extra"], strict=True):
                 parameter.copy_(value)
-        self.optimiser.load_state_dict(state["optimiser"])
         device = self.elites.device
         self.input_scale.mean, self.input_scale.std = (t.to(device) for t in state["scales"][:2])
         self.target_scale.mean, self.target_scale.std = (t.to(device) for t in state["scales"][2:])

@@ -76,12 +76,41 @@ def state_of(arrays: Arrays) -> dict[str, NDArray]:
 
 def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:
     """The rows and policy versions in `buffer/<first row>.npz`."""
-    rows = Transitions(*(arrays[f.name] for f in fields(Transitions)))
+    whole = {"next_obs": _following(arrays), **arrays} if "jump" in arrays else arrays
+    rows = Transitions(*(_single(whole[f.name]) for f in fields(Transitions)))
     version = arrays["policy_version"]
     sizes = {len(getattr(rows, f.name)) for f in fields(rows)} | {len(version)}
     if len(sizes) != 1:
         raise ValueError("its arrays differ in length")
     return rows, version
+
+
+def without_next_obs(arrays: Arrays) -> dict[str, NDArray]:
+    """The arrays of `buffer/<first row>.npz`, nearly half as large and just as good.
+
+    In place of `next_obs` stand `jump` (K,), the rows whose next observation is not that of the
+    following row (the last of every episode), and `jump_obs` (K, O), what it is there.
+    """
+    obs, following = arrays["obs"], arrays["next_obs"]
+    kept = {name: array for name, array in arrays.items() if name != "next_obs"}
+    chained = np.append((obs[1:] == following[:-1]).all(1), False)
+    jump = np.flatnonzero(~chained[: len(obs)]).astype(np.int32)
+    return kept | {"jump": jump, "jump_obs": following[jump]}
+
+
+def _following(arrays: Arrays) -> NDArray:
+    """`next_obs` (N, O) of what `without_next_obs` made."""
+    obs, jump = arrays["obs"], arrays["jump"]
+    inside = jump.dtype.kind == "i" and ((jump >= 0) & (jump < len(obs))).all()
+    if not inside:
+        raise ValueError("a row that it names is not there")
+    following = np.concatenate([obs[1:], obs[-1:]])
+    following[jump] = arrays["jump_obs"]
+    return following
+
+
+def _single(array: NDArray) -> NDArray:
+    return array.astype(np.float32) if array.dtype == np.float16 else array
 
 
 def empty_transitions() -> tuple[Transitions, NDArray[np.int64]]:

@@ -5,7 +5,7 @@ Everything is made from the run's files and written under a temporary name first
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -26,12 +26,20 @@ def export(reader: RunReader, kind: str, folder: Path) -> Path:
     Raises UserError for an export that is there already and for a folder that cannot be written.
     """
     suffix, write = EXPORTERS[kind]
-    path = folder / (reader.run_id + suffix)
+    return _written(folder / (reader.run_id + suffix), lambda path: write(reader, path))
+
+
+def export_small(reader: RunReader, folder: Path, keep: Collection[str] = ()) -> Path:
+    """Write a small copy of the run into `folder`; see `thin` for `keep`, `export` for errors."""
+    return _written(folder / reader.run_id, lambda path: thin(reader, path, keep))
+
+
+def _written(path: Path, write: Callable[[Path], object]) -> Path:
     if os.path.lexists(path):
         raise UserError(f"{path} exists already: move it away or choose another --out")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write(reader, path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
     return path
@@ -108,6 +116,5 @@ EXPORTERS: dict[str, tuple[str, Callable[[RunReader, Path], object]]] = {
     "json": (".json", _json),
     "tensorboard": ("", _tensorboard),
     "rrd": (".rrd", _rrd),
-    "small": ("", thin),
 }
 """What is written for each kind: its suffix and its writer."""

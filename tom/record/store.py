@@ -55,6 +55,8 @@ class Store:
                 f"'{run_id[:120]}' is no run id: use letters, digits, '.', '_' and '-', "
                 "at most 100, starting with a letter or digit"
             )
+        if run_id == layout.WEIGHINGS:
+            raise UserError(f"'{run_id}' is no run id: weighings lie there; choose another name")
         path = self.path / run_id
         if path.resolve() != self.path.resolve() / run_id:
             raise UserError(
@@ -93,7 +95,7 @@ class Store:
             ) from error
 
     def _reader(self, name: str) -> RunReader | None:
-        if name.startswith("."):
+        if name.startswith(".") or name == layout.WEIGHINGS:
             return None
         try:
             reader = RunReader(self.resolve(name))

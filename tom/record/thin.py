@@ -1,13 +1,13 @@
 """A small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
 
-Numbers keep fewer digits and series fewer points; the replay buffer, checkpoints and recordings
-are left out unless they are small. `config.json` of the copy says so under `thinned`.
+Numbers keep fewer digits and series fewer points; checkpoints and recordings are left out, and
+what is large of PARTS unless it is asked for. `config.json` of the copy says so under `thinned`.
 """
 
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,28 +16,34 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tom.record import layout
-from tom.record.files import plain, replace_json
+from tom.record import checkpoint, decode, layout
+from tom.record.files import plain, replace_json, size_of
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
+from tom.record.rounding import coarse, half, short
 
-ROWS = 400  # of metrics; every row of an evaluation is kept beyond them
+ROWS = 250  # of metrics; every row of an evaluation is kept beyond them
 FITS = 120  # weight profiles
 SNAPSHOTS = 3
 EVALUATIONS = 3
-FIELD_STEPS = 6
-BUFFER_BYTES = 200_000
-DIGITS = 5
-MANTISSA_BITS = 10  # of float32's 23: an error of 0.05 % at most
+SMALL = 200_000
+"""bytes up to which a part of a run is small"""
+SHRINKS = 20
+"""No part becomes smaller than this share of itself: what is larger is not even tried."""
 
 
-def thin(reader: RunReader, path: Path) -> None:
-    """Write a small copy of the run to `path`, which appears whole or not at all."""
+def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
+    """Write a small copy of the run to `path`, which appears whole or not at all.
+
+    Those of PARTS that are in `keep` are kept whatever their size.
+    """
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        for folder in ("weights", "episodes", "buffer", "fields"):
+        for folder in layout.FOLDERS:
             (unfinished / folder).mkdir(parents=True)
         _copy(reader, unfinished)
+        left_out = [part for part in PARTS if not _kept(reader, unfinished, part, keep)]
+        replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
         unfinished.rename(path)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -52,25 +58,21 @@ def _copy(reader: RunReader, to: Path) -> None:
     snapshots = _spread(reader.snapshot_steps(), SNAPSHOTS)
     for step in snapshots:
         _snapshot(reader, step, to)
-    evaluations = _spread(reader.evaluation_steps(), EVALUATIONS)
-    for step in evaluations:
+    for step in _spread(reader.evaluation_steps(), EVALUATIONS):
         _arrays(reader.path, to, layout.episodes(step), first_episode=True)
     for name in reader.field_names():
-        for step in _spread(reader.field_steps(name), FIELD_STEPS):
+        for step in _beside(reader.field_steps(name), snapshots):
             _arrays(reader.path, to, layout.field(name, step))
-    kept = _buffer(reader, to)
-    replace_json(to / layout.CONFIG, _description(reader, kept), sync=False)
 
 
-def _description(reader: RunReader, buffer_kept: bool) -> dict[str, Any]:
-    left_out = ["checkpoint", "recording", "policy", "per-dimension weights"]
+def _description(reader: RunReader, left_out: Sequence[str]) -> dict[str, Any]:
     note = {
         "rows_of_metrics": ROWS,
         "profiles": FITS,
         "snapshots": SNAPSHOTS,
         "evaluations": EVALUATIONS,
         "episodes_of_an_evaluation": 1,
-        "left_out": left_out if buffer_kept else ["buffer", *left_out],
+        "left_out": [*left_out, "checkpoint", "recording", "per-dimension weights"],
     }
     return {**reader.config, "thinned": note}
 
@@ -83,7 +85,7 @@ def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:
         keep |= table["eval/return"].notna().to_numpy()
     for row in table.loc[keep].to_dict("records"):
         step = int(row.pop("env_step"))
-        yield {"env_step": step, **{k: _short(v) for k, v in row.items() if v == v}}
+        yield {"env_step": step, **{k: short(v) for k, v in row.items() if v == v}}
 
 
 def _profile_rows(profiles: Profiles) -> Iterator[dict[str, Any]]:
@@ -91,19 +93,23 @@ def _profile_rows(profiles: Profiles) -> Iterator[dict[str, Any]]:
         yield {
             "env_step": int(profiles.env_step[i]),
             "count": int(profiles.count[i]),
-            "bins": [_short(value) for value in profiles.bins[i]],
-            "ess": _short(profiles.ess[i]),
-            "zeros": _short(profiles.zeros[i]),
+            "bins": [short(value) for value in profiles.bins[i]],
+            "ess": short(profiles.ess[i]),
+            "zeros": short(profiles.zeros[i]),
         }
 
 
 def _snapshot(reader: RunReader, step: int, to: Path) -> None:
     frame = reader.snapshot(step)
     columns = [name for name in ("weight", "log_ratio") if name in frame]
-    table = pa.table({name: coarse(frame[name].to_numpy()) for name in columns})
+    write_columns(to / layout.snapshot(step), {name: frame[name].to_numpy() for name in columns})
+
+
+def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:
+    """Columns of weights as a Parquet file, rounded and packed as tightly as it goes."""
     pq.write_table(
-        table,
-        to / layout.snapshot(step),
+        pa.table({name: coarse(array) for name, array in columns.items()}),
+        path,
         compression="zstd",
         compression_level=19,
         use_dictionary=False,
@@ -111,16 +117,58 @@ def _snapshot(reader: RunReader, step: int, to: Path) -> None:
     )
 
 
-def _buffer(reader: RunReader, to: Path) -> bool:
-    """Copy the buffer where it stays small: a map of road-and-rocks needs its places."""
-    firsts = layout.numbers(reader.path / "buffer", ".npz")
-    for first in firsts:
-        _arrays(reader.path, to, layout.segment(first))
-    if sum(path.stat().st_size for path in (to / "buffer").iterdir()) <= BUFFER_BYTES:
-        return bool(firsts)
-    for path in (to / "buffer").iterdir():
-        path.unlink()
-    return False
+def _buffer(reader: RunReader, to: Path) -> None:
+    rows, version = reader.buffer()
+    if len(rows):
+        arrays = decode.without_next_obs(decode.transition_arrays(rows, version))
+        _save(to / layout.segment(0), arrays, half)
+
+
+def _model(reader: RunReader, to: Path) -> None:
+    """What the model predicts with: its networks in half precision, no optimiser."""
+    found = (checkpoint.load(reader.path / at) for at in (checkpoint.FOLDER, layout.MODEL))
+    held = next((one for one in found if one is not None), None)
+    training = held.state["training"] if held else {}
+    if held and "coefficients" in training:
+        state = {"coefficients": training["coefficients"]}
+    elif held and "model" in training:
+        model = {name: part for name, part in training["model"].items() if name != "optimiser"}
+        if "net" in model:
+            model["net"] = {name: tensor.half() for name, tensor in model["net"].items()}
+        state = {"model": model}
+    else:
+        return
+    checkpoint.save(to / layout.MODEL, held.env_step, {"training": state})
+
+
+def _policy(reader: RunReader, to: Path) -> None:
+    _arrays(reader.path, to, layout.POLICY)
+
+
+PARTS: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
+    "buffer": ("buffer", _buffer),
+    "model": (layout.MODEL, _model),
+    "policy": (layout.POLICY, _policy),
+}
+"""Parts that are left out where they are not small: where each lies, and its writer."""
+
+
+def _kept(reader: RunReader, to: Path, part: str, keep: Collection[str]) -> bool:
+    """Write one of PARTS; False where the run has none, or it is neither small nor wanted."""
+    name, write = PARTS[part]
+    hopeless = _bytes(reader.path / name) > SHRINKS * SMALL
+    if hopeless and part not in keep:
+        return False
+    write(reader, to)
+    size = _bytes(to / name)
+    if size > SMALL and part not in keep:
+        shutil.rmtree(to / name) if (to / name).is_dir() else (to / name).unlink()
+        return False
+    return size > 0
+
+
+def _bytes(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else size_of(path)
 
 
 def _arrays(source: Path, to: Path, name: str, *, first_episode: bool = False) -> None:
@@ -129,26 +177,15 @@ def _arrays(source: Path, to: Path, name: str, *, first_episode: bool = False) -
         with np.load(source / name, allow_pickle=False) as file:
             named = {n: n.partition(".")[0] for n in file.files}  # info_0.success: info_0
             chosen = [n for n in named if not first_episode or named[n].endswith("_0")]
-            arrays: Mapping[str, NDArray] = {n: coarse(file[n]) for n in chosen}
+            arrays = {n: file[n] for n in chosen}
     except (OSError, ValueError):
-        return  # damaged: `tom runs verify` names it
-    np.savez_compressed(to / name, allow_pickle=False, **arrays)
+        return  # missing or damaged: `tom runs verify` names it
+    _save(to / name, arrays, coarse)
 
 
-def coarse(array: NDArray) -> NDArray:
-    """Floats rounded to MANTISSA_BITS as float32, which compresses well; the rest as it is."""
-    if not np.issubdtype(array.dtype, np.floating):
-        return array
-    single = np.array(array, np.float32, order="C")
-    cut = 23 - MANTISSA_BITS
-    bits = single.view(np.uint32).astype(np.uint64) + (1 << (cut - 1))  # round, not truncate
-    rounded = ((bits >> cut) << cut).astype(np.uint32).view(np.float32)
-    return np.where(np.isfinite(single), rounded, single)
-
-
-def _short(value: Any) -> Any:
-    number = plain(value)
-    return float(f"{number:.{DIGITS}g}") if isinstance(number, float) else number
+def _save(path: Path, arrays: Mapping[str, NDArray], rounded: Callable[[NDArray], NDArray]) -> None:
+    content = {name: rounded(array) for name, array in arrays.items()}
+    np.savez_compressed(path, allow_pickle=False, **content)
 
 
 def _spread(items: Sequence[int], most: int) -> list[int]:
@@ -158,6 +195,12 @@ def _spread(items: Sequence[int], most: int) -> list[int]:
     return [items[i] for i in np.linspace(0, len(items) - 1, most).round().astype(int)]
 
 
-def _lines(path: Path, rows: Iterator[dict[str, Any]]) -> None:
+def _beside(recorded: Sequence[int], snapshots: Sequence[int]) -> list[int]:
+    """Those of `recorded` that belong to a snapshot: the last not after it, else the first."""
+    before = ([at for at in recorded if at <= step] for step in snapshots)
+    return sorted({steps[-1] if steps else recorded[0] for steps in before} | {recorded[0]})
+
+
+def _lines(path: Path, rows: Iterable[dict[str, Any]]) -> None:
     text = "".join(json.dumps(plain(row), separators=(",", ":")) + "\n" for row in rows)
     path.write_text(text)

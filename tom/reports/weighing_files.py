@@ -3,7 +3,8 @@
 import csv
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,42 @@ from tom.data.sampling import bin_means
 from tom.errors import UserError
 from tom.learners import LEARNERS
 from tom.progression import medians, progression
-from tom.record.files import replace_json
+from tom.record import layout
+from tom.record.files import read_json, replace_json
+from tom.record.thin import write_columns
 from tom.reports.progression import Panel, profile_figure
 from tom.reports.style import save
 from tom.weighing import OrderedData, Weighed
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
+LOG_RATIO = "-log_ratio"
+"""ends the name of a column that holds the discriminator's output beside the weights"""
+
+
+def of_run(store: Path, run_id: str) -> list[Path]:
+    """The weighings in `store` of the buffer of a run, by name; what cannot be read is none."""
+    found = sorted(path.parent for path in (store / layout.WEIGHINGS).glob(f"*/{REPORT}"))
+    return [path for path in found if _data(path) == run_id]
+
+
+def copy_small(store: Path, run_id: str, to: Path) -> list[Path]:
+    """Copy the weighings of a run into the store `to`, the weights rounded, log ratios left out.
+
+    Raises UserError for one that is there already or cannot be written.
+    """
+    copies = []
+    for path in of_run(store, run_id):
+        copy = to / layout.WEIGHINGS / path.name
+        check_free(copy)
+        with _whole(copy) as unfinished:
+            for file in path.iterdir():
+                if file.name != WEIGHTS:
+                    shutil.copyfile(file, unfinished / file.name)
+            table = pq.ParquetFile(path / WEIGHTS).read()
+            kept = [name for name in table.column_names if not name.endswith(LOG_RATIO)]
+            write_columns(unfinished / WEIGHTS, {n: table[n].to_numpy() for n in kept})
+        copies.append(copy)
+    return copies
 
 
 def check_free(out: Path) -> None:
@@ -78,9 +109,7 @@ def write(
     out: Path, data: OrderedData, found: Sequence[Weighed], bins: int, report: dict[str, Any]
 ) -> None:
     """Make the folder `out` with everything in it. Raises UserError when it cannot be made."""
-    unfinished = out.absolute().with_name(f".{out.absolute().name}.{os.getpid()}.tmp")
-    try:
-        unfinished.mkdir(parents=True)
+    with _whole(out) as unfinished:
         write_weights(unfinished / WEIGHTS, found)
         write_profiles(unfinished / PROFILE, found, bins)
         panels = [
@@ -90,11 +119,27 @@ def write(
         share = data.ordered_from / len(data)
         save(profile_figure({data.name: panels}, {data.name: share}), unfinished, FIGURE)
         replace_json(unfinished / REPORT, report, sync=False)
+
+
+@contextmanager
+def _whole(out: Path) -> Iterator[Path]:
+    """A folder that becomes `out` when the block has filled it; nothing is left of it otherwise."""
+    unfinished = out.absolute().with_name(f".{out.absolute().name}.{os.getpid()}.tmp")
+    try:
+        unfinished.mkdir(parents=True)
+        yield unfinished
         unfinished.rename(out.absolute())
     except OSError as error:
         raise UserError(f"cannot write {out}: {error.strerror}; name another --out") from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _data(path: Path) -> str | None:
+    try:
+        return str(read_json(path / REPORT)["data"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def write_weights(path: Path, found: Sequence[Weighed]) -> None:
@@ -103,7 +148,7 @@ def write_weights(path: Path, found: Sequence[Weighed]) -> None:
     for one in found:
         columns[f"{one.learner}-s{one.seed}"] = one.weights
         if one.log_ratio is not None:
-            columns[f"{one.learner}-s{one.seed}-log_ratio"] = one.log_ratio
+            columns[f"{one.learner}-s{one.seed}{LOG_RATIO}"] = one.log_ratio
     pq.write_table(
         pa.table(columns), path, compression="zstd", use_dictionary=False,
         use_byte_stream_split=True,

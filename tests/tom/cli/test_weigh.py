@@ -71,6 +71,27 @@ def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
     assert report["ordered_from"] == STEPS
     assert report["medians"]["mle"]["random_mean"] == pytest.approx(1)
     assert report["medians"]["pmac"]["last_two"] > report["medians"]["pmac"]["random_mean"]
+    assert set(report["made"]) == {"command", "git_commit", "versions", "hours"}
+
+
+def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(
+    store: Path, tmp_path: Path, capsys
+):
+    assert weigh(store, "sac", "--policy", "sac", "--seeds", "0", "--json") == 0
+    made = Path(json.loads(capsys.readouterr().out)["out"])
+    assert made.parent == store / "weighings"
+    assert Store(store).problems == []
+    words = ["runs", "export", "--small", "--store", str(store), "--out", str(tmp_path)]
+    assert main([*words, "--keep", "buffer", "policy"]) == 0
+    (copy,) = (tmp_path / "weighings").iterdir()
+    assert {p.name for p in copy.iterdir()} == {p.name for p in made.iterdir()}
+    whole, small = (pq.read_table(path / "weights.parquet") for path in (made, copy))
+    assert set(small.column_names) == {"tom-s0", "pmac-s0", "mle-s0"}
+    np.testing.assert_allclose(small["tom-s0"], whole["tom-s0"], rtol=1e-3)
+    assert main(["runs", "index", "--store", str(tmp_path)]) == 0
+    page = (tmp_path / "README.md").read_text()
+    assert f"| `{made.name}` | `sac` | `sac` | TOM, PMAC, MLE | 0 | {2 * STEPS} |" in page
+    assert weigh(tmp_path, "sac", "--policy", "sac", "--seeds", "0", "--learner", "mle") == 0
 
 
 def test_same_seed_same_bits(store: Path, tmp_path: Path):

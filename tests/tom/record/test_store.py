@@ -34,6 +34,7 @@ def test_what_is_no_run_is_named_and_does_not_stop_the_others(store: Store, tmp_
     (store.path / "foreign" / "config.json").write_text('{"model_type": "bert"}')
     (store.path / "bad name").mkdir()
     (store.path / ".trash").mkdir()
+    (store.path / "weighings").mkdir()
     (store.path / "README.md").touch()
     (tmp_path / "outside").mkdir()
     (store.path / "link").symlink_to(tmp_path / "outside")

@@ -1,0 +1,81 @@
+"""Small copies: what they keep is the run's, what they leave out they name."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import STEPS
+
+from tom.record import RunReader, Store, decode
+from tom.record.export import export_small
+from tom.record.health import verify
+from tom.record.rounding import half
+
+
+def segment(obs: np.ndarray, following: np.ndarray) -> dict[str, np.ndarray]:
+    flat = np.zeros(len(obs), np.float32)
+    rows = {"obs": obs, "action": obs[:, :1], "reward": flat, "next_obs": following}
+    flags = {"terminated": flat > 0, "truncated": flat > 0}
+    return rows | flags | {"policy_version": np.zeros(len(obs), np.int64)}
+
+
+@pytest.mark.parametrize("count", [1, 2, 50])
+def test_next_observations_come_back_from_the_following_rows(count: int):
+    obs = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+    following = np.concatenate([obs[1:], obs[:1] + 9])
+    following[::7] += 1  # an episode ends there
+    short = decode.without_next_obs(segment(obs, following))
+    assert len(short["jump"]) == len({*range(0, count, 7), count - 1})
+    rows, _ = decode.transitions_of(short)
+    np.testing.assert_array_equal(rows.next_obs, following)
+
+
+@pytest.mark.parametrize("jump", [[-1], [9], [0.5]])
+def test_a_jump_from_a_row_that_is_not_there_is_damage(jump: list[float]):
+    obs = np.zeros((4, 2), np.float32)
+    damaged = decode.without_next_obs(segment(obs, obs)) | {"jump": np.array(jump)}
+    with pytest.raises(ValueError, match="not there"):
+        decode.transitions_of(damaged)
+
+
+def test_halves_are_close_and_large_numbers_stay():
+    numbers = np.random.default_rng(0).normal(size=1000) * 10.0 ** np.arange(-5, 5).repeat(100)
+    assert half(numbers).dtype == (np.float16 if np.abs(numbers).max() < 65504 else np.float32)
+    np.testing.assert_allclose(half(numbers / 10), numbers / 10, rtol=2**-11, atol=3e-8)
+    assert half(np.array([1e5, np.nan])).tolist()[0] == pytest.approx(1e5, rel=2**-11)
+    assert half(np.array([np.inf, 1.0])).dtype == np.float16
+    assert half(np.array([True])).dtype == bool
+
+
+def test_a_buffer_is_kept_where_it_is_small_or_asked_for(store: Store, record, tmp_path: Path):
+    run = record()
+    small = RunReader(export_small(run, tmp_path))
+    rows, version = small.buffer()
+    whole, versions = run.buffer()
+    for name in ("obs", "action", "reward", "next_obs"):
+        np.testing.assert_allclose(getattr(rows, name), getattr(whole, name), rtol=1e-3)
+        assert getattr(rows, name).dtype == np.float32
+    np.testing.assert_array_equal(rows.terminated, whole.terminated)
+    np.testing.assert_array_equal(version, versions)
+    assert small.problems == verify(small) == []
+    assert small.config["thinned"]["left_out"][:2] == ["model", "policy"]
+
+
+def test_what_is_large_is_left_out_unless_it_is_asked_for(
+    record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("tom.record.thin.SMALL", 1000)
+    run = record()
+    without = RunReader(export_small(run, tmp_path / "without"))
+    assert "buffer" in without.config["thinned"]["left_out"]
+    assert len(without.buffer()[0]) == 0
+    assert without.problems == []
+    kept = RunReader(export_small(run, tmp_path / "kept", keep=("buffer",)))
+    assert len(kept.buffer()[0]) == STEPS
+
+
+def test_pictures_are_those_of_the_snapshots(record, tmp_path: Path):
+    run = record()
+    small = RunReader(export_small(run, tmp_path))
+    assert small.field_steps("map") == [500, 1000]
+    assert set(small.snapshot_steps()) <= set(run.snapshot_steps())

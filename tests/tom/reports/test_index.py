@@ -1,0 +1,42 @@
+"""The page on a store's small copies."""
+
+from pathlib import Path
+
+import pytest
+
+from tom.cli import main
+from tom.record import Store
+from tom.reports.index import index, short_command, small_copies
+
+TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
+
+
+@pytest.mark.parametrize(
+    ("command", "short"),
+    [
+        ("tom train --env=ant --seed=12 --run-id=a --no-rerun", "tom train --env=ant --seed=N"),
+        ("tom train --seed 3 --store x --steps 5", "tom train --seed N --steps 5"),
+        ("tom weigh a --policy b --seeds 0 1 --out x", "tom weigh a --policy b --seeds 0 1"),
+        ("", ""),
+    ],
+)
+def test_a_command_is_told_without_where_it_wrote(command: str, short: str):
+    assert short_command(command) == short
+
+
+def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys):
+    store, out = tmp_path / "store", tmp_path / "out"
+    assert main([*TRAIN, "--learner", "mle", "--store", str(store), "--run-id", "one"]) == 0
+    assert main(["runs", "index", "--store", str(store)]) == 2
+    assert "tom runs export --small" in capsys.readouterr().err
+    assert main(["runs", "export", "--small", "--store", str(store), "--out", str(out)]) == 0
+    assert main(["runs", "index", "--store", str(out)]) == 0
+    page = (out / "README.md").read_text()
+    (copy,) = small_copies(Store(out))
+    assert page == index([copy], [])
+    run = Store(store).run("one")
+    score = f"{run.status.last_return:.1f}"
+    assert f"| `one` | MLE | 0 | 250 | {score} |" in page
+    assert str(run.config["git_commit"])[:10] in page
+    assert f"torch {run.config['versions']['torch']}" in page
+    assert main(["runs", "export", "--keep", "buffer", "--store", str(store)]) == 2

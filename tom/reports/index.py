@@ -1,0 +1,131 @@
+"""The page that says how the small copies in a store were made: `tom runs index` writes it."""
+
+import re
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from tom.learners import LEARNER_NAMES, LEARNERS
+from tom.record import RunReader, Store
+from tom.record.files import read_json
+from tom.reports.origin import run_hours, seeds
+from tom.reports.weighing_files import REPORT
+
+NAME = "README.md"
+COMMIT = 10  # letters of it that are shown
+WHERE = ("--store", "--run-id", "--no-rerun", "--out")
+"""options that say where a result went, not what it is"""
+HEAD = """# Gallery
+
+Small copies of real runs, one folder each (`docs/run-folder.md`): `tom studio` and `tom runs` show
+them like any other run. What was left out stands in each `config.json` under `thinned`. Hours are
+wall-clock hours of one process, as the run recorded them, whatever else the machine did meanwhile.
+This page was written by `tom runs index`.
+"""
+
+
+def small_copies(store: Store) -> list[RunReader]:
+    """The small copies in a store, by task, learner and seed."""
+    runs = [run for run in store.runs() if "thinned" in run.config]
+    return sorted(runs, key=lambda run: (run.env, _rank(run.learner), run.seed, run.run_id))
+
+
+def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
+    """The page on these small copies and on these weighings of their buffers."""
+    parts = [HEAD]
+    for env, group in groupby(runs, key=lambda run: run.env):
+        of = list(group)
+        parts += [f"## {env}\n", _table(map(_row, of)), _made([run.config for run in of])]
+    if weighings:
+        reports = [read_json(path / REPORT) for path in weighings]
+        rows = map(_weighing, weighings, reports)
+        made = [report.get("made", {}) for report in reports]
+        parts += ["## Weighings\n", _table(rows), _made(made)]
+    return "\n".join(parts)
+
+
+def _row(run: RunReader) -> dict[str, str]:
+    status = run.status
+    return {
+        "run": f"`{run.run_id}`",
+        "learner": _label(run.learner),
+        "seed": str(run.seed),
+        "steps": f"{status.env_step:,}",
+        "final return": _number(status.last_return),
+        "best return": _number(status.best_return),
+        "hours": f"{run_hours(run):.2f}",
+        "commit": ", ".join(_commits(run)),
+    }
+
+
+def _weighing(path: Path, report: Mapping[str, Any]) -> dict[str, str]:
+    learners = dict.fromkeys(_label(row["learner"]) for row in report["results"])
+    made = report.get("made", {})
+    return {
+        "weighing": f"`{path.name}`",
+        "buffer of": f"`{report['data']}`",
+        "by the policy of": f"`{report['policy']}`",
+        "learners": ", ".join(learners),
+        "seeds": seeds([row["seed"] for row in report["results"]]),
+        "rows": f"{report['rows']:,}",
+        "hours": f"{made['hours']:.2f}" if "hours" in made else "-",
+        "commit": _commit(made.get("git_commit")),
+    }
+
+
+def _made(origins: Sequence[Mapping[str, Any]]) -> str:
+    """Commands that differ in more than the seed (N), and versions, each once."""
+    commands = dict.fromkeys(short_command(str(made.get("command", ""))) for made in origins)
+    versions = dict.fromkeys(
+        ", ".join(f"{name} {text}" for name, text in made.get("versions", {}).items())
+        for made in origins
+    )
+    lines = "\n".join(commands)
+    return f"```bash\n{lines}\n```\n\nMade with {'; '.join(versions)}.\n"
+
+
+def short_command(command: str) -> str:
+    """A command without what says where its result went, its seed as N."""
+    kept: list[str] = []
+    name = ""
+    for word in shlex.split(command):
+        if word.startswith("--"):
+            name = word.partition("=")[0]
+            word = re.sub(r"(?<=^--seed=)\d+$", "N", word)
+        elif name == "--seed":
+            word = "N"
+        if name not in WHERE:
+            kept.append(word)
+    return shlex.join(kept)
+
+
+def _commits(run: RunReader) -> list[str]:
+    """The commits of the code that trained a run, the first one's and those of its resumes."""
+    resumes = run.config.get("resumes", [])
+    found = [run.config.get("git_commit"), *(resume.get("git_commit") for resume in resumes)]
+    return list(dict.fromkeys(_commit(commit) for commit in found))
+
+
+def _commit(commit: object) -> str:
+    text = str(commit or "unknown")
+    return text[:COMMIT] + ("-dirty" if text.endswith("-dirty") else "")
+
+
+def _rank(learner: str) -> int:
+    return LEARNER_NAMES.index(learner) if learner in LEARNER_NAMES else len(LEARNER_NAMES)
+
+
+def _label(learner: str) -> str:
+    return LEARNERS[learner].label if learner in LEARNERS else learner
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
+
+
+def _table(rows: Iterable[Mapping[str, str]]) -> str:
+    listed = list(rows)
+    lines = [list(listed[0]), ["---"] * len(listed[0]), *(list(row.values()) for row in listed)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
