@@ -54,7 +54,7 @@ def weights(weighing: Weighing) -> dict[tuple[str, int], NDArray[np.float32]]:
     for column in table.columns:
         learner, _, seed = str(column).rpartition("-s")
         if learner and seed.isdigit():
-            found[learner, int(seed)] = table[column].to_numpy(np.float32)
+            found[learner, int(seed)] = np.array(table[column], np.float32)
     return found
 
 

@@ -1,0 +1,149 @@
+"""The gallery in runs/: whole, small, told of in its README, and shown by every page."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import streamlit as st
+from studio_pages import array, draw, figures, trace
+
+from app import text
+from app.links import Links
+from app.theme import learner_label
+from tom.imagine import kept_step
+from tom.record import RunReader, Store
+from tom.record.files import read_json, size_of
+from tom.record.health import verify
+from tom.reports.index import index, small_copies
+from tom.reports.origin import run_hours
+from tom.reports.weighing_files import REPORT, of_run
+
+RUNS = Path(__file__).parents[2] / "runs"
+README = RUNS / "README.md"
+BYTES = 25_000_000
+ROAD = "road-and-rocks"
+
+COPIES = small_copies(Store(RUNS))
+WEIGHINGS = [path for run in COPIES for path in of_run(RUNS, run.run_id)]
+# One training of each task: that which kept most.
+TRAINED = [run for run in COPIES if run.learner != "sac"]
+RICHEST = {run.env: run for run in sorted(TRAINED, key=lambda run: size_of(run.path))}
+EACH = [pytest.param(run, id=env) for env, run in RICHEST.items()]
+MUJOCO = [param for param in EACH if param.id != ROAD]
+
+
+@pytest.fixture(scope="module")
+def gallery(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The gallery alone, without what else lies in runs/."""
+    store = tmp_path_factory.mktemp("gallery")
+    for run in COPIES:
+        shutil.copytree(run.path, store / run.run_id)
+    for path in WEIGHINGS:
+        shutil.copytree(path, store / "weighings" / path.name)
+    return store
+
+
+@pytest.fixture
+def shown(gallery: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    for name, value in Links(store=str(gallery)).environment().items():
+        monkeypatch.setenv(name, value)
+    yield gallery
+    st.cache_data.clear()
+    st.cache_resource.clear()
+
+
+def values(run: RunReader, metric: str) -> tuple[list[int], list[float]]:
+    rows = run.metrics()[["env_step", metric]].dropna()
+    return rows["env_step"].tolist(), rows[metric].tolist()
+
+
+def test_every_run_is_whole_and_says_how_it_was_made() -> None:
+    assert {run.run_id: verify(run) for run in COPIES if verify(run)} == {}
+    for run in COPIES:
+        assert run.status.state == "finished", run.run_id
+        assert str(run.config["command"]).startswith("tom "), run.run_id
+        assert len(str(run.config["git_commit"])) == 40, run.run_id  # no "-dirty" behind it
+        assert run.config["versions"]["torch"]
+        assert run_hours(run) > 0
+
+
+def test_its_readme_is_what_the_command_writes() -> None:
+    assert README.exists() == bool(COPIES)
+    if COPIES:
+        assert README.read_text() == index(COPIES, WEIGHINGS)
+
+
+def test_it_is_small() -> None:
+    assert sum(size_of(path) for path in [*(run.path for run in COPIES), *WEIGHINGS]) < BYTES
+
+
+@pytest.mark.parametrize("run", EACH)
+@pytest.mark.usefixtures("shown")
+def test_live_draws_its_returns(run: RunReader) -> None:
+    line = trace(figures(draw("live", runs=run.run_id))[0], meta=run.run_id)
+    step, value = values(run, "eval/return")
+    assert array(line["x"]).tolist() == step
+    assert array(line["y"]).tolist() == value
+
+
+@pytest.mark.parametrize("run", EACH)
+@pytest.mark.usefixtures("shown")
+def test_compare_takes_all_seeds_of_it(run: RunReader) -> None:
+    seeds = [r for r in COPIES if (r.env, r.learner) == (run.env, run.learner)]
+    table = draw("compare", env=run.env).dataframe[0].value.set_index("learner")
+    row = table.loc[learner_label(run.learner)]
+    assert row["n"] == len(seeds)
+    assert row["final"] == pytest.approx(np.mean([values(r, "eval/return")[1][-1] for r in seeds]))
+
+
+@pytest.mark.parametrize("run", EACH)
+@pytest.mark.usefixtures("shown")
+def test_weights_draws_its_last_fit(run: RunReader) -> None:
+    drawn = figures(draw("weights", run=run.run_id))
+    assert array(drawn[1]["data"][0]["y"]) == pytest.approx(run.profiles().bins[-1])
+    assert len(drawn) > 3  # what weights go with: the buffer is there
+
+
+@pytest.mark.parametrize("run", MUJOCO)
+@pytest.mark.usefixtures("shown")
+def test_regions_has_its_buffer(run: RunReader) -> None:
+    table = draw("regions", run=run.run_id).dataframe[0].value.set_index("")
+    count = len(run.snapshot(run.snapshot_steps()[-1]))
+    assert int(table.loc["transitions", "buffer"].replace(",", "")) == count
+    assert 0.98 < float(table.loc["mean weight", "buffer"]) < 1.02
+
+
+@pytest.mark.parametrize("run", EACH)
+@pytest.mark.usefixtures("shown")
+def test_replays_plays_its_last_episode(run: RunReader) -> None:
+    app = draw("replays", run=run.run_id)
+    shown = {metric.label: metric.value for metric in app.metric}
+    episode = run.episodes(run.evaluation_steps()[-1])[0]
+    assert shown["return"] == text.number(episode.undiscounted_return)
+    assert (shown["return, imagined"] != "-") == (kept_step(run) is not None)
+
+
+@pytest.mark.parametrize("run", [param for param in EACH if param.id == ROAD])
+@pytest.mark.usefixtures("shown")
+def test_road_draws_its_weights_over_the_map(run: RunReader) -> None:
+    app = draw("road", run=run.run_id)
+    shown = {metric.label: metric.value for metric in app.metric}
+    share = values(run, "weights/road_share")[1][-1]
+    assert float(shown["weight on the road"].split()[0]) == pytest.approx(100 * share, abs=0.2)
+    table = app.dataframe[0].value
+    assert len(table) == sum(r.env == ROAD for r in COPIES)
+
+
+@pytest.mark.parametrize("path", WEIGHINGS, ids=lambda path: path.name)
+@pytest.mark.usefixtures("shown")
+def test_probe_finds_its_weighings(path: Path) -> None:
+    report = read_json(path / REPORT)
+    app = draw("probe", run=report["data"], weighed=path.name)
+    table = pd.read_csv(path / "profile.csv")
+    for learner in table["learner"].unique():
+        line = trace(figures(app)[0], meta=learner)
+        of = table[table["learner"] == learner].groupby("bin")["mean_weight"]
+        assert array(line["y"]) == pytest.approx(np.array(of.median()), rel=1e-2, abs=1e-3)
