@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from statistics import median
 from time import process_time
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -35,10 +35,17 @@ class MatmulReport:
 Backend = Literal["default", "onednn"]
 
 
+_ONEDNN: Any = torch.backends.mkldnn  # what it holds is made at run time
+
+
 def use(backend: Backend) -> None:
     """Send this process's fp32 matrix products to `backend`."""
-    precision = "bf16" if backend == "onednn" else "none"
-    torch.backends.mkldnn.matmul.fp32_precision = precision  # pyright: ignore[reportAttributeAccessIssue]
+    _ONEDNN.matmul.fp32_precision = "bf16" if backend == "onednn" else "none"
+
+
+def current() -> Backend:
+    """Where this process's fp32 matrix products go."""
+    return "onednn" if _ONEDNN.matmul.fp32_precision == "bf16" else "default"
 
 
 def _milliseconds(product: Callable[[], Tensor]) -> float:

@@ -13,7 +13,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu, silu
 
+from tom import matmul
 from tom.rng import Generators
+
+BULK = 256  # rows from which on the passes over memory count
+GPU_ROWS = 20_000
+"""rows evaluated at once at least on a GPU, where it is launches that cost"""
 
 Activation = Callable[[Tensor], Tensor]
 
@@ -92,11 +97,30 @@ class StackedMLP(nn.Module):
     def _run(self, x: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
         in_place = None if torch.is_grad_enabled() else _IN_PLACE.get(self.activation)
         activation, last = in_place or self.activation, len(layers) - 1
+        affine = _bias_last if in_place and _is_bulk(x) else torch.baddbmm
         for layer, (weight, bias) in enumerate(layers):
-            x = torch.baddbmm(bias, x, weight)
+            x = affine(bias, x, weight)
             if layer < last:
                 x = activation(x)
         return x
+
+
+def _bias_last(bias: Tensor, x: Tensor, weight: Tensor) -> Tensor:
+    return torch.bmm(x, weight).add_(bias)
+
+
+def _is_bulk(x: Tensor) -> bool:
+    """Whether x (M, B, in) has so many rows, and oneDNN, that a bias is added faster afterwards.
+
+    oneDNN's `baddbmm` copies the bias to every row first and adds the product to it; the bits are
+    the same either way. The default product has neither that copy nor those bits.
+    """
+    return x.shape[1] >= BULK and x.device.type == "cpu" and matmul.current() == "onednn"
+
+
+def rows_at_once(device: torch.device, in_cache: int) -> int:
+    """How many rows to evaluate at once: on a CPU those whose layers stay in its cache."""
+    return in_cache if device.type == "cpu" else max(in_cache, GPU_ROWS)
 
 
 def share(tensors: Sequence[Tensor]) -> Tensor:

@@ -11,6 +11,7 @@ from tom.data.replay import ReplayBuffer
 from tom.data.sampling import WeightedSampler, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy
+from tom.nn import rows_at_once
 
 Termination = Callable[[Tensor], Tensor]  # next_obs (B, O) -> terminated (B,)
 
@@ -51,17 +52,19 @@ def roll_out(
     """Play `length` steps of `policy` in `model` from `starts` (B, O) into the model buffer.
 
     A rollout ends where `terminated` says so, or where the model's prediction is not finite.
-    Rows are predicted in chunks that stay in the processor's cache.
+    Rows are predicted in chunks that stay in the processor's cache. On a GPU each chunk and step is
+    asked once whether all of it is finite, and a step that is not the last who has ended.
     """
-    reward_sum, ended, steps, diverged, exploded = 0.0, 0, 0, 0, 0
     far = EXPLODED * starts.abs().amax()
-    for chunk in starts.split(config.chunk):
+    steps, diverged = 0, 0
+    seen: list[Tensor] = []  # rewards, ends and explosions of each chunk; fetched at the end
+    for chunk in starts.split(rows_at_once(starts.device, config.chunk)):
         obs = chunk
-        for _ in range(length):
+        for left in reversed(range(length)):
             action = policy(obs, 1, generator)[0]
             reward, next_obs = model.sample(obs, action, generator)
-            finite = next_obs.isfinite().all(-1) & reward.isfinite()
-            if not bool(finite.all()):
+            if not bool((next_obs.sum() + reward.sum()).isfinite()):  # a sum over NaN or inf
+                finite = next_obs.isfinite().all(-1) & reward.isfinite()
                 diverged += int((~finite).sum())
                 obs, action, reward = obs[finite], action[finite], reward[finite]
                 next_obs = next_obs[finite]
@@ -70,13 +73,15 @@ def roll_out(
             model_buffer.extend(
                 TensorTransitions(obs, action, reward, next_obs, flags, torch.zeros_like(flags))
             )
-            reward_sum += float(reward.sum())
-            ended += int(end.sum())
+            beyond = (next_obs.abs().amax(-1) > far).to(torch.float32)
+            seen.append(torch.stack([reward.sum(), flags.sum(), beyond.sum()]))
             steps += len(obs)
-            exploded += int((next_obs.abs().amax(-1) > far).sum())
+            if not left:
+                break
             obs = next_obs[~end]
             if not len(obs):
                 break
+    reward_sum, ended, exploded = map(sum, zip(*torch.stack(seen).tolist(), strict=True))
     return {
         "rollout/reward": reward_sum / max(steps, 1),
         "rollout/terminated": ended / max(steps, 1),

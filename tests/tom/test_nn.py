@@ -1,7 +1,19 @@
-import torch
-from torch.nn.functional import linear, relu
+from collections.abc import Iterator
 
-from tom.nn import StackedMLP
+import pytest
+import torch
+from torch.nn.functional import linear, relu, silu
+
+from tom import matmul
+from tom.nn import BULK, GPU_ROWS, Activation, StackedMLP, rows_at_once
+
+
+@pytest.fixture
+def onednn() -> Iterator[None]:
+    before = matmul.current()
+    matmul.use("onednn")
+    yield
+    matmul.use(before)
 
 
 def generators(*seeds: int) -> list[torch.Generator]:
@@ -37,3 +49,24 @@ def test_joined_networks_stay_themselves():
     assert torch.equal(nets[1].weights[0], joint.weights[0][2:])
     assert torch.equal(nets[0].weights[0], joint.weights[0][:2])
     torch.testing.assert_close(joint(x)[2:], nets[1](x[2:]))
+
+
+@pytest.mark.parametrize("activation", [relu, silu, torch.tanh])
+@pytest.mark.parametrize("members", [1, 3])
+def test_many_rows_without_a_gradient_are_the_same_rows(
+    onednn: None, activation: Activation, members: int
+):
+    """In bulk the bias is added after oneDNN's product, else before it."""
+    net = StackedMLP(members, [6, 64, 64, 3], activation, generators(0))
+    x = torch.randn(members, BULK + 32, 6)
+    with torch.no_grad():
+        at_once = net(x)
+        in_pieces = torch.cat([net(part) for part in x.split(BULK // 2, 1)], 1)
+    torch.testing.assert_close(at_once, in_pieces, rtol=0, atol=1e-6)
+    torch.testing.assert_close(at_once, net(x).detach(), rtol=0, atol=1e-6)
+
+
+def test_a_gpu_evaluates_more_rows_at_once():
+    assert rows_at_once(torch.device("cpu"), 2000) == 2000
+    assert rows_at_once(torch.device("cuda"), 2000) == GPU_ROWS
+    assert rows_at_once(torch.device("cuda"), 2 * GPU_ROWS) == 2 * GPU_ROWS

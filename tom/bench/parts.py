@@ -19,8 +19,10 @@ from tom.rollout import roll_out
 from tom.sac import Sac
 
 OBS, ACTION, BATCH = 11, 3, 256
-CHUNKED = 20_000
-"""rows of the parts that scale with the buffer; their cost is printed for the full size"""
+ROLLED = 20_000
+"""start states of a rollout; their cost is printed for a thousand"""
+WEIGHED = 100_000
+"""rows that are weighed: beside so many the one step of each network is nothing"""
 
 
 def parts() -> Iterator[Part]:
@@ -96,7 +98,7 @@ def _model_step(kind: str) -> Part:
 
 
 def _tom_steps() -> Iterator[Part]:
-    data = transitions(CHUNKED)
+    data = transitions(WEIGHED)
     policy = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
 
     def weigh(steps: dict[str, int], rows: int) -> object:
@@ -133,19 +135,19 @@ def _tom_steps() -> Iterator[Part]:
         40,
         3 * valuing - network_flops(q[:2], 3 * BATCH) + acting * 2 * BATCH / 1000,
     )
-    yield Part("weights, 1000 transitions", lambda: weigh(none, CHUNKED), CHUNKED // 1000, each)
+    yield Part("weights, 1000 transitions", lambda: weigh(none, WEIGHED), WEIGHED // 1000, each)
 
 
 def _rollout() -> Part:
     model = make_model(OBS, ACTION, ModelConfig(), torch.Generator().manual_seed(0))
     policy = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
-    buffer = ReplayBuffer(CHUNKED, OBS, ACTION)
-    starts, generator = transitions(CHUNKED).obs, torch.Generator().manual_seed(1)
+    buffer = ReplayBuffer(ROLLED, OBS, ACTION)
+    starts, generator = transitions(ROLLED).obs, torch.Generator().manual_seed(1)
     hopper, config = task("hopper"), RolloutConfig()
     return Part(
         "rollout, 1000 states",
         lambda: roll_out(model, policy, hopper.terminated, starts, 1, config, buffer, generator),
-        CHUNKED // 1000,
+        ROLLED // 1000,
         rollout_flops(ModelConfig(), SacConfig()) * 1000,
     )
 

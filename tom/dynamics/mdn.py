@@ -70,17 +70,25 @@ class Mdn(NeuralDynamics):
 
     def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
         """A component by inverse distribution function, then a normal draw from it."""
-        logits, mean, raw = output.unflatten(-1, (3, -1, self.targets)).unbind(-3)
-        below = (logits - logits.amax(-2, keepdim=True)).exp().cumsum(-2)
-        shape = (*below.shape[:-2], 1, below.shape[-1])
+        logits, means, raws = output.chunk(3, -1)  # (E, B, K D) each
+        shape = (*output.shape[:-1], self.targets)
         u = torch.rand(*shape, generator=generator, device=generator.device)
-        component = (below < u * below[..., -1:, :]).sum(-2, keepdim=True)
-        component = component.clamp(max=mean.shape[-2] - 1)
-        chosen_mean = mean.gather(-2, component).squeeze(-2)
-        log_var = soft_bound(raw.gather(-2, component), LOG_VAR_MIN, LOG_VAR_MAX)
-        chosen_std = (0.5 * log_var.squeeze(-2)).exp()
-        noise = torch.randn(*chosen_mean.shape, generator=generator, device=generator.device)
-        return chosen_mean + chosen_std * noise
+        component = pick_component(logits.unflatten(-1, (-1, self.targets)), u)
+        at = component * self.targets + torch.arange(self.targets, device=output.device)
+        log_var = soft_bound(raws.gather(-1, at), LOG_VAR_MIN, LOG_VAR_MAX)
+        noise = torch.randn(*shape, generator=generator, device=generator.device)
+        return means.gather(-1, at) + (0.5 * log_var).exp() * noise
+
+
+def pick_component(logits: Tensor, u: Tensor) -> Tensor:
+    """The component of each mixture (E, B, D) for `u` (E, B, D), uniform on [0, 1).
+
+    As many components come before it as have shares that add up to less than u; `logits` are
+    (E, B, K, D).
+    """
+    ahead = logits.permute(2, 3, 0, 1).contiguous()  # (K, D, E, B): every step over whole vectors
+    ahead = ahead.sub_(ahead.amax(0)).exp_().cumsum(0)
+    return (ahead[:-1] < u.permute(2, 0, 1) * ahead[-1]).sum(0).permute(1, 2, 0)
 
 
 def _softplus_gradient(grad: Tensor, x: Tensor) -> Tensor:

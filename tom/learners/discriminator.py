@@ -20,7 +20,7 @@ from tom.learners.averaging import Average
 from tom.learners.scaling import Scaling
 from tom.learners.training import Trained
 from tom.lockstep import Work
-from tom.nn import StackedMLP
+from tom.nn import StackedMLP, rows_at_once
 
 CHUNK = 1024  # rows judged at once; they stay in the processor's cache
 BLOCK = 32  # minibatches gathered at once
@@ -59,9 +59,10 @@ class Discriminator:
     def log_ratio(self) -> Tensor:
         """The logit of every replay row, (N,)."""
         logits = torch.empty_like(self.replay.reward)  # written in place: pieces fragment memory
-        for i in range(0, len(logits), CHUNK):
-            rows = self.replay[i : i + CHUNK]
-            logits[i : i + CHUNK] = self.net(self.inputs(rows)[None])[0, :, 0]
+        size = rows_at_once(logits.device, CHUNK)
+        for i in range(0, len(logits), size):
+            rows = self.replay[i : i + size]
+            logits[i : i + size] = self.net(self.inputs(rows)[None])[0, :, 0]
         return logits
 
     def batches(

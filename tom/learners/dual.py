@@ -18,7 +18,7 @@ from tom.learners.base import Policy
 from tom.learners.scaling import Scaling
 from tom.learners.training import Trained
 from tom.lockstep import Work
-from tom.nn import StackedMLP
+from tom.nn import StackedMLP, rows_at_once
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
 BLOCK = 8  # minibatches gathered, and their actions drawn, at once
@@ -182,14 +182,14 @@ class DualProblem:
     @torch.no_grad()
     def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Weights f*'(y), not normalised, and Q(s, a) of every replay row, (N,) each."""
-        samples = self.config.action_samples
+        samples, size = self.config.action_samples, rows_at_once(self.log_ratio.device, CHUNK)
         y, now = torch.empty_like(self.log_ratio), torch.empty_like(self.log_ratio)
-        for i in range(0, len(y), CHUNK):
-            part = slice(i, i + CHUNK)
+        for i in range(0, len(y), size):
+            part = slice(i, i + size)
             rows = self.replay[part]
             inputs, probs = self._policy_inputs(rows.next_obs, samples, generator)
             every = torch.cat((self._inputs(rows.obs, rows.action), inputs.flatten(0, 1)))
-            q = torch.cat([self._q(net, block) for block in every.split(CHUNK)])
+            q = torch.cat([self._q(net, block) for block in every.split(size)])
             following = (probs * q[len(rows) :].view_as(probs)).sum(0)
             values = Values(q[: len(rows)], following, following)
             y[part] = dual_argument(
@@ -209,7 +209,7 @@ class DualProblem:
         starts = self.initial_obs[:CHUNK]
         inputs, probs = self._policy_inputs(starts, 1, generator)
         q_start = (probs * self._q(net, inputs.flatten(0, 1)).view_as(probs)).sum(0)
-        low, high = torch.quantile(q, 0.001), torch.quantile(q, 0.999)
+        low, high = torch.quantile(q, q.new_tensor([0.001, 0.999]))
         return float((low - q_start).clamp(min=0).mean() / (1 + high - low))
 
     def bias_step(self) -> float:

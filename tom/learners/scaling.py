@@ -35,5 +35,9 @@ class Scaling:
             torch.cat(mean), torch.where(spread < MIN_STD, torch.ones_like(spread), spread)
         )
 
+    def first(self, n: int) -> Scaling:
+        """The scaling of the first n columns alone."""
+        return Scaling(self.mean[:n], self.std[:n])
+
     def __call__(self, x: Tensor) -> Tensor:
         return (x - self.mean) / self.std

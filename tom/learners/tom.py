@@ -97,9 +97,10 @@ def estimate(
         yield judging
         metrics |= judging.metrics
         log_ratio = judge.log_ratio()
+        scaling = judge.scaling.first(sum(networks.dims))  # of (s, a); (s' - s) comes after
     else:
         log_ratio = membership_reward(replay, policy_buffer)
-    scaling = Scaling.of((replay.obs, replay.action))
+        scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, log_ratio, initial_obs, policy, config, scaling)
     dual = Minimise(problem, networks.q, generator)
     yield dual

@@ -10,7 +10,7 @@ from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
 from tom.dynamics.fitting import Job, fit, holdout_loss, split
-from tom.dynamics.mdn import Mdn
+from tom.dynamics.mdn import Mdn, pick_component
 from tom.dynamics.neural import NeuralDynamics, Standardiser
 
 SMALL = ModelConfig(hidden=48, layers=2, components=3, members=3, elites=2, rounds=10, lr=3e-3)
@@ -113,6 +113,17 @@ def test_fitted_together_is_fitted_alone(kind: str):
         for a, b in zip(alone.predict(probe.obs, probe.action),
                         joined.predict(probe.obs, probe.action), strict=True):  # fmt: skip
             torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
+
+
+def test_a_component_is_the_one_that_counting_its_shares_gives():
+    logits = 3 * torch.randn(2, 40, 5, 7, generator=generator(1))
+    u = torch.rand(2, 40, 7, generator=generator(2))
+    u[0, 0], u[0, 1] = 0.0, 1 - 2**-24  # all that `torch.rand` can return lies between these
+    shares = (logits - logits.amax(-2, keepdim=True)).exp().cumsum(-2)
+    wanted = (shares < u[:, :, None] * shares[..., -1:, :]).sum(-2)
+    assert torch.equal(pick_component(logits, u), wanted)
+    assert wanted.max() == 4
+    assert wanted.min() == 0
 
 
 def test_mdn_draws_have_the_mixtures_moments():
