@@ -84,7 +84,9 @@ def _report(found: Sequence[Finding], args: argparse.Namespace) -> None:
     ]
     drawn = [(CAPTION, args.out / f"{progression_files.FIGURE}.png")]
     used = in_short(args.seeds)
-    write_study(args.out, "Weight progression", CLAIM, rows, drawn, seeds=used)
+    recordings = len({c.recording for c in found})
+    n = f"{recordings} recordings, {len(args.seeds)} seeds of TOM on each"
+    write_study(args.out, "Weight progression", CLAIM, rows, drawn, n=n, seeds=used)
 
 
 def _print(found: Sequence[Finding], args: argparse.Namespace) -> None:

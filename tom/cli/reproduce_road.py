@@ -99,7 +99,9 @@ def _write(
     rows = [asdict(c) for c in checks]
     outcomes = [("By seed", [asdict(s.outcome) for s in stories])]
     used = in_short([s.outcome.seed for s in stories])
-    write_study(out, "Road-and-rocks", CLAIM, rows, pngs, outcomes, seeds=used)
+    learners = len({s.outcome.name for s in stories})
+    n = f"{len(stories)} trainings of {learners} learners and controls"
+    write_study(out, "Road-and-rocks", CLAIM, rows, pngs, outcomes, n=n, seeds=used)
 
 
 def _print(checks: Sequence[Check], outcomes: Sequence[Outcome], args: argparse.Namespace) -> None:

@@ -79,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
     tables = [("Ways to estimate: median and worst", summary(rows))]
     used = in_short(args.seeds)
     judgement = [asdict(check) for check in checks]
-    write_study(args.out, "Exact weights", CLAIM, judgement, drawn, tables, seeds=used)
+    n = f"{len(judged)} problems"
+    write_study(args.out, "Exact weights", CLAIM, judgement, drawn, tables, n=n, seeds=used)
     if args.json:
         print_json({"checks": [asdict(c) for c in checks], "out": str(args.out)})
     else:

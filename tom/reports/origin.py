@@ -10,17 +10,16 @@ from tom.record import RunReader
 from tom.record.versions import git_commit, machine, versions
 
 
-def origin(hours: float | None = None) -> dict[str, str]:
-    """This process: command, time, commit, versions, machine; `hours` it took, where it counts."""
+def origin() -> dict[str, str]:
+    """This process: command, time, commit, versions, machine."""
     kind = machine()
-    made = {
+    return {
         "command": shlex.join(["tom", *sys.argv[1:]]),
         "made": datetime.now(UTC).isoformat(" ", "minutes"),
         "commit of the report": git_commit() or "unknown",
         "versions": ", ".join(f"{name} {text}" for name, text in versions().items()),
         "machine": f"{kind['cpu']}, {kind['cores']} cores",
     }
-    return made if hours is None else {**made, "hours": f"{hours:.2f}"}
 
 
 def origin_of(runs: Sequence[RunReader]) -> dict[str, str]:

@@ -21,7 +21,7 @@ def write_study(
 ) -> Path:
     """Write `report.html`: `checks` are rows with `name` and `met` (None where it is not judged).
 
-    `how` adds to the origin, such as seeds. The hours are those of this process.
+    `how` adds to the origin, such as n and seeds. The hours are those of this process.
     """
     judged = [row for row in checks if row["met"] is not None]
     failed = [str(row["name"]) for row in judged if not row["met"]]
@@ -29,6 +29,11 @@ def write_study(
     if failed:
         found.append(f"Not met, so different from what was expected: {'; '.join(failed)}.")
     shown = [{**row, "met": {True: "yes", False: "NO", None: ""}[row["met"]]} for row in checks]  # pyright: ignore[reportArgumentType]
-    made = origin((time.monotonic() - _BEGUN) / 3600) | how
-    report = Report(title, claim, found, figures, [("Acceptance", shown), *tables], made)
-    return write_report(report, folder)
+    tables = [("Acceptance", shown), *tables]
+    return write_report(Report(title, claim, found, figures, tables, study_origin(**how)), folder)
+
+
+def study_origin(**how: str) -> dict[str, str]:
+    """What a study was made with; `how` adds to it, such as n and seeds."""
+    hours = (time.monotonic() - _BEGUN) / 3600
+    return origin() | {"hours": f"{hours:.2f} (cases kept from an earlier call not counted)"} | how

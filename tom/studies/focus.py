@@ -22,6 +22,7 @@ from tom.diagnostics import ROWS, one_step_error, rollout_error, unbroken
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
 from tom.envs import MujocoTask, task
+from tom.learners import LEARNERS
 from tom.learners.base import Policy
 from tom.policy_file import NAME, read_policy
 from tom.presets import resolve
@@ -103,6 +104,30 @@ def summary(found: Sequence[Focus]) -> list[dict[str, str | float]]:
                 row[f"{quantity} / mle"] = _ratio(of, here, quantity)
             rows.append(row)
     return rows
+
+
+def verdict(found: Sequence[Focus]) -> list[str]:
+    """For each learner but MLE: where its model errs less than MLE's, and whether as claimed."""
+    rivals = dict.fromkeys(f.rival for f in found if f.rival != "mle")
+    return [_verdict(found, rival) for rival in rivals]
+
+
+def _verdict(found: Sequence[Focus], rival: str) -> str:
+    mle = {(f.recording, f.seed): f for f in found if f.rival == "mle"}
+    pairs = [(f, mle[f.recording, f.seed]) for f in found if f.rival == rival]
+    ratios = {q: [getattr(f, q) / getattr(m, q) for f, m in pairs] for q in QUANTITIES}
+    told = (
+        f"{QUANTITIES[q]} {median(of):.2f} (less in {sum(r < 1 for r in of)} of {len(of)})"
+        for q, of in ratios.items()
+    )
+    name, _, preset = rival.partition(" ")
+    label = LEARNERS[name].label + (f" ({preset} preset)" if preset else "")
+    line = f"{label}: error over MLE's under the same seed, median: {', '.join(told)}."
+    if name != "tom":
+        return line
+    where = [q for q in ("policy", "policy_rollout") if median(ratios[q]) < 1]
+    says = {2: "as claimed", 1: "as claimed over one of the two lengths only", 0: "not as claimed"}
+    return f"{line} Where the policy goes: {says[len(where)]}."
 
 
 def _ratio(of: Sequence[Focus], here: Sequence[Focus], quantity: str) -> float:

@@ -83,6 +83,9 @@ def verdict(found: Sequence[Panel]) -> list[str]:
             f"and in {int((peak < 1 - NEWEST).sum())} the peak does; {len(own)} runs, "
             f"{len(own)} environments, one seed each."
         )
+        if name == "tom":
+            agrees = (share < 0.5).mean() > 0.5
+            lines[-1] += " So the paper says." if agrees else " The paper says otherwise."
     return lines
 
 

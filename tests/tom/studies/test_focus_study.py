@@ -13,7 +13,7 @@ from tom.envs import task
 from tom.policy_file import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.run import train
-from tom.studies.focus import Case, Focus, _tested, focus, summary
+from tom.studies.focus import Case, Focus, Rival, _tested, focus, summary, verdict
 from tom.weighing import of_run
 
 
@@ -47,6 +47,19 @@ def test_a_summary_by_hand():
     assert tom["ess"] == pytest.approx(0.15)
 
 
+def test_the_verdict_says_where_the_claim_holds():
+    rivals: tuple[Rival, ...] = ("pmac", "tom paper", "tom exact")
+    rows = [MLE, *(replace(MLE, rival=rival) for rival in rivals)]
+    rows[2] = replace(rows[2], policy=0.1, policy_rollout=0.9)
+    rows[3] = replace(rows[3], policy=0.1, policy_rollout=0.4)
+    pmac, paper, exact = verdict(rows)
+    assert "1.00 (less in 0 of 1)" in pmac
+    assert "claimed" not in pmac
+    assert "0.50 (less in 1 of 1)" in paper
+    assert paper.endswith("as claimed over one of the two lengths only.")
+    assert exact.endswith("Where the policy goes: as claimed.")
+
+
 def test_without_mle_there_is_no_share():
     (row,) = summary([replace(MLE, rival="pmac")])
     assert np.isnan(row["policy / mle"])
@@ -78,7 +91,7 @@ def test_the_command_writes_what_it_prints(recording: RunReader, tmp_path: Path,
     arguments = ["reproduce", "focus", "--env", "hopper", "--steps", "1000", "--seeds", "0"]
     assert main([*arguments, "--store", store, "--out", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {
-        "errors.csv", "summary.csv", "errors.png", "errors.svg", "cases"
+        "errors.csv", "summary.csv", "errors.png", "errors.svg", "report.html", "cases"
     }  # fmt: skip
     assert "tom exact" in capsys.readouterr().out
 

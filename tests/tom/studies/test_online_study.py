@@ -41,6 +41,7 @@ def test_where_the_weight_lies(tmp_path: Path):
     (line,) = study.verdict([panel])
     assert line.startswith("TOM: in 1 of 3 profiles most weight lies outside the newest tenth")
     assert "and in 2 the peak does" in line
+    assert line.endswith("The paper says otherwise.")
     assert [row["step"] for row in study.rows([panel])] == [500, 750, 1000]
 
 
