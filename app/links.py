@@ -72,6 +72,13 @@ class Links:
         more = "".join(f"&url={quote(url, safe='')}" for url in rest)
         return hub.viewer_url(host, self.rerun_web_port, first, mode) + more
 
+    def rerun_episode(
+        self, host: str, run_id: str, step: int, index: int, horizon: int, mode: Mode
+    ) -> str:
+        """The web viewer, showing one evaluation episode and its ghost."""
+        file = f"http://{host}:{self.port}/rrd/{quote(run_id)}/episode-{step}-{index}-{horizon}.rrd"
+        return hub.viewer_url(host, self.rerun_web_port, file, mode)
+
     def viser(self, host: str, client: str) -> str:
         """The viser page of the client named `client`, which the control socket speaks of."""
         socket = quote(f"ws://{host}:{self.viser_port}/{quote(client)}", safe="")

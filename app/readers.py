@@ -75,6 +75,11 @@ def recorded(run: RunInfo) -> tuple[Stamp, ...]:
     return tuple(_stamps(run, layout.METRICS, layout.METRICS_TABLE))
 
 
+def has_profiles(run: RunInfo) -> bool:
+    """A model fit has left a profile, which may be damaged. Reads nothing."""
+    return _stamps(run, layout.PROFILES)[0][1] > 0
+
+
 def profiles(run: RunInfo) -> Profiles:
     """The weight profile of every model fit."""
     return _profiles(run.path, *_stamps(run, layout.PROFILES))[0]
@@ -85,11 +90,16 @@ def notices(run: RunInfo) -> list[dict]:
     return _notices(run.path, *_stamps(run, layout.NOTICES))[0]
 
 
+def metrics_problems(run: RunInfo) -> list[str]:
+    """What is damaged or missing in the parts of a run that make its curves."""
+    rows = _stamps(run, layout.METRICS, layout.METRICS_TABLE)
+    return list(dict.fromkeys([*run.problems, *_metrics(run.path, *rows)[1]]))
+
+
 def problems(run: RunInfo) -> list[str]:
-    """What is damaged or missing in the parts of a run that every page reads."""
+    """What is damaged or missing in the parts of a run that the pages of one run read."""
     found = [
-        *run.problems,
-        *_metrics(run.path, *_stamps(run, layout.METRICS, layout.METRICS_TABLE))[1],
+        *metrics_problems(run),
         *_profiles(run.path, *_stamps(run, layout.PROFILES))[1],
         *_notices(run.path, *_stamps(run, layout.NOTICES))[1],
     ]

@@ -14,6 +14,7 @@ from tom.events import Episode
 from tom.imagine import Imagined, KeptModel, imagine, joint_positions, kept_model, kept_step
 from tom.record import scene
 from tom.record.reader import RunReader
+from tom.record.rerun_episode import episode_recording
 
 ROAD_DT = 0.1
 """seconds that a step of road-and-rocks takes on the screen: the task itself has no clock"""
@@ -81,6 +82,14 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
         no_ghost=why,
         road=road,
     )
+
+
+def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | None:
+    """The episode and its ghost as a Rerun recording; None where it is not there."""
+    replay = load(run, step, index, horizon)
+    if replay is None:
+        return None
+    return episode_recording(run, step, replay.episode, replay.dt, replay.ghost)
 
 
 def _ghost(env: str, episode: Episode, imagined: Imagined, dt: float, horizon: int) -> Floats:

@@ -7,9 +7,9 @@ from PIL import Image
 from app import readers, session
 from app.colours import rgb
 from app.theme import LEARNER_COLOURS, NEUTRAL
-from app.views import compare, empty, live, probe, regions, replays, road, weights
+from app.views import compare, empty, live, probe, regions, replays, road, studies, weights
 
-VIEWS = (live, compare, weights, regions, probe, replays, road)
+VIEWS = (live, compare, weights, regions, probe, replays, road, studies)
 BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS["tom"]))
 """the sign of the studio: heights and colours of a weight profile"""
 LOGO = (

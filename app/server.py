@@ -1,7 +1,9 @@
 """Streamlit's process: the pages, and the recordings that the Rerun viewer loads."""
 
 import logging
+import re
 from pathlib import Path
+from threading import Thread
 
 import streamlit as st
 from starlette.requests import Request
@@ -14,7 +16,7 @@ from starlette.responses import (
 )
 from starlette.routing import Route
 
-from app import shortlinks
+from app import readers, replays, shortlinks, studies
 from app.links import Links
 from app.plot import LIBRARY, LIBRARY_PATH
 from app.router import VIEWS
@@ -24,6 +26,10 @@ from tom.errors import UserError
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
+RECORDING = "application/octet-stream"
+EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
+"""an evaluation episode on its own: step, number from 0, steps after which the ghost starts anew"""
+
 ENTRY = Path(__file__).with_name("main.py")
 
 
@@ -31,13 +37,26 @@ def routes(links: Links) -> list[Route]:
     """What this server answers beside the pages."""
 
     def recording(request: Request) -> Response:
-        path = recording_path(links.store, request.path_params["run"], request.path_params["name"])
-        if path is None:
-            return PlainTextResponse("no such recording", status_code=404)
+        run_id, name = request.path_params["run"], request.path_params["name"]
         # The viewer's page comes from another port, so the browser asks for leave to read.
         headers = {"Access-Control-Allow-Origin": viewer_origin(request, links)}
         headers |= {"Vary": "Origin", "Cache-Control": "no-store"}
-        return FileResponse(path, media_type="application/octet-stream", headers=headers)
+        if wanted := EPISODE.fullmatch(name):
+            content = episode(links.store, run_id, *map(int, wanted.groups()))
+            if content is not None:
+                return Response(content, media_type=RECORDING, headers=headers)
+        path = recording_path(links.store, run_id, name)
+        if path is None:
+            return PlainTextResponse("no such recording", status_code=404)
+        return FileResponse(path, media_type=RECORDING, headers=headers)
+
+    def report(request: Request) -> Response:
+        path = studies.report(request.path_params["study"])
+        if path is None:
+            return PlainTextResponse("no such report", status_code=404)
+        # It holds its figures and its style, and needs no script and nothing from elsewhere.
+        allowed = "sandbox; default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+        return FileResponse(path, headers={"Content-Security-Policy": allowed})
 
     def health(_: Request) -> Response:
         return JSONResponse({"store": links.store, "status": "ok"})
@@ -53,11 +72,21 @@ def routes(links: Links) -> list[Route]:
 
     return [
         Route("/v/{code}", short),
+        Route("/reports/{study}", report),
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
         Route(LIBRARY_PATH, library),
         *page_routes([view.PATH for view in VIEWS]),
     ]
+
+
+def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
+    """A recording of one evaluation episode and its ghost; None where there is no such episode."""
+    try:
+        run = Store(store).run(run_id)
+        return replays.recording(run, step, index, horizon)
+    except UserError:
+        return None
 
 
 def recording_path(store: str, run_id: str, name: str) -> Path | None:
@@ -92,10 +121,17 @@ def options(links: Links) -> dict:
     }
 
 
+def warm(store: str) -> None:
+    """Read every run's metrics: the first page that compares them finds them read."""
+    for run in readers.listing(store).runs:
+        readers.metrics(run)
+
+
 def main() -> None:
     """Serve until SIGTERM."""
     logging.getLogger("streamlit").setLevel(logging.WARNING)
     links = Links.from_environment()
+    Thread(target=warm, args=(links.store,), daemon=True).start()
     st.App(ENTRY.resolve(), routes=routes(links)).run(config=options(links))
 
 

@@ -15,6 +15,10 @@ def curve(run: RunInfo, metric: str) -> Curve:
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
 
 
+UNIFORM = {"mle", "sac"}
+"""learners whose weights are all the same: no need to look"""
+
+
 def pick_run(runs: Sequence[RunInfo], label: str = "Run", key: str = "run") -> RunInfo:
     """A run, chosen here or by the address (`?run=...`); else the newest with something to see."""
     by_id = {run.run_id: run for run in runs}
@@ -25,6 +29,8 @@ def pick_run(runs: Sequence[RunInfo], label: str = "Run", key: str = "run") -> R
 
 def differs(run: RunInfo) -> bool:
     """The last fit of a run did not count all transitions the same."""
+    if run.learner in UNIFORM:
+        return False
     profiles = readers.profiles(run)
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
 

@@ -67,10 +67,14 @@ def _replays(chosen: Sequence[RunInfo]) -> None:
     st.markdown("**Replays** of the evaluations at or before one step")
     # To begin with a step that all of them have reached.
     step = min(found[-1] for found in evaluated.values() if found)
+    row = st.columns([5, 1], vertical_alignment="bottom")
     if len(steps) > 1:
-        step = st.select_slider(
+        step = row[0].select_slider(
             "At step", steps, step, key="side step", format_func=lambda at: f"{at:,}"
         )
+    played = st.session_state.setdefault("side played", 0)
+    if row[1].button("Play all", icon=":material/play_arrow:", width="stretch"):
+        played = st.session_state["side played"] = played + 1
     columns: list = []
     for i, run in enumerate(chosen):
         columns = list(st.columns(2)) if i % 2 == 0 else columns
@@ -80,4 +84,5 @@ def _replays(chosen: Sequence[RunInfo]) -> None:
             name = f"{learner_label(run.learner)} seed {run.seed}"
             st.caption(f"{text.markdown(name)}, {words}")
             if before:
-                stage(Replay(run.run_id, before[-1], 0, 0, HORIZON), STAGE_HEIGHT, f"side{i}")
+                choice = Replay(run.run_id, before[-1], 0, 0, HORIZON, played)
+                stage(choice, STAGE_HEIGHT, f"side{i}", compact=True)

@@ -24,7 +24,7 @@ def styled(figure: go.Figure, x: str, height: int, *, keep: str) -> go.Figure:
     )
     axis = {"gridcolor": GRID, "zeroline": False, "automargin": True}
     figure.update_xaxes(title_text=x, showgrid=False, ticks="outside", tickcolor=GRID, **axis)
-    figure.update_yaxes(**axis)
+    figure.update_yaxes(title_standoff=8, **axis)  # without, wide ticks run into the title
     return figure
 
 

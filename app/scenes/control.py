@@ -22,13 +22,17 @@ class Road:
 
 @dataclass(frozen=True)
 class Replay:
-    """An evaluation episode from `frame` on, its ghost starting again every `horizon` steps."""
+    """An evaluation episode from `frame` on, its ghost starting again every `horizon` steps.
+
+    `played` counts how often the page has asked for it to be played from its beginning.
+    """
 
     run: str
     step: int
     episode: int
     frame: int
     horizon: int
+    played: int = 0
 
 
 @dataclass(frozen=True)
@@ -48,10 +52,11 @@ KINDS: dict[str, type[Choice]] = {"road": Road, "replay": Replay, "states": Stat
 
 @dataclass(frozen=True)
 class Selection:
-    """What one browser frame is to show."""
+    """What one browser frame is to show; in a `compact` one the panel is folded up at first."""
 
     choice: Choice
     mode: Mode = "light"
+    compact: bool = False
 
 
 def tell(socket: str, client: str, selection: Selection) -> None:
@@ -76,8 +81,9 @@ def listen(socket: str, select: Callable[[str, Selection], None]) -> None:
 def packed(client: str, selection: Selection) -> bytes:
     """A selection as a message."""
     kind = next(name for name, made in KINDS.items() if isinstance(selection.choice, made))
-    what = {"client": client, "mode": selection.mode, "kind": kind}
-    return json.dumps({**what, "choice": asdict(selection.choice)}).encode()
+    look = {"mode": selection.mode, "compact": selection.compact}
+    what = {"client": client, "kind": kind, "choice": asdict(selection.choice)}
+    return json.dumps(what | look).encode()
 
 
 def unpacked(message: bytes) -> tuple[str, Selection]:
@@ -87,4 +93,5 @@ def unpacked(message: bytes) -> tuple[str, Selection]:
         name: tuple(value) if isinstance(value, list) else value
         for name, value in what["choice"].items()
     }
-    return str(what["client"]), Selection(KINDS[what["kind"]](**choice), what["mode"])
+    shown = KINDS[what["kind"]](**choice)
+    return str(what["client"]), Selection(shown, what["mode"], what["compact"])

@@ -27,15 +27,20 @@ class Frame:
     shadows = False
     """shadows cost a weak machine half of its frames"""
 
-    def __init__(self, client: viser.ClientHandle, store: str, mode: Mode) -> None:
+    def __init__(
+        self, client: viser.ClientHandle, store: str, mode: Mode, *, compact: bool = False
+    ) -> None:
         self.client = client
         self.store = store
         self.mode: Mode = mode
+        self.compact = compact
         self._lock = threading.RLock()
         self._closed = False
         self._dress()
         client.gui.set_panel_label(self.title)
         self._build_panel()
+        if compact:
+            client.gui.main_panel.minimize()
 
     def show(self, selection: Selection) -> None:
         """Show what a page chose. Raises UserError where it cannot be read."""

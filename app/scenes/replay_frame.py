@@ -10,15 +10,13 @@ from app import replays
 from app.replays import Replay
 from app.scenes.control import Replay as Choice
 from app.scenes.control import Selection
-from app.scenes.frame import Frame
+from app.scenes.frame import Frame, Vector
 from app.scenes.replay import ReplayScene
 from tom.errors import UserError
 from tom.record.store import Store
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0, "4 times": 4.0}
 
-BESIDE_THE_PANEL = (0.74, -0.4, 1.25)
-"""the camera on road-and-rocks: the panel covers the right"""
 WORDS_S = 0.2
 """seconds between two updates of the words and the curve while an episode plays"""
 
@@ -66,6 +64,10 @@ class ReplayFrame(Frame):
             self._draw(replay)
         if before is None or before.frame != choice.frame:
             self._go_to(choice.frame)
+        if before is not None and before.played != choice.played:
+            self._go_to(0)
+            self.playing = False
+            self._toggle()
         self._pose()
 
     def _mode_changed(self) -> None:
@@ -77,17 +79,21 @@ class ReplayFrame(Frame):
         with self.client.atomic():
             self.clear()
             self._scene = ReplayScene(self.client.scene, replay, self.mode)
-        if other and replay.road:
-            self.look(BESIDE_THE_PANEL, (0.74, 0.42, 0.0))
-        elif other:
-            height = self._scene.height
-            away = 1.6 + 0.9 * height
-            # The panel covers the right: the robot stands left of the middle.
-            self.look((0.45 * away, -away, 0.5 + 0.6 * height), (0.25 * away, 0.0, 0.5 * height))
+        if other:
+            self.look(*self._view(self._scene.height))
         self.frame.max = replay.episode.length
         self.ghost.disabled = replay.ghost is None
         self._draw_curve(replay)
         self._go_to(min(self._at, replay.episode.length))
+
+    def _view(self, height: float) -> tuple[Vector, Vector]:
+        """Where the camera stands and what it looks at: left of the panel, where that is open."""
+        if self._replay is not None and self._replay.road:
+            across = 0.5 if self.compact else 0.74
+            return (across, -0.4, 1.25), (across, 0.42, 0.0)
+        away = 1.6 + 0.9 * height
+        beside = 0.0 if self.compact else 0.25 * away
+        return (0.45 * away, -away, 0.5 + 0.6 * height), (beside, 0.0, 0.5 * height)
 
     def _draw_curve(self, replay: Replay) -> None:
         if self.curve is not None:

@@ -55,10 +55,9 @@ class SceneServer:
             frame.tick(seconds)
 
     def _show(self, number: int, name: str, frame: Frame, selection: Selection) -> None:
-        kind = FRAMES[type(selection.choice)]
-        if type(frame) is not kind:
+        if type(frame) is not FRAMES[type(selection.choice)]:
             frame.close()
-            frame = kind(frame.client, self.links.store, selection.mode)
+            frame = self._frame(frame.client, selection)
             self.frames[number] = (name, frame)
         try:
             frame.show(selection)
@@ -71,11 +70,14 @@ class SceneServer:
             return  # an empty scene: nothing of the store goes to a foreign page
         name = request.path.strip("/")
         selection = self.chosen.get(name, Selection(Road(), self.links.theme or "light"))
-        kind = FRAMES[type(selection.choice)]
-        frame = kind(client, self.links.store, selection.mode)
+        frame = self._frame(client, selection)
         self.frames[client.client_id] = (name, frame)
         # It may have changed while it was built.
         self._show(client.client_id, name, frame, self.chosen.get(name, selection))
+
+    def _frame(self, client: viser.ClientHandle, selection: Selection) -> Frame:
+        kind = FRAMES[type(selection.choice)]
+        return kind(client, self.links.store, selection.mode, compact=selection.compact)
 
     def _left(self, client: viser.ClientHandle) -> None:
         self.frames.pop(client.client_id, None)

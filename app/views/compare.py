@@ -48,8 +48,8 @@ def page() -> None:
     if section == RUNS:
         labels.draw(runs, listing.runs)
     for run in runs:
-        if problems := readers.problems(run):
-            widgets.show_problems(run, problems)
+        # Not those of the weights: to read every run's profiles takes seconds.
+        widgets.show_problems(run, readers.metrics_problems(run))
     widgets.show_store_problems(listing.problems)
 
 

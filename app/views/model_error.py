@@ -1,5 +1,6 @@
 """Does weighting help? The errors of the learners' models, on one buffer and on their own."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import streamlit as st
@@ -12,7 +13,7 @@ from app.readers import RunInfo
 from app.theme import learner_label
 
 MODELS = 8
-"""kept models at most that are laid over one buffer: the newest"""
+"""kept models at most that are laid over one buffer: the newest of each learner in turn"""
 BINS = 20
 PAIRS = {
     "One step": ("model/error_policy", "model/error_other"),
@@ -23,13 +24,15 @@ PAIRS = {
 def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
     """The models that other runs of the task kept, each asked about the buffer of `run`."""
     errors = []
-    for other in others:
+    for other in in_turn(run, others):
         error = buffer_reader.errors_on(run, other)
-        if error is not None and len(errors) < MODELS:
+        if error is not None:
             own = " (its own)" if other.run_id == run.run_id else ""
             errors.append(
                 (f"{learner_label(other.learner)} s{other.seed}{own}", other.learner, error)
             )
+        if len(errors) == MODELS:
+            break
     if not errors:
         st.caption("No run of this task has kept a model whose errors could be shown.")
         return
@@ -40,6 +43,17 @@ def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
             "in a step over this buffer. A model has seen its own buffer alone.",
         )
         chart(errors_by_age(errors, BINS, 320), "errors here", "model error against age")
+
+
+def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:
+    """The run itself, then the first run of each learner, then each one's second, and so on."""
+    seen: Counter[str] = Counter()
+    turns = []
+    for other in others:
+        turns.append((other.run_id != run.run_id, seen[other.learner]))
+        seen[other.learner] += 1
+    order = sorted(range(len(others)), key=lambda i: turns[i])
+    return [others[i] for i in order]
 
 
 def recorded(runs: Sequence[RunInfo]) -> None:

@@ -193,7 +193,8 @@ def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
         tuple(round(float(rows.weight[row]), 4) for row in heavy),
         tuple(round(float(rows.weight[row]), 4) for row in light),
     )
-    stage(choice, STAGE_HEIGHT)
+    stage(choice, STAGE_HEIGHT, compact=True)
+    st.caption("A click on the panel's title opens it: there the moments can be played.")
 
 
 def _sides(rows: Rows, mask: Mask) -> tuple[list[int], list[int], str]:

@@ -12,6 +12,7 @@ from app.readers import RunInfo
 from app.replays import HORIZONS, Replay
 from app.scenes.control import Replay as Choice
 from app.theme import learner_label
+from app.views import rerun
 from app.views.stage import stage
 from tom.record import layout
 from tom.record.reader import RunReader
@@ -20,6 +21,7 @@ TITLE = "Replays"
 ICON = ":material/replay:"
 PATH = "replays"
 
+VISER, RERUN = "3D scene", "Rerun"
 STAGE_HEIGHT = 640
 DEFAULT_HORIZON = 25
 
@@ -52,7 +54,14 @@ def page() -> None:
     frame = _marked(replay)
     left, right = st.columns([3, 2])
     with left:
-        stage(Choice(run.run_id, step, index, frame, horizon), STAGE_HEIGHT)
+        viewer = st.segmented_control(
+            "Viewer", [VISER, RERUN], default=VISER, required=True, key="viewer",
+            bind="query-params", label_visibility="collapsed",
+        )  # fmt: skip
+        if viewer == RERUN:
+            rerun.episode(run.run_id, step, index, horizon, STAGE_HEIGHT)
+        else:
+            stage(Choice(run.run_id, step, index, frame, horizon), STAGE_HEIGHT)
     with right:
         _curves(run, replay, returns, index, frame)
     widgets.show_problems(run)

@@ -39,6 +39,16 @@ def frame(runs: Sequence[RunInfo], watched: Sequence[RunInfo]) -> None:
     st.iframe(address, height=HEIGHT)
 
 
+def episode(run_id: str, step: int, index: int, horizon: int, height: int) -> None:
+    """One evaluation episode, its ghost and its rewards in the viewer."""
+    links = session.links()
+    if not links.rerun_web_port:
+        st.caption("The Rerun viewer runs when the studio is started with `tom studio`.")
+        return
+    where = links.rerun_episode(session.host(), run_id, step, index, horizon, session.mode())
+    st.iframe(where, height=height)
+
+
 def source(runs: Sequence[RunInfo], watched: Sequence[RunInfo]) -> str:
     """What to show: the hub while a run trains, else the newest recording, of the watched first."""
     if any(run.status.alive for run in runs):

@@ -6,10 +6,11 @@ from app import session
 from app.scenes.control import Choice, Selection, tell
 
 
-def stage(choice: Choice, height: int, part: str = "") -> None:
+def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False) -> None:
     """Show `choice` in 3D. A rerun of the page does not reload the frame.
 
-    A page with several frames gives each a `part` of its own.
+    A page with several frames gives each a `part` of its own. A frame that is small is `compact`:
+    its panel, which would cover what it shows, is folded up until somebody opens it.
     """
     links = session.links()
     if not links.viser_port:
@@ -17,7 +18,7 @@ def stage(choice: Choice, height: int, part: str = "") -> None:
         return
     client = f"{session.client()}{part}"
     try:
-        tell(links.control, client, Selection(choice, session.mode()))
+        tell(links.control, client, Selection(choice, session.mode(), compact))
     except OSError:
         st.warning("The 3D server does not answer; it is started again by itself.")
     st.iframe(links.viser(session.host(), client), height=height)

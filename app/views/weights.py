@@ -28,7 +28,7 @@ AGAINST = (
 def page() -> None:
     """The step x bin map; beside it the profile at a step; below what is left of the sample."""
     listing = readers.listing(session.links().store)
-    with_weights = [run for run in listing.runs if len(readers.profiles(run).env_step)]
+    with_weights = [run for run in listing.runs if readers.has_profiles(run)]
     # Offline weights hardly change and have a page of their own.
     with_weights.sort(key=lambda run: run.env == pictures.ENV)
     if not with_weights:
@@ -46,6 +46,10 @@ def page() -> None:
         bind="query-params",
     )
     profiles = readers.profiles(run)
+    if not len(profiles.env_step):
+        st.warning("The weight profiles of this run cannot be read.")
+        widgets.show_problems(run)
+        return
     chosen = _chosen_fit(profiles)
     _numbers(run, profiles, chosen)
     left, right = st.columns([3, 2])

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 import time
 from collections.abc import Iterator
@@ -17,8 +18,8 @@ import pytest
 from PIL import Image
 from studio_runs import PENDULUM_TOM, RUNS
 
+from app.browser import chromium
 from app.launcher import Studio, servers
-from app.screenshots import chromium
 from tom.record.reader import RunReader
 
 if TYPE_CHECKING:
@@ -143,6 +144,9 @@ def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     page.get_by_label("Buffer of run", exact=True).wait_for()
     visit.open("Replays", "replays")
     play_an_episode(page)
+    see_it_in_rerun(page)
+    visit.open("Studies", "studies")
+    page.get_by_text("tom reproduce").first.wait_for()
     visit.open("Road and rocks", "road")
     wait_until_drawn(page.locator("iframe"), 0.03)  # viser: columns of weight
     follow_a_short_link(visit)
@@ -191,12 +195,26 @@ def lasso_a_region(page: "Page") -> None:
     corners = [(0.2, 0.2), (0.8, 0.2), (0.8, 0.8), (0.2, 0.8), (0.2, 0.25)]
     places = [(frame["x"] + a * frame["width"], frame["y"] + b * frame["height"])
               for a, b in corners]  # fmt: skip
+    heaviest = region_size(page)
     page.mouse.move(*places[0])
     page.mouse.down()
     for place in places[1:]:
         page.mouse.move(*place, steps=4)
     page.mouse.up()
     page.wait_for_url("**/regions?*outline=*")
+    deadline = time.monotonic() + DRAWN_S
+    while region_size(page) == heaviest:
+        assert time.monotonic() < deadline, "the lasso chose nothing"
+        page.wait_for_timeout(200)
+    inside, buffer = region_size(page)
+    assert heaviest[0] < inside < buffer
+
+
+def region_size(page: "Page") -> tuple[int, int]:
+    """Transitions in the region and in the buffer, as the page says."""
+    words = page.locator("p", has_text="In the region").first.inner_text()
+    inside, buffer = re.findall(r"[\d,]+(?= of | transitions)", words)
+    return int(inside.replace(",", "")), int(buffer.replace(",", ""))
 
 
 def play_an_episode(page: "Page") -> None:
@@ -210,6 +228,14 @@ def play_an_episode(page: "Page") -> None:
     while clock.inner_text() == before:
         assert time.monotonic() < deadline, f"the replay stands at {before}"
         page.wait_for_timeout(200)
+
+
+def see_it_in_rerun(page: "Page") -> None:
+    """The same episode, made into a recording when it is asked for."""
+    with page.expect_response("**/episode-*.rrd") as answer:
+        page.get_by_role("radio", name="Rerun").click()
+    assert answer.value.ok
+    wait_until_drawn(page.locator("iframe"), 0.01)
 
 
 def follow_a_short_link(visit: Visit) -> None:

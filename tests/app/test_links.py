@@ -7,7 +7,7 @@ from starlette.requests import Request
 from studio_runs import ROAD_TOM
 
 from app.links import Links
-from app.server import options, recording_path, viewer_origin
+from app.server import EPISODE, options, recording_path, viewer_origin
 
 LINKS = Links(
     store="/runs", port=8600, rerun_port=9876, rerun_web_port=9090, viser_port=8080, control="/c"
@@ -32,6 +32,15 @@ def test_a_resumed_run_has_several_recordings() -> None:
     names = ["run.rrd", "run-2.rrd"]
     query = parse_qs(urlsplit(LINKS.rerun_files("localhost", "a", names, "light")).query)
     assert query["url"] == [f"http://localhost:8600/rrd/a/{name}" for name in names]
+
+
+def test_an_episode_is_shown_in_rerun() -> None:
+    query = parse_qs(urlsplit(LINKS.rerun_episode("localhost", "a b", 400, 1, 25, "dark")).query)
+    [address] = query["url"]
+    assert address == "http://localhost:8600/rrd/a%20b/episode-400-1-25.rrd"
+    wanted = EPISODE.fullmatch(address.rpartition("/")[2])
+    assert wanted is not None
+    assert wanted.groups() == ("400", "1", "25")
 
 
 def test_a_viser_frame_carries_the_name_of_its_page() -> None:

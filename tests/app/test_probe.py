@@ -13,7 +13,7 @@ from studio_runs import PENDULUM_TOM, info
 
 from app import buffer_reader, weighings
 from app.links import Links
-from app.views.model_error import focus_values
+from app.views.model_error import focus_values, in_turn
 from tom.cli import main
 from tom.progression import progression
 from tom.record.reader import RunReader
@@ -117,6 +117,14 @@ def test_every_kept_model_is_asked_about_the_same_buffer(store: Path) -> None:
     assert len(own) == len(theirs) == ROWS
     line = trace(figures(draw("probe", run=PENDULUM_TOM))[1], name="TOM s0 (its own)")
     assert array(line["y"]) == pytest.approx(own.reshape(20, -1).mean(1))
+
+
+def test_models_of_all_learners_come_before_a_learners_second_one(store: Path) -> None:
+    runs = [info(store, name) for name in ("pendulum-tom-1", PENDULUM_TOM, "pendulum-mle-0")]
+    turns = [run.run_id for run in in_turn(runs[1], runs)]
+    assert turns == [PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0"]
+    turns = [run.run_id for run in in_turn(runs[2], runs)]
+    assert turns == ["pendulum-mle-0", "pendulum-tom-1", PENDULUM_TOM]
 
 
 def test_does_it_help_shows_what_the_runs_measured(store: Path) -> None:

@@ -9,7 +9,7 @@ import torch
 from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
-from app import replays
+from app import replays, server
 from app.replays import ROAD_DT, Replay
 from app.scenes import solids
 from app.scenes.replay import track
@@ -95,6 +95,14 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
     assert array(trace(reward, name="real")["y"]) == pytest.approx(episodes[1].reward)
     assert reward["layout"]["shapes"][0]["x0"] == pytest.approx(3 * replay.dt)
     assert array(error["data"][0]["y"]) == pytest.approx(replay.error)
+
+
+def test_an_episode_can_be_had_for_rerun(store: Path) -> None:
+    content = server.episode(str(store), PENDULUM_TOM, 400, 1, 25)
+    assert content is not None
+    assert content.startswith(b"RRF2")
+    assert server.episode(str(store), PENDULUM_TOM, 400, 99, 25) is None
+    assert server.episode(str(store), "../etc", 400, 0, 25) is None
 
 
 def test_the_page_says_whose_model_imagines() -> None:

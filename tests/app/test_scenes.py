@@ -175,7 +175,7 @@ def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
     [Road(("a", "b"), 3), Replay("a", 1, 2, 3, 4), States("a", (1, 2), (), (2.5, 3.0), ())],
 )
 def test_a_message_says_what_was_chosen(choice: Road | Replay | States) -> None:
-    selection = Selection(choice, "dark")
+    selection = Selection(choice, "dark", compact=True)
     assert unpacked(packed("page", selection)) == ("page", selection)
 
 

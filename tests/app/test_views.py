@@ -132,6 +132,18 @@ def test_weights_starts_at_the_last_fit(store: Path) -> None:
     assert array(bars["y"]) == pytest.approx(RunReader(store / PENDULUM_TOM).profiles().bins[-1])
 
 
+def test_weights_names_a_run_whose_profiles_are_damaged(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torn = shutil.copytree(store / PENDULUM_TOM, tmp_path / "torn")
+    (torn / "weights" / "profiles.jsonl").write_text("torn\n")
+    for name, value in Links(store=str(tmp_path)).environment().items():
+        monkeypatch.setenv(name, value)
+    app = draw("weights", run="torn")
+    assert not figures(app)
+    assert any("line 1 is damaged" in warning.value for warning in app.warning)
+
+
 def test_weights_survives_a_step_of_another_run() -> None:
     app = draw("weights", run=PENDULUM_TOM, step="200")
     app.selectbox(key="run").select(ROAD_TOM).run()

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from tom.cli import studio
 from tom.cli.tables import show
 from tom.matmul import choose_matmul
 from tom.memory import keep_freed_memory
@@ -29,10 +30,11 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "what",
         nargs="?",
         default="parts",
-        choices=("parts", "step", "memory", "learn", "record"),
+        choices=("parts", "step", "memory", "learn", "record", "studio"),
         help="parts: what each part of a training costs, and whole trainings from that [the "
         "default]; step: a whole env step of the paper's Hopper; memory: a full Humanoid buffer; "
-        "record: the cost of recording; learn: does inverted pendulum reach 950 within 6000 steps",
+        "record: the cost of recording; learn: does inverted pendulum reach 950 within 6000 steps; "
+        "studio: how long its pages take over a store of 200 runs",
     )
     parser.add_argument("--repeats", type=int, default=9, help="interleaved repeats (parts)")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -50,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
         rows = learn(args.learner, args.seeds, args.steps, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         return 0 if all(row["reached_at"] is not None for row in rows) else 1
+    if args.what == "studio":
+        studio.hand_over(["--json"] * args.json, "app.bench")
     if args.what == "parts":
         return _parts(args.repeats, args.json)
     return {"record": _record, "step": _step, "memory": _memory}[args.what](args.json)

@@ -10,7 +10,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     subparsers.add_parser("studio", help="open the studio in the browser")
 
 
-def hand_over(arguments: Sequence[str]) -> NoReturn:
-    """Become `python -m app` with the same arguments."""
+def hand_over(arguments: Sequence[str], module: str = "app") -> NoReturn:
+    """Become `python -m MODULE` with these arguments."""
     sys.stdout.flush()
-    os.execv(sys.executable, [sys.executable, "-m", "app", *arguments])
+    os.execv(sys.executable, [sys.executable, "-m", module, *arguments])

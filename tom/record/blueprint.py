@@ -9,8 +9,11 @@ PROFILE = "weights/profile"
 SCENE = "scene"
 TRACKED = f"{SCENE}/place"  # moves along with the robot; the camera sits on it
 ROBOT = f"{SCENE}/robot"
+GHOST = f"{SCENE}/ghost"  # what a model makes of the robot
 GROUND = f"{SCENE}/ground"
 MAP = "map"
+CAR, GHOST_CAR = f"{MAP}/car", f"{MAP}/ghost"
+REWARD = "reward"
 
 FIT = "fit"  # what a single fit measured, as text
 
@@ -47,13 +50,26 @@ def blueprint(env: str, learner: str) -> rrb.Blueprint:
     )
 
 
-def _robot() -> rrb.Spatial3DView:
+def episode_blueprint(env: str) -> rrb.Blueprint:
+    """One episode in its own time, again and again: the robot or the car, and the reward."""
+    name = "The episode; red: what the model imagines"
+    picture = _robot(name) if env in ENVS else _map(name, ["$origin/**"])
+    return rrb.Blueprint(
+        rrb.Vertical(picture, _plot("Reward of each step", (REWARD,)), row_shares=[3, 1]),
+        rrb.TimePanel(state="collapsed", timeline="replay", play_state="playing", loop_mode="all"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TopPanel(state="collapsed"),
+    )
+
+
+def _robot(name: str = "First evaluation episode") -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin=TRACKED,
         contents=f"/{SCENE}/**",
-        name="First evaluation episode",
+        name=name,
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(position=(0.6, -4.0, 1.4), look_target=(0.0, 0.0, 0.8)),
+        eye_controls=rrb.EyeControls3D(position=(0.4, -2.6, 1.1), look_target=(0.0, 0.0, 0.65)),
     )
 
 

@@ -139,9 +139,11 @@ def profiles_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Profiles, int]:
     return profiles, len(rows) - len(good)
 
 
-def _profile_row(row: Mapping[str, Any]) -> tuple[int, list[float], int, float, float] | None:
+def _profile_row(row: Mapping[str, Any]) -> tuple[int, NDArray, int, float, float] | None:
     try:
-        bins = [_number(value) for value in row["bins"]]
+        bins = np.array(row["bins"], np.float64)  # null becomes NaN
+        if bins.ndim != 1:
+            return None
         ess, zeros = _number(row["ess"]), _number(row["zeros"])
         return int(row["env_step"]), bins, int(row["count"]), ess, zeros
     except (KeyError, TypeError, ValueError):

@@ -8,20 +8,32 @@ from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from tom.envs import ENVS
 from tom.events import Episode, Evaluation, Field
 from tom.metrics import describe
-from tom.record import scene
-from tom.record.blueprint import FIT, GROUND, MAP, PROFILE, ROBOT, TRACKED, blueprint
+from tom.record import rerun_robot, scene
+from tom.record.blueprint import (
+    CAR,
+    FIT,
+    GHOST,
+    GHOST_CAR,
+    MAP,
+    PROFILE,
+    REWARD,
+    ROBOT,
+    TRACKED,
+    blueprint,
+)
+from tom.record.rerun_robot import GREY
 
 ROWS = 16  # of metrics that are sent together
 
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
 
-GREY = (150, 150, 150)
 TARMAC = (120, 130, 145)
 EXPERT = (240, 180, 60)
 LEARNT = (80, 160, 250)
@@ -39,8 +51,12 @@ class RerunView:
         learner: str,
         every: int,
         sink: rr.FileSink | rr.GrpcSink | None = None,
+        layout: rrb.Blueprint | None = None,
     ) -> None:
-        """`every` env steps lie between two evaluations; without a sink, `read` the bytes."""
+        """`every` env steps lie between two evaluations; without a sink, `read` the bytes.
+
+        `layout`: instead of the one of a whole run.
+        """
         self._env = env
         self._every = every
         self._replay_s = 0.0
@@ -49,7 +65,8 @@ class RerunView:
         self._scalars: dict[str, list[tuple[int, float]]] = {}
         self._rows = 0
         # Viewers keep one layout for an application: runs that differ in theirs differ in it.
-        application = f"tom-studio {env} {learner}"
+        application = f"tom-studio {env} {learner}{' episode' if layout else ''}"
+        layout = layout or blueprint(env, learner)
         # Chunks of seconds, not of a fifth of one: a viewer is slow with many small ones.
         batches = rr.ChunkBatcherConfig(flush_tick=1.0)
         self._stream = rr.RecordingStream(application, recording_id=run_id, batcher_config=batches)
@@ -58,9 +75,9 @@ class RerunView:
         self._bytes: rr.BinaryStream | None = None
         if sink is None:
             self._bytes = self._stream.binary_stream()
-            self._stream.send_blueprint(blueprint(env, learner))
+            self._stream.send_blueprint(layout)
         else:
-            self._stream.set_sinks(sink, default_blueprint=blueprint(env, learner))
+            self._stream.set_sinks(sink, default_blueprint=layout)
         self._stream.send_recording_name(run_id)
 
     def read(self) -> bytes:
@@ -110,7 +127,29 @@ class RerunView:
         """The first episode, where it has MuJoCo states."""
         for episode in evaluation.episodes[:1]:
             if episode.qpos is not None:
-                self._replay(evaluation.env_step, episode, episode.qpos)
+                self._replay(evaluation.env_step, episode.length, {ROBOT: episode.qpos})
+
+    def episode(self, env_step: int, episode: Episode, dt: float, ghost: NDArray | None) -> None:
+        """One episode with the reward of every step, in its own time of `dt` seconds a step.
+
+        `ghost`: joint positions (H + 1, nq) of a translucent robot beside the real one;
+        road-and-rocks: places (H + 1, 2).
+        """
+        steps = np.arange(episode.length)
+        times = self._times(env_step, episode.length, steps, dt)
+        self._stream.send_columns(REWARD, times, rr.Scalars.columns(scalars=episode.reward))
+        if episode.qpos is not None:
+            both = {ROBOT: episode.qpos} | ({} if ghost is None else {GHOST: ghost})
+            self._replay(env_step, episode.length, both)
+            return
+        steps = np.arange(episode.length + 1)
+        times = self._times(env_step, episode.length, steps, dt)
+        for path, color, places in ((CAR, LEARNT, episode.obs), (GHOST_CAR, MODELLED, ghost)):
+            if places is not None:
+                look = rr.Points2D.from_fields(colors=color, radii=0.012, draw_order=2)
+                self._stream.log(path, look, static=True)
+                columns = rr.Points2D.columns(positions=_up(places))
+                self._stream.send_columns(path, times, columns)
 
     def field(self, field: Field) -> None:
         """Road-and-rocks: the map, the trajectories and the model's displacements."""
@@ -127,74 +166,32 @@ class RerunView:
         self._stream.flush(timeout_sec=timeout_s)
         self._stream.disconnect()
 
-    def _replay(self, env_step: int, episode: Episode, qpos: NDArray) -> None:
+    def _replay(self, env_step: int, length: int, robots: Mapping[str, NDArray]) -> None:
+        """Robots by path, moving through joint positions (length + 1, nq); the eye follows one."""
         model = scene.model(self._env)
         stride = max(1, int(1 / (FRAMES_PER_S * model.dt)))
-        frames = np.arange(0, len(qpos), stride)
-        drawn = scene.geometry(model.mj, qpos[frames])
-        self._draw_ground(drawn.floor)
-        seconds = frames * model.dt
-        steps = env_step + frames * self._every // max(episode.length + 1, self._every)
-        times = (
+        frames = np.arange(0, length + 1, stride)
+        times = self._times(env_step, length, frames, model.dt)
+        self._replay_s += float(frames[-1]) * model.dt + PAUSE_S
+        for path, qpos in robots.items():
+            drawn = scene.geometry(model.mj, qpos[frames])
+            if drawn.floor is not None and not self._floor_drawn:
+                rerun_robot.floor(self._stream, drawn.floor)
+                self._floor_drawn = True
+            rerun_robot.draw(self._stream, path, times, drawn, ghost=path == GHOST)
+            if path == ROBOT:
+                place = drawn.root * np.array([1, 1, 0], np.float32)
+                moves = rr.Transform3D.columns(translation=place)
+                self._stream.send_columns(TRACKED, times, moves)
+
+    def _times(
+        self, env_step: int, length: int, frames: NDArray, dt: float
+    ) -> tuple[rr.TimeColumn, ...]:
+        steps = env_step + frames * self._every // max(length + 1, self._every)
+        return (
             rr.TimeColumn("env_step", sequence=steps),
-            rr.TimeColumn("replay", duration=self._replay_s + seconds),
+            rr.TimeColumn("replay", duration=self._replay_s + frames * dt),
         )
-        self._replay_s += float(seconds[-1]) + PAUSE_S
-        self._capsules(times, drawn.capsules)
-        self._ellipsoids(times, drawn.ellipsoids)
-        place = drawn.root * np.array([1, 1, 0], np.float32)
-        self._stream.send_columns(TRACKED, times, rr.Transform3D.columns(translation=place))
-
-    def _capsules(self, times: tuple[rr.TimeColumn, ...], shape: scene.Shape) -> None:
-        frames, count = shape.center.shape[:2]
-        if not count:
-            return
-        radius, half = shape.size.T
-        self._stream.log(
-            f"{ROBOT}/capsules",
-            rr.Capsules3D.from_fields(
-                radii=radius, lengths=2 * half, colors=shape.color, fill_mode="solid"
-            ),
-            static=True,
-        )
-        columns = rr.Capsules3D.columns(
-            translations=shape.capsule_end.reshape(-1, 3),
-            quaternions=shape.quaternion.reshape(-1, 4),
-        )
-        self._stream.send_columns(f"{ROBOT}/capsules", times, columns.partition([count] * frames))
-
-    def _ellipsoids(self, times: tuple[rr.TimeColumn, ...], shape: scene.Shape) -> None:
-        frames, count = shape.center.shape[:2]
-        if not count:
-            return
-        self._stream.log(
-            f"{ROBOT}/ellipsoids",
-            rr.Ellipsoids3D.from_fields(
-                half_sizes=shape.size, colors=shape.color, fill_mode="solid"
-            ),
-            static=True,
-        )
-        columns = rr.Ellipsoids3D.columns(
-            centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
-        )
-        self._stream.send_columns(f"{ROBOT}/ellipsoids", times, columns.partition([count] * frames))
-
-    def _draw_ground(self, height: float | None) -> None:
-        """The floor as a slab with lines a metre apart: they show how fast the robot goes."""
-        if height is None or self._floor_drawn:
-            return
-        self._floor_drawn = True
-        slab = rr.Boxes3D(
-            centers=[(40, 0, height - 0.05)],
-            half_sizes=[(60, 10, 0.045)],
-            colors=[(70, 75, 82)],
-            fill_mode="solid",
-        )
-        along = [[(-20, y, height), (100, y, height)] for y in range(-10, 11)]
-        across = [[(x, -10, height), (x, 10, height)] for x in range(-20, 101)]
-        lines = rr.LineStrips3D(along + across, colors=GREY, radii=0.004)
-        self._stream.log(f"{GROUND}/slab", slab, static=True)
-        self._stream.log(f"{GROUND}/lines", lines, static=True)
 
     def _map(self, arrays: Mapping[str, NDArray]) -> None:
         line = arrays["centre_line"]

@@ -5,12 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from recorded import Config, events, logged, transitions
 
 from tom.config import RoadConfig
 from tom.events import Collected, Episode, Evaluation, Field, Metrics, Weights
 from tom.record import Recorder, RunReader, RunWriter, Store, open_sink, scene, sink
+from tom.record.rerun_episode import episode_recording
 from tom.record.rerun_view import heat
 
 mj = scene._mj
@@ -103,6 +105,39 @@ def test_road_and_rocks_is_a_map(store: Store):
     assert len(logged(path, "map/data")["Points2D:colors"].iloc[0]) == 4
     text = logged(path, "fit")["TextDocument:text"].iloc[0][0]
     assert "| model/error_road | 0.25 |" in text
+
+
+def test_an_episode_is_a_recording_of_its_own(hopper: RunReader, tmp_path: Path):
+    [episode] = hopper.episodes(500)
+    assert episode.qpos is not None
+    ghost = episode.qpos.copy()
+    ghost[:, 0] += 0.5
+    path = tmp_path / "episode.rrd"
+    path.write_bytes(episode_recording(hopper, 500, episode, 0.25, ghost))
+    reward = logged(path, "reward")
+    assert reward["env_step"].tolist() == list(range(500, 508))
+    assert [pd.Timedelta(at).total_seconds() for at in reward["replay"]] == [
+        0.25 * i for i in range(8)
+    ]
+    np.testing.assert_array_equal([v[0] for v in reward["Scalars:scalars"]], episode.reward)
+    real, imagined = (
+        np.array(logged(path, f"scene/{name}/capsules")["Capsules3D:translations"].tolist())
+        for name in ("robot", "ghost")
+    )
+    assert real.shape[0] == 3  # every fourth of 9 positions, as in the run's own recording
+    np.testing.assert_allclose(imagined - real, np.broadcast_to([0.5, 0, 0], real.shape), atol=1e-5)
+
+
+def test_a_road_episode_is_a_car_on_its_map(store: Store, tmp_path: Path):
+    places = np.array([(0.1, 0.2), (0.2, 0.3), (0.3, 0.5)], np.float32)
+    episode = Episode(np.ones(2, np.float32), places[1:], places)
+    run = RunWriter.create(store, "road", RoadConfig(learner="tom", steps=10))
+    run.close()
+    path = tmp_path / "episode.rrd"
+    path.write_bytes(episode_recording(store.run("road"), 10, episode, 0.1, places + 0.1))
+    for name, moved in (("car", 0.0), ("ghost", 0.1)):
+        drawn = np.array(logged(path, f"map/{name}")["Points2D:positions"].tolist())[:, 0]
+        np.testing.assert_allclose(drawn, (places + moved) * [1, -1], atol=1e-6)
 
 
 def test_weights_are_blue_below_the_mean_and_red_above():

@@ -1,0 +1,73 @@
+"""A robot and its floor in Rerun."""
+
+import rerun as rr
+
+from tom.record import scene
+from tom.record.blueprint import GROUND
+
+GREY = (150, 150, 150)
+GHOST = (230, 90, 90)
+
+Times = tuple[rr.TimeColumn, ...]
+
+
+def draw(
+    stream: rr.RecordingStream, path: str, times: Times, drawn: scene.Geometry, *, ghost: bool
+) -> None:
+    """The robot at `path`, moving; a ghost is translucent and of one colour."""
+    _capsules(stream, f"{path}/capsules", times, drawn.capsules, ghost=ghost)
+    _ellipsoids(stream, f"{path}/ellipsoids", times, drawn.ellipsoids, ghost=ghost)
+
+
+def floor(stream: rr.RecordingStream, height: float) -> None:
+    """The floor as a slab with lines a metre apart: they show how fast the robot goes."""
+    slab = rr.Boxes3D(
+        centers=[(40, 0, height - 0.05)],
+        half_sizes=[(60, 10, 0.045)],
+        colors=[(70, 75, 82)],
+        fill_mode="solid",
+    )
+    along = [[(-20, y, height), (100, y, height)] for y in range(-10, 11)]
+    across = [[(x, -10, height), (x, 10, height)] for x in range(-20, 101)]
+    lines = rr.LineStrips3D(along + across, colors=GREY, radii=0.004)
+    stream.log(f"{GROUND}/slab", slab, static=True)
+    stream.log(f"{GROUND}/lines", lines, static=True)
+
+
+def _capsules(
+    stream: rr.RecordingStream, path: str, times: Times, shape: scene.Shape, *, ghost: bool
+) -> None:
+    frames, count = shape.center.shape[:2]
+    if not count:
+        return
+    radius, half = shape.size.T
+    fixed = rr.Capsules3D.from_fields(
+        radii=radius,
+        lengths=2 * half,
+        colors=GHOST if ghost else shape.color,
+        fill_mode="transparentfillmajorwireframe" if ghost else "solid",
+    )
+    stream.log(path, fixed, static=True)
+    columns = rr.Capsules3D.columns(
+        translations=shape.capsule_end.reshape(-1, 3),
+        quaternions=shape.quaternion.reshape(-1, 4),
+    )
+    stream.send_columns(path, times, columns.partition([count] * frames))
+
+
+def _ellipsoids(
+    stream: rr.RecordingStream, path: str, times: Times, shape: scene.Shape, *, ghost: bool
+) -> None:
+    frames, count = shape.center.shape[:2]
+    if not count:
+        return
+    fixed = rr.Ellipsoids3D.from_fields(
+        half_sizes=shape.size,
+        colors=GHOST if ghost else shape.color,
+        fill_mode="transparentfillmajorwireframe" if ghost else "solid",
+    )
+    stream.log(path, fixed, static=True)
+    columns = rr.Ellipsoids3D.columns(
+        centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
+    )
+    stream.send_columns(path, times, columns.partition([count] * frames))
