@@ -7,7 +7,7 @@ from pathlib import Path
 
 from app.launcher import Studio, run
 from app.links import LOOPBACK
-from tom.cli.parser import Parser
+from tom.cli.parser import Parser, folder
 from tom.errors import UserError
 from tom.record.store import Store
 
@@ -40,7 +40,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Open the studio in the browser: live training, comparisons, weights, "
         "replays, road and rocks. It writes into the store only what is asked for on a page.",
     )
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--host", default="127.0.0.1", help="address to bind to (127.0.0.1)")
     parser.add_argument("--port", type=int, default=None, metavar="N", help="port (a free one)")
     parser.add_argument("--theme", choices=("light", "dark"), help="default: as the browser's")

@@ -15,7 +15,6 @@ from tom.record import layout, lock
 from tom.record.store import Store
 
 LOG_TAIL = 8
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 @dataclass(frozen=True)
@@ -83,11 +82,7 @@ def stop(store: Store, run_id: str) -> None:
 
 def gone(run: Path) -> bool:
     """The process of this machine that wrote the run folder has ended; False for any other's."""
-    try:
-        here = (run / layout.LOCK).read_bytes() == _BOOT.read_bytes()
-    except OSError:
-        return False
-    return here and not lock.held(run)
+    return bool(lock.written_here(run)) and not lock.held(run)
 
 
 def _writes(pid: int, run: Path) -> bool:

@@ -1,5 +1,29 @@
 """One thread for each worker: small networks gain nothing from two, and workers share the cores."""
 
 import os
+from collections.abc import Iterator
+from urllib.request import Request, urlopen
+
+import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported; children inherit it
+
+
+@pytest.fixture
+def bucket_url(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """An empty place in an object store of this machine; the environment says how to get there."""
+    from moto.server import ThreadedMotoServer  # here: it takes a second
+
+    server = ThreadedMotoServer("127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    endpoint = f"http://{host}:{port}"
+    monkeypatch.delenv("AWS_ENDPOINT_URL_S3", raising=False)
+    monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "nobody")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "nothing")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    for path, method in (("moto-api/reset", "POST"), ("store", "PUT")):
+        urlopen(Request(f"{endpoint}/{path}", method=method)).close()
+    yield "s3://store/sweeps/first"
+    server.stop()

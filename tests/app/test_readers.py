@@ -1,7 +1,6 @@
 """The cached readers: what is on the disk now, a damaged run beside the others."""
 
 import json
-import os
 import shutil
 import time
 from pathlib import Path
@@ -56,7 +55,7 @@ def test_a_new_status_is_seen(own: Path) -> None:
     path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time()}))
     writer = lock.hold(own / PENDULUM_TOM)
     assert info(own, PENDULUM_TOM).status.alive
-    os.close(writer)
+    writer.close()
     run = info(own, PENDULUM_TOM)
     assert (run.status.shown, "ended" in run.status.reason) == ("dead", True)
     (own / PENDULUM_TOM / ".writer").unlink()  # as on another machine: its beat decides

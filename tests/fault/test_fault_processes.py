@@ -1,6 +1,7 @@
 """Several processes, several machines and clocks that go wrong."""
 
 import json
+import os
 import threading
 import time
 from multiprocessing import get_context
@@ -8,11 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faults import config, ended, one_line, stopped, stopping_at, tom, train_command, wait_until
+from faults import (
+    assert_same_record,
+    config,
+    ended,
+    one_line,
+    stopped,
+    stopping_at,
+    tom,
+    train_command,
+    wait_until,
+)
 
 from tom.errors import UserError
 from tom.events import Metrics, Tick
 from tom.record import Recorder, RunReader, RunWriter, Store, lock
+from tom.record.lock import LostError
 from tom.resume import resume
 from tom.run import train
 
@@ -84,6 +96,43 @@ def test_a_run_written_on_another_machine__resume_is_refused_while_its_heart_bea
         stop.set()
         heart.join()
     assert resume(Store(tmp_path), "a", rerun=False).status.state == "finished"
+
+
+@pytest.mark.quick
+def test_a_writer_thought_dead_wakes_after_another_machine_took_over__it_writes_no_more(
+    tmp_path: Path,
+):
+    """A paused machine: its lock is not seen elsewhere, its run has gone on and ended there."""
+    store = Store(tmp_path)
+
+    def taken_over(event: object) -> None:
+        run = store.run("a")
+        if run.status.state == "finished" or event != Tick(130, "optimise"):
+            return
+        (run.path / ".writer").unlink()
+        (run.path / ".writer").write_text("the boot of another machine")
+        status = json.loads((run.path / "status.json").read_text())
+        (run.path / "status.json").write_text(json.dumps({**status, "heartbeat": 0.0}))
+        assert resume(store, "a", rerun=False).status.state == "finished"
+        (run.path / "before").write_bytes((run.path / "metrics.jsonl").read_bytes())
+
+    with pytest.raises(LostError):
+        train(config(), store, "a", rerun=False, watchers=(taken_over,))
+    run = store.run("a")
+    assert run.status.state == "finished"
+    assert (run.path / "metrics.jsonl").read_bytes() == (run.path / "before").read_bytes()
+    assert_same_record(run, train(config(), store, "b", rerun=False))
+
+
+def test_rows_of_the_old_machine_that_arrive_late__end_nowhere(tmp_path: Path):
+    """What its kernel still had to send when the run was taken over."""
+    run = stopped(Store(tmp_path), 130)
+    late = os.open(run.path / "metrics.jsonl", os.O_WRONLY | os.O_APPEND)
+    (run.path / ".writer").write_text("the boot of another machine")
+    held = RunWriter(run.path, config())
+    os.write(late, b'{"env_step": 1')
+    assert not (run.path / "metrics.jsonl").read_bytes().endswith(b": 1")
+    held.close()
 
 
 def _start_one(path: Path) -> None:

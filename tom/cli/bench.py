@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from tom.cli import studio
+from tom.cli.parser import folder
 from tom.cli.tables import show
 from tom.matmul import choose_matmul
 from tom.memory import keep_freed_memory
@@ -43,7 +44,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument(
         "--steps", type=int, default=LEARN_STEPS, help=f"env steps in all [{LEARN_STEPS}] (learn)"
     )
-    parser.add_argument("--store", type=Path, help="keep the runs here (learn)")
+    parser.add_argument("--store", type=folder, help="keep the runs here (learn)")
     parser.set_defaults(run=run)
 
 

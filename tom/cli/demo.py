@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from tom.cli.parser import folder
 from tom.cli.tables import show
 from tom.cli.train import number, summary
 from tom.record import RunReader, Store
@@ -27,7 +28,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         description="Train road-and-rocks (MLE, PMAC, TOM), then inverted pendulum (MLE, TOM), "
         "while the studio shows them. --headless does the same without servers.",
     )
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--headless", action="store_true", help="no server, no browser")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-browser", action="store_true", help="print the address only")

@@ -5,6 +5,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from tom.cli.parser import folder
 from tom.cli.tables import show
 
 
@@ -15,7 +16,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         description="Check versions, GPU, matrix products, scenes without a display, ports, disk, "
         "browser and store, with the fix beside each finding. Exit code 1 where something is bad.",
     )
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(run=run)
 

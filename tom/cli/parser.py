@@ -16,6 +16,16 @@ from tom.errors import UserError
 DEST = "config:"  # marks arguments that belong to the configuration
 
 
+def folder(word: str) -> Path:
+    """A folder of this machine, for argparse."""
+    if "://" in word:
+        raise argparse.ArgumentTypeError(
+            f"{word} is no folder; runs in an object store are fetched first: "
+            "tom runs fetch s3://BUCKET/PREFIX --store runs"
+        )
+    return Path(word)
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line and offer the nearest known option."""
 
@@ -44,7 +54,7 @@ def _all_actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 def add_run_options(parser: argparse.ArgumentParser) -> None:
     """The options every command that trains shares."""
     group = parser.add_argument_group("where and how")
-    group.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    group.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     group.add_argument("--no-rerun", action="store_true", help="write files only, no recording")
     group.add_argument("--headless", action="store_true", help="no server, no browser")
     group.add_argument("--json", action="store_true", help="print the result as JSON")

@@ -5,7 +5,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tom.cli import runs_files, runs_labels
+from tom.cli import runs_fetch, runs_files, runs_labels
+from tom.cli.parser import folder
 from tom.cli.tables import show
 from tom.cli.train import number, summary
 from tom.errors import UserError
@@ -20,7 +21,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         help="list, label, check, export and tidy the runs of a store",
         description="List the runs of a store, or do something with them.",
     )
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(run=list_runs, env=None, learner=None, tag=None, state=None)
     verbs = parser.add_subparsers(title="what to do", metavar="VERB")
@@ -32,6 +33,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     two.add_argument("second", metavar="RUN")
     runs_labels.add_verbs(verbs, add_verb)
     runs_files.add_verbs(verbs, add_verb)
+    runs_fetch.add_verbs(verbs, add_verb)
 
 
 def add_verb(verbs, name: str, run, text: str) -> argparse.ArgumentParser:
@@ -39,7 +41,7 @@ def add_verb(verbs, name: str, run, text: str) -> argparse.ArgumentParser:
     verb = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     # Suppressed: the options may also stand before the verb.
     kept: dict[str, Any] = {"default": argparse.SUPPRESS}
-    verb.add_argument("--store", type=Path, help="run store (runs/)", **kept)
+    verb.add_argument("--store", type=folder, help="run store (runs/)", **kept)
     verb.add_argument("--json", action="store_true", help="print JSON", **kept)
     verb.set_defaults(run=run)
     return verb

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from tom.cli.parser import folder
 from tom.cli.progress import ProgressReport
 from tom.cli.tables import show
 from tom.config import SacRecordingConfig
@@ -31,7 +32,7 @@ def add_output(parser: argparse.ArgumentParser, name: str) -> None:
 
 def add_store(parser: argparse.ArgumentParser) -> None:
     """`--store`."""
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
 
 
 def add_jobs(parser: argparse.ArgumentParser) -> None:

@@ -13,6 +13,7 @@ from types import FrameType
 from typing import Any
 
 from tom.cli.parser import add_config_options, overrides
+from tom.cli.sweep_places import open_engine, open_home, place, refuse_mismatch
 from tom.cli.sweep_table import Watcher, seat_row
 from tom.cli.tables import show
 from tom.cli.train_many import run_fleet
@@ -23,7 +24,7 @@ from tom.learners import LEARNER_NAMES
 from tom.presets import PRESETS
 from tom.record import Store
 from tom.run import Stop
-from tom.sweep.local import ATTEMPTS, Driver
+from tom.sweep.driver import ATTEMPTS, Driver
 from tom.sweep.plan import Trial, checked, merged, read_plan, same_run, trials
 from tom.sweep.projection import Cost, cost
 from tom.sweep.slurm import script
@@ -48,14 +49,22 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--steps", type=int, metavar="N", help="env steps of each run")
     parser.add_argument("--preset", metavar="PRESET", help=", ".join(PRESETS) + " [paper]")
     parser.add_argument("--file", type=Path, help="the same in YAML; options here come on top")
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument(
+        "--store", type=place, default=Path("runs"), help="run store, or s3://... (runs/)"
+    )
     parser.add_argument("--jobs", type=int, metavar="N", help="runs at a time [one a core]")
     parser.add_argument(
         "--engine",
-        choices=("local", "fleet", "slurm"),
+        choices=("local", "fleet", "ray", "slurm"),
         default="local",
         help="local: processes, one a core, or fleets where --device is a GPU; fleet: the runs of "
-        "each environment in one process, networks stacked; slurm: print an array script [local]",
+        "each environment in one process, networks stacked; ray: processes on the machines of a "
+        "Ray cluster; slurm: print an array script [local]",
+    )
+    parser.add_argument(
+        "--address",
+        metavar="HOST:PORT",
+        help="the Ray cluster to train on [one of this machine, which ends with the sweep]",
     )
     parser.add_argument("--only", type=int, metavar="I", help="only the I-th run of the plan")
     parser.add_argument("--dry-run", action="store_true", help="what would run, hours and disk")
@@ -66,16 +75,19 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 def run(args: argparse.Namespace) -> int:
     planned, jobs = _planned(args), _jobs(args)
-    store = Store(args.store)
-    if args.dry_run:
-        return _dry_run(args, store, planned, jobs)
-    if args.engine == "slurm":
-        print(script(planned, args.store, _own_words(), _longest(store, planned)))
-        return 0
-    if args.engine == "fleet" or any(trial.config.device != "cpu" for trial in planned):
-        return _fleets(args, planned)
-    store.ensure_writable()
-    return drive(args, Driver(store, planned, jobs))
+    on_gpu = any(trial.config.device != "cpu" for trial in planned)
+    refuse_mismatch(args.engine, args.address, args.store, on_gpu)
+    with open_home(args.store, planned) as home:
+        if args.dry_run:
+            return _dry_run(args, home.store, planned, jobs)
+        if args.engine == "slurm":
+            print(script(planned, args.store, _own_words(), _longest(home.store, planned)))
+            return 0
+        if args.engine == "fleet" or on_gpu:
+            return _fleets(args, planned)
+        with open_engine(args.engine, args.address, args.jobs) as engine:
+            home.store.ensure_writable()
+            return drive(args, Driver(home, planned, engine))
 
 
 def _planned(args: argparse.Namespace) -> list[Trial]:
@@ -148,12 +160,17 @@ def _report(args: argparse.Namespace, driver: Driver) -> int:
     failed = [seat for seat in driver.seats if seat.state == "failed"]
     for seat in failed:
         text = seat.note.replace("\n", "\n    ")
-        print(f"{seat.run_id} failed: {text}\n    log: {seat.log}", file=sys.stderr)
+        print(
+            f"{seat.run_id} failed: {text}\n    log: {driver.home.keep_log(seat.log)}",
+            file=sys.stderr,
+        )
     done = states.count("finished")
     stream = sys.stderr if args.json else sys.stdout
     print(f"{done} of {len(states)} runs finished, {len(failed)} failed", file=stream)
     if "stopped" in states or "waiting" in states:
         print("stopped: the same command goes on", file=stream)
+    if isinstance(args.store, str):
+        print(f"to look at them: tom runs fetch {args.store} --store runs", file=stream)
     return 0 if done == len(states) else 1
 
 
@@ -178,7 +195,7 @@ def _dry_run(args: argparse.Namespace, store: Store, planned: list[Trial], jobs:
     free = _free_gb(store.path)
     print(f" ({free:.0f} GB are free)" if free is not None else "")
     if unknown:
-        print(f"without {', '.join(unknown)}: {store.path}/ has no finished run to judge them by")
+        print(f"without {', '.join(unknown)}: {args.store} has no finished run to judge them by")
     return 0
 
 

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tom.record import RunReader
-from tom.sweep.local import Driver, Seat
+from tom.sweep.driver import Driver, Seat
 
 LINE_EVERY_S = 30.0
 LOOK_EVERY_S = 1.0
@@ -80,7 +80,8 @@ class Watcher:
         states = [seat.state for seat in self._driver.seats]
         parts = [f"{states.count(name)} {name}" for name in ORDER if name in states]
         full = "; the disk is full: waiting for room" if self._driver.full else ""
-        return ", ".join(parts) + full
+        trouble = f"; {self._driver.trouble}" if self._driver.trouble else ""
+        return ", ".join(parts) + full + trouble
 
     def _picture(self) -> Group:
         """As many runs as the terminal has lines for, those that matter first."""

@@ -25,7 +25,9 @@ from tom.record import RunReader, Store, checkpoint
 from tom.record.files import size_of
 from tom.resume import recorded_config, resume, unfinished
 from tom.run import AnyConfig, Stop, train
-from tom.sweep.local import Driver
+from tom.sweep.driver import Driver
+from tom.sweep.engine import LocalEngine
+from tom.sweep.home import FolderHome
 
 OWN_OPTIONS = {"env", "learner", "preset"}
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -103,7 +105,8 @@ def _train_many(args: argparse.Namespace) -> int:
     if train_many.wants_fleet(args, trials):
         return train_many.run_fleet(args, trials, _stop_on_signals())
     store.ensure_writable()
-    return drive(args, Driver(store, trials, len(os.sched_getaffinity(0))))
+    engine = LocalEngine(len(os.sched_getaffinity(0)))
+    return drive(args, Driver(FolderHome(store), trials, engine))
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
-from tom.cli.parser import add_config_options, leaf_fields, one_line, overrides
+from tom.cli.parser import add_config_options, folder, leaf_fields, one_line, overrides
 from tom.cli.tables import show
 from tom.config import RunConfig, TomConfig
 from tom.envs import ENVS, task
@@ -64,7 +64,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )  # fmt: skip
     parser.add_argument("--preset", default="exact", help="TOM's: exact or paper [exact]")
     parser.add_argument("--out", type=Path, help="new folder [STORE/weighings/DATA-by-POLICY-TIME]")
-    parser.add_argument("--store", type=Path, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     paths = {path for path, _ in leaf_fields(RunConfig)}
     left_out = {path for path in paths if not path.startswith(SETTINGS)}

@@ -1,22 +1,57 @@
 """One writer for a run folder: a lock that ends with the process that holds it.
 
-The lock file names the boot of the machine that wrote last. On another machine, whose lock may
-not be seen here, the heartbeat decides.
+The lock file names the boot of the machine that wrote last, and which writer of it that was. On
+another machine, whose lock may not be seen here, the heartbeat decides who may write; a writer that
+was thought dead finds another one's name in the file and writes no more.
 """
 
 import fcntl
 import os
+import secrets
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from tom.errors import UserError
 from tom.record import layout
 
 
-def hold(path: Path) -> int:
-    """Lock the run folder `path`; the lock lasts until the returned file is closed.
+class LostError(OSError):
+    """Another writer has taken the run folder over."""
+
+
+@dataclass
+class Hold:
+    """The writer's place in the run folder `path`, until it is closed or taken over."""
+
+    path: Path
+    name: bytes
+    _file: int
+
+    @property
+    def lost(self) -> bool:
+        """Another writer has taken the folder over, or nothing is there any more."""
+        try:
+            return (self.path / layout.LOCK).read_bytes() != self.name
+        except OSError:
+            return True
+
+    def check(self) -> None:
+        """Raises LostError when the folder was taken over: nothing may be written then."""
+        if self.lost:
+            raise LostError(f"run '{self.path.name}' was taken over by another writer")
+
+    def close(self) -> None:
+        """Let go of the folder."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+def hold(path: Path) -> Hold:
+    """Lock the run folder `path`; the lock lasts until what is returned is closed.
 
     Raises UserError when another process holds it, or when the folder cannot be written.
     """
@@ -29,10 +64,11 @@ def hold(path: Path) -> int:
     except OSError as error:
         os.close(lock)
         raise UserError(f"run '{path.name}' is being written by another process") from error
+    name = _boot() + secrets.token_hex(8).encode()
     with suppress(OSError):  # a full disk: the lock holds all the same
-        os.ftruncate(lock, 0)
-        os.pwrite(lock, _boot(), 0)
-    return lock
+        os.pwrite(lock, name, 0)
+        os.ftruncate(lock, len(name))
+    return Hold(path, os.pread(lock, 4096, 0), lock)
 
 
 def held(path: Path) -> bool:
@@ -50,16 +86,20 @@ def held(path: Path) -> bool:
     return False
 
 
+def written_here(path: Path) -> bool | None:
+    """This machine, since it was started, wrote the run folder last; None where nobody knows."""
+    try:
+        return (path / layout.LOCK).read_bytes().startswith(_boot())
+    except OSError:
+        return None
+
+
 def refuse_if_elsewhere(path: Path, heartbeat: Callable[[], float], patience_s: float) -> None:
     """Raises UserError where another machine is writing the run: its heart beats within patience.
 
     Returns at once where this machine wrote last: the lock itself is proof then.
     """
-    try:
-        elsewhere = (path / layout.LOCK).read_bytes() != _boot()
-    except OSError:
-        return
-    if not elsewhere:
+    if written_here(path) is not False:
         return
     before = heartbeat()
     time.sleep(patience_s)

@@ -91,7 +91,7 @@ def unwritten(reader: RunReader) -> Iterator[None]:
     try:
         yield
     finally:
-        os.close(holding)
+        holding.close()
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from tom.config import RunConfig
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.events import Episode, Weights
-from tom.record import decode, layout, lock
+from tom.record import decode, layout, lock, opening
 from tom.record.files import JsonLines, read_json, replace, replace_json, sync
 from tom.record.profiles import effective_share, profile, zero_share
 from tom.record.rows import read_metrics
@@ -38,7 +38,11 @@ class TakenError(UserError):
 
 
 class RunWriter:
-    """The one writer of a run folder; holds a lock on it until `close`."""
+    """The one writer of a run folder; holds a lock on it until `close`.
+
+    Where another machine could not see the lock and took the folder over, whatever would write
+    raises LostError.
+    """
 
     def __init__(self, path: Path, config: RunConfig) -> None:
         """Open the run folder `path`.
@@ -46,12 +50,15 @@ class RunWriter:
         Raises UserError when another process writes it or a part of it is a link: nothing is
         ever written outside the folder.
         """
-        _refuse_links(path)
+        opening.refuse_links(path)
         self.path = path
         self.config = config
         self.run_id = path.name
-        self._lock = lock.hold(path)
-        _drop_unfinished(path)
+        taken_over = lock.written_here(path) is False
+        self._hold = lock.hold(path)
+        opening.drop_unfinished(path)
+        if taken_over:
+            opening.renew(path)
         self._metrics = JsonLines(path / layout.METRICS)
         self._profiles = JsonLines(path / layout.PROFILES)
         self._notices = JsonLines(path / layout.NOTICES)
@@ -118,6 +125,7 @@ class RunWriter:
 
     def sync(self) -> None:
         """Wait until the rows that a checkpoint counts on are on the disk."""
+        self._hold.check()
         for lines in self._lines():
             lines.sync()
         for path in self._unsynced:
@@ -127,7 +135,8 @@ class RunWriter:
 
     def throw_off_ballast(self) -> None:
         """Make room for the last words of a run on a full disk."""
-        (self.path / layout.BALLAST).unlink(missing_ok=True)
+        if not self._hold.lost:
+            (self.path / layout.BALLAST).unlink(missing_ok=True)
 
     def _take_ballast(self) -> None:
         with suppress(OSError):  # a disk so full that the first row will say so
@@ -152,16 +161,18 @@ class RunWriter:
 
     def status(self, status: Status) -> None:
         """Replace `status.json`; a final state is also synced to the disk."""
+        self._hold.check()
         content = asdict(status)
         replace_json(self.path / layout.STATUS, content, sync=status.state != "running")
 
     def metrics(self, row: Mapping[str, Any]) -> None:
         """Append a row of metrics."""
-        self._metrics.append(row)
+        self._append(self._metrics, row)
 
     def notice(self, env_step: int, kind: str, message: str) -> None:
         """Append a notice."""
-        self._notices.append({"env_step": env_step, "kind": kind, "message": message})
+        row = {"env_step": env_step, "kind": kind, "message": message}
+        self._append(self._notices, row)
 
     def profile(self, weights: Weights, bins: int) -> NDArray[np.float64]:
         """Append the weight profile of a fit and return it, (bins,)."""
@@ -173,7 +184,7 @@ class RunWriter:
             "ess": effective_share(weights.weight),
             "zeros": zero_share(weights.weight),
         }
-        self._profiles.append(row)
+        self._append(self._profiles, row)
         return means
 
     def snapshot(self, weights: Weights, *, keep: bool) -> None:
@@ -230,14 +241,17 @@ class RunWriter:
         for lines in self._lines():
             lines.close()
         self.throw_off_ballast()
-        if self._lock >= 0:
-            os.close(self._lock)
-            self._lock = -1
+        self._hold.close()
+
+    def _append(self, lines: JsonLines, row: Mapping[str, Any]) -> None:
+        self._hold.check()
+        lines.append(row)
 
     def _arrays(self, name: str, arrays: Mapping[str, NDArray]) -> None:
         def write(file: BinaryIO) -> None:
             np.savez(file, allow_pickle=False, **arrays)
 
+        self._hold.check()
         replace(self.path / name, write, sync=False)
 
     def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
@@ -246,6 +260,7 @@ class RunWriter:
                 table, file, compression="zstd", use_dictionary=False, use_byte_stream_split=True
             )
 
+        self._hold.check()
         replace(self.path / name, write, sync=sync)
 
 
@@ -279,18 +294,3 @@ def _publish(unfinished: Path, path: Path) -> None:
 
 def _taken(run_id: str) -> TakenError:
     return TakenError(f"run '{run_id}' exists already: choose another run id")
-
-
-def _drop_unfinished(path: Path) -> None:
-    """Remove the temporary files that a killed writer left; the lock is ours."""
-    for folder in (path, *(path / name for name in layout.FOLDERS)):
-        for temporary in folder.glob(".*.tmp"):
-            if not temporary.name.startswith(f".{layout.LABELS}"):  # that is another's to write
-                temporary.unlink(missing_ok=True)
-
-
-def _refuse_links(path: Path) -> None:
-    names = [*layout.FOLDERS, "checkpoint", layout.METRICS, layout.PROFILES, layout.NOTICES]
-    for name in (*names, layout.LOCK):
-        if (path / name).is_symlink():
-            raise UserError(f"{name} of run '{path.name}' is a link: not followed; remove it")

@@ -1,4 +1,4 @@
-"""Many trainings: what to run (plan), and running it here (local) or on a cluster (slurm)."""
+"""Many trainings: what to run (plan), running it (driver), where (engine, home, slurm)."""
 
 from tom.sweep.jobs import Job, run_jobs
 

@@ -4,74 +4,36 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-import pandas as pd
 import pytest
+from sweeping import (
+    EVERY,
+    STEPS,
+    WAIT_S,
+    assert_same_runs,
+    beyond_a_checkpoint,
+    finish,
+    plan,
+    until,
+)
 
-from tom.record import RunReader, Store, checkpoint
-from tom.sweep.local import ATTEMPTS, Driver
-from tom.sweep.plan import Trial, checked, trials
+from tom.record import Store
+from tom.sweep.driver import ATTEMPTS, Driver
+from tom.sweep.engine import LocalEngine
+from tom.sweep.home import FolderHome
 
 pytestmark = pytest.mark.fault
-
-STEPS, EVERY = 500, 100
-PLAN = {
-    "env": ["inverted-pendulum"],
-    "learner": ["mle", "pmac", "tom"],
-    "seeds": 2,
-    "steps": STEPS,
-    "preset": "smoke",
-    "settings": {"checkpoint_every": EVERY},
-}
-WAIT_S = 240.0
-CLOCKS = ("time/wall_s", "time/record_s", "time/env_steps_per_s", "time/checkpoint_s")
-
-
-def plan(**changes) -> list[Trial]:
-    return trials(checked({**PLAN, **changes}))
-
-
-def until(done: Callable[[], object], poll: Callable[[], object] = lambda: None) -> None:
-    """Poll until `done`; fails after WAIT_S."""
-    end = time.monotonic() + WAIT_S
-    while not done():
-        assert time.monotonic() < end, "this never happened"
-        poll()
-        time.sleep(0.1)
-
-
-def finish(driver: Driver) -> None:
-    until(driver.poll)
-    driver.stop()
-
-
-def numbers(run: RunReader) -> pd.DataFrame:
-    """What a run measured, without its clocks."""
-    table = run.metrics()
-    return table.drop(columns=[name for name in table if str(name) in CLOCKS])
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """The whole sweep, run in peace."""
     store = Store(tmp_path_factory.mktemp("undisturbed"))
-    finish(Driver(store, plan(), workers=2))
+    finish(Driver(FolderHome(store), plan(), LocalEngine(2)))
     return store
-
-
-def assert_same_runs(store: Store, undisturbed: Store) -> None:
-    """All runs finished, every number as in peace, to the last bit."""
-    found = {run.run_id: run for run in store.runs()}
-    assert set(found) == {trial.run_id for trial in plan()}
-    for run_id, run in found.items():
-        assert run.status.state == "finished", run_id
-        pd.testing.assert_frame_equal(
-            numbers(run), numbers(undisturbed.run(run_id)), check_exact=True
-        )
 
 
 def command(store: Path) -> list[str]:
@@ -80,22 +42,13 @@ def command(store: Path) -> list[str]:
     return [sys.executable, "-m", "tom", "sweep", *words, "--jobs", "2", "--store", str(store)]
 
 
-def beyond_a_checkpoint(store: Store) -> list[RunReader]:
-    """Running, and killed now they would not have to begin anew."""
-    return [run for run in store.runs() if run.status.alive and saved(run)]
-
-
-def saved(run: RunReader) -> int | None:
-    return checkpoint.newest(run.path / checkpoint.FOLDER)
-
-
 def test_trainings_of_a_sweep_killed__go_on_to_the_same_numbers(tmp_path: Path, undisturbed: Store):
-    driver = Driver(Store(tmp_path), plan(), workers=2, back_off_s=0.1)
+    driver = Driver(FolderHome(Store(tmp_path)), plan(), LocalEngine(2), back_off_s=0.1)
     until(lambda: beyond_a_checkpoint(driver.store), driver.poll)
     killed = [seat for seat in driver.seats if seat.process]
     for seat in killed:
         assert seat.process
-        seat.process.kill()
+        seat.process.signal(signal.SIGKILL)
     finish(driver)
     assert [seat.state for seat in driver.seats] == ["finished"] * 6
     assert_same_runs(driver.store, undisturbed)
@@ -139,7 +92,7 @@ def test_a_training_that_always_fails__is_reported_and_stops_nobody(tmp_path: Pa
     """Networks that no memory holds: every attempt ends at once."""
     bad = plan(learner=["mle"], seeds=1, settings={"sac": {"hidden": 10**8}})
     good = plan(learner=["mle"], seeds=1)
-    driver = Driver(Store(tmp_path), [*bad, *good], workers=1, back_off_s=0.1)
+    driver = Driver(FolderHome(Store(tmp_path)), [*bad, *good], LocalEngine(1), back_off_s=0.1)
     finish(driver)
     failed, finished = driver.seats
     assert (failed.state, finished.state) == ("failed", "finished")
@@ -150,11 +103,11 @@ def test_a_training_that_always_fails__is_reported_and_stops_nobody(tmp_path: Pa
 
 def test_death_before_the_first_checkpoint__begins_anew(tmp_path: Path):
     (trial,) = plan(learner=["mle"], seeds=1)
-    driver = Driver(Store(tmp_path), [trial], workers=1, back_off_s=0.1)
+    driver = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
     until(lambda: (tmp_path / trial.run_id / "metrics.jsonl").exists(), driver.poll)
     (seat,) = driver.seats
     assert seat.process
-    seat.process.kill()
+    seat.process.signal(signal.SIGKILL)
     finish(driver)
     assert seat.state == "finished"
     trash = tmp_path / ".trash" / trial.run_id
@@ -163,13 +116,13 @@ def test_death_before_the_first_checkpoint__begins_anew(tmp_path: Path):
 
 def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one(tmp_path: Path):
     (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
-    first = Driver(Store(tmp_path), [trial], workers=1)
+    first = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
     until(lambda: beyond_a_checkpoint(first.store), first.poll)
     first.stop()
     assert first.seats[0].state == "stopped"
     for path in (tmp_path / trial.run_id / "checkpoint").rglob("state.pt"):
         path.write_bytes(path.read_bytes()[:-10])
-    second = Driver(Store(tmp_path), [trial], workers=1, back_off_s=0.1)
+    second = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
     finish(second)
     assert second.seats[0].state == "finished"
     assert (tmp_path / ".trash" / trial.run_id / "config.json").exists()
@@ -196,7 +149,7 @@ def test_disk_full_during_a_sweep__waits_for_room_and_ends_with_the_same_numbers
     small_disk: Path, undisturbed: Store
 ):
     store = Store(small_disk / "store")
-    driver = Driver(store, plan(), workers=2, low_bytes=500_000, back_off_s=0.1)
+    driver = Driver(FolderHome(store), plan(), LocalEngine(2), low_bytes=500_000, back_off_s=0.1)
     until(lambda: beyond_a_checkpoint(store), driver.poll)
     ballast = small_disk / "somebody's film"
     fill(ballast)

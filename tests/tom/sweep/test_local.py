@@ -7,7 +7,9 @@ import pytest
 
 from tom.cli import main
 from tom.record import RunWriter, Store, lock
-from tom.sweep.local import Driver
+from tom.sweep.driver import Driver
+from tom.sweep.engine import LocalEngine
+from tom.sweep.home import FolderHome
 from tom.sweep.plan import checked, trials
 
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "250")
@@ -94,7 +96,7 @@ def test_a_sweep_of_fleets_goes_on_where_processes_left_off(tmp_path: Path, caps
 
 def test_nothing_is_started_on_a_full_disk(tmp_path: Path):
     planned = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
-    driver = Driver(Store(tmp_path), planned, workers=1, low_bytes=1e18)
+    driver = Driver(FolderHome(Store(tmp_path)), planned, LocalEngine(1), low_bytes=1e18)
     assert not driver.poll()
     assert driver.full
     assert [seat.state for seat in driver.seats] == ["waiting"]
@@ -105,7 +107,7 @@ def test_a_run_that_another_process_writes_is_left_to_it(tmp_path: Path):
     (trial,) = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
     writer = RunWriter.create(Store(tmp_path), trial.run_id, trial.config)
     try:
-        driver = Driver(Store(tmp_path), [trial], workers=1)
+        driver = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
         assert not driver.poll()
         assert driver.seats[0].state == "elsewhere"
         assert lock.held(writer.path)

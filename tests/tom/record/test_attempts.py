@@ -1,0 +1,181 @@
+"""Runs in an object store: put, taken over, fetched."""
+
+import json
+import os
+from pathlib import Path
+from urllib.request import Request, urlopen
+
+import pytest
+from recorded import events
+
+from tom.cli import main
+from tom.errors import UserError
+from tom.record import Store, attempts, checkpoint, manage
+from tom.record.attempts import Attempt
+from tom.record.bucket import Bucket
+from tom.record.fetching import AHEAD, FETCHED, SAME, fetch_run
+from tom.record.lock import LostError
+
+
+@pytest.fixture
+def bucket(bucket_url: str) -> Bucket:
+    return Bucket.open(bucket_url)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """The content of all files but those whose names begin with a dot."""
+    found = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")]
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in found}
+
+
+def test_what_is_put_is_what_is_fetched(bucket: Bucket, record, tmp_path: Path):
+    run = record("run", events()[:600])
+    checkpoint.save(run.path / checkpoint.FOLDER, 100, {"a": 1})
+    attempt = Attempt.claim(bucket, "run")
+    assert attempts.fetch(bucket, "run", tmp_path / "there") is None, "nothing was put yet"
+    attempt.put(run.path)
+    checkpoint.save(run.path / checkpoint.FOLDER, 200, {"a": 2})
+    checkpoint.save(run.path / checkpoint.FOLDER, 300, {"a": 3})  # the first one goes
+    with (run.path / "metrics.jsonl").open("a") as rows:
+        rows.write('{"env_step": 9000}\n')
+    attempt.put(run.path)
+    assert attempts.fetch(bucket, "run", tmp_path / "there") == attempt.name
+    assert files(tmp_path / "there") == files(run.path)
+
+
+def test_only_what_changed_is_put_again(bucket: Bucket, record):
+    run = record("run", events()[:600])
+    attempt = Attempt.claim(bucket, "run")
+    attempt.put(run.path)
+    kept = f"run/{attempt.name}/config.json"
+    bucket.write(kept, b"as it was put first")
+    attempt.put(run.path)
+    assert bucket.read(kept) == b"as it was put first"
+
+
+class Breaking(Bucket):
+    """A store that fails after so many objects."""
+
+    left = 10**6
+
+    def write(self, name: str, content: bytes) -> None:
+        self.left -= 1
+        if self.left < 0:
+            raise OSError("the store is gone")
+        super().write(name, content)
+
+
+def test_a_put_that_breaks_off_anywhere_leaves_a_whole_checkpoint_and_its_data(
+    bucket_url: str, record, tmp_path: Path
+):
+    run = record("run", events()[:600])
+    bucket = Breaking.open(bucket_url)
+    assert isinstance(bucket, Breaking)
+    attempt = Attempt.claim(bucket, "run")
+    counted = {}  # rows of the metrics that a checkpoint counts on
+    for step in range(1, 9):
+        with (run.path / "metrics.jsonl").open("a") as rows:
+            rows.write('{"env_step": 9000}\n')
+        counted[step] = (run.path / "metrics.jsonl").read_bytes().count(b"\n")
+        checkpoint.save(run.path / checkpoint.FOLDER, step, {"a": step})
+        bucket.left = step if step > 1 else 10**6
+        try:
+            attempt.put(run.path)
+        except OSError:
+            bucket.left = 10**6
+        assert attempts.fetch(bucket, "run", tmp_path / "there") == attempt.name
+        held = checkpoint.load(tmp_path / "there" / checkpoint.FOLDER)
+        assert held is not None
+        put = (tmp_path / "there" / "metrics.jsonl").read_bytes()
+        assert put.count(b"\n") >= counted[held.env_step]
+
+
+def test_a_newer_attempt_ends_the_older_and_is_the_run_once_it_is_whole(
+    bucket: Bucket, record, tmp_path: Path
+):
+    run = record("run", events()[:600])
+    old = Attempt.claim(bucket, "run")
+    old.put(run.path)
+    new = Attempt.claim(bucket, "run")
+    with pytest.raises(LostError, match="taken over"):
+        old.put(run.path)
+    assert attempts.fetch(bucket, "run", tmp_path / "taken") == old.name
+    new.put(tmp_path / "taken")
+    new.supersede(old.name)
+    assert attempts.fetch(bucket, "run", tmp_path / "again") == new.name
+    assert files(tmp_path / "again") == files(run.path)
+    assert bucket.names(f"run/{old.name}") == []
+
+
+def test_fetch_keeps_labels_and_what_is_further_here(bucket: Bucket, record, tmp_path: Path):
+    run = record("run", events()[:600])
+    status = json.loads((run.path / "status.json").read_text())
+    (run.path / "status.json").write_text(json.dumps(status | {"state": "stopped", "env_step": 5}))
+    attempt = Attempt.claim(bucket, "run")
+    attempt.put(run.path)
+    here = Store(tmp_path / "here")
+    here.ensure_writable()
+    assert fetch_run(bucket, "run", here) == FETCHED
+    assert fetch_run(bucket, "run", here) == SAME
+    manage.tag(here, "run", add=["mine"])
+    (run.path / "status.json").write_text(json.dumps(status))
+    attempt.put(run.path)
+    assert fetch_run(bucket, "run", here) == FETCHED
+    assert here.run("run").status.state == "finished"
+    assert here.run("run").labels.tags == ("mine",)
+    (run.path / "status.json").write_text(json.dumps(status | {"state": "stopped", "env_step": 5}))
+    attempt.put(run.path)
+    assert fetch_run(bucket, "run", here) == AHEAD
+    assert here.run("run").status.state == "finished"
+    assert [path.name for path in here.path.iterdir()] == ["run"]
+    with pytest.raises(UserError, match="no run 'walk'"):
+        fetch_run(bucket, "walk", here)
+
+
+def test_names_that_lead_out_of_the_run_are_not_fetched(bucket: Bucket, record, tmp_path: Path):
+    attempt = Attempt.claim(bucket, "run")
+    attempt.put(record("run", events()[:3]).path)
+    name = f"store/sweeps/first/run/{attempt.name}/..%2F..%2Fplanted"
+    evil = Request(f"{os.environ['AWS_ENDPOINT_URL']}/{name}", b"evil", method="PUT")
+    urlopen(evil).close()
+    here = Store(tmp_path / "here")
+    here.ensure_writable()
+    with pytest.raises(OSError, match="leads out of"):
+        fetch_run(bucket, "run", here)
+    assert list(here.path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("runs", "list", "--store", "s3://store/x"), "tom runs fetch s3://"),
+        (("train", "--env", "hopper", "--learner", "mle", "--store", "s3://s/x"), "tom runs fetch"),
+        (("runs", "fetch", "s3://nowhere/x"), "there is no bucket 'nowhere'"),
+        (("runs", "fetch", "s3://Store"), "must be s3://BUCKET/PREFIX"),
+        (("runs", "fetch", "s3://store/empty"), "no runs in s3://store/empty"),
+    ],
+)
+def test_bad_places_are_refused_in_one_line(
+    words: tuple[str, ...], named: str, bucket_url: str, tmp_path: Path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main(words)
+    except SystemExit as stop:
+        code = stop.code
+    error = capsys.readouterr().err
+    assert code == 2
+    assert named in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_store_that_does_not_answer_is_refused_in_one_line(monkeypatch, tmp_path: Path, capsys):
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "nobody")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "nothing")
+    assert main(["runs", "fetch", "s3://store/x", "--store", str(tmp_path / "runs")]) == 2
+    error = capsys.readouterr().err
+    assert "cannot reach the bucket" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "runs").exists()

@@ -1,0 +1,109 @@
+"""An object store, seen as files below `s3://bucket/prefix`."""
+
+import os
+import re
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from pyarrow import fs
+
+from tom.errors import UserError
+
+CONNECT_S, ANSWER_S, TRIES = 5.0, 30.0, 3
+URL = re.compile(r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(?:/(?P<prefix>[^?#]*))?")
+
+
+class Bucket:
+    """The objects below an URL, by names relative to it. All but `open` raise OSError."""
+
+    def __init__(self, files: fs.FileSystem, base: str, url: str) -> None:
+        self._files = files
+        self._base = base
+        self.url = url
+
+    @classmethod
+    def open(cls, url: str) -> "Bucket":
+        """The store at `url`; credentials, region and endpoint are those of the environment.
+
+        Raises UserError where the URL is none, or where its bucket cannot be reached.
+        """
+        match = URL.fullmatch(url)
+        if match is None:
+            raise UserError(f"{url}: must be s3://BUCKET/PREFIX, the bucket in lower-case letters")
+        name = match["bucket"]
+        prefix = (match["prefix"] or "").strip("/")
+        try:
+            files = _connect(name)
+            found = files.get_file_info(name).type
+        except OSError as error:
+            raise UserError(f"{url}: cannot reach the bucket: {_cause(error)}") from error
+        if found is fs.FileType.NotFound:
+            raise UserError(f"{url}: there is no bucket '{name}' (or these credentials see none)")
+        return cls(files, f"{name}/{prefix}" if prefix else name, url.rstrip("/"))
+
+    def names(self, folder: str = "") -> list[str]:
+        """The names of all objects below `folder`, sorted."""
+        below = fs.FileSelector(self._path(folder), allow_not_found=True, recursive=True)
+        found = self._files.get_file_info(below)
+        start = len(self._base) + 1
+        return sorted(one.path[start:] for one in found if one.type is fs.FileType.File)
+
+    def folders(self, folder: str = "") -> list[str]:
+        """The names of the folders right below `folder`, sorted."""
+        below = fs.FileSelector(self._path(folder), allow_not_found=True)
+        found = self._files.get_file_info(below)
+        return sorted(one.base_name for one in found if one.type is fs.FileType.Directory)
+
+    def read(self, name: str) -> bytes:
+        """The content of an object. Raises FileNotFoundError where there is none."""
+        with self._files.open_input_stream(self._path(name)) as stream:
+            return stream.read()
+
+    def write(self, name: str, content: bytes) -> None:
+        """Put an object; it appears whole or not at all."""
+        with self._files.open_output_stream(self._path(name)) as stream:
+            stream.write(content)
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Delete objects; those that are not there are passed over."""
+        for name in names:
+            with suppress(FileNotFoundError):
+                self._files.delete_file(self._path(name))
+
+    def fetch(self, folder: str, target: Path) -> None:
+        """Copy every object below `folder` into the folder `target`."""
+        for name in self.names(folder):
+            path = target / name.removeprefix(f"{folder}/")
+            if not path.resolve().is_relative_to(target.resolve()):
+                raise OSError(f"{self.url}/{name} leads out of {target}: not fetched")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(self.read(name))
+
+    def _path(self, name: str) -> str:
+        return f"{self._base}/{name}" if name else self._base
+
+
+def _connect(bucket: str) -> fs.S3FileSystem:
+    """pyarrow's own reading of the environment knows no endpoint beside time limits."""
+    endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
+    region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
+    where: dict[str, str] = {}
+    if endpoint:
+        parts = urlsplit(endpoint)
+        where = {"endpoint_override": parts.netloc, "scheme": parts.scheme}
+    elif not region:
+        region = fs.resolve_s3_region(bucket)
+    return fs.S3FileSystem(
+        region=region,
+        connect_timeout=CONNECT_S,
+        request_timeout=ANSWER_S,
+        allow_delayed_open=True,  # a small object is one request
+        retry_strategy=fs.AwsStandardS3RetryStrategy(max_attempts=TRIES),
+        **where,
+    )
+
+
+def _cause(error: OSError) -> str:
+    return str(error).splitlines()[0][:300]

@@ -1,0 +1,55 @@
+"""Copies runs out of an object store into a run store, where everything else can read them."""
+
+import os
+import shutil
+
+from tom.errors import UserError
+from tom.record import attempts, layout, lock, manage
+from tom.record.bucket import Bucket
+from tom.record.reader import RunReader
+from tom.record.store import Store
+
+FETCHED, SAME, AHEAD, BUSY = "fetched", "is up to date", "is further here", "is being written here"
+
+
+def run_ids(bucket: Bucket) -> list[str]:
+    """The runs in the object store. Raises OSError where it does not answer."""
+    return [name for name in bucket.folders() if layout.RUN_ID.fullmatch(name)]
+
+
+def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
+    """Bring the store's copy of a run up to date; what was done.
+
+    Labels given here stay, and so does a run that is further here. Raises UserError where there is
+    no such run, OSError where the object store does not answer.
+    """
+    place = store.resolve(run_id)
+    unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
+    try:
+        if attempts.fetch(bucket, run_id, unfinished) is None:
+            raise UserError(f"no run '{run_id}' in {bucket.url}")
+        if not place.exists():
+            unfinished.rename(place)
+            return FETCHED
+        return _replace(RunReader(place), RunReader(unfinished))
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _replace(held: RunReader, fetched: RunReader) -> str:
+    """Put what was fetched in the place of what the store held, where that is behind."""
+    if lock.held(held.path):
+        return BUSY
+    if held.status == fetched.status:
+        return SAME
+    if held.status.state == "finished" or held.status.env_step > fetched.status.env_step:
+        return AHEAD
+    labels = held.path / layout.LABELS
+    with manage.unwritten(held):
+        if labels.is_file() and not labels.is_symlink():
+            shutil.copy2(labels, fetched.path / layout.LABELS)
+        behind = fetched.path.with_name(f"{fetched.path.name}.old")
+        held.path.rename(behind)
+        fetched.path.rename(held.path)
+        shutil.rmtree(behind)
+    return FETCHED

@@ -1,0 +1,34 @@
+"""What a run folder goes through before its next writer writes."""
+
+from pathlib import Path
+
+from tom.errors import UserError
+from tom.record import layout
+from tom.record.files import replace
+
+
+def drop_unfinished(path: Path) -> None:
+    """Remove the temporary files that a killed writer left; the lock is ours."""
+    for folder in (path, *(path / name for name in layout.FOLDERS)):
+        for temporary in folder.glob(".*.tmp"):
+            if not temporary.name.startswith(f".{layout.LABELS}"):  # that is another's to write
+                temporary.unlink(missing_ok=True)
+
+
+def renew(path: Path) -> None:
+    """Give the growing files new ones in their place.
+
+    A writer on another machine may have them open still, with rows that its kernel has yet to send:
+    those end in files that no longer have a name.
+    """
+    for name in (layout.METRICS, layout.PROFILES, layout.NOTICES):
+        held = path / name
+        if held.exists():
+            replace(held, lambda file, held=held: file.write(held.read_bytes()), sync=True)
+
+
+def refuse_links(path: Path) -> None:
+    names = [*layout.FOLDERS, "checkpoint", layout.METRICS, layout.PROFILES, layout.NOTICES]
+    for name in (*names, layout.LOCK):
+        if (path / name).is_symlink():
+            raise UserError(f"{name} of run '{path.name}' is a link: not followed; remove it")

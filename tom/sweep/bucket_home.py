@@ -1,0 +1,80 @@
+"""A sweep whose runs lie in an object store: what its driver sees of them."""
+
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from tom.record import RunReader, Store, attempts, checkpoint, layout
+from tom.record.bucket import Bucket
+from tom.sweep.home import LOGS
+from tom.sweep.plan import Trial
+
+LOOK_S = 5.0  # between two looks at a run
+
+
+class BucketHome(AbstractContextManager["BucketHome", None]):
+    """The runs of `trials` in `bucket`.
+
+    `store` is a folder of this machine, gone with the sweep, that holds of every run its settings,
+    its status and the names of its checkpoints.
+    """
+
+    def __init__(self, bucket: Bucket, trials: Sequence[Trial]) -> None:
+        """Raises OSError where the bucket does not answer."""
+        self._bucket = bucket
+        self._folder = Path(tempfile.mkdtemp(prefix="tom-sweep-"))
+        self._next: dict[str, float] = {}
+        self.store = Store(self._folder)
+        try:
+            for trial in trials:
+                self.look(trial.run_id, now=True)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def look(self, run_id: str, *, now: bool = False) -> None:
+        if not now and time.monotonic() < self._next.get(run_id, 0.0):
+            return
+        self._next[run_id] = time.monotonic() + LOOK_S
+        names = self._bucket.names(run_id)
+        attempt = attempts.newest(names)
+        if attempt is not None:
+            self._show(f"{run_id}/{attempt}/", names, self._folder / run_id)
+
+    def words(self, run_id: str, words: Sequence[str]) -> list[str]:
+        return ["tom.sweep.worker", self._bucket.url, run_id, *words]
+
+    def written(self, run: RunReader) -> bool:
+        """Judged by its heartbeat; an attempt judged wrongly ends when it finds a newer one."""
+        return run.status.alive
+
+    def begin_anew(self, run_id: str) -> str:
+        """A new attempt leaves the earlier ones alone."""
+        shutil.rmtree(self._folder / run_id)
+        return f"{self._bucket.url}/{run_id}"
+
+    def keep_log(self, log: Path) -> str:
+        name = f"{LOGS}/{log.name}"
+        try:
+            self._bucket.write(name, log.read_bytes())
+        except OSError as error:
+            return f"none ({error})"
+        return f"{self._bucket.url}/{name}"
+
+    def _show(self, attempt: str, names: Sequence[str], path: Path) -> None:
+        """Make the run folder `path` say what the objects of an attempt say."""
+        path.mkdir(exist_ok=True)
+        for name in (layout.CONFIG, layout.STATUS):
+            (path / name).write_bytes(self._bucket.read(attempt + name))
+        held = path / checkpoint.FOLDER
+        shutil.rmtree(held, ignore_errors=True)
+        start = f"{attempt}{checkpoint.FOLDER}/"
+        for name in names:
+            if name.startswith(start) and name.endswith(f"/{checkpoint.MANIFEST}"):
+                (held / name.removeprefix(start)).parent.mkdir(parents=True)

@@ -1,0 +1,42 @@
+"""Opens the Ray engine; what Ray reads from the environment must stand there before its import."""
+
+import os
+import secrets
+import socket
+from importlib.util import find_spec
+
+from tom.errors import UserError
+from tom.sweep.engine import Engine
+
+ANSWER_S = 5.0  # a cluster's head answers within this
+
+
+def open_ray(address: str | None, jobs: int | None) -> Engine:
+    """Trainings on the Ray cluster at `address`, or on one here that ends with the sweep.
+
+    `jobs` at a time (default: one a core of the cluster). Whoever talks to the cluster needs its
+    token, because Ray listens on every interface and runs what it is sent. Raises UserError where
+    Ray is not installed or the cluster cannot be joined.
+    """
+    if find_spec("ray") is None:
+        raise UserError('--engine ray needs Ray: pip install -e ".[cluster]"')
+    os.environ.setdefault("RAY_AUTH_MODE", "token")
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    if address is None:
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
+    else:
+        _reach(address)
+    from tom.sweep.ray_engine import RayEngine
+
+    return RayEngine(address, jobs)
+
+
+def _reach(address: str) -> None:
+    """Raises UserError where nothing listens at HOST:PORT; Ray itself would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        raise UserError(f"--address {address}: must be HOST:PORT, as `ray start --head` prints it")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(f"--address {address}: no Ray cluster answers there ({error})") from None

@@ -1,0 +1,140 @@
+"""Trainings as processes on the machines of a Ray cluster, one core each.
+
+Ray only finds a machine with a free core and carries signals and output: how a training ended is
+judged by its run folder.
+"""
+
+import logging
+import os
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import ray
+from ray.exceptions import ActorUnavailableError, RayError
+
+from tom.errors import UserError
+from tom.sweep.engine import KILL_S, Exit, LocalProcess, lives, spawn
+
+OBJECT_STORE_BYTES = 80_000_000  # the least Ray takes: nothing but log lines goes through it
+
+
+class Remote:
+    """A process on some machine of the cluster, and what it prints."""
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self._out = tempfile.TemporaryFile()  # noqa: SIM115 - open for as long as this lives
+        self._process = LocalProcess(spawn(words, self._out))
+        self._read = 0
+
+    def look(self) -> tuple[Exit | None, bytes]:
+        """How it ended, and what it has printed since the last look."""
+        ended = self._process.poll()  # first: of a process that has ended, all output is there
+        file = self._out.fileno()  # the process writes at its offset, so this may not move it
+        output = os.pread(file, os.fstat(file).st_size - self._read, self._read)
+        self._read += len(output)
+        return ended, output
+
+    def signal(self, number: int) -> None:
+        self._process.signal(signal.Signals(number))
+
+
+_Remote = ray.remote(num_cpus=1, max_restarts=0)(Remote)
+
+
+class RayEngine(AbstractContextManager["RayEngine", None]):
+    """Starts processes on a cluster, never more than it has cores."""
+
+    def __init__(self, address: str | None, jobs: int | None) -> None:
+        """Join the cluster at `address`, or begin one. Raises UserError where that fails."""
+        self._jobs = jobs
+        self._folder = None if address else Path(tempfile.mkdtemp(prefix="tom-ray-"))
+        try:
+            if address:
+                ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+            else:
+                self._begin()
+        except (RayError, OSError, RuntimeError, ValueError, AssertionError) as error:
+            self.__exit__()
+            where = f"join the Ray cluster at {address}" if address else "start Ray"
+            raise UserError(f"cannot {where}: {_one_line(error)}") from error
+
+    def _begin(self) -> None:
+        ray.init(
+            "local",
+            num_cpus=self._jobs,
+            include_dashboard=False,
+            object_store_memory=OBJECT_STORE_BYTES,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+            _temp_dir=str(self._folder),
+        )
+
+    @property
+    def slots(self) -> int:
+        cores = int(ray.cluster_resources().get("CPU", 0))
+        return cores if self._jobs is None else min(cores, self._jobs)
+
+    def start(self, words: Sequence[str], log: Path) -> "RayProcess":
+        return RayProcess(_Remote.remote(list(words)), log)
+
+    def __exit__(self, *_: object) -> None:
+        ray.shutdown()
+        if self._folder:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+
+class RayProcess:
+    """A process on the cluster; it is asked how it stands and answers when it can."""
+
+    def __init__(self, actor: Any, log: Path) -> None:
+        """`actor` is the handle of a `Remote`; Ray's types do not know its methods."""
+        self._actor = actor
+        self._log = log
+        self._heard: float | None = None  # None: the cluster has had no free core yet
+        self._ended: Exit | None = None
+        self._asked = actor.look.remote()
+
+    def poll(self) -> Exit | None:
+        if self._ended is None and ray.wait([self._asked], timeout=0)[0]:
+            self._hear()
+        return self._ended
+
+    def signal(self, number: signal.Signals) -> None:
+        if self.poll() is None and self._heard is None:
+            ray.kill(self._actor)
+            self._ended = Exit(None, "had not begun")
+        elif self._ended is None:
+            self._actor.signal.remote(int(number))
+
+    def silent_s(self) -> float:
+        return 0.0 if self._heard is None else time.monotonic() - self._heard
+
+    def end(self) -> None:
+        self.signal(signal.SIGKILL)
+        lives(self, KILL_S)
+        ray.kill(self._actor)
+
+    def _hear(self) -> None:
+        """Take the answer and ask again."""
+        try:
+            ended, output = ray.get(self._asked)
+            with self._log.open("ab") as log:
+                log.write(output)
+            self._heard, self._ended = time.monotonic(), ended
+        except ActorUnavailableError:  # for the time being, says Ray: the silence is counted
+            pass
+        except RayError as error:
+            self._ended = Exit(None, f"its machine or Ray's process there died: {_one_line(error)}")
+        if self._ended is None:
+            self._asked = self._actor.look.remote()
+
+
+def _one_line(error: BaseException) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(lines[:1] + lines[1:][-1:])[:400] or type(error).__name__

@@ -1,0 +1,96 @@
+"""One training whose run lies in an object store: `python -m tom.sweep.worker URL RUN_ID WORDS...`.
+
+Trains in a folder of this machine and puts the run folder into the store as it goes. A run that is
+to go on is fetched first. Ends with the exit code of `tom train`.
+"""
+
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tom.errors import UserError
+from tom.record import attempts, layout
+from tom.record.attempts import Attempt
+from tom.record.bucket import Bucket
+from tom.record.lock import LostError
+from tom.sweep.engine import LocalProcess, lives, spawn
+
+PUT_S = 10.0  # the heartbeat in the store is at most so much older than the run's
+LAST_PUTS, AGAIN_S = 30, 20.0  # the end of a run is put so often before that is given up
+
+
+def main(url: str, run_id: str, words: Sequence[str]) -> int:
+    """The exit code: `tom train`'s, 2 for what a person must mend, 1 where the store failed."""
+    try:
+        bucket = Bucket.open(url)
+        with tempfile.TemporaryDirectory(prefix="tom-") as scratch:
+            return _work(bucket, run_id, words, Path(scratch))
+    except UserError as error:
+        print(f"tom: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{run_id}: {error}", file=sys.stderr)
+        return 1
+
+
+def _work(bucket: Bucket, run_id: str, words: Sequence[str], store: Path) -> int:
+    """Train in the folder `store` and keep the bucket's copy up to date; the exit code."""
+    keeper = Keeper(Attempt.claim(bucket, run_id), store / run_id)
+    if any(word.startswith("--resume=") for word in words):
+        keeper.earlier = attempts.fetch(bucket, run_id, keeper.folder)
+    own = ("tom", "train", *words, "--no-rerun", f"--store={store}")
+    process = LocalProcess(spawn(own, sys.stdout.buffer))
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, lambda *_: process.signal(signal.SIGTERM))
+    try:
+        wait_s = 1.0
+        while lives(process, wait_s):
+            keeper.put()
+            wait_s = min(2 * wait_s, PUT_S)
+    finally:
+        process.end()  # also where the run was taken over
+    keeper.put_the_end()
+    ended = process.poll()
+    return ended.code if ended and ended.code is not None and ended.code >= 0 else 1
+
+
+@dataclass
+class Keeper:
+    """Keeps the store's copy of the run folder `folder` up to date, also when puts fail."""
+
+    attempt: Attempt
+    folder: Path
+    earlier: str | None = None
+    """the attempt that this one goes on from"""
+
+    def put(self) -> bool:
+        """Put what is new; False where the store failed. Raises LostError."""
+        if not (self.folder / layout.STATUS).exists():
+            return True  # the training has not begun, or was refused
+        try:
+            self.attempt.put(self.folder)
+            if self.earlier is not None:
+                self.attempt.supersede(self.earlier)
+                self.earlier = None
+        except LostError:
+            raise
+        except OSError as error:
+            print(f"{self.folder.name} could not be put into the store: {error}", file=sys.stderr)
+            return False
+        return True
+
+    def put_the_end(self) -> None:
+        """Put the ended run, for minutes where the store fails. Raises OSError in the end."""
+        for _ in range(LAST_PUTS):
+            if self.put():
+                return
+            time.sleep(AGAIN_S)
+        raise OSError(f"the store took nothing for {LAST_PUTS * AGAIN_S / 60:.0f} minutes")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1], sys.argv[2], sys.argv[3:]))
