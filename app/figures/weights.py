@@ -114,7 +114,7 @@ def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int)
         )
     figure.add_vline(x=int(profiles.env_step[chosen]), line={"color": NEUTRAL, "width": 2})
     styled(figure, "env steps", height, keep="effective-sample")
-    figure.update_yaxes(range=[-3, 103])
+    figure.update_yaxes(range=[-3, 103], ticksuffix=" %")
     return figure
 
 

@@ -52,7 +52,7 @@ KINDS: dict[str, type[Choice]] = {"road": Road, "replay": Replay, "states": Stat
 
 @dataclass(frozen=True)
 class Selection:
-    """What one browser frame is to show; in a `compact` one the panel is folded up at first."""
+    """What one browser frame is to show; in a `compact` one the panel is small and folded up."""
 
     choice: Choice
     mode: Mode = "light"

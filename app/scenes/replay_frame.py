@@ -48,6 +48,9 @@ class ReplayFrame(Frame):
         self.ghost = gui.add_checkbox("model's ghost", initial_value=True)
         self.words = gui.add_markdown("")
         self.curve = None
+        if self.compact:  # a narrow frame has the panel as a sheet that is always open
+            for part in (self.speed, self.follow, self.ghost, self.words):
+                part.visible = False
         self.play.on_click(lambda _: self._toggle())
         self.frame.on_update(self._scrubbed)
         for box in (self.follow, self.ghost):
@@ -96,6 +99,8 @@ class ReplayFrame(Frame):
         return (0.45 * away, -away, 0.5 + 0.6 * height), (beside, 0.0, 0.5 * height)
 
     def _draw_curve(self, replay: Replay) -> None:
+        if self.compact:
+            return
         if self.curve is not None:
             self.curve.remove()
         line = {"label": "reward", "stroke": "#8a92a3", "width": 1.5}

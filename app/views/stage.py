@@ -9,8 +9,8 @@ from app.scenes.control import Choice, Selection, tell
 def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False) -> None:
     """Show `choice` in 3D. A rerun of the page does not reload the frame.
 
-    A page with several frames gives each a `part` of its own. A frame that is small is `compact`:
-    its panel, which would cover what it shows, is folded up until somebody opens it.
+    A page with several frames gives each a `part` of its own. The panel of a `compact` frame, which
+    would cover what it shows, is small and folded up until somebody opens it.
     """
     links = session.links()
     if not links.viser_port:

@@ -96,12 +96,14 @@ def _plot(name: str, paths: tuple[str, ...]) -> rrb.TimeSeriesView:
     everything = rr.TimeRange(
         start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
     )
+    # Where the lines seldom are: returns rise, losses fall.
+    corner = rrb.Corner2D.RightBottom if name in RETURN else rrb.Corner2D.RightTop
     # A metric with one value yet is a point and no line: points are shown always.
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"+ /{path}" for path in paths],
         name=name,
         axis_x=rrb.TimeAxis(view_range=everything),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        plot_legend=rrb.PlotLegend(corner),
         interaction=rrb.PlotInteraction(points_display="Always"),
     )
