@@ -15,8 +15,6 @@ from tom.record.store import Store
 COLUMNS = 3
 _STATE_TINTS = {
     "running": "#1f9d55",
-    "finished": "#5f6b80",
-    "stopped": "#8a92a3",
     "failed": "#d2383f",
     "dead": "#c77700",
 }
@@ -97,7 +95,7 @@ def progress_line(run: RunInfo) -> str:
 def head(run: RunInfo) -> str:
     """The card's first line as HTML; everything that came from a file is escaped."""
     shown = run.status.shown
-    tint = _STATE_TINTS.get(shown, "#8a92a3")
+    tint = _STATE_TINTS.get(shown, "inherit")
     learner = html.escape(learner_label(run.learner))
     called = f" · {run.labels.name}" if run.labels.name else ""
     about = html.escape(f"{run.env} · seed {run.seed}{called}")
@@ -108,6 +106,6 @@ def head(run: RunInfo) -> str:
         f'<b style="white-space:nowrap">{learner}</b>'
         '<span style="opacity:.7;overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
         f'title="{html.escape(run.run_id, quote=True)}">{about}</span>'
-        f'<span style="margin-left:auto;flex:none;color:{tint};border:1px solid {tint};'
+        f'<span style="margin-left:auto;flex:none;color:{tint};border:1px solid;'
         f'border-radius:1rem;padding:0 .55rem;font-size:.8em">{html.escape(shown)}</span></div>'
     )

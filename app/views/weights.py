@@ -93,7 +93,7 @@ def _against(run: RunInfo, step: int) -> None:
         panels.append(("policy version (0: exploration)", rows.version, rows.weight))
     if not isinstance(errors, str):
         index, error, at = errors
-        panels.append((f"one-step error of the model of step {at:,}", error, rows.weight[index]))
+        panels.append((f"error of the model of step {at:,}", error, rows.weight[index]))
     for column, (name, quantity, weight) in zip(st.columns(len(panels)), panels, strict=True):
         with column, st.container(border=True):
             figure = weights_against(against(quantity, weight), run.learner, name, 230)
