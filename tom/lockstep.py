@@ -6,9 +6,14 @@ A training is a generator. It yields what it has to tell and, where the heavy wo
 networks joined into a stack. A training cannot tell the difference.
 """
 
+import os
 from collections import defaultdict
-from collections.abc import Generator, Hashable, Iterator, Sequence
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+from typing import Any, ClassVar, Generic, TypeVar
+
+import torch
 
 from tom.graphs import graphed
 
@@ -20,8 +25,9 @@ class Work:
     """A piece of a training that members of equal `kind` can do in one go.
 
     Its `subject` is what it moves: networks and their optimisers, with a `step`, a `device`, and
-    `joined`, which makes one of many. Where members wait with different work, that of the lowest
-    `rank` is done first: the others may be brought the same in the meantime.
+    `joined`, which makes one of many; work that moves no network has none. Where members wait with
+    different work, that of the lowest `rank` is done first: the others may be brought the same in
+    the meantime.
     """
 
     rank: ClassVar[int]
@@ -35,6 +41,48 @@ class Work:
     def do(cls, works: Sequence[Any], subject: Any) -> None:
         """Do all of them with `subject`, theirs joined in the same order."""
         raise NotImplementedError
+
+
+class Beside(Work, Generic[Result]):
+    """Work: a call of a member's own that moves no network; in a fleet each has a thread.
+
+    What it takes of the processor must be done without Python's lock, as MuJoCo does, for threads
+    to bring something. An error is the member's own: `result` raises it.
+    """
+
+    rank = 1
+    subject = None
+
+    def __init__(self, call: Callable[[], Result]) -> None:
+        self._call = call
+        self._done: Future[Result] = Future()
+
+    @property
+    def kind(self) -> Hashable:
+        return None
+
+    @classmethod
+    def do(cls, works: "Sequence[Beside[Any]]", subject: None) -> None:
+        if len(works) == 1:
+            works[0].run()
+        else:
+            list(_threads().map(cls.run, works))
+
+    def run(self) -> None:
+        try:
+            self._done.set_result(self._call())
+        except Exception as error:  # the others' calls go on
+            self._done.set_exception(error)
+
+    def result(self) -> Result:
+        """What the call returned, once the work is done."""
+        return self._done.result(timeout=0)
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """One a core; torch in them takes no further ones."""
+    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "beside", torch.set_num_threads, (1,))
 
 
 def alone(steps: Generator[Told | Work, None, Result]) -> Generator[Told, None, Result]:
@@ -104,18 +152,27 @@ class Lockstep:
     def _joined(self, works: Sequence[Work]) -> Iterator[tuple[Sequence[Work], Any]]:
         """The works with their subjects' joint, or one by one where the others are elsewhere."""
         subjects = [work.subject for work in works]
+        if subjects[0] is None:
+            yield works, None
+            return
         key = tuple(id(subject) for subject in subjects)
         if key not in self._joints and len(key) > 1 and self._among_others(key):
             for work in works:
                 yield from self._joined([work])
             return
         if key not in self._joints:
-            joint = type(subjects[0]).joined(subjects) if len(key) > 1 else subjects[0]
+            joint = self._join(subjects) if len(key) > 1 else subjects[0]
             vars(joint).pop("step", None)  # a copy of a member that was captured by itself
             if joint.device.type == "cuda":
                 joint.step = graphed(joint.step)
             self._joints[key] = subjects, joint  # the subjects too: an id lives as they do
         yield works, self._joints[key][1]
+
+    def _join(self, subjects: Sequence[Any]) -> Any:
+        """One subject of many; what was captured of one alone stands at tensors it has left."""
+        for subject in subjects:
+            self._joints.pop((id(subject),), None)
+        return type(subjects[0]).joined(subjects)
 
     def _among_others(self, key: tuple[int, ...]) -> bool:
         """Whether some of them are joined with more: joining them anew would part those."""

@@ -5,6 +5,7 @@ consumers' affair: this file knows no file, clock or socket.
 """
 
 from collections.abc import Generator, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ from tom.events import (
 from tom.health import require_finite
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting, weighing
-from tom.lockstep import Work, alone
+from tom.lockstep import Beside, Work, alone
 from tom.policy_file import policy_arrays
 from tom.rng import Streams
 from tom.rollout import roll_out, start_states
@@ -102,6 +103,7 @@ class Mbpo:
     def fit_and_roll_out(self) -> Steps:
         """Lines 3-19: weights, weighted model fit, rollouts from weighted start states."""
         yield Tick(self.env_step, "fit")
+        self._sac_losses()
         yield from self._flush_collected()
         context = self._fit_context()
         weighting = yield from weighing(self.learner, context)
@@ -140,7 +142,9 @@ class Mbpo:
         """Line 21: one step of pi in the environment, into D_env (and D_pol on policy)."""
         obs = self._begin_episode() if self._obs is None else self._obs
         action = self._explore_action() if explore else (yield from self._policy_action(obs))
-        next_obs, reward, terminated, truncated, _ = self.env.step(action)
+        stepped = Beside(partial(self.env.step, action))
+        yield stepped
+        next_obs, reward, terminated, truncated, _ = stepped.result()
         version = 0 if explore else self.policy_version
         row = (obs, action, float(reward), next_obs, terminated, truncated)
         self.replay.add(*row, policy_version=version)
@@ -170,15 +174,18 @@ class Mbpo:
         work = SacUpdates(self.sac, torch.cat([real_part, model_part], 1))
         yield work
         self._sac_metrics = work.metrics
-        require_finite(self._sac_metrics, self.env_step)
+        if self.streams.device.type == "cpu":  # a look at a GPU's would make it wait
+            self._sac_losses()
         self.policy_version += 1
 
-    def evaluate(self) -> Iterator[Event]:
+    def evaluate(self) -> Steps:
         """Episodes of the mean policy in environments of their own."""
         yield Tick(self.env_step, "evaluate")
-        yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
+        yield Metrics(self.env_step, self._sac_losses())
         seed = self.streams.integer(f"evaluation {self.env_step}")
-        yield Evaluation(self.env_step, self.evaluator.run(self.policy.mean, seed))
+        played = Beside(partial(self.evaluator.run, self.policy.mean, seed))
+        yield played
+        yield Evaluation(self.env_step, played.result())
 
     # Where the run stands
 
@@ -186,8 +193,9 @@ class Mbpo:
         """All that decides the rest of the run, at the end of a step: tensors and primitives.
 
         Of the replay buffer only the rows since the last `Collected` event are in it: the others
-        have been handed over, and come back through `load_state_dict`.
+        have been handed over, and come back through `load_state_dict`. Raises DivergedError.
         """
+        self._sac_losses()
         return {
             "env_step": self.env_step,
             "policy_version": self.policy_version,
@@ -225,6 +233,15 @@ class Mbpo:
         self._sac_metrics = state["sac_metrics"]
 
     # Parts
+
+    def _sac_losses(self) -> dict[str, float]:
+        """What the last SAC update measured, fetched at once. Raises DivergedError."""
+        if not self._sac_metrics:
+            return {}
+        values = torch.cat(list(self._sac_metrics.values())).tolist()
+        found = dict(zip(self._sac_metrics, values, strict=True))
+        require_finite(found, self.env_step)
+        return found
 
     def _begin_episode(self) -> np.ndarray:
         seed = self.streams.integer("env") if not self._initial_obs else None

@@ -37,7 +37,7 @@ class Act(Work):
 class SacUpdates(Work):
     """Work: a gradient step on each of G packed batches (G, B, R); then `metrics`, (1,) each."""
 
-    rank: ClassVar[int] = 4
+    rank: ClassVar[int] = 5
     subject: Sac
     batches: Tensor
     metrics: dict[str, Tensor] = field(init=False)
@@ -50,4 +50,4 @@ class SacUpdates(Work):
     def do(cls, works: "Sequence[SacUpdates]", subject: Sac) -> None:
         found = subject.updates(torch.stack([w.batches for w in works], 1))
         for m, work in enumerate(works):
-            work.metrics = {name: value[m : m + 1].clone() for name, value in found.items()}
+            work.metrics = {name: value[m : m + 1] for name, value in found.items()}

@@ -1,10 +1,11 @@
+import threading
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 import pytest
 import torch
 
-from tom.lockstep import Lockstep, Work, alone, finished
+from tom.lockstep import Beside, Lockstep, Work, alone, finished
 
 
 class Counter:
@@ -128,3 +129,66 @@ def test_an_interrupt_closes_all():
     with pytest.raises(KeyboardInterrupt):
         Lockstep().run([patient(a, "a"), interrupted(b), patient(c, "c")])
     assert sorted(closed) == ["a", "c"]
+
+
+def calling(call) -> Generator[Work, None, str]:
+    work = Beside(call)
+    yield work
+    return work.result()
+
+
+def thread() -> str:
+    return threading.current_thread().name
+
+
+def test_calls_of_several_members_have_threads_of_their_own():
+    def failing() -> str:
+        raise ArithmeticError("fell over")
+
+    found = Lockstep().run([calling(thread), calling(failing), calling(thread)])
+    assert isinstance(found[1], ArithmeticError)
+    for name in (found[0], found[2]):
+        assert isinstance(name, str)
+        assert name.startswith("beside")
+
+
+def test_a_call_of_one_alone_stays_in_its_thread():
+    assert finished(calling(thread)) == thread()
+    assert Lockstep().run([calling(thread)]) == [thread()]
+
+
+class Captured(Counter):
+    """A counter on a GPU, whose step stands at the memory it was captured with."""
+
+    device = torch.device("cuda")
+
+    def step(self, amount: torch.Tensor) -> None:
+        self.values += amount
+
+
+@dataclass
+class Step(Add):
+    taken: list[object]
+
+    @classmethod
+    def do(cls, works: "Sequence[Step]", subject: Captured) -> None:
+        subject.step(torch.tensor([w.amount for w in works]))
+        works[0].taken.append(vars(subject)["step"])
+
+
+def test_what_was_captured_alone_is_captured_anew_after_having_been_joined():
+    """Joining moves the members' tensors: the old capture would write where nobody reads."""
+    taken: list[object] = []
+    first, second = (Captured(torch.zeros(1)) for _ in range(2))
+
+    def stepping(counter: Captured, amounts: list[float]) -> Generator[Work, None, float]:
+        for amount in amounts:
+            yield Step(counter, amount, [], taken)
+        return float(counter.values.sum())
+
+    lockstep = Lockstep()
+    assert lockstep.run([stepping(first, [1, 2])]) == [3]
+    assert lockstep.run([stepping(first, [4, 8]), stepping(second, [10])]) == [15, 10]
+    alone_before, again_before, joined, alone_after = taken
+    assert alone_before is again_before
+    assert len({alone_before, joined, alone_after}) == 3

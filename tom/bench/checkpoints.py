@@ -9,6 +9,7 @@ import torch
 
 from tom.config import OnlineConfig
 from tom.data.transitions import TensorTransitions
+from tom.lockstep import alone
 from tom.mbpo import Mbpo
 from tom.presets import resolve
 from tom.record import checkpoint
@@ -54,7 +55,7 @@ def _cost(env: str, train_s: float | None) -> CheckpointCost:
 def _full(config: OnlineConfig) -> Mbpo:
     """A training whose model and policy buffers hold as much as they can."""
     training = Mbpo(config)
-    for _ in training.step_environment(explore=True):
+    for _ in alone(training.step_environment(explore=True)):
         pass
     dims = (training.task.obs_dim, training.task.action_dim)
     for buffer in (training.model_buffer, training.policy_buffer):

@@ -54,7 +54,9 @@ class ReplayBuffer:
         """Append N transitions in order; `policy_version` is (N,) or one for all."""
         if not len(rows):
             return  # a run folder without rows yet does not know their width
-        self._extend(rows.packed(), torch.as_tensor(policy_version).expand(len(rows)))
+        if isinstance(policy_version, int):  # made where the buffer is, not sent there
+            policy_version = self._versions.new_full((len(rows),), policy_version)
+        self._extend(rows.packed(), policy_version)
 
     def transitions(self) -> TensorTransitions:
         """Everything, oldest first; views while the buffer has not wrapped, a copy afterwards."""

@@ -44,6 +44,11 @@ def uniform_indices(high: int, n: int, generator: torch.Generator) -> Tensor:
     return torch.randint(high, (n,), generator=generator, device=generator.device)
 
 
+def block_size(device: torch.device, cpu: int, gpu: int) -> int:
+    """How many minibatches to gather at once: few stay in a CPU's cache, a GPU counts launches."""
+    return cpu if device.type == "cpu" else gpu
+
+
 def ess(weights: Tensor | np.ndarray) -> float:
     """Effective sample size as a share of the rows, (sum w)^2 / (N sum w^2), in (0, 1].
 

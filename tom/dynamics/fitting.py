@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from tom.config import ModelConfig
-from tom.data.sampling import WeightedSampler, uniform_indices
+from tom.data.sampling import WeightedSampler, block_size, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import FitReport
 from tom.lockstep import Work
@@ -22,7 +22,7 @@ from tom.lockstep import Work
 if TYPE_CHECKING:
     from tom.dynamics.neural import NeuralDynamics
 
-BLOCK = 10  # minibatches gathered at once
+BLOCK, GPU_BLOCK = 10, 100  # minibatches gathered at once
 
 Step = Callable[..., Tensor]
 """(x, y, *scales), (E, B, ...) each -> each network's loss (E,): `NeuralDynamics.step`."""
@@ -43,7 +43,7 @@ class Job:
 class Fit(Work):
     """Work: a fit; then `report` is there."""
 
-    rank: ClassVar[int] = 3
+    rank: ClassVar[int] = 4
     subject: NeuralDynamics
     job: Job
     report: FitReport = field(init=False)
@@ -97,15 +97,14 @@ def _round(members: Sequence[_Member], step: Step) -> None:
     count = members[0].config.batches_per_round
     scale_dims = any(m.scales_dims for m in members)
     plans = [m.plan() for m in members]
-    losses = [torch.zeros((), device=m.weights.device) for m in members]
-    for first in range(0, count, BLOCK):
-        block = slice(first, first + BLOCK)
+    device = members[0].weights.device
+    losses, size = torch.zeros(len(members), device=device), block_size(device, BLOCK, GPU_BLOCK)
+    for first in range(0, count, size):
+        block = slice(first, first + size)
         parts = [m.gather(p[block], scale_dims) for m, p in zip(members, plans, strict=True)]
         stacked = [p[0] if len(p) == 1 else torch.cat(p, 1) for p in zip(*parts, strict=True)]
         for batch in zip(*stacked, strict=True):
-            loss = step(*batch).view(len(members), -1)
-            for total, own in zip(losses, loss, strict=True):
-                total += own.sum()
+            losses += step(*batch).view(len(members), -1).sum(1)
     for member, loss in zip(members, losses, strict=True):
         member.end_round(loss)
 

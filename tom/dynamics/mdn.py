@@ -49,7 +49,7 @@ class Mdn(NeuralDynamics):
         joint = logits - 0.5 * (square * precision + log_var)
         prior, posterior = logits.logsumexp(-2, True), joint.logsumexp(-2, True)
         loss = (prior - posterior).squeeze(-2) + 0.5 * log(2 * torch.pi)
-        slope = loss.new_tensor(1.0 / loss[0].numel())  # of the mean over a minibatch
+        slope = loss.new_full((), 1.0 / loss[0].numel())  # of the mean over a minibatch
         for scale in scales:
             loss = loss * scale
         for scale in reversed(scales):

@@ -14,7 +14,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
 from tom.backprop import forward_trace, gradients
 from tom.config import TomConfig
-from tom.data.sampling import uniform_indices
+from tom.data.sampling import block_size, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.learners.averaging import Average
 from tom.learners.scaling import Scaling
@@ -23,7 +23,7 @@ from tom.lockstep import Work
 from tom.nn import StackedMLP, rows_at_once
 
 CHUNK = 1024  # rows judged at once; they stay in the processor's cache
-BLOCK = 32  # minibatches gathered at once
+BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once
 
 
 def discriminator_net(
@@ -70,8 +70,9 @@ class Discriminator:
     ) -> Iterator[tuple[Tensor, Tensor]]:
         """Inputs of rows of the policy buffer and of the replay, (B, D) each, for every step."""
         size, left = config.discriminator_batch, config.discriminator_steps
+        block = block_size(self.replay.obs.device, BLOCK, GPU_BLOCK)
         while left > 0:
-            n = min(left, BLOCK)
+            n = min(left, block)
             left -= n
             drawn = []
             for buffer in (self.policy_buffer, self.replay):
@@ -118,7 +119,7 @@ class TrainJudge(Work):
     From then on the discriminator's `net` is the average network, where the config asks for one.
     """
 
-    rank: ClassVar[int] = 1
+    rank: ClassVar[int] = 2
     problem: Discriminator
     subject: Judge
     generator: torch.Generator

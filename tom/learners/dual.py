@@ -10,7 +10,7 @@ from torch.nn.functional import relu, softplus
 
 from tom.backprop import forward_trace, gradients
 from tom.config import TomConfig
-from tom.data.sampling import uniform_indices
+from tom.data.sampling import block_size, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.divergences import divergence
 from tom.learners.averaging import Average
@@ -21,7 +21,7 @@ from tom.lockstep import Work
 from tom.nn import StackedMLP, rows_at_once
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
-BLOCK = 8  # minibatches gathered, and their actions drawn, at once
+BLOCK, GPU_BLOCK = 8, 100  # minibatches gathered, and their actions drawn, at once
 
 
 @runtime_checkable
@@ -133,7 +133,7 @@ class QFunction(Trained):
 class Minimise(Work):
     """Work: gradient steps on the dual; then `net` is Q's (average) network."""
 
-    rank: ClassVar[int] = 2
+    rank: ClassVar[int] = 3
     problem: "DualProblem"
     subject: QFunction
     generator: torch.Generator
@@ -227,8 +227,9 @@ class DualProblem:
     def batches(self, generator: torch.Generator) -> Iterator[Batch]:
         """`q_steps` batches, drawn uniformly with replacement, gathered a block at a time."""
         size, samples = self.config.q_batch, self.config.action_samples
-        for first in range(0, self.config.q_steps, BLOCK):
-            n = min(BLOCK, self.config.q_steps - first)
+        block = block_size(self.replay.obs.device, BLOCK, GPU_BLOCK)
+        for first in range(0, self.config.q_steps, block):
+            n = min(block, self.config.q_steps - first)
             index = self._draw(len(self.replay), n * size, generator)
             start = self._draw(len(self.initial_obs), n * size, generator)
             rows = self.replay[index]
