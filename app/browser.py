@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 SETTLE_S = 45.0
 """how long a page may take until its picture stands still (3D is drawn in software)"""
+PATIENCE_MS = 180_000
+"""a machine that trains at the same time takes its time for a picture"""
 DRAWN = """[...document.querySelectorAll(".plot")].every(
     (plot) => plot.querySelector(".main-svg, .failed")
 )"""
@@ -51,6 +53,7 @@ def chromium() -> Iterator["Browser"]:
 
 def settled_picture(page: "Page", *, whole: bool = True) -> bytes:
     """The whole page, or what is seen of it without scrolling, once it has stopped changing."""
+    page.set_default_timeout(PATIENCE_MS)
     page.wait_for_selector('[data-testid="stMainBlockContainer"]')
     page.wait_for_timeout(3000)
     deadline = time.monotonic() + SETTLE_S

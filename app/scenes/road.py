@@ -14,7 +14,8 @@ from app.scenes.robot import Robot
 from app.theme import NEUTRAL, Mode, learner_colour, learner_label
 
 CAMERA = (0.5, -0.12, 0.82)
-LOOK_AT = (0.5, 0.45, 0.0)
+LOOK_AT = (0.5, 0.59, 0.0)
+"""behind the middle, so that the map lies below the panel"""
 LIFT = 0.006
 """lines lie this much above what they are drawn on"""
 GAP = 0.18
