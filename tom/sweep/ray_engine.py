@@ -21,6 +21,10 @@ from ray.exceptions import ActorUnavailableError, RayError
 from tom.errors import UserError
 from tom.sweep.engine import KILL_S, Exit, LocalProcess, lives, spawn
 
+_JOIN = (
+    "cannot join the Ray cluster at {address}: has it another token (RAY_AUTH_TOKEN or "
+    "~/.ray/auth_token), and is this machine one of its nodes?"
+)
 OBJECT_STORE_BYTES = 80_000_000  # the least Ray takes: nothing but log lines goes through it
 
 
@@ -61,8 +65,8 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
                 self._begin()
         except (RayError, OSError, RuntimeError, ValueError, AssertionError) as error:
             self.__exit__()
-            where = f"join the Ray cluster at {address}" if address else "start Ray"
-            raise UserError(f"cannot {where}: {_one_line(error)}") from error
+            what = _JOIN.format(address=address) if address else "cannot start Ray"
+            raise UserError(f"{what}: {_one_line(error)}") from error
 
     def _begin(self) -> None:
         ray.init(

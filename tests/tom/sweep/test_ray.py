@@ -1,0 +1,134 @@
+"""Sweeps on Ray clusters of this machine."""
+
+import json
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from kernel import descendants
+from sweeping import WAIT_S, assert_same_runs, beyond_a_checkpoint, finish, plan, until
+
+from tom.cli import main
+from tom.record import Store
+from tom.sweep.driver import Driver
+from tom.sweep.engine import LocalEngine
+from tom.sweep.home import FolderHome
+
+SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke")
+RAY = Path(sysconfig.get_path("scripts")) / "ray"
+
+
+def sweep(*words: str) -> list[str]:
+    """Ray keeps its settings for as long as a process lives: every sweep has one of its own."""
+    return [sys.executable, "-m", "tom", "sweep", *SMOKE, "--engine", "ray", *words]
+
+
+def test_a_sweep_on_a_cluster_of_its_own(tmp_path: Path):
+    command = sweep("--steps", "60", "--jobs", "1", "--json", "--store", str(tmp_path))
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (row,) = json.loads(done.stdout)
+    assert (row["state"], row["env_step"]) == ("finished", 60)
+    log = tmp_path / ".sweep" / f"{row['run_id']}.log"
+    assert "finished after 60 steps" in log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--engine", "ray", "--address", "6379"), "must be HOST:PORT"),
+        (("--engine", "ray", "--address", "127.0.0.1:9"), "no Ray cluster answers there"),
+        (("--address", "127.0.0.1:6379"), "add --engine ray"),
+        (("--engine", "ray", "--device", "cuda"), "leave out --device"),
+    ],
+)
+def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys, monkeypatch):
+    for name in ("RAY_AUTH_MODE", "RAY_USAGE_STATS_ENABLED"):
+        monkeypatch.setenv(name, "")  # so that what is set now is put back
+    assert main(["sweep", *SMOKE, *words, "--store", str(tmp_path / "store")]) == 2
+    said = capsys.readouterr()
+    assert named in said.err
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "store").exists()
+
+
+def test_without_ray_the_line_names_what_to_install(tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert main(["sweep", *SMOKE, "--engine", "ray", "--store", str(tmp_path / "store")]) == 2
+    error = capsys.readouterr().err
+    assert 'pip install -e ".[cluster]"' in error
+    assert error.count("\n") == 1
+
+
+@pytest.fixture
+def token(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What every node and whoever speaks to them must have in its environment."""
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+
+
+@pytest.fixture
+def node(token: None) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Starts nodes of one core; all end with the test."""
+    with ExitStack() as stack:
+        # Ray's sockets want a short path.
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ray-"))
+
+        def start(*words: str) -> subprocess.Popen[bytes]:
+            own = (f"--temp-dir={folder}",) if "--head" in words else ()
+            how = ("--num-cpus=1", "--object-store-memory=80000000", "--block", *own, *words)
+            process = subprocess.Popen([RAY, "start", *how], stdout=subprocess.DEVNULL)
+            stack.callback(end, process)
+            return process
+
+        yield start
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """Kill a node with everything that it started, as if its machine lost power."""
+    for pid in [*descendants(process.pid), process.pid]:
+        try:
+            os.kill(pid, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+    process.wait()
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+@pytest.mark.fault
+def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_numbers(
+    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+):
+    address = f"127.0.0.1:{free_port()}"
+    store = Store(tmp_path / "store")
+    head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
+    until(lambda: len(descendants(head.pid)) > 2)
+    other = node(f"--address={address}")
+    words = ("--steps", "1500", "--checkpoint-every", "100", "--seeds", "2")
+    driver = subprocess.Popen(sweep(*words, "--address", address, "--store", str(store.path)))
+    until(lambda: len(beyond_a_checkpoint(store)) == 2)
+    lost = [run for run in store.runs() if run.status.pid in descendants(other.pid)]
+    assert len(lost) == 1
+    end(other)
+    assert driver.wait(WAIT_S) == 0
+    log = store.path / ".sweep" / f"{lost[0].run_id}.log"
+    assert f"--resume={lost[0].run_id}" in log.read_text()
+    undisturbed = Store(tmp_path / "undisturbed")
+    planned = plan(learner=["mle"], steps=1500)
+    finish(Driver(FolderHome(undisturbed), planned, LocalEngine(2)))
+    assert_same_runs(store, undisturbed)
