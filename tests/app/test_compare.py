@@ -1,7 +1,10 @@
 """The Compare page on real recorded runs: its numbers are the runs' numbers."""
 
 import json
+import queue
 import shutil
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ from studio_runs import PENDULUM_TOM
 from app import shortlinks
 from app.aggregate import Curve, aggregate
 from app.links import Links
+from app.scenes.control import Replay, Selection, listen
 from app.scores import BEST, FINAL, HEIGHT, scores_of
 from app.server import routes
 from tom.record import manage
@@ -126,6 +130,29 @@ def test_side_by_side_has_linked_axes(store: Path) -> None:
     layout = figure["layout"]
     assert {layout[axis].get("matches") for axis in ("xaxis2", "xaxis3", "xaxis4")} == {"x"}
     assert (layout["yaxis2"]["matches"], layout["yaxis4"]["matches"]) == ("y", "y3")
+
+
+def test_play_all_starts_every_replay_of_the_page(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: queue.Queue[tuple[str, Selection]] = queue.Queue()
+    control = tmp_path / "control"
+    listening = (str(control), lambda *words: told.put(words))
+    threading.Thread(target=listen, args=listening, daemon=True).start()
+    links = Links(store=str(store), viser_port=9, control=str(control))
+    for name, value in links.environment().items():
+        monkeypatch.setenv(name, value)
+    while not control.exists():
+        time.sleep(0.01)
+    app = draw("compare", show="Side by side", env="inverted-pendulum")
+    next(button for button in app.button if button.label == "Play all").click().run()
+    before, after = [dict(told.get(timeout=30) for _ in range(2)) for _ in range(2)]
+    assert before.keys() == after.keys()
+    for selections, played in ((before, 0), (after, 1)):
+        for selection in selections.values():
+            assert selection.compact
+            assert isinstance(selection.choice, Replay)
+            assert (selection.choice.step, selection.choice.played) == (400, played)
 
 
 def test_settings_show_only_what_differs() -> None:

@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app import replays, server
+from app.links import Links
 from app.replays import ROAD_DT, Replay
 from app.scenes import solids
 from app.scenes.replay import track
@@ -103,6 +105,19 @@ def test_an_episode_can_be_had_for_rerun(store: Path) -> None:
     assert content.startswith(b"RRF2")
     assert server.episode(str(store), PENDULUM_TOM, 400, 99, 25) is None
     assert server.episode(str(store), "../etc", 400, 0, 25) is None
+
+
+def test_the_page_shows_the_chosen_episode_in_rerun(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (
+        Links(store=str(store), port=8600, rerun_web_port=9090).environment().items()
+    ):
+        monkeypatch.setenv(name, value)
+    app = draw("replays", run=PENDULUM_TOM, episode="2", ghost="10 steps", viewer="Rerun")
+    [frame] = app.get("iframe")
+    [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
+    assert urlsplit(address).path == f"/rrd/{PENDULUM_TOM}/episode-400-1-10.rrd"
 
 
 def test_the_page_says_whose_model_imagines() -> None:
