@@ -1,6 +1,5 @@
 """Servers as child processes: free ports, health, and an end that leaves no orphan."""
 
-import ctypes
 import http.client
 import os
 import signal
@@ -11,6 +10,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from tom.parent import end_with_parent
 
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12
@@ -40,7 +41,7 @@ class Server:
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
-                preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+                preexec_fn=end_with_parent if sys.platform == "linux" else None,
             )
 
     @property
@@ -127,9 +128,3 @@ def _family(host: str) -> socket.AddressFamily:
 
 
 _TAKEN = (98, 48, 13)  # EADDRINUSE (Linux, macOS), EACCES (a privileged port)
-_PR_SET_PDEATHSIG = 1
-
-
-def _die_with_parent() -> None:
-    # So that even a kill -9 of the launcher leaves no server behind.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import threading
 import time
 from multiprocessing import get_context
@@ -20,6 +21,7 @@ from faults import (
     train_command,
     wait_until,
 )
+from kernel import alive, descendants
 
 from tom.errors import UserError
 from tom.events import Metrics, Tick
@@ -217,3 +219,19 @@ def test_output_into_a_closed_pipe__the_training_goes_on_to_its_end(tmp_path: Pa
     process.stdout.close()
     process.wait(120)
     assert RunReader(tmp_path / "a").status.state == "finished"
+
+
+def test_a_study_killed_with_kill_9__its_processes_end_too(tmp_path: Path):
+    study = tom("reproduce", "tabular", "--seeds", 0, "--jobs", 1, "--out", tmp_path)
+    seen: set[int] = set()
+    try:
+        # multiprocessing's resource tracker, and the one that computes
+        wait_until(lambda: len(descendants(study.pid)) == 2)
+        seen = descendants(study.pid)
+        study.kill()
+        study.wait()
+        wait_until(lambda: not any(map(alive, seen)), timeout_s=30)
+    finally:
+        for pid in filter(alive, seen):
+            os.kill(pid, signal.SIGKILL)
+        study.communicate()

@@ -6,7 +6,6 @@ runs to the hub. It listens on 127.0.0.1 unless told otherwise, and ends with it
 """
 
 import argparse
-import ctypes
 import os
 import signal
 import socket
@@ -21,13 +20,13 @@ from urllib.parse import quote
 
 import rerun_cli
 
+from tom.parent import end_with_parent
 from tom.record import web
 
 MEMORY = "512MiB"
 """What the hub keeps for viewers that come late; then the oldest goes."""
 
 STOP_S = 3.0
-_PR_SET_PDEATHSIG = 1
 
 
 def command(host: str, port: int, web_port: int, store: Path | str) -> list[str]:
@@ -121,7 +120,7 @@ def _start(
         env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+        preexec_fn=end_with_parent if sys.platform == "linux" else None,
     )
 
 
@@ -148,10 +147,6 @@ def free_port(host: str) -> int:
     with socket.socket() as probe:
         probe.bind((host, 0))
         return probe.getsockname()[1]
-
-
-def _die_with_parent() -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 if __name__ == "__main__":

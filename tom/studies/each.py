@@ -5,6 +5,7 @@ outcome of other code is never taken for this one's. Outcomes are pickles: only 
 folder is ever read.
 """
 
+import os
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -16,6 +17,7 @@ from typing import TypeVar
 import torch
 
 from tom.matmul import choose_matmul
+from tom.parent import end_with_parent
 from tom.record.files import replace
 from tom.record.versions import versions
 
@@ -32,13 +34,13 @@ def each(
 
     `work` is a function of a module, and `repr(case)` says all that decides the outcome. Whatever
     is finished lies in `out/cases` at once, and is taken from there by the next call. Processes
-    that still run when the caller stops are ended.
+    that still run when the caller stops, or is killed, are ended.
     """
     folder = out / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     code = code_hash()
     paths = [folder / f"{_name(work, case, code)}.pickle" for case in cases]
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare)
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare, (os.getpid(),))
     try:
         ahead = {
             path: pool.submit(_keep, work, case, path)
@@ -73,6 +75,9 @@ def _keep(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
     return outcome
 
 
-def _prepare() -> None:
+def _prepare(parent: int) -> None:
+    end_with_parent()
+    if os.getppid() != parent:
+        raise SystemExit  # it was killed before it could be told
     torch.set_num_threads(1)
     choose_matmul()

@@ -1,6 +1,5 @@
 """Where a sweep's trainings run: processes of this machine, or of a cluster (`ray_engine`)."""
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -12,8 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
+from tom.parent import end_with_parent
+
 KILL_S = 10.0  # a process that is killed is gone within this
-_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def spawn(words: Sequence[str], out: BinaryIO) -> subprocess.Popen[bytes]:
         stdout=out,
         stderr=out,
         start_new_session=True,  # Ctrl-C is the driver's to pass on
-        preexec_fn=_end_with_parent,
+        preexec_fn=end_with_parent,  # on SIGTERM a training stops cleanly
     )
 
 
@@ -120,8 +120,3 @@ def lives(process: Process, wait_s: float = 0.0) -> bool:
             return True
         time.sleep(0.1)
     return False
-
-
-def _end_with_parent() -> None:
-    """Let the kernel send SIGTERM when the parent dies, of kill -9 too: trainings stop cleanly."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
