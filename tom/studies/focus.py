@@ -70,13 +70,19 @@ class Case:
     rival: Rival
     seed: int
     preset: str = "paper"
+    made: str = ""  # when: another recording in the same place is another case
 
 
 def cases(
     runs: Sequence[RunReader], seeds: Sequence[int], rivals: Sequence[Rival] = RIVALS
 ) -> list[Case]:
     """Every rival under every seed on every recording."""
-    return [Case(run.path, rival, seed) for run in runs for seed in seeds for rival in rivals]
+    return [
+        Case(run.path, rival, seed, made=run.created)
+        for run in runs
+        for seed in seeds
+        for rival in rivals
+    ]
 
 
 def focus(case: Case) -> Focus:

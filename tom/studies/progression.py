@@ -35,6 +35,7 @@ class Case:
     condition: Condition
     preset: Preset
     seeds: tuple[int, ...]
+    made: str  # when: another recording in the same place is another case
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ def _like(run: RunReader, config: SacRecordingConfig) -> bool:
 def cases(runs: Sequence[RunReader], presets: Sequence[Preset], seeds: Sequence[int]) -> list[Case]:
     """The three conditions of every recording, under every preset of TOM."""
     return [
-        Case(run.path, condition, preset, tuple(seeds))
+        Case(run.path, condition, preset, tuple(seeds), run.created)
         for run in runs
         for preset in presets
         for condition in get_args(Condition)

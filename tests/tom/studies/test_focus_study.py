@@ -1,5 +1,7 @@
 """Every learner's model on the same buffer, tested on what the policy makes anew."""
 
+import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,7 @@ from tom.envs import task
 from tom.policy_file import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.run import train
-from tom.studies.focus import Case, Focus, Rival, _tested, focus, summary, verdict
+from tom.studies.focus import Case, Focus, Rival, _tested, cases, focus, summary, verdict
 from tom.weighing import of_run
 
 
@@ -83,6 +85,19 @@ def test_all_weight_on_new_rows_costs_the_random_half(recording: RunReader):
     assert pmac.ess < 0.6
     assert pmac.random > mle.random
     assert focus(Case(recording.path, "mle", 0, preset="smoke")) == mle
+
+
+def test_another_recording_in_the_same_place_is_another_case(recording: RunReader, tmp_path: Path):
+    """A case is kept under its `repr`."""
+    path = tmp_path / recording.run_id
+    shutil.copytree(recording.path, path)
+    (before, *_) = cases([RunReader(path)], [0])
+    (again, *_) = cases([RunReader(path)], [0])
+    assert repr(again) == repr(before)
+    made = json.loads((path / "config.json").read_text())
+    (path / "config.json").write_text(json.dumps({**made, "created": "2030-01-01T00:00:00"}))
+    (after, *_) = cases([RunReader(path)], [0])
+    assert repr(after) != repr(before)
 
 
 @pytest.mark.slow
