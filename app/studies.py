@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
+from PIL import Image
 
 FOLDER = Path("reports")
 """where `tom reproduce` puts its results when it is started where the studio was"""
@@ -58,6 +59,16 @@ def table(path: Path) -> pd.DataFrame | None:
         return pd.read_csv(path)
     except (OSError, ValueError):  # what pandas raises for a damaged file is a ValueError
         return None
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a figure can be shown."""
+    try:
+        with Image.open(path) as image:
+            image.load()
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return False
+    return True
 
 
 def _read(folder: Path) -> Study:

@@ -39,7 +39,10 @@ def _shown(study: Study) -> None:
         head[1].link_button("Whole report", address, icon=":material/open_in_new:", width="stretch")
     for figure in study.figures:
         with st.container(border=True):
-            st.image(str(figure))
+            if studies.is_picture(figure):
+                st.image(str(figure))
+            else:
+                st.warning(f"{text.markdown(figure.name)} cannot be read.")
     for path in study.tables:
         _table(study, path.name, studies.table(path))
 

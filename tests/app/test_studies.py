@@ -67,6 +67,14 @@ def test_a_damaged_table_is_named(reports: Path) -> None:
     assert len(app.dataframe) == 1
 
 
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n and no more"])
+def test_a_damaged_figure_is_named(reports: Path, content: bytes) -> None:
+    (reports / "focus" / "broken.png").write_bytes(content)
+    app = draw("studies", study="focus")
+    assert "broken.png" in app.warning[0].value.replace("\\", "")
+    assert len(app.image) == 1
+
+
 def test_without_a_study_the_page_says_how_to_make_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
