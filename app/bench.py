@@ -6,6 +6,7 @@ writing down the figures. CPU seconds beside wall-clock ones, as the machine may
 
 import argparse
 import json
+import logging
 import os
 import shutil
 import tempfile
@@ -82,6 +83,7 @@ def measure(store: Path) -> Iterator[Answer]:
     """Open the first page, then every page for the first and for the second time."""
     from streamlit.testing.v1 import AppTest
 
+    logging.disable(logging.WARNING)  # Streamlit misses its server
     os.environ |= Links(store=str(store)).environment()
     warm(str(store))  # as a server does when it starts
     opened: dict[str, AppTest] = {}

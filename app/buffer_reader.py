@@ -66,6 +66,11 @@ def principal_plane(run: RunInfo, rows: Rows) -> Plane:
     return _plane(run.path, _stamp(run), rows.first, len(rows), rows)
 
 
+def has_rows(run: RunInfo) -> bool:
+    """The run has recorded a buffer, which may be damaged. Reads nothing."""
+    return _stamp(run) != (0, 0)
+
+
 def length(run: RunInfo) -> int:
     """Rows of a run's recorded buffer, all that were ever collected."""
     return _length(run.path, _stamp(run))
@@ -106,6 +111,8 @@ def _length(path: str, changed: Stamp) -> int:
 @st.cache_data(show_spinner=False, max_entries=128)
 def _errors_on(path: str, changed: Stamp, other: str, step: int) -> Floats | None:
     recorded = _buffer(path, changed)[0]
+    if not len(recorded):
+        return None
     try:
         kept = kept_model(RunReader(other))
     except UserError:

@@ -28,14 +28,18 @@ def page() -> None:
     """A buffer; the learners' weights of it; the errors of their models."""
     listing = readers.listing(session.links().store)
     online = [run for run in listing.runs if run.env != pictures.ENV]
-    kept = [run for run in online if buffer_reader.length(run)]
+    kept = [run for run in online if buffer_reader.has_rows(run)]
     if not kept:
         st.info("No run of a MuJoCo task has collected transitions yet.")
         return
     top = st.columns([1, 1], vertical_alignment="bottom")
     with top[0]:
         run = widgets.pick_run(kept, "Buffer of run")
-    found = weighings.of_run(run, buffer_reader.length(run))
+    rows = buffer_reader.length(run)
+    if not rows:
+        st.warning("The replay buffer of this run cannot be read.")
+        return
+    found = weighings.of_run(run, rows)
     with top[1]:
         chosen = _pick_weighing(found)
     st.subheader("Several learners on the same buffer", anchor=False)

@@ -119,6 +119,23 @@ def test_every_kept_model_is_asked_about_the_same_buffer(store: Path) -> None:
     assert array(line["y"]) == pytest.approx(own.reshape(20, -1).mean(1))
 
 
+@pytest.mark.parametrize("torn", ["every segment", "the first of two"])
+def test_a_buffer_that_cannot_be_read_is_no_error(
+    torn: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "store" / "torn")
+    [segment] = (run / "buffer").glob("*.npz")
+    if torn == "the first of two":
+        shutil.copy(segment, segment.with_name("000000400.npz"))
+    segment.write_bytes(b"torn")
+    for name, value in Links(store=str(tmp_path / "store")).environment().items():
+        monkeypatch.setenv(name, value)
+    app = draw("probe", run="torn")
+    assert bool(app.warning) == (torn == "every segment")
+    shown = any("whose errors could be shown" in words.value for words in app.caption)
+    assert shown == (torn == "the first of two")
+
+
 def test_models_of_all_learners_come_before_a_learners_second_one(store: Path) -> None:
     runs = [info(store, name) for name in ("pendulum-tom-1", PENDULUM_TOM, "pendulum-mle-0")]
     turns = [run.run_id for run in in_turn(runs[1], runs)]
