@@ -163,12 +163,19 @@ class Captured(Counter):
     device = torch.device("cuda")
 
     def step(self, amount: torch.Tensor) -> None:
-        self.values += amount
+        self.values.add_(amount)
 
 
 @dataclass
-class Step(Add):
+class Step(Work):
+    rank = 1
+    subject: Captured
+    amount: float
     taken: list[object]
+
+    @property
+    def kind(self) -> str:
+        return "step"
 
     @classmethod
     def do(cls, works: "Sequence[Step]", subject: Captured) -> None:
@@ -183,7 +190,7 @@ def test_what_was_captured_alone_is_captured_anew_after_having_been_joined():
 
     def stepping(counter: Captured, amounts: list[float]) -> Generator[Work, None, float]:
         for amount in amounts:
-            yield Step(counter, amount, [], taken)
+            yield Step(counter, amount, taken)
         return float(counter.values.sum())
 
     lockstep = Lockstep()

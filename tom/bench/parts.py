@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
@@ -15,6 +17,8 @@ from tom.dynamics import make_model
 from tom.envs import task
 from tom.learners.base import FitContext
 from tom.learners.tom import TomLearner
+from tom.record import Store
+from tom.record.bench import CYCLES, recorded
 from tom.rollout import roll_out
 from tom.sac import Sac
 
@@ -34,6 +38,7 @@ def parts() -> Iterator[Part]:
     yield _rollout()
     yield _sampling()
     yield _environment()
+    yield _recording()
 
 
 def transitions(n: int, seed: int = 0) -> TensorTransitions:
@@ -180,3 +185,12 @@ def _environment() -> Part:
                 env.reset()
 
     return Part("Hopper-v5 step", step, 200)
+
+
+def _recording() -> Part:
+    folder = TemporaryDirectory()  # as long as the part is there
+
+    def record() -> None:
+        recorded(Store(Path(folder.name)))
+
+    return Part("recording 250 steps, late in a run", record, CYCLES)

@@ -21,9 +21,16 @@ def peers() -> Iterator[Part]:
         yield _mbrl()
 
 
+INSTALL = {
+    "stable_baselines3": "pip install 'stable-baselines3>=2.9'",
+    # Its own requirement of gymnasium 0.26.3 would take ours away.
+    "mbrl": "pip install --no-deps mbrl && pip install omegaconf hydra-core PyYAML termcolor",
+}
+
+
 def missing() -> list[str]:
-    """The peers that are not installed."""
-    return [name for name in ("stable_baselines3", "mbrl") if not find_spec(name)]
+    """The peers that are not installed, with the command for each."""
+    return [f"{name}: {how}" for name, how in INSTALL.items() if not find_spec(name)]
 
 
 def _plain_mdn() -> Part:

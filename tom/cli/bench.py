@@ -39,6 +39,13 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     parser.add_argument("--repeats", type=int, default=9, help="interleaved repeats (parts)")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument(
+        "--into",
+        type=Path,
+        metavar="FILE",
+        help="put the tables, as Markdown, between the lines <!-- bench --> and <!-- /bench --> of "
+        "this file (parts)",
+    )
     parser.add_argument("--learner", nargs="+", default=["mle", "tom"], help="(learn)")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="(learn)")
     parser.add_argument(
@@ -56,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "studio":
         studio.hand_over(["--json"] * args.json, "app.bench")
     if args.what == "parts":
-        return _parts(args.repeats, args.json)
+        return _parts(args.repeats, args.json, args.into)
     return {"record": _record, "step": _step, "memory": _memory}[args.what](args.json)
 
 
@@ -66,8 +73,11 @@ NOT_MEASURED = (
 )
 
 
-def _parts(repeats: int, as_json: bool) -> int:
-    from tom.bench import parts, peers, projection, targets, timing
+def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
+    from tom.bench import parts, peers, projection, report, targets, timing
+
+    if into is not None:
+        report.require_place(into)
 
     torch.set_num_threads(1)
     keep_freed_memory()
@@ -79,10 +89,13 @@ def _parts(repeats: int, as_json: bool) -> int:
         wanted, met = targets.target(timed) or (None, None)
         rows.append({**asdict(timed), "target": wanted, "met": met})
     hours = projection.hours({timed.part: timed.ms for timed in timings})
-    missing = [*NOT_MEASURED, *(f"{name}: not installed" for name in peers.missing())]
+    missing = [*NOT_MEASURED, *peers.missing()]
+    found = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
+    found["not_measured"] = missing
+    if into is not None:
+        report.put(into, report.page(found))
     if as_json:
-        found = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
-        print(json.dumps({**found, "not_measured": missing}))
+        print(json.dumps(found))
         return 0
     title = f"CPU ms, one thread; {gflops:.0f} GFLOP/s in 256^3 products ({backend})"
     _print(title, rows, as_json)
