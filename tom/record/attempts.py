@@ -46,6 +46,8 @@ def fetch(bucket: Bucket, run_id: str, target: Path) -> str | None:
                 raise
             continue
         (target / CLAIM).unlink(missing_ok=True)
+        for folder in layout.FOLDERS:  # an object store has no empty ones
+            (target / folder).mkdir(exist_ok=True)
         return attempt
     return None
 

@@ -11,7 +11,7 @@ from pyarrow import fs
 
 from tom.errors import UserError
 
-CONNECT_S, ANSWER_S, TRIES = 5.0, 30.0, 3
+CONNECT_S, ANSWER_S, TRIES = 10.0, 30.0, 3
 URL = re.compile(r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(?:/(?P<prefix>[^?#]*))?")
 
 

@@ -10,7 +10,7 @@ from recorded import events
 
 from tom.cli import main
 from tom.errors import UserError
-from tom.record import Store, attempts, checkpoint, manage
+from tom.record import Store, attempts, checkpoint, layout, manage
 from tom.record.attempts import Attempt
 from tom.record.bucket import Bucket
 from tom.record.fetching import AHEAD, FETCHED, SAME, fetch_run
@@ -41,6 +41,14 @@ def test_what_is_put_is_what_is_fetched(bucket: Bucket, record, tmp_path: Path):
     attempt.put(run.path)
     assert attempts.fetch(bucket, "run", tmp_path / "there") == attempt.name
     assert files(tmp_path / "there") == files(run.path)
+
+
+def test_a_run_that_has_just_begun_is_fetched_with_its_empty_folders(
+    bucket: Bucket, record, tmp_path: Path
+):
+    Attempt.claim(bucket, "run").put(record("run", events()[:3]).path)
+    attempts.fetch(bucket, "run", tmp_path / "there")
+    assert all((tmp_path / "there" / name).is_dir() for name in layout.FOLDERS)
 
 
 def test_only_what_changed_is_put_again(bucket: Bucket, record):

@@ -70,10 +70,25 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
         assert seat.process
         seat.process.signal(signal.SIGKILL)
         finish(driver)
-        assert seat.state == "finished"
+        assert seat.state == "finished", seat.note
         assert f"{seat.run_id} --resume={seat.run_id}\n" in seat.log.read_text()
     fetched, undisturbed = Store(tmp_path / "fetched"), Store(tmp_path / "undisturbed")
     fetched.ensure_writable()
     assert fetch_run(bucket, seat.run_id, fetched) == FETCHED
     finish(Driver(FolderHome(undisturbed), planned, LocalEngine(1)))
     assert_same_runs(fetched, undisturbed)
+
+
+def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
+    bucket_url: str, tmp_path: Path, monkeypatch
+):
+    planned = plan(learner=["mle"], seeds=1)
+    with BucketHome(Bucket.open(bucket_url), planned) as home:
+        driver = Driver(home, planned, LocalEngine(1), back_off_s=1e6)
+        with monkeypatch.context() as away:
+            away.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+            driver.poll()
+        (seat,) = driver.seats
+        until(lambda: seat.process is None, driver.poll)
+        assert (seat.state, seat.attempts) == ("waiting", 1)
+        assert "cannot reach the bucket" in seat.note
