@@ -27,6 +27,8 @@ from tom.weighing import OrderedData, Weighed
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 LOG_RATIO = "-log_ratio"
 """ends the name of a column that holds the discriminator's output beside the weights"""
+NEEDED = {"data", "policy", "rows", "results"}
+"""without these a report is none"""
 
 
 def of_run(store: Path, run_id: str) -> list[Path]:
@@ -38,19 +40,18 @@ def of_run(store: Path, run_id: str) -> list[Path]:
 def copy_small(store: Path, run_id: str, to: Path) -> list[Path]:
     """Copy the weighings of a run into the store `to`, the weights rounded, log ratios left out.
 
-    Raises UserError for one that is there already or cannot be written.
+    Raises UserError for one that is there already, is damaged or cannot be written.
     """
-    copies = []
+    copies: list[Path] = []
     for path in of_run(store, run_id):
         copy = to / layout.WEIGHINGS / path.name
         check_free(copy)
+        weights = _read_weights(path)
         with _whole(copy) as unfinished:
             for file in path.iterdir():
                 if file.name != WEIGHTS:
                     shutil.copyfile(file, unfinished / file.name)
-            table = pq.ParquetFile(path / WEIGHTS).read()
-            kept = [name for name in table.column_names if not name.endswith(LOG_RATIO)]
-            write_columns(unfinished / WEIGHTS, {n: table[n].to_numpy() for n in kept})
+            write_columns(unfinished / WEIGHTS, weights)
         copies.append(copy)
     return copies
 
@@ -137,9 +138,20 @@ def _whole(out: Path) -> Iterator[Path]:
 
 def _data(path: Path) -> str | None:
     try:
-        return str(read_json(path / REPORT)["data"])
-    except (OSError, ValueError, KeyError, TypeError):
+        report = read_json(path / REPORT)
+    except (OSError, ValueError):
         return None
+    return str(report["data"]) if report.keys() >= NEEDED else None
+
+
+def _read_weights(path: Path) -> dict[str, NDArray[np.float32]]:
+    """The weights of a weighing by learner and seed, without log ratios."""
+    try:
+        table = pq.ParquetFile(path / WEIGHTS).read()
+    except (OSError, pa.ArrowException) as error:
+        raise UserError(f"weighing {path} cannot be read ({error}): move it away") from error
+    kept = [name for name in table.column_names if not name.endswith(LOG_RATIO)]
+    return {name: table[name].to_numpy() for name in kept}
 
 
 def write_weights(path: Path, found: Sequence[Weighed]) -> None:

@@ -1,0 +1,40 @@
+"""Weighings in a store: damaged ones are passed over or named."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tom.errors import UserError
+from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small, of_run
+
+WHOLE = {"data": "one", "policy": "one", "rows": 3, "results": []}
+
+
+def weighing(store: Path, name: str, report: object) -> Path:
+    path = store / "weighings" / name
+    path.mkdir(parents=True)
+    (path / REPORT).write_text(json.dumps(report))
+    return path
+
+
+def test_what_is_no_whole_report_on_a_run_is_none_of_its_weighings(tmp_path: Path):
+    whole = weighing(tmp_path, "whole", WHOLE)
+    weighing(tmp_path, "other", {**WHOLE, "data": "two"})
+    weighing(tmp_path, "list", [WHOLE])
+    for missing in WHOLE:
+        part = {name: value for name, value in WHOLE.items() if name != missing}
+        weighing(tmp_path, f"without-{missing}", part)
+    assert of_run(tmp_path, "one") == [whole]
+
+
+@pytest.mark.parametrize("content", [None, b"no parquet"])
+def test_a_weighing_with_damaged_weights_is_named_and_not_copied(
+    tmp_path: Path, content: bytes | None
+):
+    damaged = weighing(tmp_path / "store", "damaged", WHOLE)
+    if content is not None:
+        (damaged / WEIGHTS).write_bytes(content)
+    with pytest.raises(UserError, match=f"{damaged} cannot be read"):
+        copy_small(tmp_path / "store", "one", tmp_path / "out")
+    assert list((tmp_path / "out").glob("weighings/*")) == []
