@@ -45,7 +45,7 @@ def found(folder: Path = FOLDER) -> list[Study]:
     order = list(QUESTIONS)
     names.sort(key=lambda name: (order.index(name) if name in order else len(order), name))
     studies = [_read(folder / name) for name in names if NAME.fullmatch(name)]
-    return [study for study in studies if study.figures or study.tables or study.report]
+    return [study for study in studies if study and (study.figures or study.tables or study.report)]
 
 
 def report(name: str, folder: Path = FOLDER) -> Path | None:
@@ -71,12 +71,17 @@ def is_picture(path: Path) -> bool:
     return True
 
 
-def _read(folder: Path) -> Study:
-    files = [path for path in sorted(folder.iterdir()) if path.is_file() and not path.is_symlink()]
-    tables = [path for path in files if path.suffix == ".csv" and path.stat().st_size]
+def _read(folder: Path) -> Study | None:
+    """The study in a folder; None where it cannot be listed."""
+    try:
+        files = [p for p in sorted(folder.iterdir()) if p.is_file() and not p.is_symlink()]
+        size = {path: path.stat().st_size for path in files}
+    except OSError:  # another user's, or written anew at this moment
+        return None
+    tables = [path for path in files if path.suffix == ".csv" and size[path]]
     return Study(
         folder.name,
         tuple(path for path in files if path.suffix == ".png"),
-        tuple(sorted(tables, key=lambda path: path.stat().st_size)),
+        tuple(sorted(tables, key=lambda path: size[path])),
         next((path for path in files if path.name == REPORT), None),
     )

@@ -15,7 +15,7 @@ from tom.events import Episode
 from tom.imagine import imagine, joint_positions, kept_model, kept_step, step_errors
 from tom.policy_file import read_policy
 from tom.presets import resolve
-from tom.record import RunReader, Store
+from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.export import export_small
 from tom.record.health import verify
 from tom.resume import resume
@@ -136,6 +136,10 @@ def test_a_small_copy_keeps_the_model_and_cannot_go_on(hopper: RunReader, tmp_pa
     ours, theirs = (kept_model(run).predictor.predict(obs, action)[1] for run in (small, hopper))
     change = (theirs - obs).std(0)
     assert ((ours - theirs).abs() / change).mean() < 0.01
+    held = checkpoint.load(small.path / layout.MODEL)
+    assert held is not None
+    net = held.state["training"]["model"]["net"]
+    assert {part.dtype for part in net.values()} == {torch.float16}
     assert read_policy(small.path / "policy.npz").env == "hopper"
     assert verify(small) == []
     before = sorted(small.path.iterdir())

@@ -76,3 +76,24 @@ def test_rollouts_are_those_of_one_row_after_another():
     assert found.keys() == wanted.keys()
     for name, value in wanted.items():
         torch.testing.assert_close(found[name], value, rtol=1e-5, atol=1e-6)
+
+
+class Still:
+    """A model in which nothing moves, and whose reward in the first row is no number."""
+
+    def sample(self, obs: Tensor, action: Tensor, g: torch.Generator) -> tuple[Tensor, Tensor]:
+        reward = torch.zeros(len(obs))
+        reward[0] = float("inf")
+        return reward, obs
+
+
+def test_a_reward_that_is_no_number_ends_a_rollout():
+    policy, _ = parts()
+    buffer, obs = ReplayBuffer(100, *DIMS), torch.zeros(4, DIMS[0])
+    obs[:, 0] = 1.2
+    found = roll_out(
+        Still(), policy, HOPPER.terminated, obs, 1, RolloutConfig(), buffer, generator(4)
+    )
+    assert len(buffer) == 3
+    assert buffer.transitions().reward.isfinite().all()
+    assert found["rollout/diverged"] == 0.25

@@ -7,6 +7,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,8 @@ def out_folder(path: Path) -> None:
 
 
 def stoppable(work: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
-    """`work` that ends with one line and exit code 1 on Ctrl-C and on SIGTERM."""
+    """`work` that ends with one line and exit code 1 on Ctrl-C, SIGTERM and where a case cannot be
+    finished: a process was killed, the disk is full."""
 
     def run(args: argparse.Namespace) -> int:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -105,7 +107,11 @@ def stoppable(work: Callable[[argparse.Namespace], int]) -> Callable[[argparse.N
             return work(args)
         except KeyboardInterrupt:
             say("stopped")
-            return 1
+        except BrokenProcessPool:
+            say("a process was killed; fewer --jobs need less memory. The same command goes on")
+        except OSError as error:
+            say(f"{error}. The same command goes on")
+        return 1
 
     return run
 

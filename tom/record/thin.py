@@ -128,7 +128,7 @@ def _model(reader: RunReader, to: Path) -> None:
     """What the model predicts with: its networks in half precision, no optimiser."""
     found = (checkpoint.load(reader.path / at) for at in (checkpoint.FOLDER, layout.MODEL))
     held = next((one for one in found if one is not None), None)
-    training = held.state["training"] if held else {}
+    training = held.state.get("training", {}) if held else {}
     if held and "coefficients" in training:
         state = {"coefficients": training["coefficients"]}
     elif held and "model" in training:

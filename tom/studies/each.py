@@ -7,6 +7,7 @@ folder is ever read.
 
 import os
 import pickle
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from hashlib import sha256
@@ -40,6 +41,7 @@ def each(
     folder.mkdir(parents=True, exist_ok=True)
     code = code_hash()
     paths = [folder / f"{_name(work, case, code)}.pickle" for case in cases]
+    others = set(active_children())
     pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare, (os.getpid(),))
     try:
         ahead = {
@@ -51,7 +53,7 @@ def each(
             yield ahead[path].result() if path in ahead else pickle.loads(path.read_bytes())
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
-        for child in active_children():
+        for child in set(active_children()) - others:
             child.terminate()
 
 
@@ -77,6 +79,7 @@ def _keep(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
 
 def _prepare(parent: int) -> None:
     end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's, who ends this process
     if os.getppid() != parent:
         raise SystemExit  # it was killed before it could be told
     torch.set_num_threads(1)

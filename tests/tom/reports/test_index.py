@@ -1,12 +1,13 @@
 """The page on a store's small copies."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from tom.cli import main
 from tom.record import Store
-from tom.reports.index import index, short_command, small_copies
+from tom.reports.index import _commit, _commits, index, short_command, small_copies
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
 
@@ -40,3 +41,13 @@ def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys
     assert str(run.config["git_commit"])[:10] in page
     assert f"torch {run.config['versions']['torch']}" in page
     assert main(["runs", "export", "--keep", "buffer", "--store", str(store)]) == 2
+
+
+def test_the_commits_of_resumes_are_told_too(tmp_path: Path):
+    store = Store(tmp_path)
+    assert main([*TRAIN, "--learner", "mle", "--store", str(tmp_path), "--run-id", "one"]) == 0
+    made = store.run("one").config["git_commit"]
+    resumes = [{"git_commit": made}, {"git_commit": "0123456789abcdef-dirty"}]
+    config = {**store.run("one").config, "resumes": resumes}
+    (tmp_path / "one" / "config.json").write_text(json.dumps(config))
+    assert _commits(store.run("one")) == [_commit(made), "0123456789-dirty"]

@@ -54,6 +54,9 @@ def test_the_hash_of_the_code_is_of_its_files(tmp_path: Path, monkeypatch: pytes
     copy = tmp_path / "tom" / "studies"
     copy.mkdir(parents=True)
     (copy / "each.py").write_text("")
+    with monkeypatch.context() as other:
+        other.setattr(module, "versions", lambda: {"torch": "0"})
+        assert module.code_hash() != before
     monkeypatch.setattr(module, "__file__", str(copy / "each.py"))
     empty = module.code_hash()
     (copy / "each.py").write_text("x")
