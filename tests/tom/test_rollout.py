@@ -81,7 +81,9 @@ def test_rollouts_are_those_of_one_row_after_another():
 class Still:
     """A model in which nothing moves, and whose reward in the first row is no number."""
 
-    def sample(self, obs: Tensor, action: Tensor, g: torch.Generator) -> tuple[Tensor, Tensor]:
+    def sample(
+        self, obs: Tensor, action: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
         reward = torch.zeros(len(obs))
         reward[0] = float("inf")
         return reward, obs
