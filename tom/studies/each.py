@@ -1,26 +1,24 @@
 """The cases of a study, each in a process of its own and kept on disk: a stopped study goes on.
 
 What was computed is found again by the case, the code and the packages that computed it, so an
-outcome of other code is never taken for this one's. Outcomes are pickles: only a study's own
-folder is ever read.
+outcome of other code is never taken for this one's.
 """
 
 import os
-import pickle
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from hashlib import sha256
 from multiprocessing import active_children, get_context
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, get_type_hints
 
 import torch
 
 from tom.matmul import choose_matmul
 from tom.parent import end_with_parent
-from tom.record.files import replace
 from tom.record.versions import versions
+from tom.studies.kept import keep, kept
 
 Case = TypeVar("Case")
 Outcome = TypeVar("Outcome")
@@ -33,24 +31,27 @@ def each(
 ) -> Iterator[Outcome]:
     """`work(case)` of every case in order, `jobs` at a time, in single-threaded processes.
 
-    `work` is a function of a module, and `repr(case)` says all that decides the outcome. Whatever
+    `work` is a function of a module that says what it returns, a dataclass of primitives, arrays
+    and dataclasses; `repr(case)` says all that decides the outcome. Whatever
     is finished lies in `out/cases` at once, and is taken from there by the next call. Processes
     that still run when the caller stops, or is killed, are ended.
     """
     folder = out / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     code = code_hash()
-    paths = [folder / f"{_name(work, case, code)}.pickle" for case in cases]
+    paths = [folder / f"{_name(work, case, code)}.pt" for case in cases]
+    kind = get_type_hints(work)["return"]
+    found = {path: kept(path, kind) for path in paths}
     others = set(active_children())
     pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare, (os.getpid(),))
     try:
         ahead = {
             path: pool.submit(_keep, work, case, path)
             for path, case in zip(paths, cases, strict=True)
-            if not path.exists()
+            if found[path] is None
         }
         for path in paths:
-            yield ahead[path].result() if path in ahead else pickle.loads(path.read_bytes())
+            yield ahead[path].result() if path in ahead else found[path]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in set(active_children()) - others:
@@ -73,7 +74,7 @@ def _name(work: Callable[[Case], Outcome], case: Case, code: str) -> str:
 
 def _keep(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
     outcome = work(case)
-    replace(path, lambda file: pickle.dump(outcome, file), sync=True)
+    keep(outcome, path)
     return outcome
 
 

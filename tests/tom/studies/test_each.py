@@ -6,10 +6,27 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+from numpy.typing import NDArray
 
 from tom.studies import each as module
 from tom.studies.each import FOLDER, each
+from tom.studies.focus import Focus
+from tom.studies.kept import keep, kept
+from tom.studies.progression import Result
+from tom.studies.road import Outcome, Story
+from tom.studies.tabular import Case, Estimate, Score
+from tom.weighing import Weighed
+
+
+@dataclass(frozen=True)
+class Inner:
+    """A dataclass in an outcome."""
+
+    value: float
+    metrics: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -21,12 +38,23 @@ class Step:
     fatal: bool = False
 
 
-def write(step: Step) -> str:
+@dataclass(frozen=True)
+class Written:
+    """What a step came to, with the kinds of values that outcomes have."""
+
+    text: str
+    step: tuple[Inner, ...]
+    array: NDArray[np.float32]
+    missing: NDArray[np.int64] | None = None
+
+
+def write(step: Step) -> Written:
     if step.fatal:
         os.kill(os.getpid(), signal.SIGKILL)
     with step.log.open("a") as file:
         file.write(step.letter)
-    return step.letter * 2
+    inner = Inner(float("nan"), {"a": 0.1})
+    return Written(step.letter * 2, (inner,), np.arange(3, dtype=np.float32))
 
 
 def test_what_is_finished_survives_a_killed_process(tmp_path: Path):
@@ -35,16 +63,23 @@ def test_what_is_finished_survives_a_killed_process(tmp_path: Path):
     with pytest.raises(BrokenProcessPool):
         list(each(write, [a, b, Step("x", log, fatal=True), c], 1, tmp_path))
     assert log.read_text() == "ab"
-    assert list(each(write, [c, b, a], 1, tmp_path)) == ["cc", "bb", "aa"]
+    again = list(each(write, [c, b, a], 1, tmp_path))
+    assert [one.text for one in again] == ["cc", "bb", "aa"]
+    for one in again:
+        assert one.array.tolist() == [0, 1, 2]
+        assert one.array.dtype == np.float32
+        assert one.step[0].metrics == {"a": 0.1}
+        assert np.isnan(one.step[0].value)
+        assert one.missing is None
     assert log.read_text() == "abc"
     assert len(list((tmp_path / FOLDER).iterdir())) == 3
 
 
 def test_other_code_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     log = tmp_path / "log"
-    assert list(each(write, [Step("a", log)], 1, tmp_path)) == ["aa"]
+    assert [one.text for one in each(write, [Step("a", log)], 1, tmp_path)] == ["aa"]
     monkeypatch.setattr(module, "code_hash", lambda: "other")
-    assert list(each(write, [Step("a", log)], 1, tmp_path)) == ["aa"]
+    assert [one.text for one in each(write, [Step("a", log)], 1, tmp_path)] == ["aa"]
     assert log.read_text() == "aa"
 
 
@@ -61,3 +96,47 @@ def test_the_hash_of_the_code_is_of_its_files(tmp_path: Path, monkeypatch: pytes
     empty = module.code_hash()
     (copy / "each.py").write_text("x")
     assert len({before, empty, module.code_hash()}) == 3
+
+
+class Evil:
+    """Creates a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return (Path.touch, (self.path,))
+
+
+@pytest.mark.parametrize("damage", ["cut", "evil"])
+def test_a_kept_case_that_cannot_be_read_is_computed_again(tmp_path: Path, damage: str):
+    log = tmp_path / "log"
+    list(each(write, [Step("a", log)], 1, tmp_path))
+    (path,) = (tmp_path / FOLDER).iterdir()
+    if damage == "cut":
+        path.write_bytes(path.read_bytes()[:100])
+    else:
+        torch.save(Evil(tmp_path / "executed"), path)
+    (again,) = each(write, [Step("a", log)], 1, tmp_path)
+    assert again.text == "aa"
+    assert log.read_text() == "aa"
+    assert not (tmp_path / "executed").exists()
+
+
+WEIGHTS = np.linspace(0, 2, 5, dtype=np.float32)
+EXACT = np.linspace(0, 2, 5)
+OUTCOMES = (
+    Story(Outcome("tom", 0, *range(10)), [(0, -1.5)], np.zeros((5, 2), np.float32), WEIGHTS),
+    Estimate(Case(0, 1, 0.9, "kl"), "exact", Score(*range(5)), *[EXACT] * 5),
+    Result(
+        "hopper-s0", "hopper", 2, "own", "exact",
+        (Weighed("tom", 0, WEIGHTS, None, {"weights/ess": np.float64(0.5)}, (("a", "b"),), None),),
+    ),
+    Focus("hopper-s0", "mle", 0, *range(5)),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("outcome", OUTCOMES, ids=lambda outcome: type(outcome).__name__)
+def test_the_outcomes_of_all_studies_can_be_kept(tmp_path: Path, outcome: object):
+    keep(outcome, tmp_path / "case.pt")
+    assert repr(kept(tmp_path / "case.pt", type(outcome))) == repr(outcome)

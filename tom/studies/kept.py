@@ -1,0 +1,51 @@
+"""A finished case on disk: written whole, and read back without running what a file may say."""
+
+import _codecs
+import pickle
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import torch
+from numpy.dtypes import Float32DType, Float64DType, Int64DType
+
+from tom.record.files import replace
+
+# What an array is made of; all else that is loaded is a primitive or one of the outcome's classes.
+ARRAYS: tuple[Any, ...] = (
+    np.ndarray,
+    np.dtype,
+    np.ndarray.__reduce__(np.zeros(0))[0],
+    np.float64.__reduce__(np.float64())[0],
+    Float32DType,
+    Float64DType,
+    Int64DType,
+    _codecs.encode,
+)
+
+
+def keep(outcome: object, path: Path) -> None:
+    """Write an outcome: a dataclass of primitives, arrays and other dataclasses."""
+    replace(path, lambda file: torch.save(outcome, file), sync=True)
+
+
+def kept(path: Path, kind: type) -> Any:
+    """The outcome of type `kind` at `path`; None where there is none that can be read."""
+    try:
+        with torch.serialization.safe_globals([*ARRAYS, *classes(kind)]):
+            return torch.load(path, weights_only=True)
+    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError):
+        return None
+
+
+def classes(kind: Any) -> Iterator[type]:
+    """The dataclass `kind` and those among its fields, at any depth."""
+    for part in get_args(kind):
+        yield from classes(part)
+    if isinstance(kind, type) and is_dataclass(kind):
+        yield kind
+        hints = get_type_hints(kind)
+        for field in fields(kind):
+            yield from classes(hints[field.name])
