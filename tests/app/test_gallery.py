@@ -1,6 +1,7 @@
 """The gallery in runs/: whole, small, told of in its README, and shown by every page."""
 
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from app import text
 from app.links import Links
 from app.theme import learner_label
 from tom.imagine import kept_step
+from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
 from tom.record.files import read_json, size_of
 from tom.record.health import verify
@@ -71,9 +73,15 @@ def test_every_run_is_whole_and_says_how_it_was_made() -> None:
 
 
 def test_its_readme_is_what_the_command_writes() -> None:
-    assert README.exists() == bool(COPIES)
-    if COPIES:
-        assert README.read_text() == index(COPIES, WEIGHINGS)
+    assert README.read_text() == index(COPIES, WEIGHINGS)
+
+
+def test_it_has_every_learner_side_by_side() -> None:
+    found = Counter((run.env, run.learner) for run in COPIES)
+    assert {found["road-and-rocks", learner] for learner in ("mle", "pmac", "tom")} == {8}
+    assert {found["inverted-pendulum", learner] for learner in LEARNER_NAMES} == {4}
+    assert min(found["hopper", learner] for learner in ("mle", "tom", "sac")) >= 1
+    assert WEIGHINGS
 
 
 def test_it_is_small() -> None:
