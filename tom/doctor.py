@@ -21,7 +21,7 @@ from packaging.requirements import Requirement
 
 from tom.envs import ENVS
 from tom.errors import UserError
-from tom.matmul import choose_matmul
+from tom.matmul import choose_matmul, kept_in
 from tom.record import Store, hub, scene
 
 State = Literal["ok", "note", "bad"]
@@ -119,6 +119,8 @@ def _matmul() -> Finding:
     found = choose_matmul()
     gain = found.default_ms / found.onednn_ms
     text = f"{found.chosen}: oneDNN is {gain:.2f} times as fast, error {found.onednn_error:.1e}"
+    if kept_in().exists():
+        text += f" (measured once; delete {kept_in()} to measure anew)"
     return Finding("matmul", "ok", text)
 
 
