@@ -98,9 +98,8 @@ def _rrd(reader: RunReader, path: Path) -> None:
     # Imported here: Rerun takes half a second that the other formats need not wait for.
     from tom.record.feed import Follower
 
-    follower = Follower(reader)
-    follower.follow()
-    replace(path, lambda file: file.write(follower.read()), sync=False)
+    pieces = Follower(reader).pieces()
+    replace(path, lambda file: file.writelines(pieces), sync=False)
 
 
 def _unix(created: str) -> float:

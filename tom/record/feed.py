@@ -38,13 +38,14 @@ class Tail:
         self._path = path
         self._offset = 0
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """New whole rows; damaged ones are passed over. A file that was cut starts again."""
+    def blocks(self) -> Iterator[list[dict[str, Any]]]:
+        """New whole rows, a megabyte of them at a time, until there are no more for now.
+
+        Damaged rows are passed over. A file that was cut starts again.
+        """
         while whole := self._next_block():
-            for line in whole.splitlines():
-                row = parse_json_line(line)
-                if row is not None and isinstance(row.get("env_step"), int):
-                    yield row
+            rows = map(parse_json_line, whole.splitlines())
+            yield [row for row in rows if row and isinstance(row.get("env_step"), int)]
 
     def _next_block(self) -> bytes:
         """Some whole lines; empty where there are no new ones."""
@@ -77,23 +78,29 @@ class Follower:
         self._placed = False
         self._shown: set[tuple[str, int]] = set()
 
-    def follow(self) -> None:
-        """Send what is new."""
-        for row in self._metrics.rows():
-            values = {k: v for k, v in row.items() if k != "env_step" and v is not None}
-            self._view.metrics(row["env_step"], values)
-        self._view.flush()
-        for row in self._profiles.rows():
-            self._view.profile(row["env_step"], np.array(row["bins"], np.float64))
+    def follow(self) -> Iterator[None]:
+        """Send what is new, piece by piece: all of a long run would be gigabytes at once."""
+        for rows in self._metrics.blocks():
+            for row in rows:
+                values = {k: v for k, v in row.items() if k != "env_step" and v is not None}
+                self._view.metrics(row["env_step"], values)
+            self._view.flush()
+            yield
+        for rows in self._profiles.blocks():
+            for row in rows:
+                self._view.profile(row["env_step"], np.array(row["bins"], np.float64))
+            yield
         if self.run.env not in ENVS:
-            self._follow_weights()
+            yield from self._follow_weights()
         for name in self.run.field_names():
             for step in self._new(name, self.run.field_steps(name)):
                 self._view.field(Field(step, name, self.run.field(name, step)))
+                yield
         for step in self._new("", self.run.evaluation_steps()):
             self._view.evaluation(Evaluation(step, self.run.episodes(step)))
+            yield
 
-    def _follow_weights(self) -> None:
+    def _follow_weights(self) -> Iterator[None]:
         if not self._placed:
             rows, _ = self.run.buffer()
             if not len(rows):
@@ -102,10 +109,13 @@ class Follower:
             self._placed = True
         for step in self._new("weights", self.run.snapshot_steps()):
             self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
+            yield
 
-    def read(self) -> bytes:
-        """What was sent since the last call, where there is no sink."""
-        return self._view.read()
+    def pieces(self) -> Iterator[bytes]:
+        """What is new as bytes, where there is no sink."""
+        for _ in self.follow():
+            yield self._view.read()
+        yield self._view.read()
 
     def close(self) -> None:
         self._view.close(FLUSH_S)
@@ -121,8 +131,7 @@ def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
     follower = Follower(run)
     while not stopping.is_set():
         alive = run.status.alive  # before the rows: what comes later is not missed
-        follower.follow()
-        yield follower.read()
+        yield from follower.pieces()
         if not alive:
             return
         stopping.wait(POLL_S)
@@ -169,7 +178,8 @@ class Feeder:
     def _follow(self, run_id: str) -> None:
         follower = self._followers[run_id]
         status = follower.run.status  # before the rows: what comes later is not missed
-        follower.follow()
+        for _ in follower.follow():
+            pass  # Rerun waits with what the hub does not take
         if not status.alive:
             self._done[run_id] = status.started
             self._followers.pop(run_id).close()

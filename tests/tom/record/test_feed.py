@@ -8,9 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from recorded import Config, events, logged
+import pytest
+from recorded import FIT, STEPS, Config, events, logged
 
-from tom.record import Recorder, RunWriter, Store
+from tom.record import Recorder, RunWriter, Store, feed, layout
 from tom.record.feed import Feeder, Tail, stream
 from tom.record.hub import binary, free_port, without_analytics
 
@@ -94,30 +95,48 @@ def test_a_stream_grows_with_the_run_and_ends_with_it(store: Store, tmp_path: Pa
     for event in given[:600]:
         recorder.consume(event)
     parts = stream(store.run("run"), threading.Event())
-    first = next(parts)
+    begun = store.run("run").profiles().env_step.tolist()
+    got: list[int] = []
+    while got != begun:
+        got += _steps(next(parts), tmp_path)
     for event in given[600:]:
         recorder.consume(event)
     recorder.finish("finished")
-    rest = list(parts)
-    want = store.run("run").profiles().env_step.tolist()
-    got = [_steps(part, tmp_path / f"{i}.rrd") for i, part in enumerate([first, *rest])]
-    assert got[0] == want[: len(got[0])] != want
-    assert [step for steps in got for step in steps] == want
+    for part in parts:
+        got += _steps(part, tmp_path)
+    assert got == store.run("run").profiles().env_step.tolist() != begun
 
 
-def _steps(part: bytes, path: Path) -> list[int]:
-    path.write_bytes(part)
-    table = logged(path, "weights/profile")
+def test_a_long_run_is_streamed_in_pieces(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(feed, "BLOCK_BYTES", 100)  # two rows of metrics
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        for event in events():
+            recorder.consume(event)
+    rows = (store.run("run").path / layout.METRICS).read_bytes().splitlines()
+    parts = list(stream(store.run("run"), threading.Event()))
+    metric = "model/holdout_nll"
+    steps = [found for part in parts if (found := _steps(part, tmp_path, metric))]
+    assert len(steps) >= len(rows) / 3 > 3
+    assert [step for part in steps for step in part] == list(range(FIT, STEPS + 1, FIT))
+
+
+def _steps(part: bytes, folder: Path, of: str = "weights/profile") -> list[int]:
+    if not part:
+        return []
+    (folder / "part.rrd").write_bytes(part)
+    table = logged(folder / "part.rrd", of)
     return [] if table.empty else table["env_step"].tolist()
 
 
 def test_a_tail_gives_each_whole_row_once(tmp_path: Path):
     path = tmp_path / "m"
     tail = Tail(path)
-    assert list(tail.rows()) == []
+    assert list(tail.blocks()) == []
     path.write_bytes(b'{"env_step":1}\n{"env_st')
-    assert list(tail.rows()) == [{"env_step": 1}]
-    assert list(tail.rows()) == []
+    assert list(tail.blocks()) == [[{"env_step": 1}]]
+    assert list(tail.blocks()) == []
     with path.open("ab") as file:
         file.write(b'ep":2}\nrubbish\n{"env_step":3}\n')
-    assert list(tail.rows()) == [{"env_step": 2}, {"env_step": 3}]
+    assert list(tail.blocks()) == [[{"env_step": 2}, {"env_step": 3}]]
