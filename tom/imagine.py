@@ -73,8 +73,8 @@ def kept_model(run: RunReader) -> KeptModel:
     found = (checkpoint.load(run.path / folder) for folder in PLACES)
     held = next((one for one in found if one is not None), None)
     if held is None:
-        small = "thinned" in run.config
-        why = "it is a small copy" if small else "it has no checkpoint that is whole"
+        small = "model" in run.left_out
+        why = "left out of this small copy" if small else "it has no checkpoint that is whole"
         raise UserError(f"run '{run.run_id}' kept no dynamics model: {why}")
     try:
         return KeptModel(held.env_step, _predictor(run, held.state["training"]))

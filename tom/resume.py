@@ -42,8 +42,11 @@ def resumed(
     """`resume` as a member of a fleet runs it: its heavy work is handed out."""
     keep_freed_memory()
     reader = store.run(run_id)
-    if "thinned" in reader.config:
-        raise UserError(f"run '{run_id}' is a small copy, which cannot go on: start it again")
+    if reader.small_copy:
+        raise UserError(
+            f"run '{run_id}' is a small copy, which cannot go on: resume the run that it is of, or "
+            "start it again under another name"
+        )
     config = recorded_config(reader)
     if steps is not None:
         config = _with_steps(config, steps)

@@ -1,10 +1,13 @@
-"""What a store without runs shows: how to get some."""
+"""What stands where there is nothing to show: an empty store, what a small copy left out."""
 
 import shlex
+from collections.abc import Sequence
 
 import streamlit as st
 
 from app import readers, session, widgets
+from app.readers import RunInfo
+from tom.record.reader import RunReader
 
 
 def page() -> None:
@@ -21,6 +24,24 @@ def page() -> None:
     st.text(f"Store: {store}")
     widgets.show_store_problems(readers.listing(store).problems)
     _look_again(store)
+
+
+def left_out(run: RunInfo, *parts: str) -> bool:
+    """Say which of these parts a small copy lacks; False where it lacks none, or is a whole run."""
+    known = RunReader(run.path).left_out
+    lacking = [part for part in parts if part in known]
+    if lacking:
+        st.caption(f"Left out of this small copy: {', '.join(lacking)}.")
+    return bool(lacking)
+
+
+def left_out_of_all(runs: Sequence[RunInfo], part: str) -> bool:
+    """Say of how many small copies a part was left out; False where it is of none."""
+    lacking = sum(part in RunReader(run.path).left_out for run in runs)
+    if lacking:
+        copies = "the small copy" if lacking == 1 else f"the {lacking} small copies"
+        st.info(f"Left out of {copies} in this store: {part}.", icon=":material/content_cut:")
+    return lacking > 0
 
 
 @st.fragment(run_every=2)

@@ -11,6 +11,7 @@ from app.figures.probe import errors_by_age, focus
 from app.plot import chart
 from app.readers import RunInfo
 from app.theme import learner_label
+from app.views import empty
 
 MODELS = 8
 """kept models at most that are laid over one buffer: the newest of each learner in turn"""
@@ -34,7 +35,8 @@ def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
         if len(errors) == MODELS:
             break
     if not errors:
-        st.caption("No run of this task has kept a model whose errors could be shown.")
+        if not empty.left_out_of_all(others, "model"):
+            st.caption("No run of this task has kept a model whose errors could be shown.")
         return
     with st.container(border=True):
         st.markdown(

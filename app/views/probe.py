@@ -10,7 +10,7 @@ from app.plot import chart
 from app.readers import RunInfo
 from app.theme import learner_label
 from app.trainings import Started
-from app.views import model_error
+from app.views import empty, model_error
 from app.weighings import Weighing
 from tom.progression import Progression
 from tom.record import layout
@@ -30,7 +30,8 @@ def page() -> None:
     online = [run for run in listing.runs if run.env != pictures.ENV]
     kept = [run for run in online if buffer_reader.has_rows(run)]
     if not kept:
-        st.info("No run of a MuJoCo task has collected transitions yet.")
+        if not empty.left_out_of_all(online, "buffer"):
+            st.info("No run of a MuJoCo task has collected transitions yet.")
         return
     top = st.columns([1, 1], vertical_alignment="bottom")
     with top[0]:
@@ -154,7 +155,7 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
             st.caption("This studio is open to other machines, so its pages change nothing.")
         elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
             st.session_state["weighing"] = trainings.start(words)
-        if run.run_id not in policies:
+        if run.run_id not in policies and not empty.left_out(run, "policy"):
             st.caption("This run holds no policy of its own: it is written when a run has ended.")
     _progress()
 

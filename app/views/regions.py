@@ -12,6 +12,7 @@ from app.readers import RunInfo
 from app.regions import EXPLORED, Mask, Plane
 from app.scenes.control import States
 from app.theme import learner_label
+from app.views import empty
 from app.views.stage import stage
 
 TITLE = "Regions"
@@ -49,7 +50,8 @@ def page() -> None:
     with top[1]:
         rows = _pick_weights(run)
     if rows is None:
-        st.warning("The replay buffer of this fit cannot be read.")
+        if not empty.left_out(run, "buffer"):
+            st.warning("The replay buffer of this fit cannot be read.")
         widgets.show_problems(run)
         return
     names, actions = dimension_names(run.env, rows.rows)
@@ -63,6 +65,7 @@ def page() -> None:
         _contents(run, rows, mask, names + actions)
     _scenes(run, rows, mask)
     _transitions(rows, mask, names, actions)
+    empty.left_out(run, "other snapshots", "simulator states")
     widgets.show_problems(run)
 
 

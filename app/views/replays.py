@@ -12,7 +12,7 @@ from app.readers import RunInfo
 from app.replays import HORIZONS, Replay
 from app.scenes.control import Replay as Choice
 from app.theme import learner_label
-from app.views import rerun
+from app.views import empty, rerun
 from app.views.stage import stage
 from tom.record import layout
 from tom.record.reader import RunReader
@@ -64,6 +64,7 @@ def page() -> None:
             stage(Choice(run.run_id, step, index, frame, horizon), STAGE_HEIGHT)
     with right:
         _curves(run, replay, returns, index, frame)
+    empty.left_out(run, "other evaluations", "other episodes")
     widgets.show_problems(run)
 
 

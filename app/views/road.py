@@ -12,6 +12,7 @@ from app.readers import RunInfo
 from app.scenes.control import Road
 from app.scenes.export import as_html
 from app.theme import learner_label
+from app.views import empty
 from app.views.stage import stage
 
 TITLE = "Road and rocks"
@@ -73,6 +74,7 @@ def page() -> None:
             stage(Road(ids, step), HEIGHT)
         with right:
             _flat_map(run, step, HEIGHT)
+    empty.left_out(run, "buffer", "other snapshots")
     _export(together)
     st.markdown("**Every learner**: at the last step that was recorded")
     st.dataframe(comparison(shown), hide_index=True, column_config=_columns())

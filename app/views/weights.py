@@ -10,6 +10,7 @@ from app.figures.weights import effective_sample, weight_map, weight_profile
 from app.plot import Point, chart
 from app.readers import RunInfo
 from app.theme import learner_label
+from app.views import empty
 from tom.record.profiles import Profiles
 
 TITLE = "Weights"
@@ -80,7 +81,8 @@ def _against(run: RunInfo, step: int) -> None:
     fit = buffer_reader.at_or_before(kept, step)
     rows = buffer_reader.rows(run, fit)
     if rows is None:
-        st.caption("The replay buffer of this run cannot be read.")
+        if not empty.left_out(run, "buffer"):
+            st.caption("The replay buffer of this run cannot be read.")
         return
     other = "" if fit == step else f" (every single weight was kept there, not at {step:,})"
     st.markdown(f"**What the weights of step {fit:,} go with**{other}", help=AGAINST)
@@ -100,6 +102,7 @@ def _against(run: RunInfo, step: int) -> None:
             chart(figure, f"against {name.split(' of the model')[0]}", f"weight against {name}")
     if isinstance(errors, str):
         st.caption(f"No model error: {text.markdown(errors)}.")
+    empty.left_out(run, "other snapshots")
 
 
 def _chosen_fit(profiles: Profiles) -> int:

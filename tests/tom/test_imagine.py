@@ -154,6 +154,6 @@ def test_a_small_copy_without_its_model_says_so(
     monkeypatch.setattr("tom.record.thin.SMALL", 100)
     small = RunReader(export_small(hopper, tmp_path))
     assert kept_step(small) is None
-    assert "model" in small.config["thinned"]["left_out"]
-    with pytest.raises(UserError, match="it is a small copy"):
+    assert "model" in small.left_out
+    with pytest.raises(UserError, match="left out of this small copy"):
         kept_model(small)

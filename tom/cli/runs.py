@@ -57,7 +57,8 @@ def _add_list(verbs) -> None:
 
 def list_runs(args: argparse.Namespace) -> int:
     store = Store(args.store)
-    rows = [_row(run) for run in store.runs() if _wanted(run, args)]
+    runs = [run for run in store.runs() if _wanted(run, args)]
+    rows = [_row(run) for run in runs]
     if args.json:
         print(json.dumps(rows))
         return 0
@@ -65,7 +66,7 @@ def list_runs(args: argparse.Namespace) -> int:
         "run": [row["run_id"] for row in rows],
         "name": [row["name"] for row in rows],
         "tags": [", ".join(row["tags"]) for row in rows],
-        "state": [row["state"] for row in rows],
+        "state": [run.shown for run in runs],
         "step": [str(row["env_step"]) for row in rows],
         "last return": [number(row["last_return"]) for row in rows],
         "best return": [number(row["best_return"]) for row in rows],
@@ -83,8 +84,10 @@ def show_run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({**_row(run), "note": run.labels.note, "description": run.config}))
         return 0
+    row = _row(run) | {"state": run.shown}
+    del row["small_copy"]  # the state says so
     described = {
-        **{name: _text(value) for name, value in _row(run).items()},
+        **{name: _text(value) for name, value in row.items()},
         "note": run.labels.note,
         "reason": run.status.reason,
         **{name: _text(value) for name, value in flat(run.config).items()},
@@ -141,7 +144,8 @@ def _wanted(run: RunReader, args: argparse.Namespace) -> bool:
 def _row(run: RunReader) -> dict[str, Any]:
     labels = run.labels
     row = {**summary(run), "name": labels.name, "tags": list(labels.tags)}
-    return {**row, "state": run.status.shown, "problems": run.problems}
+    row |= {"state": run.status.shown, "problems": run.problems}
+    return {**row, "small_copy": run.small_copy, "left_out": list(run.left_out)}
 
 
 def _text(value: Any) -> str:

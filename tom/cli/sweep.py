@@ -22,7 +22,7 @@ from tom.envs import ENV_NAMES
 from tom.errors import UserError
 from tom.learners import LEARNER_NAMES
 from tom.presets import PRESETS
-from tom.record import Store
+from tom.record import RunReader, Store
 from tom.run import Stop
 from tom.sweep.driver import ATTEMPTS, Driver
 from tom.sweep.plan import Trial, checked, merged, read_plan, same_run, trials
@@ -176,13 +176,12 @@ def _report(args: argparse.Namespace, driver: Driver) -> int:
 
 def _dry_run(args: argparse.Namespace, store: Store, planned: list[Trial], jobs: int) -> int:
     runs = store.runs()
-    rows = []
+    rows, todo = [], []
     for trial in planned:
         found = same_run(trial, runs)
-        state = found.status.shown if found else "new"
-        expected = None if state == "finished" else cost(trial, runs)
-        rows.append(_dry_row(trial, found.run_id if found else trial.run_id, state, expected))
-    todo = [row for row in rows if row["state"] != "finished"]
+        done = found is not None and found.status.state == "finished"
+        rows.append(_dry_row(trial, found, None if done else cost(trial, runs)))
+        todo += [] if done else rows[-1:]
     hours = sum(row["hours"] or 0.0 for row in todo) / jobs
     disk = sum(row["megabytes"] or 0.0 for row in todo)
     if args.json:
@@ -199,14 +198,14 @@ def _dry_run(args: argparse.Namespace, store: Store, planned: list[Trial], jobs:
     return 0
 
 
-def _dry_row(trial: Trial, run_id: str, state: str, expected: Cost | None) -> dict[str, Any]:
+def _dry_row(trial: Trial, found: RunReader | None, expected: Cost | None) -> dict[str, Any]:
     return {
-        "run": run_id,
+        "run": found.run_id if found else trial.run_id,
         "env": trial.env,
         "learner": trial.learner,
         "seed": trial.seed,
         "steps": trial.config.total_steps,
-        "state": state,
+        "state": found.shown if found else "new",
         "hours": expected.hours if expected else None,
         "megabytes": expected.megabytes if expected else None,
         "judged by": expected.source if expected else None,

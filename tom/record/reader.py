@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
 from tom.events import Episode
-from tom.record import decode, labels, layout, status
+from tom.record import decode, labels, layout, small_copy, status
 from tom.record.decode import Arrays
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
@@ -88,6 +88,21 @@ class RunReader:
     def created(self) -> str:
         """When the run was created, ISO 8601; empty when unknown."""
         return str(self.config.get("created", ""))
+
+    @property
+    def small_copy(self) -> bool:
+        """It is a small copy of a run (`tom runs export --small`): it cannot go on."""
+        return small_copy.is_one(self.config)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The parts that the run had and this small copy of it has not; empty for a whole run."""
+        return small_copy.left_out(self.config)
+
+    @property
+    def shown(self) -> str:
+        """The state in words: `finished`, or `finished (a small copy)`."""
+        return self.status.shown + (" (a small copy)" if self.small_copy else "")
 
     @property
     def status(self) -> Status:

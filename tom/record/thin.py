@@ -1,7 +1,8 @@
 """A small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
 
 Numbers keep fewer digits and series fewer points; checkpoints and recordings are left out, and
-what is large of PARTS unless it is asked for. `config.json` of the copy says so under `thinned`.
+what is large of PARTS unless it is asked for. `config.json` of the copy names under `thinned` what
+of the run it lacks.
 """
 
 import json
@@ -16,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tom.record import checkpoint, decode, layout
+from tom.record import checkpoint, decode, layout, small_copy
 from tom.record.files import plain, replace_json, size_of
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
@@ -42,7 +43,10 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
         for folder in layout.FOLDERS:
             (unfinished / folder).mkdir(parents=True)
         _copy(reader, unfinished)
-        left_out = [part for part in PARTS if not _kept(reader, unfinished, part, keep)]
+        lacks = [part for part in PARTS if _leave_out(reader, unfinished, part, keep)]
+        found = _lost(reader, RunReader(unfinished))
+        lacks += [part for part, lost in found.items() if lost]
+        left_out = dict.fromkeys([*reader.left_out, *lacks])  # of a small copy, what that lacks
         replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
         unfinished.rename(path)
     finally:
@@ -65,16 +69,32 @@ def _copy(reader: RunReader, to: Path) -> None:
             _arrays(reader.path, to, layout.field(name, step))
 
 
-def _description(reader: RunReader, left_out: Sequence[str]) -> dict[str, Any]:
+def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
+    """Which parts beside PARTS the run has and its copy lacks; `other`: it holds some of them."""
+    snapshots, evaluations = copy.snapshot_steps(), copy.evaluation_steps()
+    fields = run.field_names()
+    return {
+        "checkpoint": checkpoint.newest(run.path / checkpoint.FOLDER) is not None,
+        "recording": bool(run.rrd_files()),
+        "simulator states": len(copy.buffer()[0]) > 0 and bool(run.buffer_state()),
+        "other snapshots": run.snapshot_steps() != snapshots,
+        "per-dimension weights": any("dim_0" in run.snapshot(step) for step in snapshots),
+        "other evaluations": run.evaluation_steps() != evaluations,
+        "other episodes": any(len(run.episodes(step)) > 1 for step in evaluations),
+        "other pictures": any(run.field_steps(name) != copy.field_steps(name) for name in fields),
+    }
+
+
+def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]:
     note = {
         "rows_of_metrics": ROWS,
         "profiles": FITS,
         "snapshots": SNAPSHOTS,
         "evaluations": EVALUATIONS,
         "episodes_of_an_evaluation": 1,
-        "left_out": [*left_out, "checkpoint", "recording", "per-dimension weights"],
+        "left_out": list(left_out),
     }
-    return {**reader.config, "thinned": note}
+    return {**reader.config, small_copy.KEY: note}
 
 
 def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:
@@ -153,18 +173,17 @@ PARTS: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
 """Parts that are left out where they are not small: where each lies, and its writer."""
 
 
-def _kept(reader: RunReader, to: Path, part: str, keep: Collection[str]) -> bool:
-    """Write one of PARTS; False where the run has none, or it is neither small nor wanted."""
+def _leave_out(reader: RunReader, to: Path, part: str, keep: Collection[str]) -> bool:
+    """Write one of PARTS; True where the run has it and it is neither small nor wanted."""
     name, write = PARTS[part]
     hopeless = _bytes(reader.path / name) > SHRINKS * SMALL
     if hopeless and part not in keep:
-        return False
+        return True
     write(reader, to)
-    size = _bytes(to / name)
-    if size > SMALL and part not in keep:
-        shutil.rmtree(to / name) if (to / name).is_dir() else (to / name).unlink()
+    if part in keep or _bytes(to / name) <= SMALL:
         return False
-    return size > 0
+    shutil.rmtree(to / name) if (to / name).is_dir() else (to / name).unlink()
+    return True
 
 
 def _bytes(path: Path) -> int:

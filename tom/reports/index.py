@@ -28,7 +28,7 @@ This page was written by `tom runs index`.
 
 def small_copies(store: Store) -> list[RunReader]:
     """The small copies in a store, by task, learner and seed."""
-    runs = [run for run in store.runs() if "thinned" in run.config]
+    runs = [run for run in store.runs() if run.small_copy]
     return sorted(runs, key=lambda run: (run.env, _rank(run.learner), run.seed, run.run_id))
 
 

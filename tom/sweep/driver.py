@@ -75,7 +75,8 @@ class Driver:
             run_id = run.run_id if run else trial.run_id
             seat = Seat(trial, logs / f"{run_id}.log", run_id)
             if run and run.status.state == "finished":
-                seat.state, seat.note = "finished", "was there already"
+                copy = "a small copy, " if run.small_copy else ""
+                seat.state, seat.note = "finished", f"{copy}was there already"
             self.seats.append(seat)
         self.full = False
         self.trouble = ""

@@ -138,8 +138,12 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
-    """The run of this training among `runs`: a finished one, else its own, else the newest."""
+    """The run of this training among `runs`: a finished one, else its own, else the newest.
+
+    A small copy counts where there is no whole run of that kind.
+    """
     mine = [run for run in runs if run.config.get("config") == trial.settings]
+    mine.sort(key=lambda run: run.small_copy)
     done = [run for run in mine if run.status.state == "finished"]
     own = [run for run in mine if run.run_id == trial.run_id]
     return next(iter([*done, *own, *mine]), None)

@@ -42,7 +42,8 @@ def cost(trial: Trial, runs: Sequence[RunReader]) -> Cost | None:
 
 def _alike(run: RunReader, trial: Trial) -> bool:
     same = run.env == trial.env and run.config.get("preset") == trial.preset
-    return same and run.status.state == "finished" and run.learner != "sac"
+    done = run.status.state == "finished" and not run.small_copy  # whose bytes are not a run's
+    return same and done and run.learner != "sac"
 
 
 def _per_step(run: RunReader) -> tuple[float, float] | None:

@@ -82,6 +82,15 @@ def test_export_size_prune(store: Path, capsys, tmp_path: Path):
     assert pd.read_csv(path)["env_step"].to_list()[-1] == 250
     (path,) = ask(capsys, store, "export", "one", "--small", "--out", str(tmp_path))
     assert (Path(path) / "config.json").exists()
+    (row,) = ask(capsys, tmp_path)
+    assert (row["state"], row["small_copy"]) == ("finished", True)
+    assert "checkpoint" in row["left_out"]
+    assert "finished (a small copy)" in told(capsys, tmp_path)
+    assert "checkpoint" in told(capsys, tmp_path, "show", "one")
+    assert main(["train", "--resume", "one", "--store", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "small copy, which cannot go on: resume the run that it is of" in error
+    assert error.count("\n") == 1
     assert ask(capsys, store, "size", "one")["one"]["checkpoint"] > 0
     told(capsys, store, "size")
     freed = ask(capsys, store, "prune", "one", "--keep", "0", "--dry-run")["one"]

@@ -1,12 +1,14 @@
 """Small copies: what they keep is the run's, what they leave out they name."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import STEPS
+from recorded import STEPS, episodes, transitions
 
-from tom.record import RunReader, Store, decode
+from tom.events import Collected, Evaluation, Field, Weights
+from tom.record import RunReader, Store, checkpoint, decode
 from tom.record.export import export_small
 from tom.record.health import verify
 from tom.record.rounding import half
@@ -58,7 +60,46 @@ def test_a_buffer_is_kept_where_it_is_small_or_asked_for(store: Store, record, t
     np.testing.assert_array_equal(rows.terminated, whole.terminated)
     np.testing.assert_array_equal(version, versions)
     assert small.problems == verify(small) == []
-    assert small.config["thinned"]["left_out"][:2] == ["model", "policy"]
+
+
+def test_nothing_is_named_that_the_run_never_had(record, tmp_path: Path):
+    run = record()
+    small = RunReader(export_small(run, tmp_path))
+    assert (small.small_copy, small.shown) == (True, "finished (a small copy)")
+    assert small.left_out == ("other snapshots", "other episodes")
+    assert (run.small_copy, run.shown, run.left_out) == (False, "finished", ())
+
+
+def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: Path):
+    rows, version = transitions(0, 9), np.zeros(9, np.int64)
+    weight = np.ones(9, np.float32)
+    run = record(
+        given=[
+            Collected(1, rows, version, {"qpos": np.zeros((9, 6)), "qvel": np.zeros((9, 6))}),
+            *(Weights(100 * n, weight, np.ones((9, 11), np.float32)) for n in range(10)),
+            *(Evaluation(n, episodes(n)[:1]) for n in range(1, 6)),
+            *(Field(n, "map", {"gain": weight}) for n in range(6)),
+        ]
+    )
+    checkpoint.save(run.path / checkpoint.FOLDER, 9, {})
+    (run.path / "run.rrd").touch()
+    small = RunReader(export_small(run, tmp_path))
+    lacking = {
+        "checkpoint", "recording", "simulator states", "other snapshots", "other evaluations",
+        "per-dimension weights", "other pictures",
+    }  # fmt: skip
+    assert set(small.left_out) == lacking
+    again = RunReader(export_small(small, tmp_path / "again"))
+    assert again.left_out == small.left_out
+
+
+@pytest.mark.parametrize("note", [None, 1, [], {}, {"left_out": "buffer"}, {"left_out": [1]}])
+def test_a_note_that_says_nothing_is_no_error(record, tmp_path: Path, note: object):
+    small = RunReader(export_small(record(), tmp_path))
+    content = {**small.config, "thinned": note}
+    (small.path / "config.json").write_text(json.dumps(content))
+    found = RunReader(small.path)
+    assert (found.small_copy, found.left_out) == (True, ())
 
 
 def test_what_is_large_is_left_out_unless_it_is_asked_for(
@@ -67,7 +108,7 @@ def test_what_is_large_is_left_out_unless_it_is_asked_for(
     monkeypatch.setattr("tom.record.thin.SMALL", 1000)
     run = record()
     without = RunReader(export_small(run, tmp_path / "without"))
-    assert "buffer" in without.config["thinned"]["left_out"]
+    assert "buffer" in without.left_out
     assert len(without.buffer()[0]) == 0
     assert without.problems == []
     kept = RunReader(export_small(run, tmp_path / "kept", keep=("buffer",)))

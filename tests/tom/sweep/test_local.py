@@ -6,13 +6,18 @@ from pathlib import Path
 import pytest
 
 from tom.cli import main
-from tom.record import RunWriter, Store, lock
+from tom.events import Metrics, Tick
+from tom.record import Recorder, RunWriter, Store, lock
+from tom.record.export import export_small
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.sweep.home import FolderHome
 from tom.sweep.plan import checked, trials
+from tom.sweep.projection import cost
 
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "250")
+
+PLAN = {"env": "inverted-pendulum", "learner": "mle", "preset": "smoke", "steps": 250}
 
 
 def sweep(capsys, store: Path, *words: str) -> tuple[int, str, str]:
@@ -92,6 +97,25 @@ def test_a_sweep_of_fleets_goes_on_where_processes_left_off(tmp_path: Path, caps
     code, out, _ = sweep(capsys, tmp_path, *SMOKE)  # the same runs, now for processes
     assert code == 0
     assert "was there already" in out
+
+
+def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, capsys):
+    (trial,) = trials(checked(PLAN))
+    store, copies = Store(tmp_path), tmp_path / "copies"
+    with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
+        for step in (200, 250):
+            recorder.consume(Metrics(step, {"time/wall_s": float(step)}))
+            recorder.consume(Tick(step, "optimise"))
+    run = store.run(trial.run_id)
+    export_small(run, copies)
+    words = (*SMOKE, "--dry-run")
+    assert "finished (a small copy)" in sweep(capsys, copies, *words)[1]
+    code, out, _ = sweep(capsys, copies, *SMOKE)
+    assert code == 0
+    assert "finished (a small copy, was there already)" in out
+    other = trials(checked({**PLAN, "seeds": [1]}))[0]
+    assert cost(other, store.runs()) is not None
+    assert cost(other, Store(copies).runs()) is None  # its size says nothing of a run's
 
 
 def test_nothing_is_started_on_a_full_disk(tmp_path: Path):

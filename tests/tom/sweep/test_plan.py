@@ -9,6 +9,7 @@ from tom.cli.train import add_parser
 from tom.errors import UserError
 from tom.presets import resolve
 from tom.record import RunWriter, Store
+from tom.record.export import export_small
 from tom.sweep.plan import checked, merged, read_plan, same_run, trials
 
 SMALL = {"env": ["inverted-pendulum"], "learner": ["mle", "tom"], "seeds": 2, "preset": "smoke"}
@@ -117,6 +118,10 @@ def test_a_run_is_known_by_its_settings_not_by_its_name(tmp_path: Path):
     assert found is not None
     assert found.run_id == "by-hand"
     assert same_run(second, store.runs()) is None
+    export_small(found, tmp_path / "copies")  # the newer of the two
+    runs = Store(tmp_path / "copies").runs() + store.runs()
+    assert same_run(first, runs[:1]) is runs[0]
+    assert same_run(first, runs) is runs[1]
     longer = trials(checked({**SMALL, "steps": 700}))[0]
     assert same_run(longer, store.runs()) is None
     assert longer.run_id != first.run_id
