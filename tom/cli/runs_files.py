@@ -12,7 +12,7 @@ from tom.record.export import EXPORTERS, export, export_small
 from tom.record.health import repair, verify
 from tom.record.thin import PARTS
 from tom.reports.index import NAME as README
-from tom.reports.index import index, small_copies
+from tom.reports.index import index, small_copies, write
 from tom.reports.weighing_files import copy_small, of_run
 
 MB = 1e6
@@ -97,10 +97,7 @@ def write_index(args: argparse.Namespace) -> int:
     if not runs:
         raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
     path = store.path / README
-    try:
-        path.write_text(index(runs, [w for run in runs for w in of_run(store.path, run.run_id)]))
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from error
+    write(path, index(runs, [w for run in runs for w in of_run(store.path, run.run_id)]))
     print(json.dumps(str(path)) if args.json else path)
     return 0
 

@@ -1,5 +1,6 @@
 """The page that says how the small copies in a store were made: `tom runs index` writes it."""
 
+import os
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,9 +8,10 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from tom.errors import UserError
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.record import RunReader, Store
-from tom.record.files import read_json
+from tom.record.files import read_json, replace
 from tom.reports.origin import run_hours, seeds
 from tom.reports.weighing_files import REPORT
 
@@ -17,12 +19,14 @@ NAME = "README.md"
 COMMIT = 10  # letters of it that are shown
 WHERE = ("--store", "--run-id", "--no-rerun", "--out")
 """options that say where a result went, not what it is"""
-HEAD = """# Gallery
+MARK = "This page was written by `tom runs index`."
+"""stands in every such page: one without it is a person's"""
+HEAD = f"""# Gallery
 
 Small copies of real runs, one folder each (`docs/run-folder.md`): `tom studio` and `tom runs` show
 them like any other run. What was left out stands in each `config.json` under `thinned`. Hours are
 wall-clock hours of one process, as the run recorded them, whatever else the machine did meanwhile.
-This page was written by `tom runs index`.
+{MARK}
 """
 
 
@@ -44,6 +48,25 @@ def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
         made = [report.get("made", {}) for report in reports]
         parts += ["## Weighings\n", _table(rows), _made(made)]
     return "\n".join(parts)
+
+
+def write(path: Path, page: str) -> None:
+    """Write the page to `path`, whole or not at all.
+
+    Raises UserError where a person's page is there, or where it cannot be written.
+    """
+    try:
+        held = path.read_text(errors="replace") if os.path.lexists(path) else MARK
+        if MARK not in held:
+            raise UserError(
+                f"{path} was not written by this command: move it away, or write the line "
+                f"'{MARK}' into it to have it replaced"
+            )
+        replace(path, lambda file: file.write(page.encode()), sync=False)
+    except OSError as error:
+        raise UserError(
+            f"cannot write {path} ({error.strerror}): make its folder writable, or move it away"
+        ) from error
 
 
 def _row(run: RunReader) -> dict[str, str]:

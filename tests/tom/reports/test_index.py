@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from tom.cli import main
+from tom.errors import UserError
 from tom.record import Store
-from tom.reports.index import _commit, _commits, index, short_command, small_copies
+from tom.reports.index import _commit, _commits, index, short_command, small_copies, write
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
 
@@ -35,12 +36,33 @@ def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys
     page = (out / "README.md").read_text()
     (copy,) = small_copies(Store(out))
     assert page == index([copy], [])
+    (out / "README.md").write_text("mine")
+    assert main(["runs", "index", "--store", str(out)]) == 2
+    assert "move it away" in capsys.readouterr().err
+    assert (out / "README.md").read_text() == "mine"
     run = Store(store).run("one")
     score = f"{run.status.last_return:.1f}"
     assert f"| `one` | MLE | 0 | 250 | {score} |" in page
     assert str(run.config["git_commit"])[:10] in page
     assert f"torch {run.config['versions']['torch']}" in page
     assert main(["runs", "export", "--keep", "buffer", "--store", str(store)]) == 2
+
+
+def test_a_page_that_a_person_wrote_stays(tmp_path: Path):
+    page = tmp_path / "README.md"
+    page.write_text("# Our runs\n")
+    with pytest.raises(UserError, match="move it away"):
+        write(page, index([], []))
+    assert page.read_text() == "# Our runs\n"
+    page.unlink()
+    write(page, index([], []))
+    write(page, index([], []) + "once more")
+    assert page.read_text().endswith("once more")
+    page.unlink()
+    page.symlink_to(tmp_path / "elsewhere" / "page.md")
+    with pytest.raises(UserError, match="cannot write"):
+        write(page, index([], []))
+    assert [path.name for path in tmp_path.iterdir()] == ["README.md"]
 
 
 def test_the_commits_of_resumes_are_told_too(tmp_path: Path):
