@@ -22,5 +22,7 @@ def target(row: Timing) -> tuple[str, bool] | None:
         return f">= {bound} x ours", row.times_ours >= bound
     if row.part in MILLISECONDS:
         bound = MILLISECONDS[row.part]
-        return f"<= {bound} ms", row.ms <= bound
+        beyond = row.floor_ms is not None and row.floor_ms > bound
+        here = f", under this machine's floor of {row.floor_ms:.2g}" if beyond else ""
+        return f"<= {bound} ms{here}", row.ms <= bound
     return None
