@@ -2,7 +2,9 @@
 
 import argparse
 import json
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tom.cli.tables import show
@@ -10,6 +12,7 @@ from tom.errors import UserError
 from tom.record import RunReader, Store, sizes
 from tom.record.export import EXPORTERS, export, export_small
 from tom.record.health import repair, verify
+from tom.record.layout import WEIGHINGS
 from tom.record.thin import PARTS
 from tom.reports.index import NAME as README
 from tom.reports.index import index, small_copies, write
@@ -77,18 +80,39 @@ def repair_runs(args: argparse.Namespace) -> int:
 def export_runs(args: argparse.Namespace) -> int:
     if args.keep and not args.small:
         raise UserError("--keep says what a small copy keeps: add --small")
-    paths = [
-        str(path)
-        for run in _finished(Store(args.store), args.run_ids)
-        for path in (_small(run, args) if args.small else [export(run, args.format, args.out)])
-    ]
+    runs = _finished(Store(args.store), args.run_ids)
+    with _all_or_none(args.out) as made:
+        for run in runs:
+            for path in _exported(run, args):
+                made.append(path)
+    paths = [str(path) for path in made]
     print(json.dumps(paths) if args.json else "\n".join(paths))
     return 0
 
 
-def _small(run: RunReader, args: argparse.Namespace) -> list[Path]:
-    """A small copy of a run and of the weighings of its buffer."""
-    return [export_small(run, args.out, args.keep), *copy_small(args.store, run.run_id, args.out)]
+def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
+    """Export a run; with a small copy go copies of the weighings of its buffer."""
+    if args.small:
+        yield export_small(run, args.out, args.keep)
+        yield from copy_small(args.store, run.run_id, args.out)
+    else:
+        yield export(run, args.format, args.out)
+
+
+@contextmanager
+def _all_or_none(folder: Path) -> Iterator[list[Path]]:
+    """Takes down what is made in `folder`; where that breaks off, all of it is removed again."""
+    made: list[Path] = []
+    new = [place for place in (folder / WEIGHINGS, folder) if not place.exists()]
+    try:
+        yield made
+    except BaseException:
+        for path in made:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        for place in new:
+            with suppress(OSError):  # not empty, or never made
+                place.rmdir()
+        raise
 
 
 def write_index(args: argparse.Namespace) -> int:

@@ -37,12 +37,12 @@ def of_run(store: Path, run_id: str) -> list[Path]:
     return [path for path in found if _data(path) == run_id]
 
 
-def copy_small(store: Path, run_id: str, to: Path) -> list[Path]:
+def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
     """Copy the weighings of a run into the store `to`, the weights rounded, log ratios left out.
 
-    Raises UserError for one that is there already, is damaged or cannot be written.
+    Yields each copy. Raises UserError for one that is there already, is damaged or cannot be
+    written.
     """
-    copies: list[Path] = []
     for path in of_run(store, run_id):
         copy = to / layout.WEIGHINGS / path.name
         check_free(copy)
@@ -52,8 +52,7 @@ def copy_small(store: Path, run_id: str, to: Path) -> list[Path]:
                 if file.name != WEIGHTS:
                     shutil.copyfile(file, unfinished / file.name)
             write_columns(unfinished / WEIGHTS, weights)
-        copies.append(copy)
-    return copies
+        yield copy
 
 
 def check_free(out: Path) -> None:
@@ -131,7 +130,9 @@ def _whole(out: Path) -> Iterator[Path]:
         yield unfinished
         unfinished.rename(out.absolute())
     except OSError as error:
-        raise UserError(f"cannot write {out}: {error.strerror}; name another --out") from error
+        raise UserError(
+            f"cannot write {out}: {error.strerror or error}; name another --out"
+        ) from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 

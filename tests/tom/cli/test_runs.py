@@ -1,8 +1,10 @@
 """`tom runs` on small runs that were trained for real."""
 
 import json
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -96,6 +98,27 @@ def test_export_size_prune(store: Path, capsys, tmp_path: Path):
     freed = ask(capsys, store, "prune", "one", "--keep", "0", "--dry-run")["one"]
     assert freed == ask(capsys, store, "prune", "one", "--keep", "0")["one"]
     assert "freed 0.0 MB" in told(capsys, store, "prune", "one", "--keep", "0")
+
+
+def test_an_export_that_is_refused_leaves_nothing_behind(store: Path, capsys, tmp_path: Path):
+    whole, damaged = (store / "weighings" / name for name in ("a-whole", "b-damaged"))
+    for path in (whole, damaged):
+        path.mkdir(parents=True)
+        report = {"data": "two", "policy": "two", "rows": 3, "results": []}
+        (path / "report.json").write_text(json.dumps(report))
+    pd.DataFrame({"mle-s0": np.ones(3, np.float32)}).to_parquet(whole / "weights.parquet")
+    out = tmp_path / "new" / "out"
+    words = ["runs", "export", "one", "two", "--small", "--store", str(store), "--out", str(out)]
+    assert main(words) == 2
+    assert f"weighing {damaged} cannot be read" in capsys.readouterr().err
+    assert not out.exists()
+    shutil.rmtree(damaged)
+    assert main(words) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["one", "two", "weighings"]
+    (out / "one").rename(out / "kept")
+    assert main(words) == 2  # `two` is there already
+    assert sorted(p.name for p in out.iterdir()) == ["kept", "two", "weighings"]
+    shutil.rmtree(store / "weighings")
 
 
 @pytest.mark.parametrize(

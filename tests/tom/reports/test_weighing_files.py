@@ -36,5 +36,5 @@ def test_a_weighing_with_damaged_weights_is_named_and_not_copied(
     if content is not None:
         (damaged / WEIGHTS).write_bytes(content)
     with pytest.raises(UserError, match=f"{damaged} cannot be read"):
-        copy_small(tmp_path / "store", "one", tmp_path / "out")
+        list(copy_small(tmp_path / "store", "one", tmp_path / "out"))
     assert list((tmp_path / "out").glob("weighings/*")) == []
