@@ -20,6 +20,7 @@ from tom.record import RunReader, checkpoint
 from tom.sweep.engine import Engine, Exit, Process, lives
 from tom.sweep.home import LOGS, Home
 from tom.sweep.plan import Trial, same_run
+from tom.sweep.silence import lost
 
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
 
@@ -29,7 +30,6 @@ ATTEMPTS = 3
 BACK_OFF_S = 5.0  # before the second attempt; doubled for each more
 LOW_BYTES = 200e6  # with less room on the disk nothing is started, and no failure is counted
 KILL_AFTER_S = 300.0  # a training writes its checkpoint within this once it is asked to stop
-LOST_AFTER_S = 60.0  # neither its machine nor its heart was heard for so long: it is given up
 TAIL_LINES = 5
 
 
@@ -120,18 +120,13 @@ class Driver:
         self.home.look(seat.run_id)
         if seat.process is None:
             self._watch(seat)
-        elif (ended := seat.process.poll() or self._lost(seat, seat.process)) is not None:
+            return
+        ended = seat.process.poll() or lost(seat.process.silent_s(), self._reader(seat).status)
+        if ended is not None:
             self.home.look(seat.run_id, now=True)
             seat.process.end()
             seat.process = None
             self._ended(seat, ended)
-
-    def _lost(self, seat: Seat, process: Process) -> Exit | None:
-        """Neither its machine nor its heart says anything: it is taken for dead."""
-        silent = process.silent_s()
-        if silent < LOST_AFTER_S or self._reader(seat).status.alive:
-            return None
-        return Exit(None, f"nothing was heard of its machine for {silent:.0f} s")
 
     def _start_some(self) -> None:
         free = shutil.disk_usage(self.store.path).free if self.store.path.is_dir() else None
@@ -148,6 +143,9 @@ class Driver:
     def _start(self, seat: Seat) -> None:
         self.home.look(seat.run_id, now=True)
         run = self._reader(seat)
+        if run.status.state == "finished":
+            seat.state, seat.note = "finished", "by another process"
+            return
         if self.home.written(run):
             seat.state, seat.note = "elsewhere", "another process is writing it"
             return
@@ -181,7 +179,7 @@ class Driver:
 
     def _ended(self, seat: Seat, ended: Exit) -> None:
         run = self._reader(seat)
-        if ended.code == 0 and run.status.state == "finished":
+        if run.status.state == "finished":  # also where nobody saw its process end
             seat.state, seat.note = "finished", ""
         elif self.home.written(run):
             seat.state, seat.note = "elsewhere", "another process is writing it"

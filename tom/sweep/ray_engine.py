@@ -9,7 +9,6 @@ import os
 import shutil
 import signal
 import tempfile
-import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -20,6 +19,7 @@ from ray.exceptions import ActorUnavailableError, RayError
 
 from tom.errors import UserError
 from tom.sweep.engine import KILL_S, Exit, LocalProcess, lives, spawn
+from tom.sweep.silence import Silence
 
 _JOIN = (
     "cannot join the Ray cluster at {address}: has it another token (RAY_AUTH_TOKEN or "
@@ -100,7 +100,7 @@ class RayProcess:
         """`actor` is the handle of a `Remote`; Ray's types do not know its methods."""
         self._actor = actor
         self._log = log
-        self._heard: float | None = None  # None: the cluster has had no free core yet
+        self._silence = Silence()
         self._ended: Exit | None = None
         self._asked = actor.look.remote()
 
@@ -110,14 +110,14 @@ class RayProcess:
         return self._ended
 
     def signal(self, number: signal.Signals) -> None:
-        if self.poll() is None and self._heard is None:
+        if self.poll() is None and not self._silence.begun:
             ray.kill(self._actor)
             self._ended = Exit(None, "had not begun")
         elif self._ended is None:
             self._actor.signal.remote(int(number))
 
     def silent_s(self) -> float:
-        return 0.0 if self._heard is None else time.monotonic() - self._heard
+        return self._silence.seconds
 
     def end(self) -> None:
         self.signal(signal.SIGKILL)
@@ -130,13 +130,19 @@ class RayProcess:
             ended, output = ray.get(self._asked)
             with self._log.open("ab") as log:
                 log.write(output)
-            self._heard, self._ended = time.monotonic(), ended
-        except ActorUnavailableError:  # for the time being, says Ray: the silence is counted
-            pass
+            self._silence.broken()
+            self._ended = ended
         except RayError as error:
-            self._ended = Exit(None, f"its machine or Ray's process there died: {_one_line(error)}")
+            self._ended = ended_by(error)
         if self._ended is None:
             self._asked = self._actor.look.remote()
+
+
+def ended_by(error: RayError) -> Exit | None:
+    """How a process ended whose machine gave no answer; None where Ray hopes for another one."""
+    if isinstance(error, ActorUnavailableError):
+        return None  # its silence is counted: Ray may hope for good
+    return Exit(None, f"its machine or Ray's process there died: {_one_line(error)}")
 
 
 def _one_line(error: BaseException) -> str:

@@ -4,15 +4,16 @@ import json
 from pathlib import Path
 
 import pytest
+from sweeping import until
 
 from tom.cli import main
 from tom.events import Metrics, Tick
-from tom.record import Recorder, RunWriter, Store, lock
+from tom.record import Recorder, RunWriter, Store, checkpoint, lock
 from tom.record.export import export_small
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.sweep.home import FolderHome
-from tom.sweep.plan import checked, trials
+from tom.sweep.plan import Trial, checked, trials
 from tom.sweep.projection import cost
 
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "250")
@@ -116,6 +117,36 @@ def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, c
     other = trials(checked({**PLAN, "seeds": [1]}))[0]
     assert cost(other, store.runs()) is not None
     assert cost(other, Store(copies).runs()) is None  # its size says nothing of a run's
+
+
+def finished(store: Store, trial: Trial) -> Path:
+    """A run of the trial that is finished, with its last checkpoint."""
+    with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
+        recorder.consume(Tick(trial.config.total_steps, "optimise"))
+    path = store.path / trial.run_id
+    checkpoint.save(path / checkpoint.FOLDER, trial.config.total_steps, {})
+    return path
+
+
+def test_a_run_that_was_finished_before_its_turn_came_is_done(tmp_path: Path):
+    (trial,) = trials(checked(PLAN))
+    driver = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
+    path = finished(driver.store, trial)
+    assert driver.poll()
+    assert (driver.seats[0].state, driver.seats[0].note) == ("finished", "by another process")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_finished_run_is_done_however_its_process_ended(tmp_path: Path):
+    (trial,) = trials(checked(PLAN))
+    driver = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
+    (seat,) = driver.seats
+    seat.log.parent.mkdir()
+    seat.state, seat.process = "running", driver.engine.start(["no_such_module"], seat.log)
+    finished(driver.store, trial)
+    until(lambda: seat.process is None, driver.poll)
+    assert "no_such_module" in seat.log.read_text()
+    assert (seat.state, seat.note) == ("finished", "")
 
 
 def test_nothing_is_started_on_a_full_disk(tmp_path: Path):
