@@ -8,9 +8,10 @@ import logging
 import os
 import shutil
 import signal
+import sys
 import tempfile
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,10 @@ from tom.sweep.engine import KILL_S, Exit, LocalProcess, lives, spawn
 from tom.sweep.silence import Silence
 
 _JOIN = (
-    "cannot join the Ray cluster at {address}: has it another token (RAY_AUTH_TOKEN or "
+    "cannot join the Ray cluster at {address} ({reason}): has it another token (RAY_AUTH_TOKEN or "
     "~/.ray/auth_token), and is this machine one of its nodes?"
 )
+_BEGIN = "cannot start Ray ({reason}): `ray start --head` may say more"
 OBJECT_STORE_BYTES = 80_000_000  # the least Ray takes: nothing but log lines goes through it
 
 
@@ -60,13 +62,14 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
         self._folder = None if address else Path(tempfile.mkdtemp(prefix="tom-ray-"))
         try:
             if address:
-                ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+                with _without_stderr():
+                    ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
             else:
                 self._begin()
         except (RayError, OSError, RuntimeError, ValueError, AssertionError) as error:
             self.__exit__()
-            what = _JOIN.format(address=address) if address else "cannot start Ray"
-            raise UserError(f"{what}: {_one_line(error)}") from error
+            what = _JOIN if address else _BEGIN
+            raise UserError(what.format(address=address, reason=_one_line(error))) from error
 
     def _begin(self) -> None:
         ray.init(
@@ -136,6 +139,20 @@ class RayProcess:
             self._ended = ended_by(error)
         if self._ended is None:
             self._asked = self._actor.look.remote()
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """For Ray's core, which writes why it cannot join a cluster once a second; we say it once."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with Path(os.devnull).open("wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def ended_by(error: RayError) -> Exit | None:

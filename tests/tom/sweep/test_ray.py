@@ -111,6 +111,22 @@ def free_port() -> int:
 
 
 @pytest.mark.fault
+def test_a_wrong_token__is_one_line_that_names_it(
+    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    port = free_port()
+    head = node("--head", f"--port={port}", "--include-dashboard=false")
+    until(lambda: len(descendants(head.pid)) > 2)
+    monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
+    command = sweep("--address", f"127.0.0.1:{port}", "--store", str(tmp_path / "store"))
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "another token" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "store").exists()
+
+
+@pytest.mark.fault
 def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_numbers(
     node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
 ):
