@@ -29,7 +29,7 @@ from tom.record.blueprint import (
 )
 from tom.record.rerun_robot import GREY
 
-ROWS = 16  # of metrics that are sent together
+ROWS = 256  # of metrics that are sent together: a viewer takes a second for some hundred chunks
 
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`

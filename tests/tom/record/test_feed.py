@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded import FIT, STEPS, Config, events, logged
+from rerun.chunk import RrdReader
 
+from tom.events import Metrics
 from tom.record import Recorder, RunWriter, Store, feed, layout
 from tom.record.feed import Feeder, Tail, stream
 from tom.record.hub import binary, free_port, without_analytics
@@ -120,6 +122,19 @@ def test_a_long_run_is_streamed_in_pieces(
     steps = [found for part in parts if (found := _steps(part, tmp_path, metric))]
     assert len(steps) >= len(rows) / 3 > 3
     assert [step for part in steps for step in part] == list(range(FIT, STEPS + 1, FIT))
+
+
+def test_a_viewer_that_comes_late_gets_many_rows_in_one_chunk(store: Store, tmp_path: Path):
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        for step in range(1, 201):
+            recorder.consume(Metrics(step, {"model/train_nll": 1.0 / step}))
+    (tmp_path / "run.rrd").write_bytes(b"".join(stream(store.run("run"), threading.Event())))
+    chunks = [
+        chunk.to_record_batch()
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.entity_path == "/model/train_nll"
+    ]
+    assert [chunk.num_rows for chunk in chunks] == [200]
 
 
 def _steps(part: bytes, folder: Path, of: str = "weights/profile") -> list[int]:
