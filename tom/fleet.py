@@ -6,6 +6,7 @@ that is what fills it; on a CPU it brings nothing, and seeds are processes there
 """
 
 from collections.abc import Sequence
+from typing import Unpack
 
 import torch
 
@@ -14,7 +15,7 @@ from tom.errors import UserError
 from tom.lockstep import Lockstep
 from tom.record import RunReader, Store
 from tom.resume import resumed, unfinished
-from tom.run import Consumer, Recorded, Stop, recorded
+from tom.run import Consumer, How, Recorded, Stop, recorded
 from tom.sweep.plan import Trial, same_run
 
 
@@ -35,7 +36,7 @@ def train_fleet(
     watching = watchers or [()] * len(trials)
     runs = store.runs()
     members = [
-        _member(trial, runs, store, (rerun, tuple(own), command, stop))
+        _member(trial, runs, store, rerun=rerun, watchers=own, command=command, stop=stop)
         for trial, own in zip(trials, watching, strict=True)
     ]
     return Lockstep().run(members)
@@ -63,20 +64,15 @@ def require_device(device: str) -> None:
         raise UserError("--device cuda: torch finds no CUDA GPU here; leave out --device")
 
 
-def _member(
-    trial: Trial,
-    runs: Sequence[RunReader],
-    store: Store,
-    how: tuple[bool, tuple[Consumer, ...], str, Stop | None],
-) -> Recorded:
+def _member(trial: Trial, runs: Sequence[RunReader], store: Store, **how: Unpack[How]) -> Recorded:
     """The training of one member: new, from its checkpoint, or nothing where it is finished."""
     found = same_run(trial, runs)
     if found is not None and found.status.state == "finished":
         return _finished(found)
     begun = unfinished(store, trial.config)
     if begun is not None:
-        return resumed(store, begun, None, *how)
-    return recorded(trial.config, store, None if found else trial.run_id, *how)
+        return resumed(store, begun, **how)
+    return recorded(trial.config, store, None if found else trial.run_id, **how)
 
 
 def _finished(run: RunReader) -> Recorded:

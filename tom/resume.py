@@ -1,6 +1,5 @@
 """A training that was put down is taken up again from its newest whole checkpoint."""
 
-from collections.abc import Sequence
 from typing import Any, Unpack
 
 import numpy as np
@@ -18,7 +17,7 @@ from tom.memory import keep_freed_memory
 from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, open_sink
 from tom.record.checkpoint import Checkpoint
 from tom.record.heartbeat import BEAT_S
-from tom.run import AnyConfig, Consumer, How, Recorded, Stop, Training, make_training, record
+from tom.run import AnyConfig, How, Recorded, Training, make_training, record
 
 
 def resume(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> RunReader:
@@ -30,15 +29,7 @@ def resume(store: Store, run_id: str, steps: int | None = None, **how: Unpack[Ho
     return finished(resumed(store, run_id, steps, **how))
 
 
-def resumed(
-    store: Store,
-    run_id: str,
-    steps: int | None = None,
-    rerun: bool = True,
-    watchers: Sequence[Consumer] = (),
-    command: str = "",
-    stop: Stop | None = None,
-) -> Recorded:
+def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> Recorded:
     """`resume` as a member of a fleet runs it: its heavy work is handed out."""
     keep_freed_memory()
     reader = store.run(run_id)
@@ -63,11 +54,12 @@ def resumed(
         writer.close()
         raise
     held.drop_unusable()
-    with Recorder(writer, open_sink(writer) if rerun else None, mark=mark) as recorder:
-        writer.resumed(config, command)
+    sink = open_sink(writer) if how.get("rerun", True) else None
+    with Recorder(writer, sink, mark=mark) as recorder:
+        writer.resumed(config, how.get("command", ""))
         for problem in held.problems:
             recorder.consume(Notice(held.env_step, "checkpoint", problem))
-        yield from record(training, watch, recorder, writer, watchers, stop)
+        yield from record(training, watch, recorder, writer, how)
     return RunReader(writer.path)
 
 

@@ -44,7 +44,7 @@ class How(TypedDict, total=False):
     rerun: bool  # a recording for Rerun beside the files [True]
     watchers: Sequence[Consumer]  # see every event
     command: str  # what it was started with
-    stop: "Stop | None"  # ends it early
+    stop: "Stop | None"  # ends it early [nothing does]
 
 
 class Stop:
@@ -83,22 +83,16 @@ def train(
 
 
 def recorded(
-    config: AnyConfig,
-    store: Store,
-    run_id: str | None = None,
-    rerun: bool = True,
-    watchers: Sequence[Consumer] = (),
-    command: str = "",
-    stop: Stop | None = None,
+    config: AnyConfig, store: Store, run_id: str | None = None, **how: Unpack[How]
 ) -> Recorded:
     """`train` as a member of a fleet runs it: its heavy work is handed out."""
     keep_freed_memory()
     torch.set_num_threads(config.threads)
-    matmul = choose_matmul(config.matmul)
-    writer = _new_writer(store, run_id, config, matmul=matmul.record(), command=command)
-    with Recorder(writer, open_sink(writer) if rerun else None) as recorder:
-        training = make_training(config)
-        yield from record(training, Watch(config), recorder, writer, watchers, stop)
+    matmul = choose_matmul(config.matmul).record()
+    writer = _new_writer(store, run_id, config, matmul=matmul, command=how.get("command", ""))
+    sink = open_sink(writer) if how.get("rerun", True) else None
+    with Recorder(writer, sink) as recorder:
+        yield from record(make_training(config), Watch(config), recorder, writer, how)
     return RunReader(writer.path)
 
 
@@ -115,16 +109,11 @@ def _new_writer(store: Store, run_id: str | None, config: AnyConfig, **how: Any)
 
 
 def record(
-    training: Training,
-    watch: Watch,
-    recorder: Recorder,
-    writer: RunWriter,
-    watchers: Sequence[Consumer],
-    stop: Stop | None,
+    training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, how: How
 ) -> Generator[Work, None, None]:
     """Take a training to its end, or to where `stop` asks: every event into the record."""
     every, total = writer.config.checkpoint_every, writer.config.total_steps
-    listening = list(watchers)
+    listening, stop = list(how.get("watchers", ())), how.get("stop")
     steps = training.algorithm() if isinstance(training, Mbpo) else training.events()
     for event in watch.over(steps):
         if isinstance(event, Work):
