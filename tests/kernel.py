@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+LOOPBACK = {"0100007F", "0" * 24 + "01000000"}
+"""127.0.0.1 in IPv4 and in IPv6, as the kernel writes it"""
+
 
 def descendants(pid: int) -> set[int]:
     """The processes under `pid`, by what the kernel says."""
@@ -24,3 +27,28 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def megabytes(pid: int) -> float:
+    """Memory that a process holds."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
+
+
+def listening(processes: set[int]) -> set[tuple[str, int]]:
+    """(address, port) on which a process listens; addresses as the kernel writes them."""
+    inodes = set()
+    for pid in processes:
+        for link in Path(f"/proc/{pid}/fd").glob("*"):
+            try:
+                target = str(link.readlink())
+            except OSError:
+                continue
+            inodes |= {target[8:-1]} if target.startswith("socket:[") else set()
+    found = set()
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and fields[9] in inodes:
+                address, _, port = fields[1].partition(":")
+                found.add((address, int(port, 16)))
+    return found

@@ -9,7 +9,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from kernel import alive, descendants
+from kernel import LOOPBACK, alive, descendants, listening
 from studio_runs import ROAD_TOM
 
 from app.__main__ import main
@@ -37,7 +37,7 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
             assert answer.headers["Access-Control-Allow-Origin"].startswith("http://127.0.0.1:")
         children = descendants(studio.pid)
         assert len(children) >= 4  # Streamlit, viser, the hub and Rerun itself
-        assert listening_elsewhere(children) == set()
+        assert {address for address, _ in listening(children)} <= LOOPBACK
     finally:
         studio.send_signal(signal.SIGTERM)
         assert studio.wait(30) == 0
@@ -46,25 +46,6 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
         time.sleep(0.05)
     assert not [pid for pid in children if alive(pid)]
     assert is_free("127.0.0.1", port)
-
-
-def listening_elsewhere(processes: set[int]) -> set[str]:
-    """Addresses other than the loopback on which one of the processes listens."""
-    sockets = set()
-    for pid in processes:
-        for link in Path(f"/proc/{pid}/fd").glob("*"):
-            try:
-                target = str(link.readlink())
-            except OSError:
-                continue
-            sockets |= {target[8:-1]} if target.startswith("socket:[") else set()
-    found = set()
-    for table, loopback in (("tcp", "0100007F"), ("tcp6", "0" * 24 + "01000000")):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            fields = line.split()
-            if fields[3] == "0A" and fields[9] in sockets and fields[1].split(":")[0] != loopback:
-                found.add(fields[1])
-    return found
 
 
 def test_a_port_that_is_taken_is_one_line_and_code_2(

@@ -14,13 +14,12 @@ from pathlib import Path
 import pytest
 import streamlit as st
 from faults import config, ended, one_line, wait_until
-from kernel import alive, descendants
+from kernel import LOOPBACK, alive, descendants, listening
 from servers import (
     answers,
     command_of,
     environment_of,
     is_taken,
-    listening,
     studio,
 )
 from streamlit.testing.v1 import AppTest
@@ -213,7 +212,7 @@ def test_servers_of_a_studio__listen_on_the_loopback_alone_and_send_no_statistic
     with studio(made) as (process, port):
         children = descendants(process.pid)
         addresses = {address for address, _ in listening(children)}
-        assert addresses <= {"0100007F", "0" * 24 + "01000000"}
+        assert addresses <= LOOPBACK
         [rerun] = [pid for pid in children if command_of(pid).startswith(str(hub.binary()))]
         settings = Path(environment_of(rerun)["XDG_CONFIG_HOME"]) / "rerun" / "analytics.json"
         assert json.loads(settings.read_text())["analytics_enabled"] is False

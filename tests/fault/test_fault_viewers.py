@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 from faults import config, ended, tom, train_command, wait_until
-from kernel import descendants
+from kernel import descendants, megabytes
 from rerun.chunk import RrdReader
-from servers import answers, is_taken, live_hub, megabytes
+from servers import answers, is_taken, live_hub
 
 from tom.events import Event, Tick
 from tom.record import RunReader, RunWriter, Store, hub

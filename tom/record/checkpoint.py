@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, cast
 
 import torch
 
-from tom.record.files import read_json
+from tom.record.files import read_json, sync
 
 SCHEMA = 1
 FOLDER = "checkpoint"
@@ -61,7 +61,7 @@ def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
     except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
-    _sync(folder)
+    sync(folder)
     for old in _folders(folder)[KEPT:]:
         shutil.rmtree(old, ignore_errors=True)
     return path
@@ -155,11 +155,3 @@ def _first_line(error: BaseException) -> str:
 def _sync_file(file: BinaryIO) -> None:
     file.flush()
     os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
