@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from app import pictures, trainings
@@ -55,19 +56,31 @@ class Listing:
 
 def listing(store: str) -> Listing:
     """Every run of `store`; a store that cannot be read is a problem, not an error."""
-    opened = Store(store)
     try:
-        readers = opened.runs()
+        names = Store(store).names()
     except UserError as error:
         return Listing((), (str(error),))
-    parts = (layout.CONFIG, layout.STATUS, layout.LABELS)
-    runs = [_info(str(r.path), *(stamp(r.path / part) for part in parts)) for r in readers]
-    return Listing(tuple(_as_it_is(run) for run in runs), tuple(opened.problems))
+    runs: list[RunInfo] = []
+    problems: list[str] = []
+    for name in names:
+        path = Path(store) / name
+        stamps = (stamp(path / part) for part in (layout.CONFIG, layout.STATUS, layout.LABELS))
+        try:
+            runs.append(_as_it_is(_info(store, name, path.is_symlink(), *stamps)))
+        except UserError as error:
+            problems.append(str(error))
+    runs.sort(key=lambda run: (run.created, run.run_id), reverse=True)
+    return Listing(tuple(runs), tuple(problems))
 
 
 def metrics(run: RunInfo) -> pd.DataFrame:
     """A row a recorded step: `env_step` and every metric."""
     return _metrics(run.path, *_stamps(run, layout.METRICS, layout.METRICS_TABLE))[0]
+
+
+def points(run: RunInfo) -> dict[str, int]:
+    """How many values of each metric the run has recorded, of those with one at least."""
+    return _points(run.path, *_stamps(run, layout.METRICS, layout.METRICS_TABLE))
 
 
 def recorded(run: RunInfo) -> tuple[Stamp, ...]:
@@ -144,16 +157,17 @@ def _as_it_is(run: RunInfo) -> RunInfo:
 
 
 @lru_cache(maxsize=4096)
-def _info(path: str, config: Stamp, status: Stamp, labels: Stamp) -> RunInfo:
-    reader = RunReader(path)
+def _info(store: str, name: str, link: bool, *changed: Stamp) -> RunInfo:
+    """Raises UserError, which is not kept, where there is no run."""
+    reader = Store(store).look(name)
     return RunInfo(
-        path=path,
+        path=str(reader.path),
         run_id=reader.run_id,
         env=reader.env,
         learner=reader.learner,
         seed=reader.seed,
         preset=str(reader.config.get("preset", "?")),
-        created=str(reader.config.get("created", "")),
+        created=reader.created,
         status=reader.status,
         labels=reader.labels,
         settings=flat(reader.config.get("config")),
@@ -165,6 +179,13 @@ def _info(path: str, config: Stamp, status: Stamp, labels: Stamp) -> RunInfo:
 def _metrics(path: str, rows: Stamp, table: Stamp) -> tuple[pd.DataFrame, list[str]]:
     reader = RunReader(path)
     return reader.metrics(), reader.problems
+
+
+@lru_cache(maxsize=1024)
+def _points(path: str, rows: Stamp, table: Stamp) -> dict[str, int]:
+    frame = _metrics(path, rows, table)[0]
+    count = np.isfinite(frame.to_numpy(np.float64)).sum(0)
+    return {str(name): int(n) for name, n in zip(frame, count, strict=True) if n}
 
 
 @lru_cache(maxsize=1024)
@@ -180,7 +201,8 @@ def _notices(path: str, changed: Stamp) -> tuple[list[dict], list[str]]:
 
 
 def _stamps(run: RunInfo, *names: str) -> list[Stamp]:
-    return [stamp(Path(run.path) / name) for name in names]
+    folder = Path(run.path)
+    return [stamp(folder / name) for name in names]
 
 
 @lru_cache(maxsize=64)

@@ -1,5 +1,7 @@
 """Which page is shown. A new page is one module with TITLE, ICON, PATH and page(), named here."""
 
+from collections.abc import Callable
+
 import numpy as np
 import streamlit as st
 from PIL import Image
@@ -40,7 +42,12 @@ def run() -> None:
         for i, view in enumerate(VIEWS)
     ]
     chosen = st.navigation(pages, position="top")
+    draw(chosen.run)
+
+
+def draw(page: Callable[[], None]) -> None:
+    """The page, or the empty store's while there is no run."""
     if readers.listing(session.links().store).runs:
-        chosen.run()
+        page()
     else:
         empty.page()

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from app import text
 from app.buffer import Floats
-from app.figures.base import DASHES, styled
+from app.figures.base import DASHES, across, styled, upright
 from app.figures.weights import bin_centres
-from app.theme import NEUTRAL, faded, learner_colour, learner_label, learner_symbol
+from app.theme import faded, learner_colour, learner_label, learner_symbol
 
 AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
 
@@ -41,10 +41,10 @@ def probe_profiles(
                 "<br>weight %{y:.3g}<extra></extra>",
             )
         )
-    figure.add_hline(y=1, line={"color": NEUTRAL, "width": 1.5, "dash": "dash"})
+    marks = [across(1, 1.5, "dash")]
     if random > 0:
-        figure.add_vline(x=100 * random, line={"color": NEUTRAL, "width": 1, "dash": "dot"})
-    styled(figure, "position in the buffer", height, keep="probe")
+        marks.append(upright(100 * random, 1, "dot"))
+    styled(figure, "position in the buffer", height, keep="probe", marks=marks)
     figure.update_xaxes(**AGES)
     figure.update_yaxes(title_text="mean weight", type="log" if log else "linear")
     return figure

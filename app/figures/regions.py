@@ -1,13 +1,14 @@
 """The map of a replay buffer, what sets a region apart, and weights against other quantities."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
 from app import text
 from app.buffer import Against
-from app.figures.base import note, styled
+from app.figures.base import across, note, styled, upright
 from app.figures.scales import octaves, relative_scale
 from app.regions import Floats, Plane, spread
 from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour
@@ -50,18 +51,19 @@ def region_map(
             "weight %{customdata[0]:.3g}<extra></extra>",
         )
     )
-    if outline:
-        figure.add_shape(
-            type="path",
-            path="M" + "L".join(f"{x},{y}" for x, y in outline) + "Z",
-            line={"color": TEXT[mode], "width": 1.5},
-        )
-    styled(figure, text.plotly(plane.x_name), height, keep=keep)
+    marks = [_drawn(outline, TEXT[mode])] if outline else []
+    styled(figure, text.plotly(plane.x_name), height, keep=keep, marks=marks)
     figure.update_layout(dragmode="lasso", showlegend=False, margin={"r": 4})
     figure.update_yaxes(title_text=text.plotly(plane.y_name))
     if len(shown) < len(weight):
         note(figure, f"{len(shown):,} of {len(weight):,} transitions, drawn evenly")
     return figure
+
+
+def _drawn(outline: Sequence[tuple[float, float]], colour: str) -> dict[str, Any]:
+    """The lasso or box that a reader has drawn."""
+    path = "M" + "L".join(f"{x},{y}" for x, y in outline) + "Z"
+    return {"type": "path", "path": path, "line": {"color": colour, "width": 1.5}}
 
 
 def apart_bars(gaps: Sequence[tuple[str, float]], height: int) -> go.Figure:
@@ -76,8 +78,8 @@ def apart_bars(gaps: Sequence[tuple[str, float]], height: int) -> go.Figure:
             hovertemplate="%{y}<br>%{x:+.2f} standard deviations<extra></extra>",
         )
     )
-    figure.add_vline(x=0, line={"color": NEUTRAL, "width": 1})
-    return styled(figure, "standard deviations from the buffer's mean", height, keep="apart")
+    words = "standard deviations from the buffer's mean"
+    return styled(figure, words, height, keep="apart", marks=[upright(0, 1)])
 
 
 def weights_against(found: Against, learner: str, x: str, height: int) -> go.Figure:
@@ -99,8 +101,8 @@ def weights_against(found: Against, learner: str, x: str, height: int) -> go.Fig
                 hovertemplate=f"{text.plotly(x)} %{{x:.4g}}<br>{name} %{{y:.3g}}<extra></extra>",
             )
         )
-    figure.add_hline(y=1, line={"color": NEUTRAL, "width": 1.2, "dash": "dash"})
-    styled(figure, text.plotly(x), height, keep=f"against {x}")
+    marks = [across(1, 1.2, "dash")]
+    styled(figure, text.plotly(x), height, keep=f"against {x}", marks=marks)
     figure.update_layout(showlegend=False)
     figure.update_yaxes(rangemode="tozero", title_text="weight")
     return figure

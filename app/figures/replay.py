@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.aggregate import Curve, decimate
-from app.figures.base import note, styled
+from app.figures.base import note, styled, upright
 from app.replays import Replay
 from app.theme import NEUTRAL, learner_colour, learner_label, learner_symbol
 
@@ -94,7 +94,7 @@ def _line(
 def _timeline(
     figure: go.Figure, replay: Replay, frame: int, title: str, height: int, keep: str
 ) -> go.Figure:
-    figure.add_vline(x=frame * replay.dt, line={"color": NEUTRAL, "width": 1.5, "dash": "dot"})
-    styled(figure, "seconds", height, keep=f"{keep} {replay.step}")
+    marks = [upright(frame * replay.dt, 1.5, "dot")]
+    styled(figure, "seconds", height, keep=f"{keep} {replay.step}", marks=marks)
     figure.update_yaxes(title_text=title)
     return figure

@@ -8,7 +8,7 @@ from plotly.subplots import make_subplots
 
 from app import text
 from app.aggregate import Curve
-from app.figures.base import GRID, styled
+from app.figures.base import GRID, LAYOUT, X_AXIS, Y_AXIS
 from app.figures.scales import octaves, relative_scale
 from app.figures.weights import bin_centres, shown_fits
 from app.theme import Mode, learner_colour, learner_symbol
@@ -49,9 +49,10 @@ def side_by_side(
                 2,
                 column,
             )
-    styled(figure, "", height, keep="side by side")
+    figure.update_layout(**LAYOUT, height=height, uirevision="side by side")
     figure.update_layout(margin={"t": 34})
-    figure.update_xaxes(matches="x")
+    figure.update_xaxes(matches="x", title_text="", **X_AXIS)
+    figure.update_yaxes(**Y_AXIS)
     for row, first in ((1, "y"), (2, f"y{len(parts) + 1}")):
         figure.update_yaxes(matches=first, showticklabels=False, row=row)
         figure.update_yaxes(showticklabels=True, row=row, col=1)

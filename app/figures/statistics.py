@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import styled
+from app.figures.base import styled, upright
 from app.theme import NEUTRAL, faded, learner_colour
 from tom.statistics import Interval
 
@@ -89,8 +89,8 @@ def improvement(
             showlegend=False,
         )
     )
-    figure.add_vline(x=0.5, line={"color": NEUTRAL, "width": 1.5, "dash": "dash"})
-    styled(figure, "probability of improvement", height, keep="improvement")
+    marks = [upright(0.5, 1.5, "dash")]
+    styled(figure, "probability of improvement", height, keep="improvement", marks=marks)
     figure.update_xaxes(range=[-0.03, 1.03], showgrid=True)
     figure.update_yaxes(autorange="reversed", showgrid=False)
     return figure

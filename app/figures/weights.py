@@ -7,9 +7,9 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import DASHES, note, styled
+from app.figures.base import DASHES, across, note, styled, upright
 from app.figures.scales import linear_scale, octaves, relative_scale
-from app.theme import NEUTRAL, Mode, learner_colour, learner_label
+from app.theme import Mode, learner_colour, learner_label
 from tom.record.profiles import Profiles
 
 MAP_COLUMNS = 400
@@ -41,8 +41,8 @@ def weight_map(
             **(relative_scale(bins, mode) if relative else linear_scale(bins, mode)),
         )
     )
-    figure.add_vline(x=int(profiles.env_step[chosen]), line={"color": NEUTRAL, "width": 2})
-    styled(figure, "env steps", height, keep="weight-map")
+    marks = [upright(int(profiles.env_step[chosen]), 2)]
+    styled(figure, "env steps", height, keep="weight-map", marks=marks)
     figure.update_yaxes(
         range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
     )
@@ -112,8 +112,8 @@ def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int)
                 hovertemplate=f"{name}: %{{y:.1f}} %<br>step %{{x:,}}<extra></extra>",
             )
         )
-    figure.add_vline(x=int(profiles.env_step[chosen]), line={"color": NEUTRAL, "width": 2})
-    styled(figure, "env steps", height, keep="effective-sample")
+    marks = [upright(int(profiles.env_step[chosen]), 2)]
+    styled(figure, "env steps", height, keep="effective-sample", marks=marks)
     figure.update_yaxes(range=[-3, 103], ticksuffix=" %")
     return figure
 
@@ -132,8 +132,7 @@ def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
 
 
 def _finish_profile(figure: go.Figure, height: int, *, log: bool) -> go.Figure:
-    figure.add_hline(y=1, line={"color": NEUTRAL, "width": 1.5, "dash": "dash"})
-    styled(figure, "position in the buffer", height, keep="profile")
+    styled(figure, "position in the buffer", height, keep="profile", marks=[across(1, 1.5, "dash")])
     figure.update_xaxes(
         range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
     )

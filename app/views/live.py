@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import streamlit as st
 
 from app import readers, session, text, widgets
-from app.aggregate import curve_points
 from app.cards import cards
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
@@ -74,7 +73,7 @@ def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
 def usual(runs: Sequence[RunInfo]) -> list[str]:
     """Three metrics worth watching: those that go on changing, of the preferred ones first."""
     names = available(runs)
-    lines = [name for name in names if any(len(widgets.curve(r, name).step) > 1 for r in runs)]
+    lines = [name for name in names if any(readers.points(r).get(name, 0) > 1 for r in runs)]
     return (lines or names)[:3]
 
 
@@ -84,8 +83,7 @@ def _just_died(run: RunInfo) -> bool:
 
 def available(runs: Sequence[RunInfo]) -> list[str]:
     """Every metric that one of the runs has recorded, the preferred ones first."""
-    tables = [readers.metrics(run) for run in runs]
-    names = {str(name) for table in tables for name in table if len(curve_points(table, name)[0])}
+    names = {name for run in runs for name in readers.points(run)}
     names -= {"env_step", MAIN_METRIC}
     first = [name for name in PREFERRED if name in names]
     return first + sorted(names.difference(first))

@@ -84,7 +84,10 @@ def page() -> None:
         "in the learnt model, driven in the real task."
     )
     for each in shown:
-        widgets.show_problems(each)
+        # Of those in the table alone, only what the table is made of.
+        drawn = each in together
+        found = readers.problems(each) if drawn else readers.metrics_problems(each)
+        widgets.show_problems(each, found)
 
 
 def _pick_others(others: list[RunInfo]) -> list[RunInfo]:

@@ -16,9 +16,20 @@ FORGET = 6
 """trainings that were started here and are remembered, newest first"""
 
 
+FOLD, OPENED = "starting", "start opened"
+
+
 def panel() -> None:
-    """Environment, learner, seeds, steps, preset; every other setting folded away."""
-    with st.expander("Start a training", icon=":material/play_arrow:"):
+    """Environment, learner, seeds, steps, preset; every other setting folded away.
+
+    Its many fields are made once somebody has opened it, and then stay, with what they hold.
+    """
+    icon = ":material/play_arrow:"
+    fold = st.expander("Start a training", icon=icon, key=FOLD, on_change="rerun")
+    if not (fold.open or st.session_state.get(OPENED)):
+        return
+    st.session_state[OPENED] = True
+    with fold:
         if not session.may_act():
             st.caption("This studio is open to other machines, so its pages change nothing.")
             return

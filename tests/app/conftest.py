@@ -3,10 +3,12 @@
 import fcntl
 import os
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 import streamlit as st
+from streamlit.components.v2 import manifest_scanner
 from studio_runs import RUNS
 
 from app.links import Links
@@ -34,6 +36,12 @@ def _record(path: Path) -> None:
     for run_id, env, learner, values in RUNS:
         config = resolve(env, learner, "smoke", {**values, "matmul": "default"})
         train(config, Store(path), run_id, rerun=env != "road-and-rocks" or learner == "tom")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def packages_are_looked_through_once() -> None:
+    """For each page that it draws AppTest reads what every installed package says of itself."""
+    manifest_scanner.scan_component_manifests = cache(manifest_scanner.scan_component_manifests)
 
 
 @pytest.fixture

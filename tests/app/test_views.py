@@ -12,6 +12,7 @@ from studio_pages import TIMEOUT_S, array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
 from app.links import Links
+from app.views import start
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -55,7 +56,10 @@ def test_live_shows_chosen_curves(store: Path) -> None:
 
 def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
     app = draw("live")
-    app.selectbox(key="start env").select("hopper").run()
+    assert not app.text_input
+    app.session_state[start.FOLD] = True  # as a click on its title does
+    app.run().selectbox(key="start env").select("hopper").run()
+    app.session_state[start.FOLD] = False
     app.text_input(key="start seeds").input("0-1").run()
     app.text_input(key="start set sac.lr").input("0.001").run()
     assert app.button(key="start").label == "Start 2 trainings"
@@ -72,7 +76,11 @@ def test_live_changes_nothing_where_others_can_open_it(
 ) -> None:
     for name, value in Links(store=str(store), host="0.0.0.0").environment().items():
         monkeypatch.setenv(name, value)
-    assert not draw("live").button
+    app = draw("live")
+    app.session_state[start.FOLD] = True
+    app.run()
+    assert not app.button
+    assert any("change nothing" in caption.value for caption in app.caption)
 
 
 def test_compare_shows_the_mean_over_seeds(store: Path) -> None:

@@ -52,6 +52,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--steps", type=int, default=LEARN_STEPS, help=f"env steps in all [{LEARN_STEPS}] (learn)"
     )
     parser.add_argument("--store", type=folder, help="keep the runs here (learn)")
+    parser.add_argument("--runs", type=int, help="runs in the store [200] (studio)")
     parser.set_defaults(run=run)
 
 
@@ -61,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         return 0 if all(row["reached_at"] is not None for row in rows) else 1
     if args.what == "studio":
-        studio.hand_over(["--json"] * args.json, "app.bench")
+        studio.hand_over(studio_words(args), "app.bench")
     if args.what == "parts":
         return _parts(args.repeats, args.json, args.into)
     return {"record": _record, "step": _step, "memory": _memory}[args.what](args.json)
@@ -178,6 +179,12 @@ def _learn_row(run) -> dict[str, Any]:
         "final": float(returns["eval/return"].iloc[-1]),
         "wall_s": round(float(table["time/wall_s"].max()), 1),
     }
+
+
+def studio_words(args: argparse.Namespace) -> list[str]:
+    """What the studio's own measurement is told."""
+    runs = [] if args.runs is None else ["--runs", str(args.runs)]
+    return runs + ["--json"] * args.json
 
 
 def _print(title: str, rows: list[dict[str, Any]], as_json: bool) -> None:

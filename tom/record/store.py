@@ -25,8 +25,24 @@ class Store:
         itself cannot be read; a store that is not there yet is empty.
         """
         self.problems = []
-        readers = [reader for name in self._names() if (reader := self._reader(name))]
+        readers = []
+        for name in self.names():
+            try:
+                readers.append(self.look(name))
+            except UserError as error:
+                self.problems.append(str(error))
         return sorted(readers, key=lambda run: (run.created, run.run_id), reverse=True)
+
+    def names(self) -> list[str]:
+        """The folders that may be runs. Raises UserError when the store cannot be read."""
+        return [n for n in self._names() if n != layout.WEIGHINGS and not n.startswith(".")]
+
+    def look(self, name: str) -> RunReader:
+        """The run in the folder `name`. Raises UserError, saying why, when it is none."""
+        reader = RunReader(self.resolve(name))
+        if not reader.is_run:
+            raise UserError(f"{name}: no run ({_why(reader)})")
+        return reader
 
     def recent(self, seconds: float) -> list[str]:
         """Ids of the runs whose status was written within the last `seconds`; one stat a run."""
@@ -58,7 +74,7 @@ class Store:
         if run_id == layout.WEIGHINGS:
             raise UserError(f"'{run_id}' is no run id: weighings lie there; choose another name")
         path = self.path / run_id
-        if path.resolve() != self.path.resolve() / run_id:
+        if path.is_symlink():
             raise UserError(
                 f"run '{run_id}' is a link, which {self.path}/ may not hold: not followed"
             )
@@ -93,19 +109,6 @@ class Store:
             raise UserError(
                 f"cannot read the store {self.path}: {error.strerror}; name another with --store"
             ) from error
-
-    def _reader(self, name: str) -> RunReader | None:
-        if name.startswith(".") or name == layout.WEIGHINGS:
-            return None
-        try:
-            reader = RunReader(self.resolve(name))
-        except UserError as error:
-            self.problems.append(str(error))
-            return None
-        if reader.is_run:
-            return reader
-        self.problems.append(f"{name}: no run ({_why(reader)})")
-        return None
 
 
 def _why(reader: RunReader) -> str:
