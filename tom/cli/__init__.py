@@ -1,7 +1,9 @@
 """The command line: thin; each command is one file with `add_parser` and `run`."""
 
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from tom import __version__
 from tom.cli import bench, demo, doctor, record_sac, reproduce, runs, studio, sweep, train, weigh
@@ -18,12 +20,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         studio.hand_over(arguments[1:])
     try:
         args = build_parser(arguments).parse_args(arguments)
-        return args.run(args)
+        code = args.run(args)
+        sys.stdout.flush()
+        return code
     except UserError as error:
         print(f"tom: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:
+    except KeyboardInterrupt:
+        print("tom: stopped", file=sys.stderr)
         return 1
+    except BrokenPipeError:
+        _close_stdout()
+        return 1
+
+
+def _close_stdout() -> None:
+    """Nobody reads any more: what is left in the buffer would be an error at the very end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def build_parser(arguments: Sequence[str] = ()) -> Parser:

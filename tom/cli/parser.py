@@ -27,28 +27,26 @@ def folder(word: str) -> Path:
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and offer the nearest known option."""
+    """An argument parser whose errors are one line and offer the nearest known option.
+
+    Options are written out: `--seed 3` is not short for `--seeds 3`.
+    """
+
+    def __init__(self, *args: Any, **how: Any) -> None:
+        super().__init__(*args, allow_abbrev=False, **how)
 
     def error(self, message: str) -> NoReturn:
         print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
         raise SystemExit(2)
 
-    def parse_args(self, args=None, namespace=None):  # type: ignore[override]
-        parsed, rest = self.parse_known_args(args, namespace)
+    def parse_known_args(self, args=None, namespace=None):  # type: ignore[override]
+        parsed, rest = super().parse_known_args(args, namespace)
         if rest:
-            known = [o for action in _all_actions(self) for o in action.option_strings]
+            known = [option for action in self._actions for option in action.option_strings]
             near = get_close_matches(rest[0].split("=")[0], known, n=1)
             hint = f", did you mean {near[0]}?" if near else ""
             self.error(f"unknown argument {rest[0]}{hint}")
-        return parsed
-
-
-def _all_actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    for action in parser._actions:
-        yield action
-        if isinstance(action, argparse._SubParsersAction):
-            for sub in action.choices.values():
-                yield from _all_actions(sub)
+        return parsed, rest
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:

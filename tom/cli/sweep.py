@@ -16,7 +16,7 @@ from tom.cli.parser import add_config_options, overrides
 from tom.cli.sweep_places import open_engine, open_home, place, refuse_mismatch
 from tom.cli.sweep_table import Watcher, seat_row
 from tom.cli.tables import show
-from tom.cli.train_many import run_fleet
+from tom.cli.train_many import run_fleets
 from tom.config import OnlineConfig
 from tom.envs import ENV_NAMES
 from tom.errors import UserError
@@ -77,6 +77,8 @@ def run(args: argparse.Namespace) -> int:
     planned, jobs = _planned(args), _jobs(args)
     on_gpu = any(trial.config.device != "cpu" for trial in planned)
     refuse_mismatch(args.engine, args.address, args.store, on_gpu)
+    if args.engine == "slurm" and args.only is not None:
+        raise UserError("--only is given to each task of the array: leave it out")
     with open_home(args.store, planned) as home:
         if args.dry_run:
             return _dry_run(args, home.store, planned, jobs)
@@ -84,7 +86,9 @@ def run(args: argparse.Namespace) -> int:
             print(script(planned, args.store, _own_words(), _longest(home.store, planned)))
             return 0
         if args.engine == "fleet" or on_gpu:
-            return _fleets(args, planned)
+            stop = Stop()
+            _on_signals(stop)
+            return run_fleets(args.store, _by_env(planned), stop, rerun=False, as_json=args.json)
         with open_engine(args.engine, args.address, args.jobs) as engine:
             home.store.ensure_writable()
             return drive(args, Driver(home, planned, engine))
@@ -115,17 +119,9 @@ def _jobs(args: argparse.Namespace) -> int:
     return args.jobs or len(os.sched_getaffinity(0))
 
 
-def _fleets(args: argparse.Namespace, planned: list[Trial]) -> int:
-    """One fleet for each environment, one after the other; the exit code."""
-    stop = Stop()
-    _on_signals(stop)
-    code = 0
-    for env in dict.fromkeys(trial.env for trial in planned):
-        if stop.asked:
-            return 1
-        how = argparse.Namespace(env=env, store=args.store, json=args.json, no_rerun=True)
-        code |= run_fleet(how, [trial for trial in planned if trial.env == env], stop)
-    return code
+def _by_env(planned: list[Trial]) -> list[list[Trial]]:
+    envs = dict.fromkeys(trial.env for trial in planned)
+    return [[trial for trial in planned if trial.env == env] for env in envs]
 
 
 def drive(args: argparse.Namespace, driver: Driver) -> int:

@@ -103,7 +103,8 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
 def _train_many(args: argparse.Namespace) -> int:
     trials, store = train_many.trials_of(args), Store(args.store)
     if train_many.wants_fleet(args, trials):
-        return train_many.run_fleet(args, trials, _stop_on_signals())
+        stop, rerun = _stop_on_signals(), not args.no_rerun
+        return train_many.run_fleets(args.store, [trials], stop, rerun=rerun, as_json=args.json)
     store.ensure_writable()
     engine = LocalEngine(len(os.sched_getaffinity(0)))
     return drive(args, Driver(FolderHome(store), trials, engine))

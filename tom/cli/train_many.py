@@ -4,8 +4,9 @@ import argparse
 import json
 import shlex
 import sys
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TextIO
 
 from pydantic import ValidationError
 
@@ -19,7 +20,6 @@ from tom.run import Stop
 from tom.sweep.plan import Trial
 
 ENGINES = ("processes", "fleet")
-Drive = Callable[[Store, Sequence[Trial]], int]
 
 
 def trials_of(args: argparse.Namespace) -> list[Trial]:
@@ -29,8 +29,10 @@ def trials_of(args: argparse.Namespace) -> list[Trial]:
         raise UserError("--seed and --seeds: give one of them")
     if args.run_id or args.resume not in (None, "auto"):
         raise UserError("--run-id and --resume RUN are for one training alone")
-    seeds = args.seeds or [int(settings.pop("seed", 0))]
-    settings.pop("seed", None)
+    seed = str(settings.pop("seed", 0))
+    if not seed.isdecimal():
+        raise UserError(f"--seed {seed}: must be a whole number, 0 or more")
+    seeds = args.seeds or [int(seed)]
     found = [
         Trial(args.env, learner, seed, args.preset, settings)
         for learner in dict.fromkeys(args.learner)
@@ -52,26 +54,47 @@ def wants_fleet(args: argparse.Namespace, trials: Sequence[Trial]) -> bool:
     return on_gpu or args.engine == "fleet"
 
 
-def run_fleet(args: argparse.Namespace, trials: Sequence[Trial], stop: Stop) -> int:
-    """Train them in lock-step, with one report of progress; the exit code."""
-    check(trials)
-    stream = sys.stderr if args.json else sys.stdout
-    label = f"{args.env}, {len(trials)} in a fleet"
+def run_fleets(
+    store: Path, fleets: Sequence[Sequence[Trial]], stop: Stop, *, rerun: bool, as_json: bool
+) -> int:
+    """Train fleet after fleet, each with one report of progress; the exit code.
+
+    Raises UserError, before anything is trained, where one of them cannot be a fleet.
+    """
+    for trials in fleets:
+        check(trials)
+    stream = sys.stderr if as_json else sys.stdout
+    rows: list[dict[str, Any]] = []
+    for trials in fleets:
+        results = () if stop.asked else _train(trials, Store(store), stop, rerun, stream)
+        done = [_row(trial, found) for trial, found in zip(trials, results, strict=False)]
+        _say(done, stream)
+        rows += done
+    if as_json:
+        print(json.dumps(rows))
+    whole = len(rows) == sum(map(len, fleets))
+    return 0 if whole and all(row["state"] == "finished" for row in rows) else 1
+
+
+def _train(
+    trials: Sequence[Trial], store: Store, stop: Stop, rerun: bool, stream: TextIO
+) -> Sequence[RunReader | Exception]:
+    """Train in lock-step; nothing where it is stopped at once."""
+    label = f"{trials[0].env}, {len(trials)} in a fleet"
     with ProgressReport(label, trials[0].config.total_steps, stream) as progress:
         shown = _Shown(progress)
         try:
-            results = train_fleet(
+            return train_fleet(
                 trials,
-                Store(args.store),
-                rerun=not args.no_rerun,
+                store,
+                rerun=rerun,
                 watchers=[(shown.consume,) for _ in trials],
                 command=shlex.join(["tom", *sys.argv[1:]]),
                 stop=stop,
             )
         except KeyboardInterrupt:
             print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
-            return 1
-    return _report(args, trials, results)
+            return ()
 
 
 class _Shown:
@@ -88,21 +111,14 @@ class _Shown:
             self._progress.consume(event)
 
 
-def _report(
-    args: argparse.Namespace, trials: Sequence[Trial], results: Sequence[RunReader | Exception]
-) -> int:
-    rows = [_row(trial, found) for trial, found in zip(trials, results, strict=True)]
-    if args.json:
-        print(json.dumps(rows))
-    for row in () if args.json else rows:
+def _say(rows: Sequence[dict[str, Any]], stream: TextIO) -> None:
+    for row in rows:
         returns = [row[name] for name in ("last_return", "best_return")]
         last, best = ("-" if value is None else f"{value:.1f}" for value in returns)
         after = f"{row['state']} after {row['env_step']} steps"
-        print(f"{row['run_id']}: {after}, last return {last}, best {best}")
-    for row in rows:
+        print(f"{row['run_id']}: {after}, last return {last}, best {best}", file=stream)
         if row["error"]:
             print(f"{row['run_id']} failed: {row['error']}", file=sys.stderr)
-    return 0 if all(row["state"] == "finished" for row in rows) else 1
 
 
 def _row(trial: Trial, found: RunReader | Exception) -> dict[str, Any]:

@@ -17,9 +17,9 @@ from tom.record import checkpoint, layout
 from tom.record.files import modified, parse_json_line, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import unwritten
+from tom.record.opening import refuse_links
 from tom.record.reader import DAMAGE, RunReader
 
-DAMAGED = "damaged"
 LINES = (layout.METRICS, layout.PROFILES, layout.NOTICES)
 ENDED = "its process ended without a word: tom train --resume {run} goes on from a checkpoint"
 
@@ -46,18 +46,23 @@ def verify(reader: RunReader) -> list[str]:
     problems += held.problems if held else []
     if held is None and folder.is_dir() and any(p.name.isdigit() for p in folder.iterdir()):
         problems.append("no checkpoint is whole: the run cannot go on")
+    if (fresh.path / layout.MODEL).is_dir() and checkpoint.load(fresh.path / layout.MODEL) is None:
+        problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
     if not status.alive:
         problems += [f"{_name(fresh, p)} is left from an interrupted write" for p in _left(fresh)]
     return problems
 
 
 def repair(reader: RunReader) -> list[str]:
-    """Mend a run; what was done, a line each. Raises UserError while the run is being written.
+    """Mend a run; what was done, a line each.
+
+    Raises UserError while the run is being written, and where a part of it is a link.
 
     Damaged lines are cut out and damaged arrays set aside, the state of a run that died becomes
     `stopped`, the Parquet copy is made again, and what an interrupted write left is removed.
     """
     done: list[str] = []
+    refuse_links(reader.path)
     with unwritten(reader):
         for path in _left(reader):
             path.unlink()
@@ -114,7 +119,7 @@ def _mend_lines(reader: RunReader, name: str) -> str | None:
 
 def _set_aside(reader: RunReader, path: Path) -> str:
     """Move a damaged file into the run's `damaged/` folder; says where."""
-    place = reader.path / DAMAGED / path.relative_to(reader.path)
+    place = reader.path / layout.DAMAGED / path.relative_to(reader.path)
     place.parent.mkdir(parents=True, exist_ok=True)
     number = 1
     while os.path.lexists(place):

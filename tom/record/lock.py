@@ -17,6 +17,8 @@ from pathlib import Path
 from tom.errors import UserError
 from tom.record import layout
 
+LOOKS, LOOK_S = 100, 0.01  # how often, and how long, a look at the lock is waited for
+
 
 class LostError(OSError):
     """Another writer has taken the run folder over."""
@@ -60,7 +62,7 @@ def hold(path: Path) -> Hold:
     except OSError as error:
         raise UserError(f"cannot write into run '{path.name}': {error.strerror}") from error
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _lock(lock)
     except OSError as error:
         os.close(lock)
         raise UserError(f"run '{path.name}' is being written by another process") from error
@@ -69,6 +71,21 @@ def hold(path: Path) -> Hold:
         os.pwrite(lock, name, 0)
         os.ftruncate(lock, len(name))
     return Hold(path, os.pread(lock, 4096, 0), lock)
+
+
+def _lock(file: int) -> None:
+    """Lock `file` for one writer. Raises OSError where another one has it.
+
+    Who only looks (`held`) shares the lock for an instant, which is waited for.
+    """
+    for _ in range(LOOKS):
+        with suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # a writer's lock refuses this as well
+        fcntl.flock(file, fcntl.LOCK_UN)
+        time.sleep(LOOK_S)
+    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def held(path: Path) -> bool:

@@ -28,7 +28,8 @@ def renew(path: Path) -> None:
 
 
 def refuse_links(path: Path) -> None:
+    """Raises UserError where a part of the run folder leads elsewhere: nothing is written there."""
     names = [*layout.FOLDERS, "checkpoint", layout.METRICS, layout.PROFILES, layout.NOTICES]
-    for name in (*names, layout.LOCK):
+    for name in (*names, layout.DAMAGED, layout.LOCK):
         if (path / name).is_symlink():
             raise UserError(f"{name} of run '{path.name}' is a link: not followed; remove it")

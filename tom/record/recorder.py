@@ -66,7 +66,11 @@ class Recorder:
         self._finished = False
         self._heartbeat = Heartbeat(writer, self.total, clock, timer)
         if mark:
-            self._go_on(mark)
+            try:
+                self._go_on(mark)
+            except BaseException as error:
+                self.__exit__(type(error), error, error.__traceback__)
+                raise
 
     def mark(self) -> dict[str, Any]:
         """Where the record stands, synced; part of a checkpoint, taken right after a `Tick`."""

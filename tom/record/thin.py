@@ -55,7 +55,7 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
 
 def _copy(reader: RunReader, to: Path) -> None:
     for name in (layout.STATUS, layout.LABELS, layout.NOTICES):
-        if (reader.path / name).is_file():
+        if (reader.path / name).is_file() and not (reader.path / name).is_symlink():
             shutil.copyfile(reader.path / name, to / name)
     _lines(to / layout.METRICS, _chosen_rows(reader))
     _lines(to / layout.PROFILES, _profile_rows(reader.profiles()))

@@ -113,7 +113,11 @@ def short_command(command: str) -> str:
     """A command without what says where its result went, its seed as N."""
     kept: list[str] = []
     name = ""
-    for word in shlex.split(command):
+    try:
+        words = shlex.split(command)
+    except ValueError:  # a quote that is never closed: no shell ran this
+        return command
+    for word in words:
         if word.startswith("--"):
             name = word.partition("=")[0]
             word = re.sub(r"(?<=^--seed=)\d+$", "N", word)

@@ -34,7 +34,7 @@ NEEDED = {"data", "policy", "rows", "results"}
 def of_run(store: Path, run_id: str) -> list[Path]:
     """The weighings in `store` of the buffer of a run, by name; what cannot be read is none."""
     found = sorted(path.parent for path in (store / layout.WEIGHINGS).glob(f"*/{REPORT}"))
-    return [path for path in found if _data(path) == run_id]
+    return [path for path in found if path.name[0] != "." and _data(path) == run_id]
 
 
 def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:

@@ -34,7 +34,7 @@ def cost(trial: Trial, runs: Sequence[RunReader]) -> Cost | None:
         return None
     seconds, written = (median(values) for values in zip(*found, strict=True))
     steps = trial.config.total_steps
-    trained = steps - trial.settings.get("exploration_steps", 0)
+    trained = max(steps - trial.settings.get("exploration_steps", 0), 0)
     other = "" if same else f" of {chosen[0].learner}"
     source = f"{len(found)} run{'s' if len(found) > 1 else ''}{other}"
     return Cost(seconds * trained / 3600, written * steps / 1e6, source)
@@ -52,7 +52,9 @@ def _per_step(run: RunReader) -> tuple[float, float] | None:
     if "time/wall_s" not in table or not run.status.env_step:
         return None
     known = table[["env_step", "time/wall_s"]].dropna().to_numpy()
-    trained = known[known[:, 0] >= run.config["config"].get("exploration_steps", 0)]
+    settings = run.config.get("config")
+    explored = settings.get("exploration_steps", 0) if isinstance(settings, dict) else 0
+    trained = known[known[:, 0] >= explored]
     if len(trained) < 2 or trained[-1, 0] <= trained[0, 0]:
         return None
     steps, seconds = trained[-1] - trained[0]

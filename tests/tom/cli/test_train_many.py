@@ -12,6 +12,7 @@ HOPPER = ["train", "--env", "hopper", "--preset", "smoke"]
     [
         (["--learner", "mle", "toom", "--seeds", "0"], "did you mean 'tom'"),
         (["--learner", "mle", "--seeds", "0", "1", "--seed", "3"], "--seed and --seeds"),
+        (["--learner", "mle", "tom", "--seed", "one"], "--seed one"),
         (["--learner", "mle", "tom", "--run-id", "mine"], "one training alone"),
         (["--learner", "mle", "tom", "--sac.lr", "-1"], "--sac.lr -1"),
         (["--learner", "mle", "--device", "quantum"], "must be cpu or cuda"),

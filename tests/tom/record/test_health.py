@@ -8,7 +8,7 @@ import pytest
 from recorded import Config, events
 
 from tom.errors import UserError
-from tom.record import Recorder, RunReader, RunWriter, Store, sizes
+from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, sizes
 from tom.record.health import repair, verify
 
 
@@ -127,3 +127,23 @@ def test_sizes_and_pruning_checkpoints(record):
     assert len(sizes.checkpoints(run)) == 3
     assert sizes.prune(run, keep=1) == 2000
     assert [p.name for p in sizes.checkpoints(run)] == ["000000300"]
+
+
+def test_a_part_that_leads_elsewhere_is_not_mended(record, tmp_path: Path):
+    run = record()
+    outside = tmp_path / "outside"
+    (run.path / "episodes").rename(outside)
+    (outside / "000000001.npz").write_bytes(b"no array")
+    (run.path / "episodes").symlink_to(outside)
+    before = sorted(outside.iterdir())
+    with pytest.raises(UserError, match="episodes of run 'run' is a link"):
+        repair(run)
+    assert sorted(outside.iterdir()) == before
+
+
+def test_the_model_of_a_small_copy_is_read_too(record):
+    run = record()
+    state = checkpoint.save(run.path / "model", 5, {}) / checkpoint.STATE
+    assert verify(run) == []
+    state.write_bytes(state.read_bytes()[:-1])
+    assert verify(run) == ["model is damaged: ghosts and model errors are missing"]

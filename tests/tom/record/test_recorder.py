@@ -19,7 +19,7 @@ from recorded import (
 from tom.config import OnlineConfig
 from tom.errors import UserError
 from tom.events import Collected, Evaluation, Metrics, Tick, Weights
-from tom.record import Recorder, RunWriter, Store
+from tom.record import Recorder, RunWriter, Store, lock
 from tom.record import heartbeat as heartbeat_module
 
 EVERY_FIT = list(range(FIT, STEPS + 1, FIT))
@@ -167,6 +167,15 @@ def test_the_status_of_a_finished_run(record):
     assert (status.state, status.shown, status.alive) == ("finished", "finished", False)
     assert (status.env_step, status.total, status.share) == (STEPS, STEPS, 1.0)
     assert (status.last_return, status.best_return) == (-5000, 2500)
+
+
+def test_a_mark_that_cannot_be_gone_back_to_lets_go_of_the_run(store: Store):
+    writer = RunWriter.create(store, "run", Config)
+    with pytest.raises(KeyError):
+        Recorder(writer, mark={"files": {}})
+    assert store.run("run").status.state == "failed"
+    assert not lock.held(writer.path)
+    assert "heartbeat" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_speed_and_time_left_follow_the_clock(store: Store):

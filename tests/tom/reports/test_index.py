@@ -20,6 +20,7 @@ TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun
         ("tom train --seed 3 --store x --steps 5", "tom train --seed N --steps 5"),
         ("tom weigh a --policy b --seeds 0 1 --out x", "tom weigh a --policy b --seeds 0 1"),
         ("", ""),
+        ("tom train don't", "tom train don't"),
     ],
 )
 def test_a_command_is_told_without_where_it_wrote(command: str, short: str):

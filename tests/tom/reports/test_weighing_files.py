@@ -20,6 +20,7 @@ def weighing(store: Path, name: str, report: object) -> Path:
 
 def test_what_is_no_whole_report_on_a_run_is_none_of_its_weighings(tmp_path: Path):
     whole = weighing(tmp_path, "whole", WHOLE)
+    weighing(tmp_path, ".unfinished.1.tmp", WHOLE)
     weighing(tmp_path, "other", {**WHOLE, "data": "two"})
     weighing(tmp_path, "list", [WHOLE])
     for missing in WHOLE:

@@ -69,6 +69,12 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
         ((*SMOKE, "--engine", "pbs"), "pbs"),
         (("--file", "/no/plan.yaml"), "cannot read"),
         (("--sead", "3"), "did you mean --seed"),
+        ((*SMOKE, "--seed", "3"), "unknown argument --seed, did you mean --seeds?"),
+        ((*SMOKE, "--only", "0", "--engine", "slurm"), "--only is given to each task"),
+        (
+            ("--env", "inverted-pendulum", "road-and-rocks", *SMOKE[2:6], "--engine", "fleet"),
+            "road-and-rocks cannot be trained as a fleet",
+        ),
     ],
 )
 def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys):
@@ -117,6 +123,12 @@ def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, c
     other = trials(checked({**PLAN, "seeds": [1]}))[0]
     assert cost(other, store.runs()) is not None
     assert cost(other, Store(copies).runs()) is None  # its size says nothing of a run's
+    explores = cost(trials(checked({**PLAN, "steps": 100}))[0], store.runs())
+    assert explores is not None
+    assert explores.hours == 0
+    damaged = {name: value for name, value in run.config.items() if name != "config"}
+    (run.path / "config.json").write_text(json.dumps(damaged))
+    assert cost(other, store.runs()) is not None
 
 
 def finished(store: Store, trial: Trial) -> Path:
