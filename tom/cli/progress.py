@@ -20,7 +20,7 @@ class ProgressReport:
         self._console = _Console(file=stream)
         self._bar = _bar(self._console) if self._console.is_terminal else None
         self._task = self._bar.add_task(label, total=total, text="") if self._bar else None
-        self._recent: deque[tuple[float, int]] = deque([(monotonic(), 0)], maxlen=200)
+        self._recent: deque[tuple[float, int]] = deque(maxlen=200)  # (when, step)
         self._shown = monotonic()
         self._phase = ""
         self._last: float | None = None
@@ -49,7 +49,7 @@ class ProgressReport:
 
     def _tick(self, event: Tick) -> None:
         now = monotonic()
-        if now - self._recent[-1][0] > 0.2:
+        if not self._recent or now - self._recent[-1][0] > 0.2:
             self._recent.append((now, event.env_step))
         self._phase = event.phase
         if self._bar and self._task is not None:
@@ -60,12 +60,14 @@ class ProgressReport:
             print(line.rstrip(), file=self._stream, flush=True)
 
     def _rate(self) -> float:
+        """Env steps a second of late; 0 where that is not known yet."""
         (t0, s0), (t1, s1) = self._recent[0], self._recent[-1]
         return (s1 - s0) / (t1 - t0) if t1 > t0 else 0.0
 
     def _text(self) -> str:
+        rate = f" {self._rate():.0f} steps/s" if self._rate() else ""
         returns = "" if self._last is None else f" return {self._last:.1f} best {self._best:.1f}"
-        return f"{self._phase} {self._rate():.0f} steps/s{returns}"
+        return f"{self._phase}{rate}{returns}"
 
     def _eta(self) -> str:
         rate = self._rate()
