@@ -8,14 +8,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from tom.cli import studio
 from tom.cli.parser import folder
 from tom.cli.tables import show
+from tom.errors import UserError, unknown
+from tom.learners import LEARNER_NAMES
 from tom.matmul import choose_matmul
 from tom.memory import keep_freed_memory
-from tom.record import Store
+from tom.record import RunReader, Store
 from tom.sweep import Job, run_jobs
 
 LEARN_ENV = "inverted-pendulum"
@@ -58,9 +61,11 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 def run(args: argparse.Namespace) -> int:
     if args.what == "learn":
+        _check_learn(args)
         rows = learn(args.learner, args.seeds, args.steps, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
-        return 0 if all(row["reached_at"] is not None for row in rows) else 1
+        reached = [row for row in rows if row["reached_at"] is not None]
+        return 0 if len(reached) == len(args.learner) * len(args.seeds) else 1
     if args.what == "studio":
         studio.hand_over(studio_words(args), "app.bench")
     if args.what == "parts":
@@ -147,14 +152,25 @@ def _record(as_json: bool) -> int:
     return 0
 
 
+def _check_learn(args: argparse.Namespace) -> None:
+    """Each learner and seed once. Raises UserError where one of them is no training."""
+    args.learner, args.seeds = list(dict.fromkeys(args.learner)), list(dict.fromkeys(args.seeds))
+    for learner in args.learner:
+        if learner not in LEARNER_NAMES:
+            raise unknown("learner", learner, LEARNER_NAMES)
+    if min(args.seeds) < 0 or args.steps < 1:
+        raise UserError("--seeds must be at least 0 and --steps at least 1")
+
+
 def learn(
     learners: list[str], seeds: list[int], steps: int, store: Path | None
 ) -> list[dict[str, Any]]:
     """Train inverted pendulum for each learner and seed: where each first reached 950."""
     with tempfile.TemporaryDirectory() as scratch:
         path = store or Path(scratch)
+        before = {run.run_id for run in Store(path).runs()}
         run_jobs(list(_learn_jobs(learners, seeds, steps, path)))
-        rows = [_learn_row(r) for r in Store(path).runs() if r.env == LEARN_ENV]
+        rows = [_learn_row(r) for r in Store(path).runs() if r.run_id not in before]
     return sorted(rows, key=lambda row: (row["learner"], row["seed"]))
 
 
@@ -166,18 +182,21 @@ def _learn_jobs(learners: list[str], seeds: list[int], steps: int, store: Path) 
             yield Job(f"{learner} {seed}", (*which, *shared))
 
 
-def _learn_row(run) -> dict[str, Any]:
-    table = run.metrics()
-    returns = table.dropna(subset=["eval/return"])
-    good = returns[returns["eval/return"] >= LEARN_RETURN]
+def _learn_row(run: RunReader) -> dict[str, Any]:
+    table, status = run.metrics(), run.status
+    step, value, wall = (
+        table[name].to_numpy(float) if name in table else np.zeros(0)
+        for name in ("env_step", "eval/return", "time/wall_s")
+    )
+    good = step[value >= LEARN_RETURN] if len(value) else step[:0]
     return {
         "learner": run.learner,
         "seed": run.seed,
-        "state": run.status.state,
-        "reached_at": None if good.empty else int(good["env_step"].iloc[0]),
-        "best": float(returns["eval/return"].max()),
-        "final": float(returns["eval/return"].iloc[-1]),
-        "wall_s": round(float(table["time/wall_s"].max()), 1),
+        "state": status.state,
+        "reached_at": int(good[0]) if len(good) else None,
+        "best": status.best_return,
+        "final": status.last_return,
+        "wall_s": round(float(np.nanmax(wall, initial=0.0)), 1),
     }
 
 

@@ -3,7 +3,14 @@
 import argparse
 from pathlib import Path
 
-from tom.cli.study import add_output, add_stored, check_stored, out_folder, print_json
+from tom.cli.study import (
+    add_output,
+    add_stored,
+    check_stored,
+    out_folder,
+    print_json,
+    stoppable,
+)
 from tom.cli.tables import show
 from tom.errors import UserError
 from tom.record import Store
@@ -35,6 +42,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.set_defaults(run=run)
 
 
+@stoppable
 def run(args: argparse.Namespace) -> int:
     envs = check_stored(args)
     found = study.panels(Store(args.store).runs(), args.preset)

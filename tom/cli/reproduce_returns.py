@@ -6,7 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from tom.cli.study import add_output, add_stored, check_stored, out_folder, print_json
+from tom.cli.study import (
+    add_output,
+    add_stored,
+    check_stored,
+    out_folder,
+    print_json,
+    stoppable,
+)
 from tom.cli.tables import show
 from tom.errors import UserError, unknown
 from tom.learners import LEARNER_NAMES
@@ -40,6 +47,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.set_defaults(run=run)
 
 
+@stoppable
 def run(args: argparse.Namespace) -> int:
     envs = check_stored(args)
     for learner in args.learner:

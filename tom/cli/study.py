@@ -59,10 +59,10 @@ def add_stored(parser: argparse.ArgumentParser) -> None:
 
 
 def check_recordings(args: argparse.Namespace) -> None:
-    """Raises UserError where `add_recordings`' numbers make no study."""
+    """Raises UserError where `add_recordings`' numbers, or the seeds of SAC, make no study."""
     if args.steps < 1000:
         raise UserError("--steps must be at least 1000")
-    check_seeds(args.jobs, args.seeds)
+    check_seeds(args.jobs, [*args.seeds, *(getattr(args, "sac_seeds", None) or ())])
 
 
 def check_seeds(jobs: int, seeds: Sequence[int]) -> None:

@@ -12,13 +12,15 @@ WIDTH = 160  # where nobody says how wide the output is
 def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print a table; columns of numbers are set to the right."""
     listed = [list(row) for row in rows]
-    table = Table(title=title, title_justify="left")
+    table = Table()
     for i, column in enumerate(columns):
         numeric = bool(listed) and all(_is_number(row[i]) for row in listed)
         table.add_column(column, justify="right" if numeric else "left", overflow="fold")
     for row in listed:
         table.add_row(*map(Text, row))  # not a string: brackets in it would be markup
-    Console(width=None if Console().is_terminal else WIDTH).print(table)
+    console = Console(width=None if Console().is_terminal else WIDTH)
+    console.print(Text(title, style="italic"))  # the table's own title is as narrow as the table
+    console.print(table)
 
 
 def _is_number(cell: str) -> bool:

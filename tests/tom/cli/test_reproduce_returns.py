@@ -27,6 +27,10 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     assert "tom sweep --env hopper --learner tom --seeds 4" in report
     assert main(words) == 0
     assert "missing or short" in capsys.readouterr().out
+    (out / "returns.csv").unlink()
+    (out / "returns.csv").mkdir()
+    assert main(words) == 1
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,7 @@ def test_runs_alone_lists(store: Path, capsys):
     assert "two" in told(capsys, store)
     assert [r["run_id"] for r in ask(capsys, store, "list", "--learner", "mle")] == ["one"]
     assert ask(capsys, store, "list", "--state", "failed") == []
+    assert told(capsys, store, "list", "--env", "ant").startswith(f"0 runs in {store}\n")
 
 
 def test_labels(store: Path, capsys):
