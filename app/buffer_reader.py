@@ -13,7 +13,7 @@ from app.readers import RunInfo, Stamp
 from app.regions import Plane
 from tom.data.transitions import Transitions
 from tom.errors import UserError
-from tom.imagine import KeptModel, kept_model, kept_step, step_errors
+from tom.imagine import KeptModel, Stamps, kept_model, kept_stamps, kept_step, step_errors
 from tom.record import layout
 from tom.record.reader import RunReader
 
@@ -49,7 +49,8 @@ def model_errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, in
 
     The reason in words where there is no model.
     """
-    return _errors(run.path, run.env, step, _stamp(run), readers.stamp(_snapshot(run, step)))
+    weighed, model = readers.stamp(_snapshot(run, step)), kept_stamps(RunReader(run.path))
+    return _errors(run.path, run.env, step, _stamp(run), weighed, model)
 
 
 def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
@@ -57,8 +58,10 @@ def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
 
     None where `other` kept no model.
     """
-    step = kept_step(RunReader(other.path))
-    return None if step is None else _errors_on(run.path, _stamp(run), other.path, step)
+    reader = RunReader(other.path)
+    if kept_step(reader) is None:
+        return None
+    return _errors_on(run.path, _stamp(run), other.path, kept_stamps(reader))
 
 
 def principal_plane(run: RunInfo, rows: Rows) -> Plane:
@@ -109,7 +112,7 @@ def _length(path: str, changed: Stamp) -> int:
 
 
 @st.cache_data(show_spinner=False, max_entries=128)
-def _errors_on(path: str, changed: Stamp, other: str, step: int) -> Floats | None:
+def _errors_on(path: str, changed: Stamp, other: str, model: Stamps) -> Floats | None:
     recorded = _buffer(path, changed)[0]
     if not len(recorded):
         return None
@@ -131,7 +134,7 @@ def _rows(path: str, env: str, step: int, changed: Stamp, weighed: Stamp) -> Row
 
 @st.cache_resource(show_spinner=False, max_entries=16)
 def _errors(
-    path: str, env: str, step: int, changed: Stamp, weighed: Stamp
+    path: str, env: str, step: int, changed: Stamp, weighed: Stamp, model: Stamps
 ) -> tuple[NDArray[np.int64], Floats, int] | str:
     found = _rows(path, env, step, changed, weighed)
     if found is None:

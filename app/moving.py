@@ -13,6 +13,7 @@ from PIL import Image
 from app import readers, widgets
 from app.browser import settled_picture
 from app.pictures import ENV as ROAD
+from tom.errors import UserError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -22,8 +23,10 @@ FEWEST = 3
 """fits that make a story"""
 FRAME_MS, LAST_MS = 600, 2400
 WIDTH, HEIGHT = 1280, 800
-SHOWN_WIDTH = 960
+SHOWN_WIDTHS = (960, 720, 480)
+"""the first is what is wanted"""
 LIMIT_BYTES = 2_000_000
+"""never exceeded"""
 QUALITIES = (80, 60, 40, 20)
 
 
@@ -62,25 +65,40 @@ def spread(steps: Sequence[int] | np.ndarray) -> tuple[int, ...]:
 
 
 def film(browser: "Browser", address: str, story: Story, target: Path) -> None:
-    """Open the page at every fit and write what is seen as a moving WebP."""
+    """Open the page at every fit and write what is seen as a moving WebP.
+
+    Raises UserError where it would be too large.
+    """
     page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT}, color_scheme="light")
     frames = []
     for path in story.addresses():
         page.goto(f"{address}/{path}")
         frames.append(Image.open(io.BytesIO(settled_picture(page, whole=False))))
     page.close()
-    write(frames, target)
+    width, _ = write(frames, target)
+    smaller = "" if width == SHOWN_WIDTHS[0] else f": only {width} pixels wide, to stay small"
+    print(f"{target}{smaller}", flush=True)
 
 
-def write(frames: Sequence[Image.Image], target: Path) -> None:
-    """The frames one after the other, the last one longer, in at most LIMIT_BYTES."""
-    small = [_scaled(frame) for frame in frames]
-    content = _webp(small, QUALITIES[0])
-    for quality in QUALITIES[1:]:
-        if len(content) <= LIMIT_BYTES:
-            break
-        content = _webp(small, quality)
-    target.write_bytes(content)
+def write(frames: Sequence[Image.Image], target: Path, limit: int = LIMIT_BYTES) -> tuple[int, int]:
+    """The frames one after the other, the last one longer; returns the width and the quality.
+
+    Where they take more than `limit` bytes they get coarser, then smaller. Raises UserError, and
+    writes nothing, where that does not help.
+    """
+    size = 0
+    for width in SHOWN_WIDTHS:
+        small = [_scaled(frame, width) for frame in frames]
+        for quality in QUALITIES:
+            content = _webp(small, quality)
+            if len(content) <= limit:
+                target.write_bytes(content)
+                return width, quality
+            size = len(content)
+    raise UserError(
+        f"{target.name} would take {size / 1e6:.1f} MB at {SHOWN_WIDTHS[-1]} pixels, and "
+        f"{limit / 1e6:.1f} are the most: not written; name a store of other runs (--store)"
+    )
 
 
 def _webp(frames: Sequence[Image.Image], quality: int) -> bytes:
@@ -93,6 +111,6 @@ def _webp(frames: Sequence[Image.Image], quality: int) -> bytes:
     return content.getvalue()
 
 
-def _scaled(frame: Image.Image) -> Image.Image:
-    height = round(frame.height * SHOWN_WIDTH / frame.width)
-    return frame.convert("RGB").resize((SHOWN_WIDTH, height), Image.Resampling.LANCZOS)
+def _scaled(frame: Image.Image, width: int) -> Image.Image:
+    height = round(frame.height * width / frame.width)
+    return frame.convert("RGB").resize((width, height), Image.Resampling.LANCZOS)

@@ -7,12 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.pictures import ENV as ROAD
+from app.readers import Stamp, stamp
 from app.roadmap import RoadMap
 from tom.envs import task
 from tom.errors import UserError
 from tom.events import Episode
-from tom.imagine import Imagined, KeptModel, imagine, joint_positions, kept_model, kept_step
-from tom.record import scene
+from tom.imagine import (
+    Imagined,
+    KeptModel,
+    Stamps,
+    imagine,
+    joint_positions,
+    kept_model,
+    kept_stamps,
+)
+from tom.record import layout, scene
 from tom.record.reader import RunReader
 from tom.record.rerun_episode import episode_recording
 
@@ -56,8 +65,26 @@ class Replay:
 def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     """The episode `index` of the evaluation at `step`; None where it is not there.
 
-    The ghost starts again from the real state every `horizon` steps.
+    The ghost starts again from the real state every `horizon` steps. What comes back is kept, until
+    the episode or the run's model is another one, and shared: nobody may change it.
     """
+    episode = stamp(run.path / layout.episodes(step))
+    return _load(str(run.path), step, index, horizon, episode, kept_stamps(run))
+
+
+def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | None:
+    """The episode and its ghost as a Rerun recording; None where it is not there."""
+    replay = load(run, step, index, horizon)
+    if replay is None:
+        return None
+    return episode_recording(run, step, replay.episode, replay.dt, replay.ghost)
+
+
+@lru_cache(maxsize=32)
+def _load(
+    path: str, step: int, index: int, horizon: int, changed: Stamp, model: Stamps
+) -> Replay | None:
+    run = RunReader(path)
     episodes = run.episodes(step)
     if not 0 <= index < len(episodes) or not episodes[index].length:
         return None
@@ -67,7 +94,7 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     if real is None:
         return None
     dt = ROAD_DT if road else scene.model(run.env).dt
-    kept, why = _kept(run)
+    kept, why = _kept(run, model)
     imagined = None if kept is None else imagine(kept.predictor, episode, horizon)
     return Replay(
         env=run.env,
@@ -84,14 +111,6 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     )
 
 
-def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | None:
-    """The episode and its ghost as a Rerun recording; None where it is not there."""
-    replay = load(run, step, index, horizon)
-    if replay is None:
-        return None
-    return episode_recording(run, step, replay.episode, replay.dt, replay.ghost)
-
-
 def _ghost(env: str, episode: Episode, imagined: Imagined, dt: float, horizon: int) -> Floats:
     if env == ROAD:
         return imagined.obs
@@ -106,13 +125,13 @@ def _road(run: RunReader) -> RoadMap | None:
         return None
 
 
-def _kept(run: RunReader) -> tuple[KeptModel | None, str]:
+def _kept(run: RunReader, model: Stamps) -> tuple[KeptModel | None, str]:
     try:
-        return _kept_at(str(run.path), kept_step(run)), ""
+        return _kept_at(str(run.path), model), ""
     except UserError as error:
         return None, str(error)
 
 
 @lru_cache(maxsize=16)
-def _kept_at(path: str, step: int | None) -> KeptModel:
+def _kept_at(path: str, model: Stamps) -> KeptModel:
     return kept_model(RunReader(path))

@@ -21,7 +21,7 @@ def take(store: Path, folder: Path) -> int:
 
     And `weights.webp` and `road.webp`, which move through the fits of a run that has several.
 
-    Raises UserError where the browser is missing.
+    Raises UserError where the browser is missing, or where one that moves would be too large.
     """
     with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
         if running is None:
@@ -42,9 +42,7 @@ def take(store: Path, folder: Path) -> int:
                     page.close()
                 context.close()
         for story in moving.stories(store):
-            target = folder / f"{story.view}.webp"
-            moving.film(browser, links.address, story, target)
-            print(target, flush=True)
+            moving.film(browser, links.address, story, folder / f"{story.view}.webp")
     return 0
 
 

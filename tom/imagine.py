@@ -24,6 +24,8 @@ PLACES = (checkpoint.FOLDER, layout.MODEL)
 """folders of a run that may hold its model"""
 
 Floats = NDArray[np.float32]
+Stamps = tuple[tuple[int, int, int], ...]
+"""step, mtime_ns and size of files"""
 
 
 class Predictor(Protocol):
@@ -64,6 +66,16 @@ def kept_step(run: RunReader) -> int | None:
     """The step of the model that `kept_model` gives, whole or not; None where there is none."""
     found = (checkpoint.newest(run.path / folder) for folder in PLACES)
     return next((step for step in found if step is not None), None)
+
+
+def kept_stamps(run: RunReader) -> Stamps:
+    """What `kept_model` depends on: changes whenever the run keeps another model."""
+    try:
+        config = (run.path / layout.CONFIG).stat()
+    except OSError:  # deleted at this moment
+        return ()
+    found = [checkpoint.stamps(run.path / folder) for folder in PLACES]
+    return ((0, config.st_mtime_ns, config.st_size), *found[0], *found[1])
 
 
 def kept_model(run: RunReader) -> KeptModel:

@@ -42,14 +42,19 @@ class Frame:
         if compact:
             client.gui.main_panel.minimize()
 
-    def show(self, selection: Selection) -> None:
-        """Show what a page chose. Raises UserError where it cannot be read."""
+    def show(self, selection: Selection, *, play: bool = False) -> None:
+        """Show what a page chose; `play` it from its beginning, where it is something that plays.
+
+        Raises UserError where it cannot be read.
+        """
         with self._lock:
             if selection.mode != self.mode:
                 self.mode = selection.mode
                 self._dress()
                 self._mode_changed()
             self._show(selection)
+            if play:
+                self._play()
 
     def close(self) -> None:
         """Leave an empty scene and panel for a frame of another kind."""
@@ -99,6 +104,9 @@ class Frame:
 
     def _show(self, selection: Selection) -> None:
         raise NotImplementedError
+
+    def _play(self) -> None:
+        """Play from the beginning."""
 
     def _mode_changed(self) -> None:
         """What is drawn in the colours of the old mode is to be drawn again."""

@@ -1,6 +1,5 @@
 """The browser frame that plays evaluation episodes."""
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,6 @@ SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0
 
 WORDS_S = 0.2
 """seconds between two updates of the words and the curve while an episode plays"""
-
-
-@lru_cache(maxsize=32)
-def _replay(store: str, run: str, step: int, episode: int, horizon: int) -> Replay | None:
-    return replays.load(Store(store).run(run), step, episode, horizon)
 
 
 class ReplayFrame(Frame):
@@ -60,17 +54,20 @@ class ReplayFrame(Frame):
         choice = selection.choice
         assert isinstance(choice, Choice)
         before, self._choice = self._choice, choice
-        replay = _replay(self.store, choice.run, choice.step, choice.episode, choice.horizon)
+        run = Store(self.store).run(choice.run)
+        replay = replays.load(run, choice.step, choice.episode, choice.horizon)
         if replay is None:
             raise UserError(f"episode {choice.episode + 1} of step {choice.step} cannot be read")
         if replay is not self._replay:
             self._draw(replay)
         if before is None or before.frame != choice.frame:
             self._go_to(choice.frame)
-        if before is not None and before.played != choice.played:
-            self._go_to(0)
-            self.playing = False
-            self._toggle()
+        self._pose()
+
+    def _play(self) -> None:
+        self._go_to(0)
+        self.playing = False
+        self._toggle()
         self._pose()
 
     def _mode_changed(self) -> None:

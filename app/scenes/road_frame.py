@@ -6,12 +6,14 @@ import viser
 
 from app import pictures
 from app.pictures import Picture
+from app.readers import Stamp, stamp
 from app.scenes import road as scene
 from app.scenes.control import Road, Selection
 from app.scenes.frame import Frame
 from app.scenes.road import RoadScene
 from app.scenes.stage import sky
 from tom.errors import UserError
+from tom.record import layout
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
@@ -34,7 +36,7 @@ LAYERS = (
 
 
 @lru_cache(maxsize=128)
-def _picture(path: str, step: int) -> Picture | None:
+def _picture(path: str, step: int, changed: Stamp) -> Picture | None:
     return pictures.load(RunReader(path), step)
 
 
@@ -125,7 +127,9 @@ class RoadFrame(Frame):
         except UserError:
             return None
         at = max((s for s in steps if s <= step), default=steps[0] if steps else -1)
-        picture = _picture(str(store.resolve(run)), at) if steps else None
+        path = store.resolve(run)
+        changed = stamp(path / layout.snapshot(at)) if steps else (0, 0)
+        picture = _picture(str(path), at, changed) if steps else None
         return None if picture is None else (run, picture)
 
     def _draw(self, shown: list[Picture]) -> None:

@@ -31,6 +31,8 @@ class SceneServer:
     def __init__(self, links: Links) -> None:
         self.links = links
         self.chosen: dict[str, Selection] = {}
+        self.begun: dict[str, int] = {}
+        """how often what a page shows was played from its beginning"""
         self.frames: dict[int, tuple[str, Frame]] = {}
         self.server = viser.ViserServer(links.host, links.viser_port, verbose=False)
         if self.server.get_port() != links.viser_port:  # viser takes the next one in silence
@@ -45,22 +47,35 @@ class SceneServer:
         self.chosen[client] = selection
         if before == selection:
             return
-        for number, (name, frame) in list(self.frames.items()):
-            if name == client:
-                self._show(number, name, frame, selection)
+        frames = list(self.frames.items())
+        here = [(number, frame) for number, (name, frame) in frames if name == client]
+        play = bool(here) and self._asked_to_play(client, selection.choice)
+        for number, frame in here:
+            self._show(number, client, frame, selection, play=play)
 
     def tick(self, seconds: float) -> None:
         """So much time has passed in every frame."""
         for _, frame in list(self.frames.values()):
             frame.tick(seconds)
 
-    def _show(self, number: int, name: str, frame: Frame, selection: Selection) -> None:
+    def _asked_to_play(self, name: str, choice: Choice) -> bool:
+        """Since a frame of the page last began, the page has asked for it; it counts as begun now.
+
+        So a page's wish waits for its first frame, and a frame that comes back does not begin anew.
+        """
+        asked = choice.played if isinstance(choice, Replay) else 0
+        begun, self.begun[name] = self.begun.get(name, 0), asked
+        return asked > begun
+
+    def _show(
+        self, number: int, name: str, frame: Frame, selection: Selection, *, play: bool
+    ) -> None:
         if type(frame) is not FRAMES[type(selection.choice)]:
             frame.close()
             frame = self._frame(frame.client, selection)
             self.frames[number] = (name, frame)
         try:
-            frame.show(selection)
+            frame.show(selection, play=play)
         except UserError as error:  # deleted or damaged meanwhile: the last picture stays
             frame.client.add_notification("Not shown", str(error), auto_close_seconds=8)
 
@@ -72,8 +87,9 @@ class SceneServer:
         selection = self.chosen.get(name, Selection(Road(), self.links.theme or "light"))
         frame = self._frame(client, selection)
         self.frames[client.client_id] = (name, frame)
-        # It may have changed while it was built.
-        self._show(client.client_id, name, frame, self.chosen.get(name, selection))
+        selection = self.chosen.get(name, selection)  # it may have changed while this was built
+        play = self._asked_to_play(name, selection.choice)
+        self._show(client.client_id, name, frame, selection, play=play)
 
     def _frame(self, client: viser.ClientHandle, selection: Selection) -> Frame:
         kind = FRAMES[type(selection.choice)]

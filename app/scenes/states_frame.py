@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from app.colours import on_scale
 from app.figures.scales import OCTAVES, octaves
+from app.readers import Stamp, stamp
 from app.scenes import states
 from app.scenes.control import Selection, States
 from app.scenes.frame import Frame
@@ -16,15 +17,17 @@ from app.scenes.states import WINDOW, StatesScene
 from app.theme import COLUMNS
 from tom.data.transitions import Transitions
 from tom.errors import UserError
+from tom.record import layout
 from tom.record import scene as geometry
+from tom.record.reader import RunReader
 from tom.record.store import Store
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0}
 
 
 @lru_cache(maxsize=4)
-def _recorded(store: str, run: str) -> tuple[Transitions, dict[str, NDArray]]:
-    reader = Store(store).run(run)
+def _recorded(path: str, created: Stamp) -> tuple[Transitions, dict[str, NDArray]]:
+    reader = RunReader(path)
     return reader.buffer()[0], reader.buffer_state()
 
 
@@ -53,11 +56,13 @@ class StatesFrame(Frame):
         assert isinstance(choice, States)
         if choice == self._drawn:
             return
-        recorded, state = _recorded(self.store, choice.run)
+        run = Store(self.store).run(choice.run)
+        whose = str(run.path), stamp(run.path / layout.CONFIG)
+        recorded, state = _recorded(*whose)
         if max((*choice.heavy, *choice.light), default=0) >= len(recorded):
             _recorded.cache_clear()  # the run has gone on since it was read
-            recorded, state = _recorded(self.store, choice.run)
-        env = Store(self.store).run(choice.run).env
+            recorded, state = _recorded(*whose)
+        env = run.env
         ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
         if max((*choice.heavy, *choice.light), default=0) >= len(ended):
             raise UserError("these transitions are no longer in the run's record")

@@ -46,7 +46,7 @@ def page() -> None:
         index = _pick_episode(returns)
     with top[3]:
         horizon = _pick_horizon()
-    replay = _replay(run.path, step, index, horizon, _stamp(run, step))
+    replay = replays.load(RunReader(run.path), step, index, horizon)
     if replay is None:
         st.warning("This episode cannot be read.")
         return
@@ -176,10 +176,3 @@ def _stamp(run: RunInfo, step: int) -> tuple[int, int]:
 @st.cache_data(show_spinner=False, max_entries=256)
 def _returns(path: str, step: int, changed: tuple[int, int]) -> np.ndarray:
     return np.array([e.undiscounted_return for e in RunReader(path).episodes(step)])
-
-
-@st.cache_resource(show_spinner=False, max_entries=32)
-def _replay(
-    path: str, step: int, index: int, horizon: int, changed: tuple[int, int]
-) -> Replay | None:
-    return replays.load(RunReader(path), step, index, horizon)

@@ -8,6 +8,7 @@ from PIL import Image
 from studio_runs import ROAD_TOM
 
 from app import moving
+from tom.errors import UserError
 from tom.record.reader import RunReader
 
 
@@ -41,3 +42,20 @@ def test_a_moving_picture_is_small(noise: int, tmp_path: Path) -> None:
     with Image.open(tmp_path / "moving.webp") as made:
         assert made.size == (960, 600)
         assert getattr(made, "n_frames", 1) == (3 if noise else 1)
+
+
+def test_one_that_stays_too_large_is_made_smaller_or_refused(tmp_path: Path) -> None:
+    draws = np.random.default_rng(0)
+    frames = [Image.fromarray(draws.integers(0, 255, (100, 160, 3), np.uint8)) for _ in range(2)]
+    target = tmp_path / "moving.webp"
+    coarse = moving.write(frames, target, limit=target_size(frames, target) // 2)
+    assert coarse < (moving.SHOWN_WIDTHS[0], moving.QUALITIES[0])
+    target.unlink()
+    with pytest.raises(UserError, match=r"moving.webp would take .* MB at 480 pixels"):
+        moving.write(frames, target, limit=1000)
+    assert list(tmp_path.iterdir()) == []
+
+
+def target_size(frames: list[Image.Image], target: Path) -> int:
+    moving.write(frames, target)
+    return target.stat().st_size

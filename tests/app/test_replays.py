@@ -60,6 +60,31 @@ def test_a_run_without_a_model_has_no_ghost(store: Path, tmp_path: Path) -> None
     assert "no dynamics model" in replay.no_ghost
 
 
+def test_another_model_of_the_same_step_imagines_another_ghost(store: Path, tmp_path: Path) -> None:
+    own = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    run = RunReader(own)
+    before = loaded(run, 400)
+    assert loaded(run, 400) is before  # kept, as nothing has changed
+    shutil.rmtree(own / "checkpoint")
+    shutil.copytree(store / "pendulum-tom-1" / "checkpoint", own / "checkpoint")
+    after = loaded(run, 400)
+    assert before.model_step == after.model_step == 400
+    assert before.ghost is not None
+    assert after.ghost is not None
+    assert not np.array_equal(before.ghost, after.ghost)
+    assert np.array_equal(before.real, after.real)
+
+
+def test_another_run_of_the_same_name_is_replayed(store: Path, tmp_path: Path) -> None:
+    own = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    before = loaded(RunReader(own), 400)
+    shutil.rmtree(own)
+    shutil.copytree(store / "pendulum-mle-0", own)
+    after = loaded(RunReader(own), 400)
+    assert (before.learner, after.learner) == ("tom", "mle")
+    assert not np.array_equal(before.episode.action, after.episode.action)
+
+
 def test_road_and_rocks_is_replayed_on_its_map(store: Path) -> None:
     run = RunReader(store / ROAD_TOM)
     replay = loaded(run, run.evaluation_steps()[-1], 5)

@@ -88,6 +88,18 @@ def newest(folder: Path) -> int | None:
     return int(found[0].name) if found else None
 
 
+def stamps(folder: Path) -> tuple[tuple[int, int, int], ...]:
+    """Step, mtime_ns and size of each checkpoint, newest first: another one differs somewhere."""
+    found = []
+    for path in _folders(folder):
+        try:
+            state = (path / STATE).stat()
+        except OSError:  # dropped at this moment, or damaged
+            continue
+        found.append((int(path.name), state.st_mtime_ns, state.st_size))
+    return tuple(found)
+
+
 class _Hashing:
     """Writes on to a file and keeps the sha256 and the length of all that was written."""
 
