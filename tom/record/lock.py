@@ -60,12 +60,16 @@ def hold(path: Path) -> Hold:
     try:
         lock = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     except OSError as error:
-        raise UserError(f"cannot write into run '{path.name}': {error.strerror}") from error
+        raise UserError(
+            f"cannot write into run '{path.name}' ({error.strerror}): make its folder writable"
+        ) from error
     try:
         _lock(lock)
     except OSError as error:
         os.close(lock)
-        raise UserError(f"run '{path.name}' is being written by another process") from error
+        raise UserError(
+            f"run '{path.name}' is being written by another process: wait for it, or stop it"
+        ) from error
     name = _boot() + secrets.token_hex(8).encode()
     with suppress(OSError):  # a full disk: the lock holds all the same
         os.pwrite(lock, name, 0)

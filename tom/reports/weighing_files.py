@@ -49,7 +49,7 @@ def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
         weights = _read_weights(path)
         with _whole(copy) as unfinished:
             for file in path.iterdir():
-                if file.name != WEIGHTS:
+                if file.name != WEIGHTS and file.is_file() and not file.is_symlink():
                     shutil.copyfile(file, unfinished / file.name)
             write_columns(unfinished / WEIGHTS, weights)
         yield copy

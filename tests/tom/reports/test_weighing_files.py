@@ -3,6 +3,9 @@
 import json
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from tom.errors import UserError
@@ -39,3 +42,12 @@ def test_a_weighing_with_damaged_weights_is_named_and_not_copied(
     with pytest.raises(UserError, match=f"{damaged} cannot be read"):
         list(copy_small(tmp_path / "store", "one", tmp_path / "out"))
     assert list((tmp_path / "out").glob("weighings/*")) == []
+
+
+def test_what_a_link_leads_to_is_not_copied(tmp_path: Path):
+    whole, secret = weighing(tmp_path / "store", "whole", WHOLE), tmp_path / "secret"
+    pq.write_table(pa.table({"mle-s0": np.ones(3, np.float32)}), whole / WEIGHTS)
+    secret.write_text("mine")
+    (whole / "profile.csv").symlink_to(secret)
+    (copy,) = copy_small(tmp_path / "store", "one", tmp_path / "out")
+    assert sorted(path.name for path in copy.iterdir()) == [REPORT, WEIGHTS]
