@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from tom import statistics as st
 from tom.learners import LEARNERS
@@ -26,7 +27,7 @@ def return_figure(cells: Sequence[Cell], rng: np.random.Generator) -> Figure:
     columns = min(COLUMNS, len(at))
     rows = -(-len(at) // columns)
     with rc_context(STYLE):
-        figure = new_figure(3.6 * columns + 0.4, 2.9 * rows + 0.2)
+        figure = new_figure(3.6 * columns + 0.4, 3.4 * rows + 0.2)
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         for ax, env in zip(axes, at, strict=False):
             for cell in (c for c in cells if c.env == env):
@@ -34,7 +35,8 @@ def return_figure(cells: Sequence[Cell], rng: np.random.Generator) -> Figure:
             ax.axvline(at[env], color=NEUTRAL, linestyle=":", linewidth=0.9)
             ax.set_title(env)
             ax.set_xlabel("env steps")
-            ax.legend(fontsize=7.5)
+            ax.xaxis.set_major_formatter(EngFormatter(sep=""))  # 40k
+            ax.legend(fontsize=7.5, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.2))
         for ax in axes[len(at) :]:
             ax.set_visible(False)
         axes[0].set_ylabel("best return so far")
