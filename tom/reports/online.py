@@ -44,4 +44,4 @@ def _draw(ax: Axes, panel: Panel) -> None:
         ax.plot(x, profile, color=shade, linewidth=1.0, label=f"step {step}")
     ax.set_xlim(0, 100)
     ax.set_ylim(bottom=0)
-    ax.legend(fontsize=6.5)
+    ax.legend(fontsize=6.5, frameon=True, edgecolor="none")  # the curves run everywhere
