@@ -110,7 +110,9 @@ def of_run(run: RunReader) -> OrderedData:
     env = task(run.env).name  # road-and-rocks has no policy that could be played here
     rows, version = run.buffer()
     if run.problems or not len(rows):
-        reason = "; ".join(run.problems) or "it collected nothing"
+        lacking = "buffer" in run.left_out
+        nothing = "left out of this small copy" if lacking else "it collected nothing"
+        reason = "; ".join(run.problems) or nothing
         raise UserError(f"the replay buffer of run {run.run_id} cannot be used: {reason}")
     _check_dims(run.run_id, rows, task(env))
     settings = run.config.get("config", {})

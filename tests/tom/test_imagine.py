@@ -20,6 +20,7 @@ from tom.record.export import export_small
 from tom.record.health import verify
 from tom.resume import resume
 from tom.run import train
+from tom.weighing import of_run
 
 
 class Adder:
@@ -157,3 +158,5 @@ def test_a_small_copy_without_its_model_says_so(
     assert "model" in small.left_out
     with pytest.raises(UserError, match="left out of this small copy"):
         kept_model(small)
+    with pytest.raises(UserError, match="cannot be used: left out of this small copy"):
+        of_run(small)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from tom.record import checkpoint, layout
 from tom.record.bucket import Bucket
+from tom.record.files import files_in
 from tom.record.lock import LostError
 
 NAME = re.compile(r"\d{6}-[0-9a-f]{8}")
@@ -118,15 +119,9 @@ def _last(bucket: Bucket, run_id: str) -> str:
 def _files(folder: Path, part: Path) -> dict[str, tuple[int, int]]:
     """Time of change and size of every file in `part` but the status and those with a dot."""
     found: dict[str, tuple[int, int]] = {}
-    for path in part.rglob("*"):
+    for path, stat in files_in(part):
         name = path.relative_to(folder)
-        if name.as_posix() == layout.STATUS or any(part.startswith(".") for part in name.parts):
-            continue
-        try:
-            stat = path.stat()
-        except FileNotFoundError:
-            continue
-        if path.is_file():
+        if name.as_posix() != layout.STATUS and not any(one.startswith(".") for one in name.parts):
             found[name.as_posix()] = (stat.st_mtime_ns, stat.st_size)
     return found
 

@@ -4,8 +4,8 @@ import errno
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import stat
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -109,13 +109,21 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
+def files_in(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
+    """Every file under `folder`, no links, also while others write there: what goes is left out."""
+    for base, _, names in os.walk(folder):
+        for path in (Path(base, name) for name in names):
+            try:
+                found = path.lstat()
+            except OSError:
+                continue
+            if stat.S_ISREG(found.st_mode):
+                yield path, found
+
+
 def size_of(folder: Path) -> int:
     """Bytes of the files under `folder`; 0 where there is none."""
-    size = 0
-    for path in folder.rglob("*"):
-        with suppress(OSError):  # replaced meanwhile
-            size += 0 if path.is_dir() else path.lstat().st_size
-    return size
+    return sum(found.st_size for _, found in files_in(folder))
 
 
 def modified(path: Path) -> int:

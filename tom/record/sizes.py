@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tom.record import checkpoint, layout
+from tom.record.files import files_in, size_of
 from tom.record.manage import unwritten
 from tom.record.reader import RunReader
 
@@ -15,11 +16,10 @@ def sizes(reader: RunReader) -> dict[str, int]:
     """Bytes of each of PARTS."""
     found: dict[str, int] = dict.fromkeys(PARTS, 0)
     recordings = set(layout.rrd_files(reader.path))
-    for path in reader.path.rglob("*"):
-        if path.is_file() and not path.is_symlink():
-            top = path.relative_to(reader.path).parts[0]
-            part = "recording" if path in recordings else top if top in PARTS else "rest"
-            found[part] += path.stat().st_size
+    for path, stat in files_in(reader.path):
+        top = path.relative_to(reader.path).parts[0]
+        part = "recording" if path in recordings else top if top in PARTS else "rest"
+        found[part] += stat.st_size
     return found
 
 
@@ -47,4 +47,4 @@ def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
 
 
 def _bytes(folders: Sequence[Path]) -> int:
-    return sum(f.stat().st_size for path in folders for f in path.rglob("*") if f.is_file())
+    return sum(map(size_of, folders))

@@ -1,8 +1,14 @@
 """`tom train` with several learners and seeds."""
 
+import json
+from pathlib import Path
+
 import pytest
 
 from tom.cli import main
+from tom.cli.train_many import run_fleets
+from tom.run import Stop
+from tom.sweep.plan import Trial
 
 HOPPER = ["train", "--env", "hopper", "--preset", "smoke"]
 
@@ -26,3 +32,12 @@ def test_what_cannot_be_is_refused_in_one_line(words: list[str], hint: str, caps
     assert hint in error
     assert len(error.splitlines()) == 1
     assert not store.exists()
+
+
+def test_fleets_that_never_began_are_not_finished(capsys, tmp_path: Path):
+    fleets = [[Trial(env, "mle", 0, "smoke", {})] for env in ("hopper", "inverted-pendulum")]
+    stop = Stop()
+    stop()
+    assert run_fleets(tmp_path, fleets, stop, rerun=False, as_json=True) == 1
+    assert json.loads(capsys.readouterr().out) == []
+    assert list(tmp_path.iterdir()) == []
