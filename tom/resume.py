@@ -71,9 +71,11 @@ def unfinished(store: Store, config: AnyConfig) -> str | None:
     wanted = config.model_dump(mode="json")
     for reader in store.runs():
         given = reader.config.get("config")
-        if not isinstance(given, dict) or given.get("steps", 0) > config.steps:
+        if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
+            continue  # damaged
+        if given["steps"] > config.steps:
             continue
-        if reader.learner == "sac" and given.get("steps") != config.steps:
+        if reader.learner == "sac" and given["steps"] != config.steps:
             continue  # the halves of a recording depend on them
         if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
             continue

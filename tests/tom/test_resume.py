@@ -1,7 +1,9 @@
 """Resumed and uninterrupted training are the same to the last bit."""
 
+import json
 from collections.abc import Iterator
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ from tom.learners import LEARNER_NAMES
 from tom.mbpo import Mbpo
 from tom.offline import Offline
 from tom.presets import resolve
+from tom.record import RunWriter, Store
+from tom.resume import unfinished
 from tom.run import AnyConfig, Training, make_training
 
 STEPS, STOP = 430, 347  # stops within an episode and between two fits
@@ -154,3 +158,13 @@ def test_hopper_that_finished_early_is_the_longer_run_when_it_goes_on():
     until(longer.events(), STOP)
     until(early.events(), STOP)
     assert_same_state(longer.state_dict(), early.state_dict())
+
+
+def test_a_run_whose_settings_are_damaged_is_none_that_goes_on(tmp_path: Path):
+    store, config = Store(tmp_path), resolve("inverted-pendulum", "mle", "smoke", {})
+    RunWriter.create(store, "run", config).close()
+    file = tmp_path / "run" / "config.json"
+    content = json.loads(file.read_text())
+    for settings in ({**content["config"], "steps": "many"}, {}, None):
+        file.write_text(json.dumps({**content, "config": settings}))
+        assert unfinished(store, config) is None

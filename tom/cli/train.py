@@ -82,6 +82,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     given = overrides(args)
     if args.resume and args.resume != "auto":
+        _refuse_others(args)
         return _resume(args, args.resume, _steps(given))
     if not (args.env and args.learner):
         raise UserError("--resume auto needs the --env and --learner of the run")
@@ -156,6 +157,16 @@ def _stop_on_signals() -> Stop:
         if not under_nohup:
             signal.signal(name, stop)
     return stop
+
+
+def _refuse_others(args: argparse.Namespace) -> None:
+    """Raises UserError for what has no meaning where a named run goes on."""
+    for option in ("seeds", "engine", "run_id"):
+        if getattr(args, option) is not None:
+            name = option.replace("_", "-")
+            raise UserError(
+                f"--resume {args.resume} goes on with that run alone: leave out --{name}"
+            )
 
 
 def _seed(word: str) -> int:

@@ -30,6 +30,8 @@ def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
         ([*TRAIN, "--run-id", "../escape"], "is no run id"),
         ([*TRAIN, "--tom.divergence", "chi3"], "--tom.divergence chi3"),
         (["train", "--learner", "mle"], "--env"),
+        (["train", "--resume", "one", "--seeds", "1"], "leave out --seeds"),
+        (["train", "--resume", "one", "--run-id", "two"], "leave out --run-id"),
         (["bench", "learn", "--learner", "tomm"], "did you mean 'tom'?"),
         (["bench", "learn", "--seeds", "-1"], "--seeds must be at least 0"),
         (["reproduce", "progression", "--sac-seeds", "-1"], "seeds must be at least 0"),
