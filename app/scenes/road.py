@@ -11,6 +11,7 @@ from app.pictures import Picture
 from app.roadmap import RoadMap, circle, outline
 from app.scenes import arrays, solids
 from app.scenes.robot import Robot
+from app.scenes.words import add_words, extent
 from app.theme import NEUTRAL, Mode, learner_colour, learner_label
 
 CAMERA = (0.5, -0.12, 0.82)
@@ -20,6 +21,12 @@ LIFT = 0.006
 """lines lie this much above what they are drawn on"""
 GAP = 0.18
 """between two maps side by side"""
+TITLE, NAME = 0.048, 0.03
+"""height of letters"""
+MARGIN = 0.008
+"""between the map and the names beside it: on it columns and cars would hide them"""
+TILT = 0.7
+"""words lean back, square to where the camera looks from at first"""
 EXPERTS = 3
 """cars that drive the expert's ways"""
 PIXELS = 10
@@ -62,7 +69,7 @@ class RoadScene:
             "boulders": [self._rocks],
         }
         words = f"{learner_label(picture.learner)}, fit of step {picture.step:,}"
-        scene.add_label(f"{name}/title", words, position=(0.5, 1.03, 0.02), anchor="bottom-center")
+        add_words(scene, f"{name}/title", words, self.mode, (0.5, 1.03, 0.02), TITLE, TILT)
 
     def show(self, layers: Mapping[str, bool]) -> None:
         """Show and hide layers by name."""
@@ -174,7 +181,9 @@ def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str = "") -
     ):
         ring = [circle(x, y, radius), circle(x, y, radius * 0.93)]
         _lines(scene, f"{root}/{name}", ring, colour, 2 * LIFT, 3.5)
-        scene.add_label(f"{root}/{name}/name", name, position=(x, y, 0.03), anchor="bottom-center")
+        half = extent(name, mode, NAME)[0] / 2 + MARGIN
+        beside = (-half if x < 0.5 else 1 + half, y - NAME / 2, LIFT)
+        add_words(scene, f"{root}/{name}/name", name, mode, beside, NAME, TILT)
 
 
 def _draw_boulders(

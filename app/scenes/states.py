@@ -11,6 +11,7 @@ from app.scenes import solids
 from app.scenes.robot import Robot
 from app.scenes.solids import Solids
 from app.scenes.stage import floor, sky
+from app.scenes.words import add_words
 from app.theme import Mode
 from tom.data.transitions import Transitions
 from tom.envs import task
@@ -20,6 +21,10 @@ ABREAST = 3
 """robots in a line"""
 WINDOW = 12
 """steps shown before and after the moment"""
+LETTERS = 0.2
+"""height of letters, as a share of what a robot and its margin cover"""
+TILT = 1.2
+"""words stand, leaning a little back, as the camera looks down a little"""
 MARGIN = 0.45
 """metres between two robots"""
 
@@ -121,10 +126,9 @@ class StatesScene:
             self._robots.append((Robot(scene, f"/{name}", one.solids, colours), one, at))
             middle = at.mean(0)
             top = float(one.frame(WINDOW)[0][..., 2].max()) + 0.35
-            scene.add_label(
-                f"/{name} label", words, position=(middle[0], at[:, 1].max(), top),
-                anchor="bottom-center", font_screen_scale=1.1,
-            )  # fmt: skip
+            foot = (float(middle[0]), float(at[:, 1].max()), top)
+            letters = LETTERS * float(self.size[0] + MARGIN)
+            add_words(scene, f"/{name} label", words, mode, foot, letters, TILT)
 
     def pose(self, at: int) -> None:
         """Show frame `at` of every moment; WINDOW is the moment itself."""
