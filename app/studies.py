@@ -28,7 +28,7 @@ class Study:
 
     name: str
     figures: tuple[Path, ...]  # PNG
-    tables: tuple[Path, ...]  # CSV, the shortest first: a summary before single values
+    tables: tuple[Path, ...]  # CSV, the summary first, then the shortest: single values come last
     report: Path | None
 
     @property
@@ -82,6 +82,6 @@ def _read(folder: Path) -> Study | None:
     return Study(
         folder.name,
         tuple(path for path in files if path.suffix == ".png"),
-        tuple(sorted(tables, key=lambda path: size[path])),
+        tuple(sorted(tables, key=lambda path: (path.stem != "summary", size[path]))),
         next((path for path in files if path.name == REPORT), None),
     )

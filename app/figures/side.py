@@ -61,8 +61,24 @@ def side_by_side(
     figure.update_yaxes(gridcolor=GRID)
     figure.update_yaxes(title_text="return", row=1, col=1)
     figure.update_yaxes(
-        tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"], range=[0, 100.2], row=2
+        tickvals=[0, 50, 100],
+        ticktext=["oldest", "middle", "newest"],
+        range=[0, 100.2],
+        ticks="",  # beside a map Plotly draws them, also where they have no label
+        row=2,
     )
+    for column, (*_, profiles) in enumerate(parts, 1):
+        if not len(profiles.env_step):
+            axis = len(parts) + column
+            figure.add_annotation(
+                text="no weights recorded",
+                xref=f"x{axis} domain",
+                yref=f"y{axis} domain",
+                x=0.5,
+                y=0.5,
+                showarrow=False,
+                opacity=0.75,
+            )
     figure.update_traces(
         selector={"type": "heatmap"},
         colorbar={"len": 0.48, "y": 0, "yanchor": "bottom"},

@@ -12,6 +12,8 @@ TITLE = "Studies"
 ICON = ":material/lab_profile:"
 PATH = "studies"
 
+SHORT = 20
+"""lines of a table that is seen at once; longer ones, of single values, are folded away"""
 LISTED = 200
 """lines of a table that are shown; the file holds all"""
 
@@ -51,13 +53,22 @@ def _table(study: Study, name: str, table: pd.DataFrame | None) -> None:
     if table is None:
         st.warning(f"{text.markdown(name)} cannot be read.")
         return
-    more = f", the first {LISTED} of {len(table):,} lines" if len(table) > LISTED else ""
-    st.markdown(f"**{text.markdown(name.removesuffix('.csv'))}**{more}")
+    title = f"**{text.markdown(name.removesuffix('.csv'))}**"
+    if len(table) <= SHORT:
+        st.markdown(title)
+        _lines(study, name, table)
+        return
+    more = f"the first {LISTED} of {len(table):,}" if len(table) > LISTED else f"{len(table)}"
+    with st.expander(f"{title}, {more} lines"):
+        _lines(study, name, table)
+
+
+def _lines(study: Study, name: str, table: pd.DataFrame) -> None:
     numbers = {
         column: st.column_config.NumberColumn(format="%.4g")
         for column in table.select_dtypes("floating").columns
     }
-    st.dataframe(table.head(LISTED), hide_index=True, column_config=numbers)
+    st.dataframe(table.head(LISTED), hide_index=True, column_config=numbers, placeholder="-")
     st.download_button(
         "CSV", table.to_csv(index=False), f"{study.name}-{name}", "text/csv",
         icon=":material/download:", on_click="ignore", key=f"download {study.name} {name}",

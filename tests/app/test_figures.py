@@ -13,6 +13,7 @@ from app.aggregate import GRID, Curve, aggregate
 from app.figures.curves import POINTS, group_curves, run_curves
 from app.figures.road import displacement_error, road_map
 from app.figures.scales import octaves, span
+from app.figures.side import side_by_side
 from app.figures.weights import (
     MAP_COLUMNS,
     bin_centres,
@@ -180,3 +181,13 @@ def test_the_road_map_shows_the_picture(store: Path) -> None:
     on_road = np.abs(picture.points[:, 1] - 0.12) < 0.05
     error = displacement_error(picture)
     assert error[on_road].mean() < 0.5 * error[~on_road].mean()
+
+
+def test_a_run_without_weights_says_so_beside_the_others(profiles: Profiles) -> None:
+    none = Profiles(*(part[:0] for part in vars(profiles).values()))
+    curve = long_curve(50)
+    figure = side_by_side([("TOM", curve, profiles), ("SAC", curve, none)], "light", 400)
+    layout = figure.to_dict()["layout"]
+    (missing,) = [note for note in layout["annotations"] if note["text"] == "no weights recorded"]
+    assert (missing["xref"], missing["yref"]) == ("x4 domain", "y4 domain")
+    assert len([trace for trace in traces(figure) if trace.type == "heatmap"]) == 1

@@ -29,6 +29,7 @@ def reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         folder.mkdir(parents=True)
         Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(folder / "errors.png")
         write_csv(folder / "errors.csv", ROWS * 300)
+        write_csv(folder / "few.csv", ROWS[:1])
         write_csv(folder / "summary.csv", ROWS)
     road = tmp_path / "reports" / "road"
     write_report(Report("Road", "a claim", ["found"], [("figure", road / "errors.png")]), road)
@@ -40,7 +41,7 @@ def test_studies_are_listed_with_their_files(reports: Path) -> None:
     (reports / "focus" / "outside.png").symlink_to(reports / "road" / "errors.png")
     road, focus = studies.found()
     assert (road.name, focus.name) == ("road", "focus")
-    assert [path.name for path in focus.tables] == ["summary.csv", "errors.csv"]
+    assert [path.name for path in focus.tables] == ["summary.csv", "few.csv", "errors.csv"]
     assert [path.name for path in focus.figures] == ["errors.png"]
     assert focus.report is None
     assert studies.report("road") == Path("reports/road/report.html")
@@ -50,10 +51,11 @@ def test_studies_are_listed_with_their_files(reports: Path) -> None:
 
 def test_the_page_shows_a_studys_figures_and_numbers(reports: Path) -> None:
     app = draw("studies", study="focus")
-    summary, errors = (frame.value for frame in app.dataframe)
+    summary, _, errors = (frame.value for frame in app.dataframe)
     pd.testing.assert_frame_equal(summary, pd.DataFrame(ROWS))
     assert len(errors) == 200
-    assert any("200 of 600 lines" in words.value for words in app.markdown)
+    assert "200 of 600 lines" in app.expander[0].label  # single values are folded away
+    assert [frame.value.equals(errors) for frame in app.expander[0].dataframe] == [True]
     assert len(app.image) == 1
     assert [code.value for code in app.code] == [
         f"tom reproduce {name}" for name in ("progression", "online", "returns", "tabular")
@@ -64,7 +66,7 @@ def test_a_damaged_table_is_named(reports: Path) -> None:
     (reports / "focus" / "summary.csv").write_bytes(b'"\xff')
     app = draw("studies", study="focus")
     assert "summary.csv" in app.warning[0].value.replace("\\", "")
-    assert len(app.dataframe) == 1
+    assert len(app.dataframe) == 2
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n and no more"])

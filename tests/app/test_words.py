@@ -29,7 +29,7 @@ def test_words_have_the_themes_colours_and_no_box(mode: Mode) -> None:
     letters = image[np.equal(image[..., 3], 255)]
     assert np.equal(letters, [*rgb(TEXT[mode]), 255]).all(1).mean() > 0.5
     halo = np.array(rgb(BACKGROUND[mode]))
-    assert (np.abs(image[..., :3].astype(int) - halo) < 3).all(2)[~clear].mean() > 0.2
+    assert (np.abs(image[~clear, :3].astype(int) - halo) < 3).all(1).mean() > 0.2
 
 
 def test_no_letter_is_cut_off() -> None:
