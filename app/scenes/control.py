@@ -1,6 +1,8 @@
 """How a page tells the viser server what to show: a socket that only this user can open."""
 
 import json
+import logging
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Client, Listener
@@ -10,6 +12,10 @@ from typing import Any
 from app.theme import Mode
 
 MESSAGE_LIMIT = 100_000
+PAUSE_S = 0.1
+"""after a message that failed: a socket that always fails must not keep a core busy"""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -69,13 +75,20 @@ def tell(socket: str, client: str, selection: Selection) -> None:
 
 
 def listen(socket: str, select: Callable[[str, Selection], None]) -> None:
-    """Hand every selection that arrives to `select`, for ever."""
+    """Hand every selection that arrives to `select`, for ever.
+
+    A message that breaks off, or that cannot be shown, is logged: those after it still count.
+    """
     Path(socket).unlink(missing_ok=True)  # what a server that was killed left behind
     with Listener(socket) as listener:
         while True:
-            with listener.accept() as connection:
-                message = connection.recv_bytes(MESSAGE_LIMIT)
-            select(*unpacked(message))
+            try:
+                with listener.accept() as connection:
+                    message = connection.recv_bytes(MESSAGE_LIMIT)
+                select(*unpacked(message))
+            except Exception:
+                _log.exception("a page's selection was not shown")
+                time.sleep(PAUSE_S)
 
 
 def packed(client: str, selection: Selection) -> bytes:

@@ -73,7 +73,8 @@ class SceneServer:
         if type(frame) is not FRAMES[type(selection.choice)]:
             frame.close()
             frame = self._frame(frame.client, selection)
-            self.frames[number] = (name, frame)
+            if not self._insert(number, name, frame):
+                return
         try:
             frame.show(selection, play=play)
         except UserError as error:  # deleted or damaged meanwhile: the last picture stays
@@ -86,10 +87,19 @@ class SceneServer:
         name = request.path.strip("/")
         selection = self.chosen.get(name, Selection(Road(), self.links.theme or "light"))
         frame = self._frame(client, selection)
-        self.frames[client.client_id] = (name, frame)
+        if not self._insert(client.client_id, name, frame):
+            return
         selection = self.chosen.get(name, selection)  # it may have changed while this was built
         play = self._asked_to_play(name, selection.choice)
         self._show(client.client_id, name, frame, selection, play=play)
+
+    def _insert(self, number: int, name: str, frame: Frame) -> bool:
+        """Keep a frame, unless its tab was left while it was built: then `_left` has come."""
+        self.frames[number] = (name, frame)
+        if number in self.server.get_clients():
+            return True
+        self.frames.pop(number, None)
+        return False
 
     def _frame(self, client: viser.ClientHandle, selection: Selection) -> Frame:
         kind = FRAMES[type(selection.choice)]

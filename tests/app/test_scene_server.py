@@ -1,5 +1,6 @@
 """The viser server's process: frames that connect, and what they then do."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from websockets.typing import Origin, Subprotocol
 from app.links import Links
 from app.processes import free_port
 from app.scenes.control import Replay, Selection
+from app.scenes.frame import Frame
 from app.scenes.replay_frame import ReplayFrame
 from app.scenes.server import SceneServer
 
@@ -83,3 +85,36 @@ def test_what_was_to_play_before_its_frame_connected_plays_then(served: SceneSer
         assert not frame.playing
         served.select(PAGE, asked(2))
         assert frame.playing
+
+
+class LeftWhileBuilt(SceneServer):
+    """Its frames are ready only when their tab has gone."""
+
+    def __init__(self, links: Links) -> None:
+        self.built, self.gone, self.done = (threading.Event() for _ in range(3))
+        super().__init__(links)
+
+    def _frame(self, client: viser.ClientHandle, selection: Selection) -> Frame:
+        frame = super()._frame(client, selection)
+        self.built.set()
+        assert self.gone.wait(60)
+        return frame
+
+    def _left(self, client: viser.ClientHandle) -> None:
+        super()._left(client)
+        self.gone.set()
+
+    def _connected(self, client: viser.ClientHandle) -> None:
+        super()._connected(client)
+        self.done.set()
+
+
+def test_a_tab_left_while_its_frame_is_built_leaves_none(store: Path) -> None:
+    served = LeftWhileBuilt(Links(store=str(store), viser_port=free_port("127.0.0.1")))
+    try:
+        with frame_of_a_page(served):
+            assert served.built.wait(60)
+        assert served.done.wait(60)
+        assert served.frames == {}
+    finally:
+        served.server.stop()

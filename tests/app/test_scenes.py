@@ -4,7 +4,9 @@ import base64
 import re
 import socket
 import threading
+import time
 from collections.abc import Iterator
+from multiprocessing.connection import Client
 from pathlib import Path
 
 import msgspec
@@ -168,6 +170,42 @@ def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
             arrived.wait(0.05)
     assert arrived.wait(10)
     assert heard == [("page", wanted)]
+
+
+def closed_unsent(path: str) -> bool:
+    """As a page does that is killed before it has sent; False while nobody listens."""
+    try:
+        Client(path).close()
+    except OSError:
+        return False
+    return True
+
+
+def test_messages_that_fail_do_not_end_the_listening(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    got: list[Selection] = []
+    shown = threading.Event()
+
+    def select(client: str, selection: Selection) -> None:
+        if client == "rewound":
+            raise IndexError(client)
+        got.append(selection)
+        shown.set()
+
+    path = str(tmp_path / "control")
+    threading.Thread(target=listen, args=(path, select), daemon=True).start()
+    until = time.monotonic() + 10
+    while not closed_unsent(path) and time.monotonic() < until:
+        time.sleep(0.02)
+    with Client(path) as broken:
+        broken.send_bytes(b"{")
+    tell(path, "rewound", Selection(Road()))
+    tell(path, "page", Selection(Road(step=3)))
+    assert shown.wait(10)
+    assert got == [Selection(Road(step=3))]
+    kinds = [type(record.exc_info[1]).__name__ for record in caplog.records if record.exc_info]
+    assert kinds == ["EOFError", "JSONDecodeError", "IndexError"]
 
 
 @pytest.mark.parametrize(
