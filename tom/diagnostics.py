@@ -1,7 +1,8 @@
 """What a model fit is judged by: the weights' shape and where the model errs.
 
-`model/error_policy` against `model/error_other` is the evidence whether a learner focuses the
-model on the data that the current policy meets.
+`model/error_policy` against `model/error_other` says whether a learner focuses the model on the
+data that the current policy meets. Both are in-sample: the model was just fitted to these rows.
+What it is worth on transitions that nobody has seen, `tom reproduce focus` measures.
 """
 
 import numpy as np
@@ -71,7 +72,8 @@ def fit_metrics(
 ) -> dict[str, float]:
     """Metrics of one model fit: the weights' shape and the errors on and off policy.
 
-    Errors are in standard deviations of a step's change, so that dimensions and tasks compare.
+    Errors are in standard deviations of a step's change, so that dimensions and tasks compare. They
+    are in-sample; the rollout error off policy is over the newest 10 `ROWS` of the other rows.
     """
     replay = context.replay
     metrics = {**weight_metrics(weighting.weights), "buffer/size": float(len(replay))}

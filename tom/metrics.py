@@ -1,5 +1,12 @@
 """The metric paths and what they mean: one table for tooltips, docs and `--help`."""
 
+NLL = (
+    "mean over the target dimensions, z-scored (linear model: raw); the kind ensemble leaves the "
+    "constant out and doubles it, mean-ensemble has the squared error in its place"
+)
+HELD_OUT = "held-out rows are drawn anew at every fit of a network that goes on, so most were trained on before"
+IN_SAMPLE = "rows the model was just fitted to"
+
 METRICS: dict[str, str] = {
     "eval/return": "mean undiscounted return of the evaluation episodes",
     "eval/return_max": "running maximum of eval/return (the paper's metric)",
@@ -10,33 +17,38 @@ METRICS: dict[str, str] = {
     "eval/return_expert": "mean return of the noisy expert in the same task (road-and-rocks)",
     "train/return": "undiscounted return of the last finished training episode",
     "train/length": "length of the last finished training episode, steps",
-    "model/train_nll": "mean negative log-likelihood (z-scored targets) in the last round of the fit",
-    "model/holdout_nll": "weighted holdout negative log-likelihood of the kept model",
-    "model/holdout_nll_uniform": "holdout negative log-likelihood, every transition counting the same",
-    "model/holdout_mse": "holdout mean squared error of the predicted mean (z-scored targets)",
+    "model/train_nll": f"negative log-likelihood in the last round of the fit, {NLL}; VaGram's weighs dimensions",
+    "model/holdout_nll": "weighted holdout loss of the kept model, in the units of model/train_nll; no error on new data: "
+    f"{HELD_OUT}",
+    "model/holdout_nll_uniform": "holdout loss with every transition and dimension counting the same; no error on new data: "
+    f"{HELD_OUT}",
+    "model/holdout_mse": "holdout mean squared error of the predicted mean (z-scored targets); no error on new data: "
+    f"{HELD_OUT}",
     "model/rounds": "rounds of the fit before it stopped",
-    "model/error_policy": "one-step error of the predicted next state on the policy buffer (z-scored)",
-    "model/error_other": "one-step error of the predicted next state on the rest of the buffer (z-scored)",
-    "model/rollout_error_policy": "error after 5 modelled steps under the recorded actions, policy buffer (z-scored)",
-    "model/rollout_error_other": "error after 5 modelled steps under the recorded actions, rest of the buffer (z-scored)",
+    "model/error_policy": f"one-step error of the predicted next state on the policy buffer (z-scored); in-sample: {IN_SAMPLE}",
+    "model/error_other": f"one-step error of the predicted next state on the rest of the buffer (z-scored); in-sample: {IN_SAMPLE}",
+    "model/rollout_error_policy": f"error after 5 modelled steps under the recorded actions, policy buffer (z-scored); in-sample: {IN_SAMPLE}",
+    "model/rollout_error_other": "error after 5 modelled steps under the recorded actions, newest 20 000 "
+    f"rows of the rest of the buffer (z-scored); in-sample: {IN_SAMPLE}",
     "model/error_expert": "one-step error on expert data, in full steps (road-and-rocks)",
     "model/error_road": "one-step error on the road under random actions, in full steps",
     "model/error_rocks": "one-step error on the rocks under random actions, in full steps",
     "weights/ess": "effective sample size (sum w)^2 / sum w^2, as a share of the buffer",
     "weights/zeros": "share of transitions with weight zero",
     "weights/max": "largest weight (mean weight is 1)",
-    "weights/raw_mean": "mean weight before normalisation (1 at the exact optimum)",
+    "weights/raw_mean": "mean weight before normalisation: 1 at the exact optimum, less where episodes terminate; always 1 under KL",
     "weights/age_correlation": "rank correlation of weight and position in the buffer (1: newest count most)",
     "weights/road_share": "share of the weight that lies on the road (road-and-rocks)",
     "weights/road_ratio": "mean weight on the road over mean weight on rocks, random data only",
     "weights/degenerate": "fits so far whose weights were unusable and fell back to uniform",
     "discriminator/loss": "cross entropy of the discriminator, last steps",
     "discriminator/accuracy": "share of transitions the discriminator puts on the right side",
-    "discriminator/calibration": "expected calibration error of the discriminator (0: its odds are true)",
+    "discriminator/calibration": "expected calibration error of the discriminator, last steps (0: its odds are true, or .5 for every "
+    "row); on the rows it is trained on, and without the averaging of its parameters",
     "dual/loss": "TOM's dual objective, last steps",
     "dual/q_mean": "mean of TOM's dual Q over the buffer",
     "dual/start_gap": "how far TOM's dual Q at start states lies below its range on the buffer, in "
-    "widths of that range (above 1: it runs away)",
+    "units of 1 + the width of that range (above 1: it runs away)",
     "critic/loss": "SAC: sum of the twin critics' squared errors",
     "critic/q": "SAC: mean Q of the minibatch",
     "actor/loss": "SAC: temperature * log_prob - min Q",
@@ -46,7 +58,8 @@ METRICS: dict[str, str] = {
     "rollout/terminated": "share of rollout steps that end in a terminal state",
     "rollout/diverged": "share of rollout steps whose prediction was not finite (left out)",
     "rollout/exploded": "share of rollout steps that lead 100 times beyond the largest start state",
-    "planner/return": "return of the planner in the learnt model, driven in the real task (road-and-rocks)",
+    "planner/return": "return of the planner in the first fit's model, driven in the real task (road-and-rocks); "
+    "VaGram's weights are uniform in that fit",
     "planner/success": "share of the planner's episodes that reach the goal (road-and-rocks)",
     "buffer/size": "transitions in the replay buffer",
     "time/wall_s": "seconds since the run started (resumes added up)",

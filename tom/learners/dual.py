@@ -201,7 +201,7 @@ class DualProblem:
 
     @torch.no_grad()
     def start_gap(self, net: StackedMLP, q: Tensor, generator: torch.Generator) -> float:
-        """How far Q(s0, a ~ pi) lies below Q on the replay, `q` (N,), in widths of its range.
+        """How far Q(s0, a ~ pi) lies below Q on the replay, `q` (N,), in 1 + its range.
 
         Near zero where the replay covers the policy's starts. Where it does not, nothing holds Q
         there, the dual is unbounded below and this grows from fit to fit.
