@@ -6,7 +6,7 @@ import sys
 import tempfile
 import time
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,8 @@ DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
 RESTARTS = 3
 """times that a viewer which died is started again"""
+QUIET_S = 3600.0
+"""after so long without a death its restarts are given back"""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ def run(studio: Studio, *, browser: bool) -> int:
         print(f"tom studio: {links.address}  (store {studio.store}; Ctrl-C stops it)", flush=True)
         if browser and _has_display():
             webbrowser.open(links.address)
-        return _watch(running, stopping)
+        return watch(running, stopping, time.monotonic)
 
 
 @contextmanager
@@ -129,18 +131,41 @@ def _all_healthy(started: list[Server], stopping: Event) -> bool:
     return True
 
 
-def _watch(running: list[Server], stopping: Event) -> int:
-    """Wait for the end; start a viewer that died again, so that the pages keep their frames."""
-    left = {server.name: RESTARTS for server in running}
+class Restarts:
+    """Which viewers that died are started again: RESTARTS times each, anew after a quiet hour."""
+
+    def __init__(self) -> None:
+        self._deaths: dict[str, list[float]] = {}
+
+    def allow(self, name: str, now: float) -> bool:
+        """The viewer of this name has just died (`now` in seconds): it is to be started again."""
+        deaths = self._deaths.setdefault(name, [])
+        if deaths and now - deaths[-1] >= QUIET_S:
+            deaths.clear()
+        deaths.append(now)
+        return len(deaths) <= RESTARTS
+
+
+def watch(running: Sequence[Server], stopping: Event, clock: Callable[[], float]) -> int:
+    """Wait for the end (0), or until Streamlit ends (1). A viewer that died is started again.
+
+    One that keeps dying is left dead: the pages do without it.
+    """
+    restarts, watched = Restarts(), list(running)
     while not stopping.wait(0.5):
-        for server in running:
-            if server.running:
-                continue
-            if server.name == "streamlit" or not left[server.name]:
+        for server in [server for server in watched if not server.running]:
+            if server.name == "streamlit":
                 print(f"tom studio: {server.name} ended:\n{server.tail()}", file=sys.stderr)
                 return 1
-            left[server.name] -= 1
-            server.start()
+            if restarts.allow(server.name, clock()):
+                server.start()
+                continue
+            watched.remove(server)
+            print(
+                f"tom studio: {server.name} keeps ending, so the pages go on without it; start the "
+                f"studio again to have it back:\n{server.tail()}",
+                file=sys.stderr,
+            )
     return 0
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from app import launcher
+from app.launcher import QUIET_S, RESTARTS, Restarts
 from app.processes import Server, free_port, is_free, stop
 
 STUBBORN = """
@@ -65,8 +66,8 @@ def test_a_viewer_that_dies_is_started_again(files: Server) -> None:
     assert healthy(files)
     stopping = threading.Event()
     codes: list[int] = []
-    watch = threading.Thread(target=lambda: codes.append(launcher._watch([files], stopping)))
-    watch.start()
+    watching = watcher([files], stopping, codes)
+    watching.start()
     assert files.process is not None
     first = files.process.pid
     os.killpg(first, signal.SIGKILL)
@@ -75,8 +76,51 @@ def test_a_viewer_that_dies_is_started_again(files: Server) -> None:
         time.sleep(0.05)
     assert healthy(files)
     stopping.set()
-    watch.join()
+    watching.join()
     assert codes == [0]
+
+
+def watcher(servers: list[Server], stopping: threading.Event, codes: list[int]) -> threading.Thread:
+    def watch() -> None:
+        codes.append(launcher.watch(servers, stopping, lambda: 0.0))
+
+    return threading.Thread(target=watch)
+
+
+def test_the_pages_outlive_a_viewer_that_keeps_dying(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def server(name: str, words: str) -> Server:
+        command = ["/bin/sh", "-c", words]
+        return Server(name, command, {}, "127.0.0.1", 1, "/", tmp_path / f"{name}.log")
+
+    pages, viewer = server("streamlit", "exec sleep 600"), server("viser", "echo up")
+    stopping, codes = threading.Event(), []
+    watching = watcher([viewer, pages], stopping, codes)
+    pages.start()
+    watching.start()
+    said, deadline = "", time.monotonic() + 60
+    while "viser" not in said and watching.is_alive() and time.monotonic() < deadline:
+        time.sleep(0.05)
+        said += capsys.readouterr().err
+    stopping.wait(1.2)  # it looks twice more
+    stopping.set()
+    watching.join()
+    assert pages.running
+    stop([pages, viewer])
+    assert codes == [0]
+    assert viewer.log.read_text() == RESTARTS * "up\n"
+    assert said.count("viser keeps ending") == 1
+    assert capsys.readouterr().err == ""
+
+
+def test_restarts_are_given_back_after_a_quiet_hour() -> None:
+    restarts = Restarts()
+    assert [restarts.allow("viser", now) for now in (0, 10, 20, 30)] == [True, True, True, False]
+    assert restarts.allow("rerun", 30)
+    assert not restarts.allow("viser", 30 + QUIET_S - 1)
+    assert restarts.allow("viser", 30 + 2 * QUIET_S)
+    assert all(restarts.allow("daily", day * 86_400) for day in range(10))
 
 
 def test_a_stubborn_server_ends_with_its_own_children(
