@@ -14,6 +14,7 @@ from app.scenes.export import as_html
 from app.theme import learner_label
 from app.views import empty
 from app.views.stage import stage
+from tom.metrics import describe
 
 TITLE = "Road and rocks"
 ICON = ":material/add_road:"
@@ -180,5 +181,6 @@ def _columns() -> dict:
     plain = {name: number(name, format="%.3g") for name in TABLE.values()}
     return plain | {
         "weight on the road": number("weight on the road", format="percent"),
+        "planner return": number("planner return", format="%.3g", help=describe("planner/return")),
         "success": number("success", format="percent"),
     }

@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Sequence
 from dataclasses import asdict
+from math import isnan
 from pathlib import Path
 
 from tom.cli.study import (
@@ -120,14 +121,19 @@ def _show_seeds(outcomes: Sequence[Outcome]) -> None:
         (
             o.name,
             str(o.seed),
-            f"{o.road_ratio:.1f}",
-            f"{o.road_share:.2f}",
-            f"{o.sac_return:.1f}",
-            f"{o.sac_success:.2f}",
-            f"{o.planner_return:.1f}",
-            f"{o.planner_success:.2f}",
+            _cell(o.road_ratio, 1),
+            _cell(o.road_share, 2),
+            _cell(o.sac_return, 1),
+            _cell(o.sac_success, 2),
+            _cell(o.planner_return, 1),
+            _cell(o.planner_success, 2),
         )
         for o in sorted(outcomes, key=lambda o: (o.name, o.seed))
     ]
     columns = ("case", "seed", "ratio", "share", "SAC", "success", "planner", "success")
     show("By seed: return and success of SAC in the model, and of the planner", columns, rows)
+
+
+def _cell(value: float, digits: int) -> str:
+    """A dash is what was not measured."""
+    return "-" if isnan(value) else f"{value:.{digits}f}"

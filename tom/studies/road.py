@@ -39,7 +39,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one case came to; errors in full steps, success as a share of episodes."""
+    """What one case came to; errors in full steps, success as a share of episodes.
+
+    NaN is what was not measured: SAC where it was left out, and the planner of a learner that
+    follows the value function, for it drives once, when there is none and the weights are uniform.
+    """
 
     name: str
     seed: int
@@ -102,6 +106,8 @@ def tell(case: Case) -> Story:
         turn=case.config.turn,
         **{name: values[path] for name, path in _PATHS.items()},
     )
+    if case.config.learner in offline.FOLLOW_THE_VALUE:
+        found = replace(found, planner_return=nan, planner_success=nan)
     if case.optimise and last is not None:
         sac_return, sac_success = returns(last.episodes)
         found = replace(found, sac_return=sac_return, sac_success=sac_success)

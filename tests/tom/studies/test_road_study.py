@@ -1,4 +1,5 @@
 from dataclasses import replace
+from math import isnan
 
 import pytest
 
@@ -115,6 +116,15 @@ def test_an_outcome_without_optimisation_stops_at_the_planner():
     assert found.planner_return < -100
     assert found.sac_return != found.sac_return  # not measured
     assert found.return_random < -110 < -25 < found.return_expert
+
+
+def test_the_planner_is_no_figure_of_a_learner_that_follows_the_value():
+    case = next(c for c in baseline_cases([0]) if c.name == "vagram")
+    found = outcome(replace(case, optimise=False))
+    # It drives the model of the first fit, whose weights are uniform: MLE's model.
+    assert isnan(found.planner_return)
+    assert isnan(found.planner_success)
+    assert found.error_expert > 0.9
 
 
 @pytest.mark.slow
