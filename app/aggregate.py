@@ -37,11 +37,18 @@ class Curve:
 
     @property
     def final(self) -> float:
-        return float(self.value[-1])
+        """The last value; NaN where there is none."""
+        return float(self.value[-1]) if len(self.value) else np.nan
 
     @property
     def best(self) -> float:
-        return float(self.value.max())
+        """The highest value; NaN where there is none."""
+        return float(self.value.max()) if len(self.value) else np.nan
+
+    def until(self, last: float) -> "Curve":
+        """What was recorded up to step `last`."""
+        here = self.step <= last
+        return replace(self, step=self.step[here], value=self.value[here])
 
     @property
     def kind(self) -> tuple[str, str, str, str]:

@@ -1,5 +1,6 @@
 """One number a run, and what the numbers of groups of runs say. Pure functions."""
 
+import math
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -20,18 +21,24 @@ def scores_of(group: Group, score: str, until: float) -> NDArray[np.float64]:
     """One number a run (n,), of what was recorded up to step `until`."""
     found = []
     for curve in group.curves:
-        value = curve.value[curve.step <= until]
+        cut = curve.until(until)
         height = statistics.area_under_curve(curve.step, curve.value, until)
         # A curve that begins where it ends has no area: its one value is its height.
-        height = height if np.isfinite(height) else value[-1]
-        found.append({FINAL: value[-1], BEST: value.max(), HEIGHT: height}[score])
+        height = height if np.isfinite(height) else cut.final
+        found.append({FINAL: cut.final, BEST: cut.best, HEIGHT: height}[score])
     return np.array(found, np.float64)
 
 
 def default_level(scores: NDArray[np.float64]) -> float:
-    """A value that good runs reach and others may not, in three digits."""
+    """A value that good runs reach and others may not, rounded down to a hundredth of their spread.
+
+    Where all scores are the same it is that score.
+    """
     low, high = float(scores.min()), float(scores.max())
-    return float(f"{low + REACH * (high - low):.3g}")
+    if high <= low:
+        return low
+    unit = 10.0 ** (2 - math.floor(math.log10(high - low)))
+    return math.floor((low + REACH * (high - low)) * unit) / unit
 
 
 def compared(
@@ -49,11 +56,17 @@ def compared(
     ]
 
 
-def reached(grouped: Sequence[Group], names: Sequence[str], level: float) -> pd.DataFrame:
-    """For each group how many runs reach the level, and the median step where they do."""
+def reached(
+    grouped: Sequence[Group], names: Sequence[str], level: float, until: float
+) -> pd.DataFrame:
+    """For each group how many runs reach the level by step `until`, and the median step at which.
+
+    A run that does so later counts as one that does not, as runs that ended before must.
+    """
     rows = []
     for name, group in zip(names, grouped, strict=True):
-        steps = np.array([statistics.steps_to_reach(c.step, c.value, level) for c in group.curves])
+        cut = [curve.until(until) for curve in group.curves]
+        steps = np.array([statistics.steps_to_reach(c.step, c.value, level) for c in cut])
         middle = float(np.median(steps))
         rows.append(
             {

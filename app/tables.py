@@ -7,12 +7,18 @@ import pandas as pd
 
 from app.aggregate import Curve, Group, interval
 from app.theme import learner_label
+from tom.statistics import Interval
 
 
 def summary(grouped: Sequence[Group]) -> pd.DataFrame:
-    """A row a group: runs, the last step that all reach, final and best with their intervals."""
+    """A row a group: runs, the last step that all reach, final and best with their intervals.
+
+    Final and best are those up to that step; NaN where a run began only after it.
+    """
     rows = []
     for group in grouped:
+        last = float(min(curve.step[-1] for curve in group.curves))
+        cut = [curve.until(last) for curve in group.curves]
         row = {
             "environment": group.env,
             "learner": learner_label(group.learner),
@@ -20,11 +26,13 @@ def summary(grouped: Sequence[Group]) -> pd.DataFrame:
             "settings": group.variant,
             "n": group.n,
             "seeds": ", ".join(str(curve.seed) for curve in group.curves),
-            "steps": float(min(curve.step[-1] for curve in group.curves)),
+            "steps": last,
         }
         for name in ("final", "best"):
-            values = np.array([getattr(curve, name) for curve in group.curves])
-            found = interval(values, group.statistic)
+            values = np.array([getattr(curve, name) for curve in cut])
+            # Without the runs that began later it would be the statistic of fewer than n.
+            whole = np.isfinite(values).all()
+            found = interval(values, group.statistic) if whole else Interval(*[np.nan] * 3)
             row |= {name: found.value, f"{name} low": found.low, f"{name} high": found.high}
         rows.append(row)
     return pd.DataFrame(rows)

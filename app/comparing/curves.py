@@ -144,8 +144,10 @@ def columns() -> dict:
     return {
         "n": number("n", help="runs in the group"),
         "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
-        "final": number("final", format="%.4g", help="over runs, of the last value"),
-        "best": number("best", format="%.4g", help="over runs, of the best value"),
+        "final": number(
+            "final", format="%.4g", help="over runs, of the last value up to that step"
+        ),
+        "best": number("best", format="%.4g", help="over runs, of the best value up to that step"),
     }
 
 

@@ -52,7 +52,8 @@ def draw(runs: Sequence[RunInfo]) -> None:
     scores = [scores_of(group, score or FINAL, until) for group in grouped]
     everything = np.concatenate(scores)
     level = row[3].number_input(
-        "Steps to reach", value=default_level(everything), step=None, format="%.4g", key="reach",
+        "Steps to reach", value=default_level(everything), step=None, format="%.6g",
+        key=f"reach {env} {name} {score}",  # another score has another default
         help="sample efficiency: the first recorded step at which a run is at this value",
     )  # fmt: skip
     names = _names(grouped)
@@ -64,8 +65,11 @@ def draw(runs: Sequence[RunInfo]) -> None:
     _profiles(grouped, names, scores, score or FINAL)
     pairs = compared(names, scores)
     _improvement(pairs, [grouped[i].learner for i, _ in combinations(range(len(grouped)), 2)])
-    table = reached(grouped, names, float(level))
-    st.markdown(f"**Sample efficiency**: env steps until {text.markdown(name)} is {level:,.4g}")
+    table = reached(grouped, names, float(level), until)
+    st.markdown(
+        f"**Sample efficiency**: env steps until {text.markdown(name)} is {level:,.6g}; "
+        f"runs are followed up to step {until:,.0f}, which every run reaches"
+    )
     st.dataframe(_shown(table), hide_index=True)
     downloads(
         {

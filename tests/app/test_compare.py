@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as hypothesis
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM
@@ -17,7 +19,7 @@ from app import shortlinks
 from app.aggregate import Curve, aggregate
 from app.links import Links
 from app.scenes.control import Replay, Selection, listen
-from app.scores import BEST, FINAL, HEIGHT, scores_of
+from app.scores import BEST, FINAL, HEIGHT, default_level, reached, scores_of
 from app.server import routes
 from tom.record import manage
 from tom.record.reader import RunReader
@@ -103,9 +105,13 @@ def test_statistics_are_those_of_the_scores(store: Path) -> None:
     assert array(improvement["data"][0]["x"]) == pytest.approx([wins])
     aggregates, reached = (frame.value for frame in app.dataframe)
     assert aggregates.set_index("group").loc["TOM", "mean"].startswith(f"{tom.mean():.4g}")
-    app.number_input(key="reach").set_value(float(tom.min())).run()
+    app.number_input[0].set_value(float(tom.min())).run()
     reached = app.dataframe[1].value.set_index("group")
     assert reached.loc["TOM", "reached"] == "2 of 2"
+    app.selectbox(key="score").select(BEST).run()
+    everything = [recorded(store, run_id)[1] for run_id in (*SEEDS, "pendulum-mle-0")]
+    best = np.array([max(values) for values in everything])
+    assert app.number_input[0].value == default_level(best)
 
 
 def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
@@ -117,6 +123,24 @@ def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
     assert scores_of(group, BEST, 100).tolist() == [1]
     assert scores_of(group, HEIGHT, 200).tolist() == [3]
     assert scores_of(group, HEIGHT, 100).tolist() == [1]
+
+
+def test_the_steps_to_a_value_are_those_up_to_the_step_that_every_run_reaches() -> None:
+    step = np.array([100, 200, 300])
+    long = Curve("a", "ant", "tom", "paper", 0, step, np.array([1.0, 2.0, 9.0]))
+    short = Curve("b", "ant", "mle", "paper", 0, step[:2], np.array([1.0, 5.0]))
+    table = reached([aggregate([long]), aggregate([short])], ["TOM", "MLE"], 5.0, until=200)
+    assert table["reached"].tolist() == ["0 of 1", "1 of 1"]
+    assert table["first"].tolist()[1] == 200
+
+
+@given(hypothesis.floats(-1e5, 1e5), hypothesis.floats(1e-3, 1e4), hypothesis.integers(2, 9))
+def test_the_level_lies_between_the_worst_and_the_best_run(
+    low: float, spread: float, runs: int
+) -> None:
+    scores = np.linspace(low, low + spread, runs)
+    assert scores.min() < default_level(scores) < scores.max()
+    assert default_level(np.array([3456.7])) == 3456.7
 
 
 def test_side_by_side_has_linked_axes(store: Path) -> None:

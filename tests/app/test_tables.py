@@ -30,6 +30,15 @@ def test_the_summary_says_final_best_and_n(grouped: list[Group]) -> None:
     assert np.isnan(mle["final low"])
 
 
+def test_the_summary_counts_no_longer_run_beyond_the_shortest() -> None:
+    row = tables.summary(groups([curve(0, [1, 2, 50]), curve(1, [3, 4])])).iloc[0]
+    assert (row["steps"], row["final"], row["best"]) == (100, 3, 3)
+    late = Curve("tom-2", "ant", "tom", "paper", 2, np.array([300]), np.array([9.0]))
+    row = tables.summary(groups([curve(0, [1, 2]), late])).iloc[0]
+    assert row["steps"] == 100
+    assert np.isnan([row["final"], row["best"], row["final low"]]).all()
+
+
 def test_bands_are_what_is_drawn(grouped: list[Group]) -> None:
     table = pd.read_csv(io.StringIO(tables.bands(grouped).to_csv(index=False)))
     tom = table[table["learner"] == "tom"]
