@@ -13,9 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from app.theme import BACKGROUND, TEXT, Mode
 
-PIXELS = 56
+PIXELS = 32
 """height of the letters in the picture"""
-HALO = 5
+HALO = 2
 """pixels of the page's own colour around every letter, so that it can be read on anything"""
 
 

@@ -20,12 +20,15 @@ def draw(
 
 
 def floor(stream: rr.RecordingStream, height: float) -> None:
-    """The floor as a slab with lines a metre apart: they show how fast the robot goes."""
+    """The floor as a slab with lines a metre apart: they show how fast the robot goes.
+
+    It is translucent, as a recording does not know whether its viewer is light or dark.
+    """
     slab = rr.Boxes3D(
         centers=[(40, 0, height - 0.05)],
         half_sizes=[(60, 10, 0.045)],
-        colors=[(70, 75, 82)],
-        fill_mode="solid",
+        colors=[(128, 134, 144)],
+        fill_mode="transparentfillmajorwireframe",
     )
     along = [[(-20, y, height), (100, y, height)] for y in range(-10, 11)]
     across = [[(x, -10, height), (x, 10, height)] for x in range(-20, 101)]
