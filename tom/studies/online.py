@@ -1,4 +1,4 @@
-"""Where the weights lie in the replay buffer as a run goes on (the paper's appendix E).
+"""Where the weights lie in the replay buffer as a run goes on (the paper's appendix D).
 
 One run for each environment and learner: the longest. Fits before the learner began to weigh,
 whose weights are all one, are left out; so is MLE, which never does.
@@ -18,6 +18,7 @@ from tom.record import RunReader
 STEPS = 5
 UNIFORM = 0.999  # effective share of the buffer from which weights count as uniform
 NEWEST = 0.1
+EVEN = 0.1  # share of the weight that must lie otherwise for a profile to say anything
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,24 @@ class Panel:
         """Share of all weight on the newest tenth of the buffer, (F,)."""
         newest = round(self.bins.shape[1] * NEWEST)
         return np.nansum(self.bins[:, -newest:], 1) / np.nansum(self.bins, 1)
+
+    @property
+    def excess(self) -> NDArray[np.float64]:
+        """Share of all weight above even weights, (F,): 0 where every bin has the same."""
+        return self._above().sum(1)
+
+    @property
+    def excess_newest(self) -> NDArray[np.float64]:
+        """How much of the excess lies on the newest tenth, (F,): a share, 0 without any."""
+        above = self._above()
+        newest = above[:, -round(above.shape[1] * NEWEST) :].sum(1)
+        return newest / np.maximum(above.sum(1), np.finfo(float).tiny)
+
+    def _above(self) -> NDArray[np.float64]:
+        """What each bin has above its even share of all weight, (F, bins)."""
+        share = self.bins / np.nansum(self.bins, 1, keepdims=True)
+        even = 1 / np.isfinite(self.bins).sum(1, keepdims=True)
+        return np.nan_to_num(np.maximum(share - even, 0))
 
     @property
     def peak(self) -> NDArray[np.float64]:
@@ -71,7 +90,11 @@ def rows(found: Sequence[Panel]) -> list[dict[str, Any]]:
 
 
 def verdict(found: Sequence[Panel]) -> list[str]:
-    """For each learner, how much of its weight lies elsewhere than at the buffer's newest end."""
+    """For each learner, how much of its weight lies elsewhere than at the buffer's newest end.
+
+    Even weights would lie elsewhere, too. So the paper's words are held against profiles that are
+    not even, and against what these have above even weights.
+    """
     lines = []
     for name in dict.fromkeys(panel.run.learner for panel in found):
         own = [panel for panel in found if panel.run.learner == name]
@@ -84,9 +107,27 @@ def verdict(found: Sequence[Panel]) -> list[str]:
             f"{len(own)} environments, one seed each."
         )
         if name == "tom":
-            agrees = (share < 0.5).mean() > 0.5
-            lines[-1] += " So the paper says." if agrees else " The paper says otherwise."
+            lines[-1] += _held_against_paper(own)
     return lines
+
+
+def _held_against_paper(panels: Sequence[Panel]) -> str:
+    """Whether most profiles that are not even have most of their excess before the newest tenth."""
+    excess = np.concatenate([panel.excess for panel in panels])
+    newest = np.concatenate([panel.excess_newest for panel in panels])[excess >= EVEN]
+    if not len(newest):
+        return " All are nearly even: nothing to hold against the paper."
+    agree = int((newest < 0.5).sum())
+    says = {
+        1: "So the paper says.",
+        0: "Half of them is no verdict.",
+        -1: "The paper says otherwise.",
+    }
+    sign = int(np.sign(2 * agree - len(newest)))
+    return (
+        f" What lies above even weights lies mostly before the newest tenth in {agree} of the "
+        f"{len(newest)} profiles that are not nearly even. {says[sign]}"
+    )
 
 
 def _panel(run: RunReader) -> Panel | None:

@@ -38,11 +38,31 @@ def test_where_the_weight_lies(tmp_path: Path):
     assert panel.env_step.tolist() == [500, 750, 1000]  # the first fit was uniform
     assert panel.share_newest == pytest.approx([0, 0.5, 1])
     assert panel.peak == pytest.approx([0.5, 0.85, 0.9])
+    assert panel.excess == pytest.approx([0.9, 0.9, 0.9])
+    assert panel.excess_newest == pytest.approx([0, 0.5, 1])
     (line,) = study.verdict([panel])
     assert line.startswith("TOM: in 1 of 3 profiles most weight lies outside the newest tenth")
     assert "and in 2 the peak does" in line
     assert line.endswith("The paper says otherwise.")
     assert [row["step"] for row in study.rows([panel])] == [500, 750, 1000]
+
+
+@pytest.mark.parametrize(
+    ("weight", "says"),
+    [
+        # Nearly even: only a tenth of it lies on the newest tenth, and that is no attention.
+        (np.where(np.arange(N) % 20 < 10, 1.1, 0.9), "nothing to hold against the paper."),
+        (np.where(np.arange(N) < 900, 0.7, 3.7), "The paper says otherwise."),  # .37 on the newest
+        (np.where(np.arange(N) < 500, 0.2, 1.8), "So the paper says."),
+    ],
+)
+def test_even_weights_are_no_evidence(tmp_path: Path, weight: np.ndarray, says: str):
+    store = Store(tmp_path)
+    record(store, "tom", [weight])
+    found = study.panels(store.runs(), "paper")
+    assert found[0].share_newest < 0.5
+    (line,) = study.verdict(found)
+    assert line.endswith(says)
 
 
 def test_the_longest_run_and_a_few_fits_spread_over_it(tmp_path: Path):
