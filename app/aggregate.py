@@ -61,7 +61,8 @@ class Group:
     """The runs that differ in nothing but the seed, on one grid of steps (T,).
 
     `mean` is the `statistic` over the runs that reach a step, `count` says how many those are;
-    `low` and `high` are the band, NaN wherever not all n runs are there or n is 1.
+    `low` and `high` are the band, NaN wherever not all n runs are there or n is 1. `interpolated`:
+    not every run was recorded at every step that it covers and another run was recorded at.
     """
 
     env: str
@@ -76,6 +77,7 @@ class Group:
     statistic: Statistic = "mean"
     variant: str = ""
     thinned: bool = False
+    interpolated: bool = False
 
     @property
     def n(self) -> int:
@@ -85,14 +87,6 @@ class Group:
     def complete(self) -> NDArray[np.bool_]:
         """Steps (T,) that all n runs reach."""
         return self.count == self.n
-
-    @property
-    def interpolated(self) -> bool:
-        """Not every run was recorded at every step of the grid that it covers."""
-        last = [
-            self.step[(self.step >= c.step[0]) & (self.step <= c.step[-1])] for c in self.curves
-        ]
-        return any(len(grid) > len(c.step) for grid, c in zip(last, self.curves, strict=True))
 
 
 def curve_points(frame: pd.DataFrame, metric: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -142,6 +136,8 @@ def aggregate(
     Runs that were recorded at other steps are interpolated linearly, never extrapolated.
     """
     grid = np.unique(np.concatenate([c.step for c in curves]))
+    # Every run's steps are among the grid's, so that a run with fewer lacks some.
+    between = any(((grid >= c.step[0]) & (grid <= c.step[-1])).sum() > len(c.step) for c in curves)
     thinned = len(grid) > GRID
     if thinned:
         grid = grid[np.linspace(0, len(grid) - 1, GRID).astype(int)]
@@ -159,7 +155,7 @@ def aggregate(
     env, learner, preset, variant = curves[0].kind
     return Group(
         env, learner, preset, tuple(curves), grid, middle, low, high, count,
-        statistic, variant, thinned,
+        statistic, variant, thinned, between,
     )  # fmt: skip
 
 
@@ -171,12 +167,17 @@ def on_grid(curve: Curve, grid: NDArray) -> NDArray[np.float64]:
 def smoothed(group: Group, window: int) -> Group:
     """Centred moving average over `window` points of the group's line and band.
 
-    It is taken of the statistic, after the runs were put together, and shorter at both ends.
+    It is taken of the statistic, after the runs were put together, and shorter at both ends of
+    each stretch that all runs or not all runs reach: the two are statistics of other runs.
     """
     if window < 2:
         return group
-    names = ("mean", "low", "high")
-    return replace(group, **{name: _moving(getattr(group, name), window) for name in names})
+    ends = np.flatnonzero(np.diff(group.complete)) + 1
+
+    def moving(value: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.concatenate([_moving(part, window) for part in np.split(value, ends)])
+
+    return replace(group, mean=moving(group.mean), low=moving(group.low), high=moving(group.high))
 
 
 def interval(values: NDArray[np.float64], statistic: Statistic = "mean") -> statistics.Interval:

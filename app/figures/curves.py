@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from app import text
 from app.aggregate import GRID, Curve, Group, decimate, smoothed
 from app.figures.base import DASHES, note, styled
+from app.figures.logs import cut_bands, left_out
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 from tom.metrics import describe
 
@@ -41,11 +42,12 @@ def run_curves(
 ) -> go.Figure:
     """One line a run, coloured by learner; the runs of one learner differ in their dashes."""
     figure = go.Figure()
-    thinned = False
+    words = []
     learners = [curve.learner for curve in curves]
     for i, curve in enumerate(curves):
         step, value, cut = decimate(curve.step, curve.value, POINTS)
-        thinned |= cut
+        if cut:
+            words = [f"thinned to {POINTS} points a line"]
         figure.add_trace(
             go.Scatter(
                 x=step,
@@ -65,7 +67,8 @@ def run_curves(
             )
         )
     _draw_axes(figure, metric, height, axes)
-    return note(figure, f"thinned to {POINTS} points a line") if thinned else figure
+    words += left_out([(c.step, c.value) for c in curves], log_x=axes.log_x, log_y=axes.log_y)
+    return note(figure, "<br>".join(words)) if words else figure
 
 
 def group_curves(
@@ -84,9 +87,12 @@ def group_curves(
     figure = go.Figure()
     kinds = sorted({(g.preset, g.variant) for g in groups})
     presets = len({preset for preset, _ in kinds})
+    drawn: list[tuple[NDArray, NDArray]] = []
     for group in groups:
         smooth = smoothed(group, window)
+        drawn.append((smooth.step, smooth.mean))
         if singles and group.n > 1:
+            drawn += [(curve.step, curve.value) for curve in group.curves]
             figure.add_traces([_single(curve, axes) for curve in group.curves])
         if np.isfinite(group.low).any():
             figure.add_trace(_band(smooth))
@@ -99,6 +105,8 @@ def group_curves(
         words.append(f"thinned to {GRID} points a line")
     if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
         words.append(f"single runs thinned to {POINTS} points each")
+    cut_bands(figure, log_x=axes.log_x, log_y=axes.log_y)
+    words += left_out(drawn, log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, "<br>".join(words)) if words else figure
 
 

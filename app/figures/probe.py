@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from app import text
 from app.buffer import Floats
-from app.figures.base import DASHES, across, styled, upright
+from app.figures.base import DASHES, across, note, styled, upright
+from app.figures.logs import cut_bands, left_out
 from app.figures.weights import bin_centres
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 
@@ -23,15 +24,17 @@ def probe_profiles(
     `random` is the share of the buffer, from the oldest on, that is random data.
     """
     figure = go.Figure()
+    lines = []
     for learner, values in profiles.items():
         x = bin_centres(values.shape[1])
+        lines.append((x, np.median(values, 0)))
         name = text.plotly(learner_label(learner))
         if len(values) > 1:
             figure.add_trace(_range(x, values, learner))
         figure.add_trace(
             go.Scatter(
                 x=x,
-                y=np.median(values, 0),
+                y=lines[-1][1],
                 name=f"{name} ({len(values)} seed{'s' * (len(values) > 1)})",
                 meta=text.plotly(learner),
                 mode="lines",
@@ -47,7 +50,9 @@ def probe_profiles(
     styled(figure, "position in the buffer", height, keep="probe", marks=marks)
     figure.update_xaxes(**AGES)
     figure.update_yaxes(title_text="mean weight", type="log" if log else "linear")
-    return figure
+    cut_bands(figure, log_x=False, log_y=log)
+    words = left_out(lines, log_x=False, log_y=log)
+    return note(figure, words[0]) if words else figure
 
 
 def _range(x: Floats, values: NDArray[np.float64], learner: str) -> go.Scatter:

@@ -100,6 +100,21 @@ def test_smoothing_comes_after_the_runs_are_put_together() -> None:
     assert smoothed(group, 1) is group
 
 
+def test_smoothing_does_not_cross_the_step_where_a_run_ends() -> None:
+    smooth = smoothed(aggregate([curve([0, 0, 0]), curve([8, 8, 8, 8, 6], seed=1)]), 3)
+    assert smooth.mean.tolist() == [4, 4, 4, 7, 7]
+    assert smooth.high.tolist()[:3] == [8, 8, 8]
+    assert np.isnan(smooth.high[3:]).all()
+
+
+def test_interpolation_is_known_where_the_group_is_thinned_too() -> None:
+    even, odd = list(range(0, 6000, 2)), list(range(1, 6000, 2))
+    group = aggregate([curve([1.0] * 3000, even), curve([1.0] * 3000, odd, seed=1)])
+    assert group.thinned
+    assert group.interpolated
+    assert not aggregate([curve([1.0] * 3000, even), curve([1.0] * 3000, even)]).interpolated
+
+
 def test_a_group_of_very_long_runs_is_thinned() -> None:
     group = aggregate([curve(list(range(5000)))])
     assert group.thinned

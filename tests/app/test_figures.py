@@ -10,7 +10,8 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app import pictures, readers, widgets
 from app.aggregate import GRID, Curve, aggregate
-from app.figures.curves import POINTS, group_curves, run_curves
+from app.figures.curves import POINTS, Axes, group_curves, run_curves
+from app.figures.probe import probe_profiles
 from app.figures.road import displacement_error, road_map
 from app.figures.scales import octaves, span
 from app.figures.side import side_by_side
@@ -114,6 +115,31 @@ def test_a_group_has_single_runs_a_band_and_a_mean() -> None:
 def test_one_seed_is_said_to_be_one() -> None:
     figure = group_curves([aggregate([long_curve(5)])], "x", 300, singles=True)
     assert [line.name for line in traces(figure)] == ["TOM (1 seed, no band)"]
+
+
+def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None:
+    step = np.arange(3)
+    values = ([-1.0, 1.0, 4.0], [-3.0, 2.0, 8.0], [-2.0, -5.0, 9.0])
+    curves = [
+        Curve(str(i), "ant", "tom", "paper", i, step, np.array(v)) for i, v in enumerate(values)
+    ]
+    group = aggregate(curves)
+    figure = group_curves([group], "x", 300, singles=False, axes=Axes(log_y=True))
+    band, line = traces(figure)
+    assert line.y.tolist() == pytest.approx(group.mean.tolist())
+    assert band.y.min() == 2  # the smallest positive value of the line and of the band
+    assert notes(figure) == ["2 of 3 values at or below zero: not on a log axis"]
+    figure = run_curves(curves, "x", 300, legend=False, axes=Axes(log_x=True, log_y=True))
+    assert notes(figure) == ["4 of 9 values at or below zero: not on a log axis"]
+    assert not notes(run_curves(curves, "x", 300, legend=False))
+
+
+def test_profiles_on_a_log_axis_say_what_is_left_out() -> None:
+    values = np.array([[0.0, 0.0, 2.0, 1.0], [0.0, 1.0, 4.0, 1.0]])
+    band, _ = traces(figure := probe_profiles({"tom": values}, 0, 300, log=True))
+    assert band.y.tolist() == [0.5, 1, 4, 1, 1, 2, 0.5, 0.5]
+    assert notes(figure) == ["1 of 4 values at or below zero: not on a log axis"]
+    assert not notes(probe_profiles({"tom": values}, 0, 300, log=False))
 
 
 def test_where_runs_are_missing_the_mean_is_dotted() -> None:
