@@ -57,9 +57,9 @@ class ModelConfig(Config):
     batches_per_round: Count = 100
     """minibatches in a round"""
     patience: Count = 5
-    """rounds without a gain before a fit stops"""
+    """a fit stops after more rounds than this without a gain"""
     min_gain: NonNegative = 0.01
-    """relative gain of the weighted holdout loss that counts as one"""
+    """relative gain of the weighted holdout loss that counts as one, over the last that did"""
     holdout: Annotated[float, Field(ge=0, lt=1)] = 0.2
     """share of the buffer held out"""
     holdout_max: Count = 5000
@@ -67,7 +67,7 @@ class ModelConfig(Config):
     weights: Literal["sample", "scale"] = "sample"
     """draw minibatches by weight, or draw uniformly and scale the loss (never both)"""
     weight_clip: Positive = 10.0
-    """weights are clipped here before the fit (mean weight 1)"""
+    """TOM's weights (mean 1) are clipped here before the fit; no other learner's are"""
 
 
 class SacConfig(Config):
@@ -99,7 +99,7 @@ class RolloutConfig(Config):
     schedule_end: Whole = 150
     """epoch where it has grown"""
     retain: Count = 1
-    """model fits whose rollouts stay in the model buffer"""
+    """epochs (1 000 env steps) whose rollouts stay in the model buffer; one fit's at the least"""
     weighted_starts: bool = True
     """draw start states by weight (uniformly until the learner has weights)"""
     chunk: Count = 2000
@@ -113,6 +113,11 @@ class RolloutConfig(Config):
         share = (env_step / 1000 - self.schedule_start) / span
         grown = self.length + share * (self.final_length - self.length)
         return int(min(max(grown, self.length), self.final_length))
+
+    def kept_at(self, env_step: int, fit_every: int) -> int:
+        """Rows of the model buffer at `env_step`: `retain` epochs' rollouts, as Janner's code."""
+        fits = max(self.retain * 1000 // fit_every, 1)
+        return self.starts * self.length_at(env_step) * fits
 
 
 class TomConfig(Config):

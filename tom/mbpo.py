@@ -60,13 +60,10 @@ class Mbpo:
         self.learner = make_learner(
             config.learner, config, obs_dim, action_dim, generator("learner")
         )
-        rollout = config.rollout
-        longest = max(rollout.length, rollout.final_length)
         dims, device = (obs_dim, action_dim), config.device
         self.replay = ReplayBuffer(config.replay_capacity, *dims, device)  # D_env
-        self.model_buffer = ReplayBuffer(  # D_model
-            rollout.starts * rollout.retain * longest, *dims, device
-        )
+        kept = config.rollout.kept_at(0, config.fit_every)
+        self.model_buffer = ReplayBuffer(kept, *dims, device)  # D_model
         self.policy_buffer = ReplayBuffer(config.policy_capacity, *dims, device)  # D_pol
         self.env = self.task.make()
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
@@ -109,7 +106,10 @@ class Mbpo:
         weighting = yield from weighing(self.learner, context)
         yield _weights_event(self.env_step, weighting)
         report = yield from self.model.fitting(
-            context.replay, weighting.row_weights, weighting.per_dim, self.streams.torch("fit")
+            context.replay,
+            weighting.fit_weights(self.config.model.weight_clip),
+            weighting.per_dim,
+            self.streams.torch("fit"),
         )
         rollout_metrics = self.roll_out_model(context.replay, weighting)
         for kind, message in (*weighting.notices, *report.notices):
@@ -123,6 +123,7 @@ class Mbpo:
     def roll_out_model(self, replay: TensorTransitions, weighting: Weighting) -> dict[str, float]:
         """Lines 22-25: k-step rollouts from states drawn by weight, into D_model."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
+        self.model_buffer.resize(config.kept_at(self.env_step, self.config.fit_every))
         weighted = config.weighted_starts and weighting.ready
         starts = start_states(
             replay, weighting.row_weights if weighted else None, config.starts, generator
@@ -219,6 +220,8 @@ class Mbpo:
     ) -> None:
         """Go on from `state_dict`; `collected` are all rows handed over until then, in order."""
         self.env_step, self.policy_version = state["env_step"], state["policy_version"]
+        config = self.config
+        self.model_buffer.resize(config.rollout.kept_at(self.env_step, config.fit_every))
         for part in ("sac", "model", "learner", "streams", "model_buffer", "policy_buffer"):
             getattr(self, part).load_state_dict(state[part])
         self.replay.extend(collected.torch(), torch.from_numpy(policy_version))

@@ -176,7 +176,7 @@ class Offline:
     def roll_out_model(self) -> dict[str, float]:
         """Rollouts of the policy in the model from weighted states of the data."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
-        weights = self.weighting.weights if config.weighted_starts else None
+        weights = self.weighting.row_weights if config.weighted_starts else None
         return roll_out(
             KnownTask(self.model),
             self.policy,

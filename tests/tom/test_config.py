@@ -33,3 +33,14 @@ def test_rollout_length_follows_janners_schedule():
     rollout = RolloutConfig(final_length=15, schedule_start=20, schedule_end=150)
     assert [rollout.length_at(1000 * e) for e in (0, 20, 85, 150, 300)] == [1, 1, 8, 15, 15]
     assert RolloutConfig().length_at(200_000) == 1
+
+
+def test_the_model_buffer_holds_what_janners_pool_holds():
+    """rollout_batch_size * epoch_length / model_train_freq * rollout_length * retain_epochs."""
+    hopper, humanoid = resolve("hopper", "mle", "mbpo"), resolve("humanoid", "mle", "mbpo")
+    assert isinstance(hopper, OnlineConfig)
+    assert isinstance(humanoid, OnlineConfig)
+    assert hopper.rollout.kept_at(0, hopper.fit_every) == 400_000
+    assert hopper.rollout.kept_at(150_000, hopper.fit_every) == 15 * 400_000
+    assert humanoid.rollout.kept_at(0, humanoid.fit_every) == 5 * 100_000
+    assert RolloutConfig(starts=10).kept_at(0, 5000) == 10  # one fit's at the least

@@ -97,9 +97,22 @@ def test_a_policy_that_does_not_fall_is_cut_off_as_truncated():
     assert rows.terminated.sum() == 0
 
 
-def test_the_model_buffer_survives_a_fit_when_two_are_retained():
-    training, _ = run(smoke(steps=450, rollout={"starts": 50, "retain": 2}))
-    assert len(training.model_buffer) > 50
+def test_the_model_buffer_keeps_an_epoch_of_fits():
+    """1000 env steps' rollouts: Janner's pool, which the authors' code sizes alike."""
+    config = smoke("mle", steps=450, exploration_steps=50, fit_every=100, rollout={"starts": 20})
+    training, _ = run(config)
+    assert training.model_buffer.capacity == 10 * 20
+    assert len(training.model_buffer) == 4 * 20  # four fits, and none was thrown away
+
+
+def test_the_model_buffer_grows_with_the_rollouts():
+    rollout = {"starts": 20, "final_length": 3, "schedule_start": 0, "schedule_end": 1}
+    config = smoke("mle", steps=750, exploration_steps=50, fit_every=100, rollout=rollout)
+    training, sizes = Mbpo(config), {}
+    for event in training.events():
+        sizes[event.env_step] = training.model_buffer.capacity
+    assert sizes[450] == 200  # a length of 1.9 is one
+    assert sizes[551] == 400
 
 
 def test_evaluation_leaves_the_training_alone():

@@ -24,8 +24,8 @@ from tom.run import AnyConfig, Training, make_training
 STEPS, STOP = 430, 347  # stops within an episode and between two fits
 
 
-def smoke(env: str, learner: str) -> OnlineConfig:
-    config = resolve(env, learner, "smoke", {"steps": STEPS, "tom": {"warmup": 50}})
+def smoke(env: str, learner: str, **changes: Any) -> OnlineConfig:
+    config = resolve(env, learner, "smoke", {"steps": STEPS, "tom": {"warmup": 50}, **changes})
     assert isinstance(config, OnlineConfig)
     return config
 
@@ -116,6 +116,11 @@ def check(config: AnyConfig, stop: int, in_episode: bool = True) -> None:
 @pytest.mark.parametrize("env", ["hopper", "inverted-pendulum"])
 def test_resumed_equals_uninterrupted_in_the_middle_of_an_episode(env: str, learner: str):
     check(smoke(env, learner), STOP)
+
+
+def test_a_run_whose_rollouts_grow_goes_on():
+    rollout = {"final_length": 4, "schedule_start": 0, "schedule_end": 1}
+    check(smoke("inverted-pendulum", "mle", rollout=rollout), STOP, in_episode=False)
 
 
 def test_a_run_stopped_while_exploring_goes_on():

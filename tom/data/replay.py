@@ -102,6 +102,19 @@ class ReplayBuffer:
         """Forget every row; `total_added` goes on counting."""
         self._size = self._end = 0
 
+    def resize(self, capacity: int) -> None:
+        """Hold `capacity` rows from now on; the newest stay."""
+        if capacity == self.capacity:
+            return
+        kept = self.tail(min(self._size, capacity))
+        total = self.total_added
+        self.capacity = capacity
+        self._rows = self._rows.new_empty(capacity, self._rows.shape[1])
+        self._versions = self._versions.new_empty(capacity)
+        self.clear()
+        self.restore_tail(kept)
+        self.total_added = total
+
     def state_dict(self) -> dict[str, Any]:
         """Tensors and integers only: the held rows, oldest first."""
         return {

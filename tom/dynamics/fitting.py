@@ -61,12 +61,12 @@ class Fit(Work):
 
 @torch.no_grad()
 def fit(jobs: Sequence[Job], step: Step) -> list[FitReport]:
-    """Weighted maximum likelihood (eq. 17) with early stopping; the best weights are kept.
+    """Weighted maximum likelihood (eq. 18) with early stopping; the best networks are kept.
 
-    Weights have mean 1 and are clipped at `config.weight_clip`. They draw the minibatches or
-    scale the loss, never both. A round is `batches_per_round` minibatches; a fit stops after
-    `patience` rounds without a relative gain of `min_gain` in the weighted holdout loss. `step`
-    moves the networks of all jobs at once; their configs are equal.
+    Weights have mean 1. They draw the minibatches or scale the loss, never both. A round is
+    `batches_per_round` minibatches; a fit stops after more than `patience` rounds in a row without
+    a gain: a weighted holdout loss that is `min_gain` (relative) below that of the last gain. The
+    first round is one. `step` moves the networks of all jobs at once; their configs are equal.
     """
     members = [_Member(job) for job in jobs]
     while any(m.goes_on for m in members):
@@ -115,7 +115,7 @@ class _Member:
     def __init__(self, job: Job) -> None:
         self.model, self.data, self.generator = job.model, job.data, job.generator
         self.config = job.model.config
-        self.weights = job.weights.clamp(max=self.config.weight_clip)
+        self.weights = job.weights
         self.per_dim = job.per_dim
         self.train, held = split(len(job.data), self.config, job.generator)
         self.model.fit_scales(job.data, self.train)
@@ -126,14 +126,14 @@ class _Member:
         if self.config.weights == "sample":
             self._sampler = WeightedSampler(self.weights[self.train], job.generator)
         self._best = _Best(self.model, self.config.min_gain)
-        self._best.offer(holdout_loss(self.model, *self._held, *self._held_weights))
+        self._best.keep(holdout_loss(self.model, *self._held, *self._held_weights))
         self._rounds = self._idle = 0
         self._train_loss = torch.tensor(float("nan"))
         self._stopped: list[tuple[Tensor, Tensor]] = []
 
     @property
     def goes_on(self) -> bool:
-        return self._rounds < self.config.rounds and self._idle < self.config.patience
+        return self._rounds < self.config.rounds and self._idle <= self.config.patience
 
     @property
     def scales_dims(self) -> bool:
@@ -211,16 +211,25 @@ class _Best:
         self._min_gain = min_gain
         self._kept = [p.clone() for p in self._parameters]
         self.losses = self._kept[0].new_full((model.ensemble,), float("inf"))
+        self._last_gain = self.losses.clone()
 
     def offer(self, losses: Tensor) -> bool:
-        """Keep every network that improved; True if one gained at least `min_gain`."""
+        """Keep every network that improved; True if one gained more than `min_gain`.
+
+        Many small gains add up to one: it is counted from the loss of the last gain.
+        """
+        self.keep(losses)
+        gain = (self._last_gain - losses) / self._last_gain.abs().clamp(min=1e-8)
+        gained = losses.isfinite() & (self._last_gain.isinf() | (gain > self._min_gain))
+        self._last_gain = torch.where(gained, losses, self._last_gain)
+        return bool(gained.any())
+
+    def keep(self, losses: Tensor) -> None:
+        """Keep every network that improved."""
         better = losses < self.losses
-        gain = (self.losses - losses) / self.losses.abs().clamp(min=1e-8)
-        gain = torch.where(self.losses.isinf(), torch.ones_like(gain), gain)
         for kept, parameter in zip(self._kept, self._parameters, strict=True):
             torch.where(better.view(-1, 1, 1), parameter, kept, out=kept)
         self.losses = torch.where(better, losses, self.losses)
-        return bool((better & (gain > self._min_gain)).any())
 
     def restore(self) -> None:
         for kept, parameter in zip(self._kept, self._parameters, strict=True):

@@ -52,7 +52,8 @@ class FitContext:
 class Weighting:
     """The answer: one weight a transition, normalised to mean 1.
 
-    `ready` is False while the learner has nothing to say yet (its weights are uniform then).
+    `ready` is False while the learner has nothing to say yet (its weights are uniform then);
+    `clipped` says that the fit clips them, which rollouts' start states and records do not.
     `notices` are (kind, message) pairs that belong into the run's record.
     """
 
@@ -60,6 +61,7 @@ class Weighting:
     per_dim: Tensor | None = None  # (N, O)
     log_ratio: Tensor | None = None  # (N,)
     ready: bool = True
+    clipped: bool = False
     metrics: Mapping[str, float] = field(default_factory=dict)
     notices: tuple[tuple[str, str], ...] = ()
 
@@ -70,6 +72,10 @@ class Weighting:
         A weight that drew a row and scaled its loss as well would count squared.
         """
         return self.weights if self.per_dim is None else torch.ones_like(self.weights)
+
+    def fit_weights(self, clip: float) -> Tensor:
+        """The rows' weights for a fit of the model, (N,): at most `clip` where they are clipped."""
+        return self.row_weights.clamp(max=clip) if self.clipped else self.row_weights
 
 
 def uniform(replay: TensorTransitions, ready: bool) -> Weighting:

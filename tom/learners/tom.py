@@ -191,6 +191,7 @@ class TomLearner:
             weights=found.weights,
             log_ratio=found.log_ratio,
             ready=not degenerate,
+            clipped=True,
             metrics={**found.metrics, "weights/degenerate": float(self.degenerate)},
             notices=found.notices,
         )

@@ -23,7 +23,7 @@ from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
 from tom.envs import MujocoTask, task
 from tom.learners import LEARNERS
-from tom.learners.base import Policy
+from tom.learners.base import Policy, Weighting
 from tom.policy_file import NAME, read_policy
 from tom.presets import resolve
 from tom.record import RunReader
@@ -175,7 +175,9 @@ def _fitted(data: OrderedData, found: Weighed, config: OnlineConfig) -> Dynamics
     rows, streams = data.transitions, Streams(config.seed)
     dims = rows.obs.shape[1], rows.action.shape[1]
     model = make_model(*dims, config.model, streams.torch("model"))
-    model.fit(rows, torch.from_numpy(found.weights), None, streams.torch("fit"))
+    weighting = Weighting(torch.from_numpy(found.weights), clipped=config.learner == "tom")
+    fitted = weighting.fit_weights(config.model.weight_clip)
+    model.fit(rows, fitted, None, streams.torch("fit"))
     return model
 
 

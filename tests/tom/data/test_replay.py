@@ -47,6 +47,7 @@ operation = st.one_of(
     st.tuples(st.just("extend"), st.integers(0, 25)),
     st.tuples(st.just("clear"), st.just(0)),
     st.tuples(st.just("reload"), st.just(0)),
+    st.tuples(st.just("resize"), st.integers(1, 12)),
 )
 
 
@@ -64,6 +65,9 @@ def test_behaves_as_a_list(capacity, operations, data):
             state = buffer.state_dict()
             buffer = ReplayBuffer(capacity, OBS_DIM, ACTION_DIM)
             buffer.load_state_dict(state)
+        elif kind == "resize":
+            buffer.resize(n)
+            capacity, model = n, model[-n:]
         elif kind == "add":
             add_one(buffer, rows(total, 1), total)
         else:

@@ -9,7 +9,7 @@ from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
-from tom.dynamics.fitting import Job, fit, holdout_loss, split
+from tom.dynamics.fitting import Job, _Best, fit, holdout_loss, split
 from tom.dynamics.mdn import Mdn, pick_component
 from tom.dynamics.neural import NeuralDynamics, Standardiser
 
@@ -113,6 +113,24 @@ def test_fitted_together_is_fitted_alone(kind: str):
         for a, b in zip(alone.predict(probe.obs, probe.action),
                         joined.predict(probe.obs, probe.action), strict=True):  # fmt: skip
             torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
+
+
+def test_small_gains_add_up_and_what_is_not_a_number_is_none():
+    """A gain is counted from the loss of the last one, as in the authors' code and Janner's."""
+    best = _Best(Mdn(2, 1, SMALL, generator()), min_gain=0.01)
+    best.keep(torch.tensor([1.0]))  # before the first round: kept, but no gain
+    losses = [0.995, 0.991, 0.986, 0.982, 0.98, float("nan"), 0.95]
+    gains = [best.offer(torch.tensor([loss])) for loss in losses]
+    assert gains == [True, False, False, True, False, False, True]
+    assert best.losses == torch.tensor([0.95])
+
+
+@pytest.mark.parametrize("patience", [1, 3])
+def test_a_fit_stops_after_more_rounds_than_its_patience(patience: int):
+    config = SMALL.but(rounds=20, patience=patience, min_gain=10.0, batches_per_round=2)
+    model = make_model(2, 1, config, generator())
+    report = model.fit(rows(), torch.ones(1500), None, generator())
+    assert report.metrics["model/rounds"] == 1 + patience + 1  # the first counts as a gain
 
 
 def test_a_component_is_the_one_that_counting_its_shares_gives():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given
@@ -56,3 +58,12 @@ def test_learner_has_mean_one_and_a_single_policy_is_uniform():
     assert found.weights[-1] < found.weights[0]  # 0.1 of the mass against 0.9^3 of it
     alone = learner.weigh(context(rows(40)))
     torch.testing.assert_close(alone.weights, torch.ones(40))
+
+
+def test_no_fit_clips_its_weights():
+    """As the released code, which clips probabilities at ten; TOM's weights it does clip."""
+    found = PmacLearner(PmacConfig()).weigh(context(rows(4000), policy_version=torch.arange(4000)))
+    assert float(found.weights.max()) > 15
+    assert torch.equal(found.fit_weights(10.0), found.weights)
+    clipped = replace(found, clipped=True)
+    assert torch.equal(clipped.fit_weights(10.0), found.weights.clamp(max=10.0))

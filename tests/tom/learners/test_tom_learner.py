@@ -41,6 +41,7 @@ def test_uniform_and_not_ready_until_the_warm_up_is_over():
     found = tom.weigh(context(rows(200), on_policy_steps=1000))
     assert found.ready
     assert found.weights.std() > 0
+    assert found.clipped
     assert found.log_ratio is not None
 
 
