@@ -1,8 +1,8 @@
 """Returns of every learner in every environment, from whatever runs a store has.
 
-A run counts for its environment, learner and seed. Of runs with other settings the largest group
-is taken; within it the longest run of a seed. Learners of an environment are compared at a step
-that all their runs reach.
+A run counts for its environment, learner and seed. Of runs with other settings the largest group of
+each learner is taken; within it the longest run of a seed. Learners of an environment are compared
+at a step that all their runs reach; where their groups' settings differ, the verdict says so.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from tom import statistics as st
 from tom.envs import ENVS, task
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.record import RunReader
+from tom.studies.settings import unlike
 
 Array = NDArray[np.float64]
 PAPER_SEEDS = 4
@@ -174,7 +175,24 @@ def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str])
 
 
 def verdict(cells: Sequence[Cell]) -> list[str]:
-    """In how many of the paper's environments TOM's mean is the highest, beside its claim."""
+    """In how many of the paper's environments TOM's mean is the highest; what speaks against it."""
+    return [*_ranking(cells), *_unlike(cells)]
+
+
+def _unlike(cells: Sequence[Cell]) -> list[str]:
+    """A line for each environment whose learners were not trained with the same settings."""
+    lines = []
+    for env in _envs(cells):
+        found = unlike([curve.run for c in cells if c.env == env for curve in c.curves])
+        if found:
+            lines.append(
+                f"{env}: the learners' runs differ in more than learner, seed and steps "
+                f"({', '.join(found)}), so returns may differ by these settings."
+            )
+    return lines
+
+
+def _ranking(cells: Sequence[Cell]) -> list[str]:
     at = compared_at(cells)
     judged = {env: [c for c in cells if c.env == env] for env in at if env in PAPER_ENVS}
     judged = {e: cs for e, cs in judged.items() if len(cs) > 1 and _cell(cs, e, "tom")}

@@ -85,6 +85,21 @@ def test_what_is_said_is_what_was_found(store: Store):
     assert "nothing to compare" in study.verdict([c for c in cells if c.learner == "tom"])[0]
 
 
+def test_learners_with_different_settings_are_not_ranked_without_a_remark(store: Store):
+    record(store, "ant", "vagram-ensemble", 0, [1, 2])  # its preset has another model: no remark
+    for learner in ("mle", "tom"):
+        record(store, "ant", learner, 0, [1, 2])
+        record(store, "halfcheetah", learner, 0, [1, 2], updates_per_step=7)  # both alike
+    cells, _ = study.select(store.runs(), "paper")
+    assert not [line for line in study.verdict(cells) if "differ" in line]
+    record(store, "hopper", "mle", 0, [3, 3, 3, 3, 3], updates_per_step=7)
+    record(store, "hopper", "mle", 1, [3, 3, 3, 3, 3], updates_per_step=7)
+    cells, _ = study.select(store.runs(), "paper")
+    (line,) = [line for line in study.verdict(cells) if "differ" in line]
+    assert line.startswith("hopper: ")
+    assert "(updates_per_step)" in line
+
+
 def test_what_is_missing_is_named_with_its_command(store: Store):
     cells, _ = study.select(store.runs(), "paper")
     rows = study.missing(cells, ["hopper", "ant"], ["tom"])
