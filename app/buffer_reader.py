@@ -1,6 +1,7 @@
 """Replay buffers for the pages: read once, read again when their files have changed."""
 
 import zipfile
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from app import pictures, readers, regions
 from app.buffer import Floats, Rows, rows_at
+from app.cache import Kept
 from app.readers import RunInfo, Stamp
 from app.regions import Plane
 from tom.data.transitions import Transitions
@@ -40,8 +42,8 @@ def rows(run: RunInfo, step: int) -> Rows | None:
 
 def weighed_rows(run: RunInfo, weight: NDArray) -> Rows | None:
     """The whole recorded buffer with weights from elsewhere; None where it has another length."""
-    recorded, version = _buffer(run.path, _stamp(run))
-    return rows_at(recorded, version, weight, len(recorded))
+    recorded = _recorded(run.path, _stamp(run))
+    return rows_at(recorded.rows, recorded.version, weight, len(recorded.rows))
 
 
 def model_errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, int] | str:
@@ -66,7 +68,8 @@ def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
 
 def principal_plane(run: RunInfo, rows: Rows) -> Plane:
     """The principal components of some of a run's rows."""
-    return _plane(run.path, _stamp(run), rows.first, len(rows), rows)
+    planes = _recorded(run.path, _stamp(run)).planes
+    return planes.get((rows.first, len(rows)), lambda: regions.principal_plane(rows.rows))
 
 
 def has_rows(run: RunInfo) -> bool:
@@ -90,14 +93,21 @@ def _stamp(run: RunInfo) -> Stamp:
     return readers.stamp(Path(run.path) / layout.segment(last[0])) if last else (0, 0)
 
 
-@st.cache_resource(show_spinner=False, max_entries=4)
-def _buffer(path: str, changed: Stamp) -> tuple[Transitions, NDArray[np.int64]]:
-    return RunReader(path).buffer()
+@dataclass(frozen=True)
+class _Recorded:
+    """A run's buffer as it is now, and what was made of it: when it changes, all of it goes."""
+
+    rows: Transitions
+    version: NDArray[np.int64]
+    at_fits: Kept[Rows | None] = field(default_factory=lambda: Kept(4))
+    planes: Kept[Plane] = field(default_factory=lambda: Kept(2))
 
 
-@st.cache_resource(show_spinner=False, max_entries=8)
-def _plane(path: str, changed: Stamp, first: int, count: int, _rows: Rows) -> Plane:
-    return regions.principal_plane(_rows.rows)
+_RECORDED: Kept[_Recorded] = Kept(4)
+
+
+def _recorded(path: str, changed: Stamp) -> _Recorded:
+    return _RECORDED.get(path, lambda: _Recorded(*RunReader(path).buffer()), changed)
 
 
 @st.cache_data(show_spinner=False, max_entries=512)
@@ -113,7 +123,7 @@ def _length(path: str, changed: Stamp) -> int:
 
 @st.cache_data(show_spinner=False, max_entries=128)
 def _errors_on(path: str, changed: Stamp, other: str, model: Stamps) -> Floats | None:
-    recorded = _buffer(path, changed)[0]
+    recorded = _recorded(path, changed).rows
     if not len(recorded):
         return None
     try:
@@ -124,12 +134,16 @@ def _errors_on(path: str, changed: Stamp, other: str, model: Stamps) -> Floats |
     return _one_step(kept, part)
 
 
-@st.cache_resource(show_spinner=False, max_entries=16)
 def _rows(path: str, env: str, step: int, changed: Stamp, weighed: Stamp) -> Rows | None:
-    recorded, version = _buffer(path, changed)
-    weight = RunReader(path).snapshot(step)["weight"].to_numpy()
-    # Offline data are all there from the first step on; online, a step adds a row.
-    return rows_at(recorded, version, weight, len(recorded) if env == pictures.ENV else step)
+    recorded = _recorded(path, changed)
+
+    def read() -> Rows | None:
+        weight = RunReader(path).snapshot(step)["weight"].to_numpy()
+        # Offline data are all there from the first step on; online, a step adds a row.
+        end = len(recorded.rows) if env == pictures.ENV else step
+        return rows_at(recorded.rows, recorded.version, weight, end)
+
+    return recorded.at_fits.get(step, read, weighed)
 
 
 @st.cache_resource(show_spinner=False, max_entries=16)

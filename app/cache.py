@@ -9,22 +9,30 @@ T = TypeVar("T")
 
 
 class Kept(Generic[T]):
-    """The `most` results that were asked for last, by what they depend on. Shared by threads."""
+    """The `most` results that were asked for last, one for each key. Shared by threads.
+
+    Of what changes (a file of a run in training) only the version asked for last is kept.
+    """
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._results: OrderedDict[Hashable, T] = OrderedDict()
+        self._results: OrderedDict[Hashable, tuple[Hashable, T]] = OrderedDict()
         self._lock = Lock()
 
-    def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """The result for `key`, made where it is not kept. It is shared: nobody may change it."""
+    def get(self, key: Hashable, make: Callable[[], T], version: Hashable = None) -> T:
+        """The result for `key`, made where it is not kept in this `version`.
+
+        It is shared: nobody may change it.
+        """
         with self._lock:
-            if key in self._results:
+            found = self._results.get(key)
+            if found is not None and found[0] == version:
                 self._results.move_to_end(key)
-                return self._results[key]
+                return found[1]
         made = make()
         with self._lock:
-            self._results[key] = made
+            self._results[key] = version, made
+            self._results.move_to_end(key)
             while len(self._results) > self._most:
                 self._results.popitem(last=False)
         return made

@@ -2,13 +2,13 @@
 
 import time
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from app import pictures, trainings
+from app.cache import Kept
 from app.pictures import Picture
 from app.settings import Settings, flat
 from tom.errors import UserError
@@ -63,10 +63,8 @@ def listing(store: str) -> Listing:
     runs: list[RunInfo] = []
     problems: list[str] = []
     for name in names:
-        path = Path(store) / name
-        stamps = (stamp(path / part) for part in (layout.CONFIG, layout.STATUS, layout.LABELS))
         try:
-            runs.append(_as_it_is(_info(store, name, path.is_symlink(), *stamps)))
+            runs.append(_as_it_is(_info(store, name)))
         except UserError as error:
             problems.append(str(error))
     runs.sort(key=lambda run: (run.created, run.run_id), reverse=True)
@@ -75,17 +73,17 @@ def listing(store: str) -> Listing:
 
 def metrics(run: RunInfo) -> pd.DataFrame:
     """A row a recorded step: `env_step` and every metric."""
-    return _metrics(run.path, *_stamps(run, layout.METRICS, layout.METRICS_TABLE))[0]
+    return _metrics(run)[0]
 
 
 def points(run: RunInfo) -> dict[str, int]:
     """How many values of each metric the run has recorded, of those with one at least."""
-    return _points(run.path, *_stamps(run, layout.METRICS, layout.METRICS_TABLE))
+    return _POINTS.get(run.path, lambda: _count(metrics(run)), recorded(run))
 
 
 def recorded(run: RunInfo) -> tuple[Stamp, ...]:
     """Changes whenever a metric of the run does."""
-    return tuple(_stamps(run, layout.METRICS, layout.METRICS_TABLE))
+    return _stamps(run, layout.METRICS, layout.METRICS_TABLE)
 
 
 def has_profiles(run: RunInfo) -> bool:
@@ -95,27 +93,22 @@ def has_profiles(run: RunInfo) -> bool:
 
 def profiles(run: RunInfo) -> Profiles:
     """The weight profile of every model fit."""
-    return _profiles(run.path, *_stamps(run, layout.PROFILES))[0]
+    return _profiles(run)[0]
 
 
 def notices(run: RunInfo) -> list[dict]:
     """What the run itself warned of: `env_step`, `kind`, `message`."""
-    return _notices(run.path, *_stamps(run, layout.NOTICES))[0]
+    return _notices(run)[0]
 
 
 def metrics_problems(run: RunInfo) -> list[str]:
     """What is damaged or missing in the parts of a run that make its curves."""
-    rows = _stamps(run, layout.METRICS, layout.METRICS_TABLE)
-    return list(dict.fromkeys([*run.problems, *_metrics(run.path, *rows)[1]]))
+    return list(dict.fromkeys([*run.problems, *_metrics(run)[1]]))
 
 
 def problems(run: RunInfo) -> list[str]:
     """What is damaged or missing in the parts of a run that the pages of one run read."""
-    found = [
-        *metrics_problems(run),
-        *_profiles(run.path, *_stamps(run, layout.PROFILES))[1],
-        *_notices(run.path, *_stamps(run, layout.NOTICES))[1],
-    ]
+    found = [*metrics_problems(run), *_profiles(run)[1], *_notices(run)[1]]
     return list(dict.fromkeys(found))
 
 
@@ -126,7 +119,10 @@ def road_steps(run: RunInfo) -> list[int]:
 
 def road_picture(run: RunInfo, step: int) -> Picture | None:
     """One fit of a road-and-rocks run; None when its map cannot be read."""
-    return _road_picture(run.path, step, stamp(Path(run.path) / layout.snapshot(step)))
+    changed = stamp(Path(run.path) / layout.snapshot(step))
+    return _ROAD_PICTURES.get(
+        (run.path, step), lambda: pictures.load(RunReader(run.path), step), changed
+    )
 
 
 def recordings(run: RunInfo) -> list[str]:
@@ -156,9 +152,23 @@ def _as_it_is(run: RunInfo) -> RunInfo:
 # find what they hold, which 200 runs notice.
 
 
-@lru_cache(maxsize=4096)
-def _info(store: str, name: str, link: bool, *changed: Stamp) -> RunInfo:
+_INFOS: Kept[RunInfo] = Kept(4096)
+_METRICS: Kept[tuple[pd.DataFrame, list[str]]] = Kept(1024)
+_POINTS: Kept[dict[str, int]] = Kept(1024)
+_PROFILES: Kept[tuple[Profiles, list[str]]] = Kept(1024)
+_NOTICES: Kept[tuple[list[dict], list[str]]] = Kept(1024)
+_ROAD_PICTURES: Kept[Picture | None] = Kept(64)
+
+
+def _info(store: str, name: str) -> RunInfo:
     """Raises UserError, which is not kept, where there is no run."""
+    path = Path(store) / name
+    stamps = [stamp(path / part) for part in (layout.CONFIG, layout.STATUS, layout.LABELS)]
+    version = path.is_symlink(), *stamps
+    return _INFOS.get(path, lambda: _read_info(store, name), version)
+
+
+def _read_info(store: str, name: str) -> RunInfo:
     reader = Store(store).look(name)
     return RunInfo(
         path=str(reader.path),
@@ -175,36 +185,35 @@ def _info(store: str, name: str, link: bool, *changed: Stamp) -> RunInfo:
     )
 
 
-@lru_cache(maxsize=1024)
-def _metrics(path: str, rows: Stamp, table: Stamp) -> tuple[pd.DataFrame, list[str]]:
-    reader = RunReader(path)
-    return reader.metrics(), reader.problems
+def _metrics(run: RunInfo) -> tuple[pd.DataFrame, list[str]]:
+    def read() -> tuple[pd.DataFrame, list[str]]:
+        reader = RunReader(run.path)
+        return reader.metrics(), reader.problems
+
+    return _METRICS.get(run.path, read, recorded(run))
 
 
-@lru_cache(maxsize=1024)
-def _points(path: str, rows: Stamp, table: Stamp) -> dict[str, int]:
-    frame = _metrics(path, rows, table)[0]
+def _profiles(run: RunInfo) -> tuple[Profiles, list[str]]:
+    def read() -> tuple[Profiles, list[str]]:
+        reader = RunReader(run.path)
+        return reader.profiles(), reader.problems
+
+    return _PROFILES.get(run.path, read, _stamps(run, layout.PROFILES))
+
+
+def _notices(run: RunInfo) -> tuple[list[dict], list[str]]:
+    def read() -> tuple[list[dict], list[str]]:
+        reader = RunReader(run.path)
+        return reader.notices(), reader.problems
+
+    return _NOTICES.get(run.path, read, _stamps(run, layout.NOTICES))
+
+
+def _count(frame: pd.DataFrame) -> dict[str, int]:
     count = np.isfinite(frame.to_numpy(np.float64)).sum(0)
     return {str(name): int(n) for name, n in zip(frame, count, strict=True) if n}
 
 
-@lru_cache(maxsize=1024)
-def _profiles(path: str, changed: Stamp) -> tuple[Profiles, list[str]]:
-    reader = RunReader(path)
-    return reader.profiles(), reader.problems
-
-
-@lru_cache(maxsize=1024)
-def _notices(path: str, changed: Stamp) -> tuple[list[dict], list[str]]:
-    reader = RunReader(path)
-    return reader.notices(), reader.problems
-
-
-def _stamps(run: RunInfo, *names: str) -> list[Stamp]:
+def _stamps(run: RunInfo, *names: str) -> tuple[Stamp, ...]:
     folder = Path(run.path)
-    return [stamp(folder / name) for name in names]
-
-
-@lru_cache(maxsize=64)
-def _road_picture(path: str, step: int, changed: Stamp) -> Picture | None:
-    return pictures.load(RunReader(path), step)
+    return tuple(stamp(folder / name) for name in names)

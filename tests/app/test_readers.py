@@ -1,16 +1,20 @@
 """The cached readers: what is on the disk now, a damaged run beside the others."""
 
+import gc
 import json
+import os
 import shutil
 import time
+import weakref
 from pathlib import Path
 
 import numpy as np
 import pytest
 from studio_runs import PENDULUM_TOM, RUNS, info
 
-from app import readers
+from app import buffer_reader, readers
 from app.aggregate import curve_points
+from app.readers import RunInfo
 from tom.record import lock, manage
 from tom.record.reader import RunReader
 from tom.record.store import Store
@@ -123,3 +127,26 @@ def test_points_are_what_a_curve_would_have(store: Path) -> None:
     points = readers.points(run)
     assert points == {name: len(curve_points(frame, name)[0]) for name in points}
     assert set(frame) - set(points) == {n for n in frame if not np.isfinite(frame[n]).any()}
+
+
+def test_of_a_run_in_training_one_version_is_held(own: Path) -> None:
+    path = own / PENDULUM_TOM
+    (path / "metrics.parquet").unlink()
+    segment = max((path / "buffer").glob("*.npz"), key=lambda file: int(file.stem))
+    fit = buffer_reader.fits(info(own, PENDULUM_TOM))[-1]
+    held: list[weakref.ref] = []
+    for beat in range(3):
+        with (path / "metrics.jsonl").open("a") as file:
+            file.write(json.dumps({"env_step": 99_999 + beat, "eval/return": 7.5}) + "\n")
+        for changed in (segment, path / "weights/profiles.jsonl"):
+            os.utime(changed, (beat, beat))
+        held += read(info(own, PENDULUM_TOM), fit)
+    gc.collect()
+    assert [ref() is not None for ref in held] == [False] * 8 + [True] * 4
+
+
+def read(run: RunInfo, fit: int) -> list[weakref.ref]:
+    rows = buffer_reader.rows(run, fit)
+    assert rows is not None
+    parts = readers.metrics(run), readers.profiles(run), rows, rows.rows.obs
+    return [weakref.ref(part) for part in parts]
