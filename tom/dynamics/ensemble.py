@@ -71,9 +71,10 @@ class GaussianEnsemble(_Ensemble):
 class MeanEnsemble(_Ensemble):
     """E networks that predict the mean only, with VaGram's squared loss.
 
-    sum_d (dV/ds'_d)^2 (pred_d - s'_d)^2 + (pred_r - r)^2: with z-scored targets the gradient's
-    weight is (sigma_d dV/ds'_d)^2, which is what the learner's per-dimension weights hold.
-    The first round is plain MSE.
+    VaGram's is sum_d (dV/ds'_d)^2 (pred_d - s'_d)^2 + (pred_r - r)^2. With z-scored targets the
+    weight of dimension d is (sigma_d dV/ds'_d)^2, to which the learner's per-dimension weights are
+    proportional: they have mean 1, and the reward's z-scored error counts 1. So the balance of
+    state and reward is not VaGram's. The first round is plain MSE.
     """
 
     def __init__(

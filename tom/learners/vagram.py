@@ -21,7 +21,8 @@ def value_gradient_weights(
 
     The model's likelihood is that of z-scored targets, so a unit of its error in dimension d is
     scale_d units of s'_d. Heads are averaged after squaring: their gradients may cancel, and how
-    much each reacts may not. `value_gradient` maps states (B, O) to dV_k/ds, (K, B, O).
+    much each reacts may not. `value_gradient` maps states (B, O) to dV_k/ds, (K, B, O). Rows whose
+    s' is terminal count like others, though the value function was never trained there.
     """
     parts = [value_gradient(rows).square().mean(0) for rows in next_obs.split(CHUNK)]
     return torch.cat(parts) * scale.square()

@@ -63,7 +63,8 @@ class Case:
     """One learner under one seed on one recording, with the model of a run's `preset`.
 
     A seed draws the footprint that TOM is told about, the networks, the minibatches, and the
-    transitions that the models are tested on, which no learner has seen.
+    transitions that the models are tested on. Of these only the policy's own are new to every
+    learner; those of the buffer's two halves were there to be fitted to, all but the held-out ones.
     """
 
     recording: Path
