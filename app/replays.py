@@ -29,6 +29,8 @@ ROAD_DT = 0.1
 """seconds that a step of road-and-rocks takes on the screen: the task itself has no clock"""
 HORIZONS = (1, 5, 10, 25, 50, 100, 1000)
 """steps after which the ghost may start again from the real state; the last is a whole episode"""
+ALIKE = 1e-6
+"""standard deviation of a dimension's change in a step up to which it always changes alike"""
 
 Floats = NDArray[np.float32]
 
@@ -53,12 +55,17 @@ class Replay:
     def error(self) -> NDArray[np.float64]:
         """Distance (H,) of each imagined state from the real one; needs a ghost.
 
-        Root mean square over dimensions, each in standard deviations of its change in a step.
+        Root mean square over dimensions, each in standard deviations of its change in a step. One
+        that always changes alike has no such scale and is left out; NaN where no other is there,
+        as in an episode of one step.
         """
         assert self.imagined is not None
         real = self.episode.obs
-        scale = np.diff(real, axis=0).std(0).clip(1e-6)
-        gap = (self.imagined.obs - real)[1:] / scale
+        scale = np.diff(real, axis=0).std(0)
+        scaled = scale > ALIKE
+        if not scaled.any():
+            return np.full(self.episode.length, np.nan)
+        gap = (self.imagined.obs - real)[1:, scaled] / scale[scaled]
         return np.sqrt(np.square(gap, dtype=np.float64).mean(1))
 
 

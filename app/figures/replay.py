@@ -75,7 +75,10 @@ def error_curve(replay: Replay, frame: int, height: int) -> go.Figure:
     colour = learner_colour(replay.learner)
     figure = go.Figure(_line(seconds, replay.error, "distance", colour, 1.5, "distance"))
     figure.update_traces(showlegend=False)
-    return _timeline(figure, replay, frame, "distance (std)", height, "replay-error")
+    _timeline(figure, replay, frame, "distance (std)", height, "replay-error")
+    if np.isfinite(replay.error).any():
+        return figure
+    return note(figure, "no distance: one step, or states that change alike, have no scale")
 
 
 def _line(

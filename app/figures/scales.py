@@ -24,10 +24,17 @@ def span(weight: NDArray[np.float64]) -> float:
 
 
 def relative_scale(weight: NDArray[np.float64], mode: Mode, *, flat: bool = False) -> dict:
-    """A heatmap's colours for log2 of these weights; `flat` lays the colour bar below."""
+    """A heatmap's colours for log2 of these weights; `flat` lays the colour bar below.
+
+    An end of the bar beyond which there are weights says so.
+    """
     reach = span(weight)
     ticks = np.arange(-reach, reach + 1, 2 if reach == OCTAVES else 1)
     words = [f"{2**t:g}" if t >= 0 else f"1/{2**-t:g}" for t in ticks]
+    if (weight < 2**-reach).any():
+        words[0] = f"≤ {words[0]}"
+    if (weight > 2**reach).any():
+        words[-1] = f"≥ {words[-1]}"
     bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "times uniform"}}
     return {
         "colorscale": DIVERGING[mode],
@@ -38,13 +45,18 @@ def relative_scale(weight: NDArray[np.float64], mode: Mode, *, flat: bool = Fals
 
 
 def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict:
+    """A heatmap's colours for these weights; an end beyond which there are weights says so."""
     finite = bins[np.isfinite(bins)]
-    top = float(np.quantile(finite, 0.995)) if len(finite) else 1.0
-    bar = {"title": {"text": "weight"}}
+    top = max(float(np.quantile(finite, 0.995)) if len(finite) else 1.0, 1.0)
+    ticks = np.linspace(0, top, 5)
+    words = [f"{tick:.3g}" for tick in ticks]
+    if (finite > top).any():
+        words[-1] = f"≥ {words[-1]}"
+    bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "weight"}}
     return {
         "colorscale": SEQUENTIAL[mode],
         "zmin": 0,
-        "zmax": max(top, 1.0),
+        "zmax": top,
         "colorbar": _bar(bar),
     }
 

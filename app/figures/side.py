@@ -7,8 +7,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from app import text
-from app.aggregate import Curve
-from app.figures.base import GRID, LAYOUT, X_AXIS, Y_AXIS
+from app.aggregate import Curve, decimate
+from app.figures.base import GRID, LAYOUT, X_AXIS, Y_AXIS, note
+from app.figures.curves import POINTS
 from app.figures.scales import octaves, relative_scale
 from app.figures.weights import bin_centres, shown_fits
 from app.theme import Mode, learner_colour, learner_symbol
@@ -18,7 +19,10 @@ from tom.record.profiles import Profiles
 def side_by_side(
     parts: Sequence[tuple[str, Curve, Profiles]], mode: Mode, height: int
 ) -> go.Figure:
-    """Return above, weights of every fit below, for each (name, curve, profiles)."""
+    """Return above, weights of every fit below, for each (name, curve, profiles).
+
+    Long curves and many fits are thinned, which the figure says.
+    """
     figure = make_subplots(
         rows=2,
         cols=len(parts),
@@ -30,10 +34,15 @@ def side_by_side(
     flat = np.concatenate([part.ravel() for part in bins]) if bins else np.ones(1)
     scale = relative_scale(flat, mode)
     last = max((i for i, (*_, held) in enumerate(parts, 1) if len(held.env_step)), default=0)
-    for column, (_, curve, profiles) in enumerate(parts, 1):
+    thinned = any(len(curve.step) > POINTS for _, curve, _ in parts)
+    words = [f"returns thinned to {POINTS} points a line"] if thinned else []
+    for column, (name, curve, profiles) in enumerate(parts, 1):
         figure.add_trace(_line(curve), 1, column)
         if len(profiles.env_step):
             shown = shown_fits(len(profiles.env_step), len(profiles.env_step) - 1)
+            if len(shown) < len(profiles.env_step):
+                fits = f"{len(shown)} of {len(profiles.env_step)} fits"
+                words.append(f"{text.plotly(name)}: {fits}")
             weights = profiles.bins[shown].T
             figure.add_trace(
                 go.Heatmap(
@@ -83,13 +92,14 @@ def side_by_side(
         selector={"type": "heatmap"},
         colorbar={"len": 0.48, "y": 0, "yanchor": "bottom"},
     )
-    return figure
+    return note(figure, "<br>".join(words)) if words else figure
 
 
 def _line(curve: Curve) -> go.Scatter:
+    step, value, _ = decimate(curve.step, curve.value, POINTS)
     return go.Scatter(
-        x=curve.step,
-        y=curve.value,
+        x=step,
+        y=value,
         meta=curve.run_id,
         mode="lines+markers",
         line={"color": learner_colour(curve.learner), "width": 2},

@@ -1,5 +1,6 @@
 """The numbers in the figures are the numbers in the run folders."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from app.aggregate import GRID, Curve, aggregate
 from app.figures.curves import POINTS, Axes, group_curves, run_curves
 from app.figures.probe import probe_profiles
 from app.figures.road import displacement_error, road_map
-from app.figures.scales import octaves, span
+from app.figures.scales import linear_scale, octaves, relative_scale, span
 from app.figures.side import side_by_side
 from app.figures.weights import (
     MAP_COLUMNS,
@@ -170,6 +171,31 @@ def test_octaves_clip_and_keep_gaps() -> None:
     assert octaves(np.array([0, 0.5, 1, 64, np.nan])).tolist()[:4] == [-4, -1, 0, 4]
     assert span(np.array([1.0, 1.1])) == 1
     assert span(np.array([0.01, 50.0])) == 4
+
+
+def test_a_colour_bar_says_where_its_ends_hold_more() -> None:
+    def ends(weight: list[float]) -> tuple[str, ...]:
+        words = relative_scale(np.array(weight), "light")["colorbar"]["ticktext"]
+        return words[0], words[-1]
+
+    assert ends([0.5, 1, 2, np.nan]) == ("1/2", "2")
+    assert ends([1.0] * 99 + [16.0]) == ("1/2", "≥ 2")
+    assert ends([0.25] * 5 + [4.0] * 94 + [0]) == ("≤ 1/4", "4")
+    scale = linear_scale(np.array([0.0] * 999 + [3.0]), "light")
+    assert (scale["zmax"], scale["colorbar"]["ticktext"][-1]) == (1, "≥ 1")
+    scale = linear_scale(np.array([0.5, 3.0] * 100), "light")
+    assert (scale["zmax"], scale["colorbar"]["ticktext"][-1]) == (3, "3")
+
+
+def test_side_by_side_is_thinned_and_says_so(profiles: Profiles) -> None:
+    bins = np.resize(profiles.bins, (1000, 100))
+    many = replace(profiles, bins=bins, env_step=np.arange(1000))
+    figure = side_by_side([("a", long_curve(9000), many)], "light", 400)
+    line, heat = traces(figure)
+    assert len(line.x) <= POINTS
+    assert len(heat.x) <= MAP_COLUMNS
+    assert notes(figure)[-1] == f"returns thinned to {POINTS} points a line<br>a: 399 of 1000 fits"
+    assert notes(side_by_side([("a", long_curve(9), profiles)], "light", 400)) == ["a"]
 
 
 def test_many_fits_are_thinned_and_the_chosen_one_stays() -> None:

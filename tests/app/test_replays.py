@@ -1,6 +1,7 @@
 """Replays: the episodes that were recorded, and what the run's own model makes of them."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -11,6 +12,7 @@ from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app import replays, server
+from app.figures.replay import error_curve
 from app.links import Links
 from app.replays import ROAD_DT, Replay
 from app.scenes import solids
@@ -45,6 +47,30 @@ def test_a_replay_is_the_recorded_episode_and_a_ghost(run: RunReader) -> None:
 
 def test_the_ghost_of_one_step_is_nearer_than_that_of_many(run: RunReader) -> None:
     assert loaded(run, 400, 1).error.mean() < loaded(run, 400, 50).error.mean()
+
+
+def test_a_dimension_that_stands_still_has_no_part_in_the_distance(run: RunReader) -> None:
+    whole = loaded(run, 400)
+    still, off = np.zeros((len(whole.real), 1), np.float32), np.ones((len(whole.real), 1))
+    more = with_states(whole, np.hstack([whole.episode.obs, still]), off)
+    assert more.error == pytest.approx(whole.error)
+    only = with_states(whole, still, off, alone=True)
+    assert np.isnan(only.error).all()
+    assert "no distance" in error_curve(only, 0, 200).to_dict()["layout"]["annotations"][0]["text"]
+    assert "annotations" not in error_curve(whole, 0, 200).to_dict()["layout"]
+
+
+def with_states(
+    replay: Replay, obs: np.ndarray, beside: np.ndarray, *, alone: bool = False
+) -> Replay:
+    """The replay with other states, imagined as they were with `beside` as their last dimension."""
+    assert replay.imagined is not None
+    imagined = beside if alone else np.hstack([replay.imagined.obs, beside])
+    return replace(
+        replay,
+        episode=replace(replay.episode, obs=obs),
+        imagined=replace(replay.imagined, obs=imagined),
+    )
 
 
 def test_an_episode_that_is_not_there_is_none(run: RunReader) -> None:
