@@ -66,7 +66,7 @@ def recorded(runs: Sequence[RunInfo]) -> None:
         with column, st.container(border=True):
             st.markdown(
                 f"**{words}**: full, the policy's newest transitions; hollow, the rest",
-                help="at each run's last fit, on its own buffer",
+                help="at each run's last fit, on its own buffer: rows the model was just fitted to",
             )
             if values:
                 chart(focus(values, 280, policy), f"focus {words}", "model error by learner")

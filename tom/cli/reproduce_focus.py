@@ -30,7 +30,10 @@ CLAIM = (
     "learning needs it, rather than over all of the replay buffer (figure 1). The paper measures "
     "no model error on MuJoCo tasks."
 )
-CAPTION = "Error of each learner's model as a share of MLE's, a point a seed (1: no difference)"
+CAPTION = (
+    "Error of each learner's model as a share of MLE's, a point a seed (1: no difference). The "
+    "buffer's two halves are in-sample, the policy's own transitions are new to every learner."
+)
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
