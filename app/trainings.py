@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from tom.record.store import Store
 LOG_TAIL = 8
 
 
-@dataclass(frozen=True)
+@dataclass
 class Started:
     """A training that this studio started."""
 
@@ -25,15 +25,20 @@ class Started:
     """what follows `tom` on the command line"""
     process: subprocess.Popen[bytes]
     log: Path
+    recorded: bool = False
+    """a run that it writes has been seen: from then on that run says how it goes"""
 
-    @property
-    def failed(self) -> bool:
-        """It ended by itself, and not well (1 is also the code of one that was stopped)."""
-        return self.process.poll() not in (None, 0, 1)
+    def failed(self, writers: Collection[int]) -> bool:
+        """It ended badly before it had a run; `writers` are the processes of all known runs."""
+        self.recorded = self.recorded or self.process.pid in writers
+        return self.process.poll() not in (None, 0) and not self.recorded
 
     def tail(self) -> str:
         """The last lines of what it printed."""
-        return "\n".join(self.log.read_text(errors="replace").splitlines()[-LOG_TAIL:])
+        try:
+            return "\n".join(self.log.read_text(errors="replace").splitlines()[-LOG_TAIL:])
+        except OSError:
+            return f"its output, {self.log}, is gone"
 
 
 def start(words: Sequence[str]) -> Started:

@@ -95,7 +95,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     shown = watched(runs, chosen)
     alive = sum(run.status.alive for run in runs)
     st.caption(_headline(alive, shown))
-    start.failures()
+    start.failures(runs)
     cards(shown)
     for run in shown:
         widgets.show_problems(run)

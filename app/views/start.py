@@ -1,10 +1,12 @@
 """A form that starts trainings: made from the configuration, checked before anything runs."""
 
 import os
+from collections.abc import Sequence
 
 import streamlit as st
 
 from app import form, session, text, trainings
+from app.readers import RunInfo
 from app.theme import learner_label
 from app.trainings import Started
 from tom.envs import ENV_NAMES
@@ -120,10 +122,11 @@ def _begin(env: str, learner: str, preset: str, seeds: str, given: dict[str, str
     )
 
 
-def failures() -> None:
-    """What was started here and ended at once, with what it said."""
+def failures(runs: Sequence[RunInfo]) -> None:
+    """What was started here and ended before it had a run, with what it said."""
+    writers = {run.status.pid for run in runs}
     for begun in _started()[-FORGET:]:
-        if begun.failed:
+        if begun.failed(writers):
             st.error("A training that was started here did not begin:", icon=":material/error:")
             st.code(f"$ {form.shown(begun.words)}\n{begun.tail()}", language=None)
 

@@ -40,7 +40,8 @@ def test_a_training_is_started_and_stopped(tmp_path: Path) -> None:
     run = RunReader(tmp_path / "mine")
     assert run.status.state == "stopped"
     assert "resume" in run.status.reason
-    assert not begun.failed
+    assert not begun.failed({RunReader(tmp_path / "mine").status.pid})
+    assert not begun.failed(set())  # it has been seen: somebody may trash it now
     assert trainings.gone(tmp_path / "mine")
     with pytest.raises(UserError, match="nothing to stop"):
         trainings.stop(Store(tmp_path), "mine")
@@ -50,8 +51,18 @@ def test_a_training_is_started_and_stopped(tmp_path: Path) -> None:
 def test_what_it_said_is_kept_when_it_does_not_begin(tmp_path: Path) -> None:
     begun = trainings.start(["train", "--env", "hoper", "--learner", "tom"])
     begun.process.wait(WAIT_S)
-    assert begun.failed
+    assert begun.failed(set())
     assert "hopper" in begun.tail()
+
+
+def test_a_training_that_dies_before_it_has_a_run_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONHASHSEED", "no number")  # Python ends with code 1 at once
+    begun = trainings.start(["train", *SMALL])
+    assert begun.process.wait(WAIT_S) == 1
+    assert begun.failed({os.getpid()})
+    assert "PYTHONHASHSEED" in begun.tail()
+    begun.log.unlink()
+    assert str(begun.log) in begun.tail()
 
 
 def test_a_process_that_does_not_write_the_run_is_not_signalled(
