@@ -95,7 +95,7 @@ class RolloutConfig(Config):
     final_length: Count = 1
     """steps of a rollout at the end of the schedule"""
     schedule_start: Whole = 20
-    """epoch (1 000 env steps) where the length begins to grow"""
+    """epoch (1 000 env steps after exploration) where the length begins to grow"""
     schedule_end: Whole = 150
     """epoch where it has grown"""
     retain: Count = 1
@@ -105,19 +105,19 @@ class RolloutConfig(Config):
     chunk: Count = 2000
     """rows predicted at once (they stay in the processor's cache)"""
 
-    def length_at(self, env_step: int) -> int:
-        """Rollout length at `env_step`, Janner's linear schedule over epochs."""
+    def length_at(self, step: int) -> int:
+        """Rollout length `step` env steps after exploration, by Janner's schedule over epochs."""
         if self.final_length == self.length:
             return self.length
         span = max(self.schedule_end - self.schedule_start, 1)
-        share = (env_step / 1000 - self.schedule_start) / span
+        share = (step / 1000 - self.schedule_start) / span
         grown = self.length + share * (self.final_length - self.length)
         return int(min(max(grown, self.length), self.final_length))
 
-    def kept_at(self, env_step: int, fit_every: int) -> int:
-        """Rows of the model buffer at `env_step`: `retain` epochs' rollouts, as Janner's code."""
+    def kept_at(self, step: int, fit_every: int) -> int:
+        """Rows of the model buffer at that step: `retain` epochs' rollouts, as Janner's code."""
         fits = max(self.retain * 1000 // fit_every, 1)
-        return self.starts * self.length_at(env_step) * fits
+        return self.starts * self.length_at(step) * fits
 
 
 class TomConfig(Config):
@@ -156,7 +156,7 @@ class TomConfig(Config):
     parameter_average: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """r and weights come from both networks' parameters averaged with this decay (0: the last)"""
     action_samples: Count = 4
-    """actions averaged for E_{a'~pi}[Q(s', a')], which sits inside f* (the paper: one)"""
+    """actions averaged for E_{a'~pi}[Q(s', a')], which sits inside f* (the released code: one)"""
     warmup: Count = 1000
     """on-policy steps before TOM starts; uniform weights until then"""
 

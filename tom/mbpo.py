@@ -123,7 +123,7 @@ class Mbpo:
     def roll_out_model(self, replay: TensorTransitions, weighting: Weighting) -> dict[str, float]:
         """Lines 22-25: k-step rollouts from states drawn by weight, into D_model."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
-        self.model_buffer.resize(config.kept_at(self.env_step, self.config.fit_every))
+        self.model_buffer.resize(config.kept_at(self._on_policy_steps, self.config.fit_every))
         weighted = config.weighted_starts and weighting.ready
         starts = start_states(
             replay, weighting.row_weights if weighted else None, config.starts, generator
@@ -133,7 +133,7 @@ class Mbpo:
             self.policy,
             self.task.terminated,
             starts,
-            config.length_at(self.env_step),
+            config.length_at(self._on_policy_steps),
             config,
             self.model_buffer,
             generator,
@@ -221,7 +221,7 @@ class Mbpo:
         """Go on from `state_dict`; `collected` are all rows handed over until then, in order."""
         self.env_step, self.policy_version = state["env_step"], state["policy_version"]
         config = self.config
-        self.model_buffer.resize(config.rollout.kept_at(self.env_step, config.fit_every))
+        self.model_buffer.resize(config.rollout.kept_at(self._on_policy_steps, config.fit_every))
         for part in ("sac", "model", "learner", "streams", "model_buffer", "policy_buffer"):
             getattr(self, part).load_state_dict(state[part])
         self.replay.extend(collected.torch(), torch.from_numpy(policy_version))
@@ -236,6 +236,10 @@ class Mbpo:
         self._sac_metrics = state["sac_metrics"]
 
     # Parts
+
+    @property
+    def _on_policy_steps(self) -> int:
+        return max(self.env_step - self.config.exploration_steps, 0)
 
     def _sac_losses(self) -> dict[str, float]:
         """What the last SAC update measured, fetched at once. Raises DivergedError."""
@@ -268,7 +272,7 @@ class Mbpo:
             replay=self.replay.transitions(),
             policy_version=self.replay.policy_version(),
             policy_buffer=self.policy_buffer.transitions(),
-            on_policy_steps=self.env_step - self.config.exploration_steps,
+            on_policy_steps=self._on_policy_steps,
             initial_obs=torch.as_tensor(np.stack(self._initial_obs)).to(self.streams.device),
             policy=self.policy,
             generator=self.streams.torch("weigh"),

@@ -1,8 +1,8 @@
-"""From (env, learner, preset) to the numbers of a run: REFERENCE tables as data.
+"""From (env, learner, preset) to the numbers of a run: the published tables as data.
 
-`paper` is the paper's table 1 with the released code's schedule, `mbpo` Janner's MBPO, `smoke` a
-small and quick run of the same code. An environment's own values come on top of the preset's,
-the user's on top of both.
+`paper` is the paper's table 1 with the released code's schedule, `mbpo` Janner's MBPO with our fit
+(docs/learners/mle.md), `smoke` a small and quick run of the same code. An environment's own values
+come on top of the preset's, the user's on top of both.
 """
 
 from typing import Any
