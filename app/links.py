@@ -9,9 +9,9 @@ from urllib.parse import quote
 
 from app.theme import Mode
 from tom.record import hub
+from tom.record.address import in_url, local_host, names
 
 VARIABLE = "TOM_STUDIO"
-WILDCARDS = ("0.0.0.0", "::", "")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -43,7 +43,7 @@ class Links:
     @property
     def local_host(self) -> str:
         """The host as this machine itself reaches it."""
-        return "127.0.0.1" if self.host in WILDCARDS else self.host
+        return local_host(self.host)
 
     @property
     def local_only(self) -> bool:
@@ -53,12 +53,12 @@ class Links:
     @property
     def allowed_hosts(self) -> list[str]:
         """The names that a browser may use for this host; empty means any."""
-        return [] if self.host in WILDCARDS else [self.host, "localhost", "127.0.0.1"]
+        return names(self.host)
 
     @property
     def address(self) -> str:
         """What a user opens."""
-        return f"http://{self.local_host}:{self.port}"
+        return f"http://{in_url(self.local_host)}:{self.port}"
 
     def rerun_live(self, host: str, mode: Mode) -> str:
         """The web viewer, following what trains now."""

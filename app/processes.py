@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tom.parent import end_with_parent
+from tom.record.address import family
 
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12
@@ -105,7 +106,7 @@ def free_port(host: str, preferred: int = 0) -> int:
 
 def is_free(host: str, port: int) -> bool:
     """Nothing listens on `port` of `host`. Raises OSError for a host that is not this machine."""
-    with socket.socket(_family(host), socket.SOCK_STREAM) as probe:
+    with socket.socket(family(host), socket.SOCK_STREAM) as probe:
         # As the servers do: a port in TIME_WAIT counts as free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -118,13 +119,9 @@ def is_free(host: str, port: int) -> bool:
 
 
 def _any_port(host: str) -> int:
-    with socket.socket(_family(host), socket.SOCK_STREAM) as probe:
+    with socket.socket(family(host), socket.SOCK_STREAM) as probe:
         probe.bind((host, 0))
         return probe.getsockname()[1]
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ":" in host else socket.AF_INET
 
 
 _TAKEN = (98, 48, 13)  # EADDRINUSE (Linux, macOS), EACCES (a privileged port)

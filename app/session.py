@@ -8,6 +8,7 @@ import streamlit as st
 
 from app.links import Links
 from app.theme import Mode
+from tom.record.address import in_url
 
 
 def links() -> Links:
@@ -23,8 +24,7 @@ def mode() -> Mode:
 
 def host() -> str:
     """The host by which this browser reaches the studio; its other servers are there too."""
-    name = urlsplit(st.context.url or "").hostname or links().local_host
-    return f"[{name}]" if ":" in name else name
+    return in_url(urlsplit(st.context.url or "").hostname or links().local_host)
 
 
 def may_act() -> bool:

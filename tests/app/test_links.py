@@ -56,6 +56,12 @@ def test_a_wildcard_is_reached_by_the_loopback() -> None:
     assert options(LINKS)["browser.gatherUsageStats"] is False
 
 
+def test_ipv6_stands_in_brackets() -> None:
+    links = Links(host="::1", port=1)
+    assert links.address == "http://[::1]:1"
+    assert links.local_only
+
+
 def test_only_recordings_are_given_out(store: Path) -> None:
     found = recording_path(str(store), ROAD_TOM, "run.rrd")
     assert found == store / ROAD_TOM / "run.rrd"

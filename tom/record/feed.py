@@ -18,6 +18,7 @@ import rerun as rr
 from tom.envs import ENVS
 from tom.events import Evaluation, Field
 from tom.record import layout
+from tom.record.address import in_url
 from tom.record.files import parse_json_line
 from tom.record.reader import RunReader
 from tom.record.rerun_view import RerunView
@@ -172,7 +173,7 @@ class Feeder:
         run = self._store.run(run_id)
         if self._done.get(run_id) != run.status.started:
             host, port = self._address
-            sink = rr.GrpcSink(f"rerun+http://{host}:{port}/proxy")
+            sink = rr.GrpcSink(f"rerun+http://{in_url(host)}:{port}/proxy")
             self._followers[run_id] = Follower(run, sink)
 
     def _follow(self, run_id: str) -> None:

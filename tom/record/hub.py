@@ -22,6 +22,7 @@ import rerun_cli
 
 from tom.parent import end_with_parent
 from tom.record import web
+from tom.record.address import family, local_host
 
 MEMORY = "512MiB"
 """What the hub keeps for viewers that come late; then the oldest goes."""
@@ -73,13 +74,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _serve(args: argparse.Namespace, folder: Path, stopping: threading.Event) -> int:
-    inner = free_port(args.host)
+    host, inner = local_host(args.host), free_port(args.host)
     rerun = _start(args.host, args.port, inner, args.web_port, without_analytics(folder))
     try:
-        page = web.Server(args.host, args.web_port, inner, partial(_live, args.store, stopping))
+        page = web.Server(
+            args.host, args.web_port, (host, inner), partial(_live, args.store, stopping)
+        )
         page.start()
         feeder = threading.Thread(
-            target=_feed, args=(args.store, args.port, stopping), name="feed", daemon=True
+            target=_feed, args=(args.store, host, args.port, stopping), name="feed", daemon=True
         )
         feeder.start()
         while not stopping.wait(0.5):
@@ -93,12 +96,12 @@ def _serve(args: argparse.Namespace, folder: Path, stopping: threading.Event) ->
         _stop(rerun)
 
 
-def _feed(store: Path, port: int, stopping: threading.Event) -> None:
+def _feed(store: Path, host: str, port: int, stopping: threading.Event) -> None:
     # Imported here: the viewer's page need not wait for it.
     from tom.record.feed import Feeder
     from tom.record.store import Store
 
-    Feeder(Store(store), "127.0.0.1", port).run(stopping)
+    Feeder(Store(store), host, port).run(stopping)
 
 
 def _live(store: Path, stopping: threading.Event, run_id: str) -> Iterator[bytes]:
@@ -144,7 +147,7 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 def free_port(host: str) -> int:
     """A port of `host` that nobody listens on."""
-    with socket.socket() as probe:
+    with socket.socket(family(host)) as probe:
         probe.bind((host, 0))
         return probe.getsockname()[1]
 

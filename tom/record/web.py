@@ -15,6 +15,7 @@ from importlib.metadata import version
 from urllib.parse import unquote
 
 from tom.errors import UserError
+from tom.record.address import allowed, family, names
 
 FONTS = re.compile(rb"<link[^>]*fonts\.(?:googleapis|gstatic)\.com[^>]*>")
 
@@ -29,7 +30,6 @@ LOCAL_ONLY = b"""<script>
 </script>
 """
 
-WILDCARDS = ("0.0.0.0", "::", "")
 LIVE = re.compile(r"/live/([^/]+)\.rrd")
 
 ETAG = f'"rerun-{version("rerun-sdk")}-1"'
@@ -49,7 +49,7 @@ def local_page(html: bytes) -> bytes:
 
 
 class Server(ThreadingHTTPServer):
-    """Serves the viewer that listens on 127.0.0.1:`upstream`, and growing recordings.
+    """Serves the viewer that listens on `upstream`, host and port, and growing recordings.
 
     `live` gives the bytes of a run's recording for as long as it grows; UserError where there is
     no such run. Raises OSError when the port is taken.
@@ -58,13 +58,18 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(
-        self, host: str, port: int, upstream: int, live: Callable[[str], Iterator[bytes]]
+        self,
+        host: str,
+        port: int,
+        upstream: tuple[str, int],
+        live: Callable[[str], Iterator[bytes]],
     ) -> None:
         self.upstream = upstream
         self.live = live
         self.assets: dict[str, Asset] = {}
         # A page on another name for this address could otherwise read what is recorded here.
-        self.names = None if host in WILDCARDS else {host, "127.0.0.1", "localhost"}
+        self.names = names(host)
+        self.address_family = family(host)
         super().__init__((host, port), Handler)
 
     def start(self) -> None:
@@ -79,8 +84,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         path = self.path.partition("?")[0]
-        name = self.headers.get("Host", "").rpartition(":")[0]
-        if self.server.names is not None and name not in self.server.names:
+        if not allowed(self.headers.get("Host", ""), self.server.names):
             self.send_error(403, "this address is served under its own name only")
         elif run := LIVE.fullmatch(path):
             self._stream(unquote(run[1]))
@@ -122,8 +126,8 @@ class Handler(BaseHTTPRequestHandler):
         """Requests are not worth a line each."""
 
 
-def _fetch(upstream: int, path: str) -> Asset:
-    connection = HTTPConnection("127.0.0.1", upstream, timeout=30)
+def _fetch(upstream: tuple[str, int], path: str) -> Asset:
+    connection = HTTPConnection(*upstream, timeout=30)
     try:
         connection.request("GET", path)
         answer = connection.getresponse()

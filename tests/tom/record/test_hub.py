@@ -3,9 +3,12 @@
 import os
 import re
 import signal
+import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
 
@@ -26,34 +29,73 @@ def test_the_page_asks_no_other_host():
     assert local.index(b"window.fetch =") < local.index(b"favicon.ico")
 
 
-def get(port: int, path: str = "/", **headers: str) -> tuple[int, bytes, dict[str, str]]:
-    connection = HTTPConnection("127.0.0.1", port, timeout=10)
+def get(
+    port: int, path: str = "/", host: str = "127.0.0.1", **headers: str
+) -> tuple[int, bytes, dict[str, str]]:
+    connection = HTTPConnection(host, port, timeout=10)
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
     return answer.status, answer.read(), dict(answer.getheaders())
 
 
+@contextmanager
+def hub_at(host: str, store: Path) -> Iterator[tuple[subprocess.Popen[bytes], int, int]]:
+    port, web_port = (hub.free_port(host) for _ in range(2))
+    process = subprocess.Popen(hub.command(host, port, web_port, store), stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    try:
+        while not _up(web_port, host):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        yield process, port, web_port
+    finally:
+        process.kill()
+        process.wait()
+
+
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], int, int]]:
-    port, web_port = (hub.free_port("127.0.0.1") for _ in range(2))
-    process = subprocess.Popen(
-        hub.command("127.0.0.1", port, web_port, tmp_path), stderr=subprocess.DEVNULL
-    )
-    deadline = time.monotonic() + 60
-    while not _up(web_port):
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    yield process, port, web_port
-    process.kill()
-    process.wait()
+    with hub_at("127.0.0.1", tmp_path) as found:
+        yield found
 
 
-def _up(port: int) -> bool:
+def _up(port: int, host: str) -> bool:
     try:
-        return get(port)[0] == 200
+        return get(port, host=host)[0] == 200
     except OSError:
         return False
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="others have no second loopback address")
+def test_a_hub_on_another_address_shows_what_trains(tmp_path: Path):
+    with hub_at("127.0.0.2", tmp_path) as (_, port, web_port):
+        assert get(web_port, host="127.0.0.2")[0] == 200
+        deadline = time.monotonic() + 60
+        while f"0200007F:{port:04X}" not in dialled():  # by the hub's feeder
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+def dialled() -> set[str]:
+    """The far ends of all connections, address and port as the kernel writes them."""
+    return {line.split()[2] for line in Path("/proc/net/tcp").read_text().splitlines()}
+
+
+@pytest.mark.skipif(not socket.has_ipv6, reason="no IPv6")
+def test_a_page_is_served_on_ipv6_under_its_own_names():
+    server = web.Server(
+        "::1", hub.free_port("::1"), ("::1", 0), lambda run_id: iter([run_id.encode()])
+    )
+    server.start()
+    port = server.server_port
+    try:
+        assert get(port, "/live/a.rrd", host="::1")[:2] == (200, b"a")
+        assert get(port, "/live/a.rrd", host="::1", Host=f"localhost:{port}")[0] == 200
+        assert get(port, "/live/a.rrd", host="::1", Host=f"evil.example:{port}")[0] == 403
+    finally:
+        server.shutdown()
+        server.server_close()
 
 
 def test_the_hub_serves_the_viewer_and_takes_its_child_along(running):
