@@ -2,6 +2,7 @@
 
 import logging
 import re
+from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 
@@ -23,12 +24,15 @@ from app.router import VIEWS
 from app.shell import page_routes
 from app.theme import streamlit_options
 from tom.errors import UserError
+from tom.record.address import allowed, in_url
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """an evaluation episode on its own: step, number from 0, steps after which the ghost starts anew"""
+
+Answer = Callable[[Request], Response]
 
 ENTRY = Path(__file__).with_name("main.py")
 
@@ -71,13 +75,29 @@ def routes(links: Links) -> list[Route]:
         return RedirectResponse(found, status_code=302)
 
     return [
-        Route("/v/{code}", short),
-        Route("/reports/{study}", report),
-        Route("/rrd/{run}/{name}", recording),
-        Route("/api/health", health),
+        Route("/v/{code}", under_own_names(short, links)),
+        Route("/reports/{study}", under_own_names(report, links)),
+        Route("/rrd/{run}/{name}", under_own_names(recording, links)),
+        Route("/api/health", under_own_names(health, links)),
         Route(LIBRARY_PATH, library),
         *page_routes([view.PATH for view in VIEWS]),
     ]
+
+
+def under_own_names(answer: Answer, links: Links) -> Answer:
+    """`answer`, but only to a request for this host under a name that it goes by.
+
+    Else a page whose name was made to point here could read the store.
+    """
+
+    def checked(request: Request) -> Response:
+        if not allowed(request.headers.get("host", ""), links.allowed_hosts):
+            return PlainTextResponse(
+                "this address is served under its own name only", status_code=403
+            )
+        return answer(request)
+
+    return checked
 
 
 def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
@@ -101,7 +121,7 @@ def recording_path(store: str, run_id: str, name: str) -> Path | None:
 
 def viewer_origin(request: Request, links: Links) -> str:
     """The one origin that may read recordings: the Rerun viewer on the host that was asked."""
-    return f"http://{request.url.hostname}:{links.rerun_web_port}"
+    return f"http://{in_url(request.url.hostname or '')}:{links.rerun_web_port}"
 
 
 def options(links: Links) -> dict:

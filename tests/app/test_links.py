@@ -3,11 +3,12 @@
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
+import pytest
 from starlette.requests import Request
 from studio_runs import ROAD_TOM
 
 from app.links import Links
-from app.server import EPISODE, options, recording_path, viewer_origin
+from app.server import EPISODE, options, recording_path, routes, viewer_origin
 
 LINKS = Links(
     store="/runs", port=8600, rerun_port=9876, rerun_web_port=9090, viser_port=8080, control="/c"
@@ -80,7 +81,38 @@ def test_a_recording_that_is_a_link_is_not_followed(store: Path, tmp_path: Path)
     assert recording_path(str(tmp_path), "run", "run.rrd") is None
 
 
+@pytest.mark.parametrize(
+    ("bound", "host", "code"),
+    [
+        ("127.0.0.1", "localhost:8600", 200),
+        ("127.0.0.1", "evil.example:8600", 403),
+        ("127.0.0.1", "", 403),
+        ("127.0.0.1", "[", 403),
+        ("::1", "[::1]:8600", 200),
+        ("0.0.0.0", "any.name:8600", 200),
+    ],
+)
+def test_only_under_its_own_names_it_gives_out_what_it_holds(
+    bound: str, host: str, code: int, store: Path
+) -> None:
+    links = Links(store=str(store), host=bound)
+    answers = {route.path: route.endpoint for route in routes(links)}
+    params = {"run": ROAD_TOM, "name": "run.rrd", "code": "none", "study": "none"}
+    codes = {}
+    for path in ("/rrd/{run}/{name}", "/api/health", "/v/{code}", "/reports/{study}"):
+        asked = {"headers": [(b"host", host.encode())], "path": path, "path_params": params}
+        request = Request({"type": "http", "scheme": "http", "method": "GET", **asked})
+        codes[path] = answers[path](request).status_code
+    there = [codes.pop("/rrd/{run}/{name}"), codes.pop("/api/health")]
+    assert there == [code, code]
+    assert set(codes.values()) == {404 if code == 200 else code}
+
+
 def test_only_the_viewers_page_may_read_recordings() -> None:
-    headers = [(b"host", b"studio.local:8600")]
-    request = Request({"type": "http", "headers": headers, "path": "/", "scheme": "http"})
-    assert viewer_origin(request, LINKS) == "http://studio.local:9090"
+    for host, origin in (
+        ("studio.local", "http://studio.local:9090"),
+        ("[::1]", "http://[::1]:9090"),
+    ):
+        headers = [(b"host", f"{host}:8600".encode())]
+        request = Request({"type": "http", "headers": headers, "path": "/", "scheme": "http"})
+        assert viewer_origin(request, LINKS) == origin
