@@ -11,7 +11,8 @@ from urllib.parse import urlencode
 
 import streamlit as st
 
-from app import session
+from app import session, text
+from tom.errors import UserError
 from tom.record.files import replace_json
 
 FOLDER = ".views"
@@ -20,11 +21,24 @@ LONGEST = 8000
 
 
 def save(store: Path | str, page: str, query: str) -> str:
-    """Remember a page's address; its code. The same view has the same code."""
+    """Remember a page's address; its code. The same view has the same code.
+
+    Raises UserError for an address that is too long, and where the store cannot be written.
+    """
+    if len(query) > LONGEST:
+        raise UserError(
+            f"a short link holds {LONGEST:,} characters, this view has {len(query):,}: "
+            "copy the long address"
+        )
     code = hashlib.sha256(f"{page}?{query}".encode()).hexdigest()[:8]
     folder = Path(store) / FOLDER
-    folder.mkdir(exist_ok=True)
-    replace_json(folder / f"{code}.json", {"page": page, "query": query[:LONGEST]}, sync=False)
+    try:
+        folder.mkdir(exist_ok=True)
+        replace_json(folder / f"{code}.json", {"page": page, "query": query}, sync=False)
+    except OSError as error:
+        raise UserError(
+            f"the view cannot be kept in {folder} ({error.strerror}): copy the long address"
+        ) from error
     return code
 
 
@@ -49,7 +63,10 @@ def button() -> None:
         page = here.rstrip("/").rpartition("/")[2]
         address = f"{here}?{query}"
         if session.may_act() and st.button("Make a short link", key="short link"):
-            code = save(session.links().store, page, query)
-            address = f"{here.rstrip('/').removesuffix(page)}v/{code}"
+            try:
+                code = save(session.links().store, page, query)
+                address = f"{here.rstrip('/').removesuffix(page)}v/{code}"
+            except UserError as error:
+                st.error(text.markdown(error), icon=":material/error:")
         st.caption("This address shows what you see now, filters and choices included.")
         st.code(address, language=None, wrap_lines=True)

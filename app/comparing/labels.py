@@ -71,9 +71,11 @@ def _label(chosen: Sequence[RunInfo]) -> None:
             name = st.text_input("Name", one.labels.name, max_chars=80, placeholder=one.run_id)
             note = st.text_area("Note", one.labels.note, max_chars=4000)
         held = list(dict.fromkeys(tag for run in chosen for tag in run.labels.tags))
+        shared = [tag for tag in held if all(tag in run.labels.tags for run in chosen)]
         tags = st.multiselect(
-            "Tags" if one else f"Tags of these {len(chosen)} runs", held, held,
+            "Tags" if one else f"Tags of these {len(chosen)} runs", held, shared,
             accept_new_options=True, placeholder="type a tag and press Enter",
+            help=None if one else "those that all of them have; other tags of each run stay",
         )  # fmt: skip
         if not st.form_submit_button("Save", icon=":material/save:", type="primary"):
             return
@@ -81,8 +83,8 @@ def _label(chosen: Sequence[RunInfo]) -> None:
 
     def save() -> None:
         for run in chosen:
-            gone = [tag for tag in run.labels.tags if tag not in tags]
-            manage.tag(store, run.run_id, add=tags, remove=gone)
+            added = [tag for tag in tags if tag not in shared]
+            manage.tag(store, run.run_id, add=added, remove=[t for t in shared if t not in tags])
         if one:
             manage.rename(store, one.run_id, name)
             manage.note(store, one.run_id, note)

@@ -57,10 +57,12 @@ def page() -> None:
     names, actions = dimension_names(run.env, rows.rows)
     with top[2]:
         plane = _pick_plane(run, rows, names)
+    axes = _axes(run, rows, plane)
+    _drop_outline_of_others(axes)
     mask = _pick_region(rows, plane)
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
-        _map(run, rows, plane)
+        _map(run, rows, plane, axes)
     with right, st.container(border=True):
         _contents(run, rows, mask, names + actions)
     _scenes(run, rows, mask)
@@ -134,20 +136,42 @@ def _outline() -> list[tuple[float, float]]:
     return found if np.isfinite(found).all() else []
 
 
-def _map(run: RunInfo, rows: Rows, plane: Plane) -> None:
+def _axes(run: RunInfo, rows: Rows, plane: Plane) -> str:
+    """What the map's coordinates are, in words: components are those of one buffer alone."""
+    words = f"{plane.x_name}, {plane.y_name}"
+    if st.session_state.get("across") in (None, COMPONENTS):
+        words += f" of rows {rows.first} to {rows.first + len(rows)} of {run.run_id}"
+    return words
+
+
+def _drop_outline_of_others(axes: str) -> None:
+    """Take an outline that was drawn on other axes out of the address: here it means nothing."""
+    if "outline" in st.query_params and st.query_params.get("axes", axes) == axes:
+        st.query_params["axes"] = axes  # an address may give an outline for the axes that it names
+        return
+    _forget_outline()
+
+
+def _forget_outline() -> None:
+    for name in ("outline", "axes"):
+        st.query_params.pop(name, None)
+
+
+def _map(run: RunInfo, rows: Rows, plane: Plane, axes: str) -> None:
     st.markdown("**The buffer**: a point is a transition; draw a lasso or a box round some")
 
     def select(region: Region | None) -> None:
         if region is None or len(region.outline) < 3:
-            st.query_params.pop("outline", None)
+            _forget_outline()
             return
         every = max(-(-len(region.outline) // CORNERS), 1)
         corners = region.outline[::every]
         st.query_params["outline"] = ";".join(f"{x:.4g},{y:.4g}" for x, y in corners)
+        st.query_params["axes"] = axes
         st.session_state["region"] = DRAWN
 
     drawn = _outline() if st.session_state.get("region") == DRAWN else []
-    keep = f"{run.run_id} {plane.x_name} {plane.y_name}"
+    keep = f"{run.run_id} {axes}"
     figure = region_map(plane, rows.weight, drawn, session.mode(), MAP_HEIGHT, keep)
     chart(figure, "region map", "the buffer's transitions, coloured by weight", selected=select)
 

@@ -21,6 +21,7 @@ from app.links import Links
 from app.scenes.control import Replay, Selection, listen
 from app.scores import BEST, FINAL, HEIGHT, default_level, reached, scores_of
 from app.server import routes
+from tom.errors import UserError
 from tom.record import manage
 from tom.record.reader import RunReader
 from tom.record.store import Store
@@ -202,6 +203,20 @@ def test_a_run_gets_a_name_and_a_tag_and_is_found_by_them(own: Path) -> None:
     assert not app.warning
 
 
+def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) -> None:
+    manage.tag(Store(own), SEEDS[0], add=["ours", "shared", "gone"])
+    manage.tag(Store(own), SEEDS[1], add=["shared", "gone"])
+    app = draw("compare", show="Runs")
+    app.multiselect(key="labelled").set_value(list(SEEDS)).run()
+    tags = next(part for part in app.multiselect if part.label == "Tags of these 2 runs")
+    assert sorted(tags.value) == ["gone", "shared"]
+    tags.set_value(["shared", "new"])
+    next(button for button in app.button if button.label == "Save").click().run()
+    assert not app.exception
+    held = [set(RunReader(own / run_id).labels.tags) for run_id in SEEDS]
+    assert held == [{"ours", "shared", "new"}, {"shared", "new"}]
+
+
 def test_a_run_goes_to_the_trash_and_comes_back(own: Path) -> None:
     app = draw("compare", show="Runs")
     app.multiselect(key="labelled").select(PENDULUM_TOM).run()
@@ -222,3 +237,13 @@ def test_a_short_link_leads_to_the_same_view(own: Path) -> None:
     assert shortlinks.target(own, code) is None
     assert shortlinks.target(own, "../../etc") is None
     assert any(route.path == "/v/{code}" for route in routes(Links(store=str(own))))
+
+
+def test_a_view_that_cannot_be_kept_is_refused_in_a_sentence(own: Path) -> None:
+    with pytest.raises(UserError, match="holds 8,000 characters, this view has 8,001"):
+        shortlinks.save(own, "compare", "x" * 8001)
+    assert not (own / ".views").exists()
+    (own / ".views").write_text("in the way")
+    app = draw("compare", env="inverted-pendulum")
+    click(app, "short link")
+    assert "cannot be kept" in app.error[0].value

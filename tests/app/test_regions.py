@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
@@ -142,6 +143,30 @@ def test_the_page_shows_a_drawn_region(rows: Rows) -> None:
     table = app.dataframe[0].value.set_index("")
     assert table.loc["transitions", "region"] == str((obs[:, 0] > x).sum())
     assert figures(app)[0]["layout"]["shapes"][0]["type"] == "path"
+
+
+def test_an_outline_is_dropped_where_its_axes_change(rows: Rows) -> None:
+    query = {"region": "what I draw", "outline": "-9,-9;9,-9;9,9;-9,9", "across": "cart x"}
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), up="pole angle", **query)
+    assert chosen(app) == len(rows)
+    app.selectbox(key="up").select("cart velocity").run()
+    assert chosen(app) == 0
+    assert "outline" not in app.query_params
+    assert "shapes" not in figures(app)[0]["layout"]
+
+
+def test_an_outline_over_components_belongs_to_one_fit(rows: Rows) -> None:
+    query = {"region": "what I draw", "outline": "-99,-99;99,-99;99,99;-99,99"}
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), **query)
+    assert chosen(app) == len(rows)
+    here = {name: str(app.query_params[name]) for name in ("outline", "axes")}
+    query = {"region": "what I draw", **here}
+    assert chosen(draw("regions", run=PENDULUM_TOM, step=str(FIT), **query)) == len(rows)
+    assert chosen(draw("regions", run=PENDULUM_TOM, step="200", **query)) == 0
+
+
+def chosen(app: AppTest) -> int:
+    return int(app.dataframe[0].value.set_index("").loc["transitions", "region"])
 
 
 def test_an_outline_that_is_none_is_an_empty_region() -> None:
