@@ -41,9 +41,9 @@ def rows(run: RunInfo, step: int) -> Rows | None:
 
 
 def weighed_rows(run: RunInfo, weight: NDArray) -> Rows | None:
-    """The whole recorded buffer with weights from elsewhere; None where it has another length."""
+    """The first N recorded rows with weights (N,) from elsewhere; None where there are fewer."""
     recorded = _recorded(run.path, _stamp(run))
-    return rows_at(recorded.rows, recorded.version, weight, len(recorded.rows))
+    return rows_at(recorded.rows, recorded.version, weight, len(weight))
 
 
 def model_errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, int] | str:

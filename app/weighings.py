@@ -26,6 +26,7 @@ class Weighing:
     path: str
     policy: str
     preset: str
+    rows: int  # the run's first so many transitions
     ordered_from: int  # rows before it are random data
     written: int  # of the report, mtime_ns
 
@@ -33,11 +34,21 @@ class Weighing:
     def name(self) -> str:
         return Path(self.path).name
 
+    def missing(self, rows: int) -> str:
+        """In words, what it leaves out of a buffer of `rows` transitions; empty where nothing."""
+        if self.rows == rows:
+            return ""
+        return (
+            f"It weighs the first {self.rows:,} of now {rows:,} transitions: the run has gone on "
+            "since."
+        )
+
 
 def of_run(run: RunInfo, rows: int) -> list[Weighing]:
-    """The weighings in a run's store of its whole buffer of `rows` transitions, newest first.
+    """The weighings in a run's store of its buffer of `rows` transitions, newest first.
 
-    What is no weighing, or of other data, is left out.
+    A run that went on has more rows than were weighed: these are its first. What is no weighing,
+    or of other data, is left out.
     """
     store = Path(run.path).parent
     found = [_read(path, rows) for path in weighing_files.of_run(store, run.run_id)]
@@ -81,9 +92,10 @@ def _read(path: Path, rows: int) -> Weighing | None:
     try:
         report: dict[str, Any] = read_json(path / REPORT)
         written = (path / REPORT).stat().st_mtime_ns
-        first = int(report["ordered_from"])
-        if report["rows"] != rows or not 0 <= first < rows:
+        first, weighed = int(report["ordered_from"]), int(report["rows"])
+        if not 0 <= first < weighed <= rows:
             return None
-        return Weighing(str(path), str(report["policy"]), str(report["preset"]), first, written)
+        policy, preset = str(report["policy"]), str(report["preset"])
+        return Weighing(str(path), policy, preset, weighed, first, written)
     except (OSError, ValueError, KeyError, TypeError):
         return None

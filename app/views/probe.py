@@ -47,7 +47,7 @@ def page() -> None:
     if chosen is None:
         st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
     else:
-        _weighed(chosen)
+        _weighed(chosen, rows)
     _weigh(run, kept, folded=chosen is not None)
     st.subheader("Does it help?", anchor=False)
     same = [other for other in kept if other.env == run.env]
@@ -68,11 +68,13 @@ def _pick_weighing(found: list[Weighing]) -> Weighing | None:
     return by_name.get(chosen or "", found[0])
 
 
-def _weighed(weighing: Weighing) -> None:
+def _weighed(weighing: Weighing, rows: int) -> None:
     of = weighings.weights(weighing)
     if not of:
         st.warning("The weights of this weighing cannot be read.")
         return
+    if missing := weighing.missing(rows):
+        st.caption(missing)
     count = len(next(iter(of.values())))
     left, right = st.columns([5, 4])
     with left, st.container(border=True):

@@ -73,9 +73,10 @@ def page() -> None:
 
 def _pick_weights(run: RunInfo) -> Rows | None:
     """The buffer with the weights of one of the run's own fits, or of a weighing (the probe)."""
-    found = weighings.of_run(run, buffer_reader.length(run))
+    length = buffer_reader.length(run)
+    found = weighings.of_run(run, length)
     others = {
-        f"{learner_label(learner)} s{seed}, {weighing.name}": weight
+        f"{learner_label(learner)} s{seed}, {weighing.name}": (weight, weighing)
         for weighing in found[:WEIGHINGS]
         for (learner, seed), weight in weighings.weights(weighing).items()
     }
@@ -86,7 +87,10 @@ def _pick_weights(run: RunInfo) -> Rows | None:
             help="the run's own fits, or what `tom weigh` made of its buffer (page Probe)",
         )  # fmt: skip
     if chosen in others:
-        return buffer_reader.weighed_rows(run, others[chosen])
+        weight, weighing = others[chosen]
+        if missing := weighing.missing(length):
+            st.caption(missing)
+        return buffer_reader.weighed_rows(run, weight)
     return buffer_reader.rows(run, widgets.pick_step("Fit at step", buffer_reader.fits(run)))
 
 

@@ -55,11 +55,25 @@ def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
     assert [w.name for w in found] == ["made"]
     assert found[0].policy == PENDULUM_TOM
     assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0"), ROWS) == []
-    assert weighings.of_run(run, ROWS + 1) == []
+    assert found[0].missing(ROWS) == ""
+    assert weighings.of_run(run, ROWS - 1) == []
     table = pd.read_parquet(weighed / "weights.parquet")
     of = weighings.weights(found[0])
     assert set(of) == {(name, seed) for name in ("tom", "pmac", "mle") for seed in (0, 1)}
     assert of["tom", 1] == pytest.approx(table["tom-s1"].to_numpy())
+
+
+def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) -> None:
+    path = weighed.parents[1] / PENDULUM_TOM / "buffer"
+    shutil.copy(path / "000000000.npz", path / f"{ROWS:09d}.npz")
+    app = draw("probe", run=PENDULUM_TOM)
+    assert trace(figures(app)[0], meta="tom")
+    assert any(f"first {ROWS} of now {2 * ROWS} trans" in words.value for words in app.caption)
+    run = info(weighed.parents[1], PENDULUM_TOM)
+    [found] = weighings.of_run(run, 2 * ROWS)
+    rows = buffer_reader.weighed_rows(run, weighings.weights(found)["tom", 0])
+    assert rows is not None
+    assert (rows.first, len(rows)) == (0, ROWS)
 
 
 def test_damaged_weighings_are_left_out(weighed: Path) -> None:
