@@ -36,13 +36,21 @@ def differs(run: RunInfo) -> bool:
 
 
 def pick_step(label: str, steps: Sequence[int]) -> int:
-    """A recorded step, chosen here, by a click or by the address (`?step=...`); else the last."""
+    """A recorded step, chosen here, by a click or by the address (`?step=...`); else the last.
+
+    Who stands on the last of a run in training stays on the last when there are more.
+    """
     if len(steps) == 1:
         return steps[0]
-    if st.session_state.get("step", steps[-1]) not in steps:
+    last = steps[-1]
+    step = st.session_state.get("step", last)
+    if step not in steps:
         del st.session_state["step"]  # it was chosen for another run
+    elif step != last and step == st.session_state.get("step was last"):
+        st.session_state["step"] = last
+    st.session_state["step was last"] = last
     step = st.select_slider(
-        label, steps, value=steps[-1], key="step", bind="query-params", format_func=str
+        label, steps, value=last, key="step", bind="query-params", format_func=str
     )
     return int(step)
 

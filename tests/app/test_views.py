@@ -140,6 +140,26 @@ def test_weights_starts_at_the_last_fit(store: Path) -> None:
     assert array(bars["y"]) == pytest.approx(RunReader(store / PENDULUM_TOM).profiles().bins[-1])
 
 
+def test_weights_follows_the_last_fit_until_another_is_chosen(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "store" / "live")
+    for name, value in Links(store=str(run.parent)).environment().items():
+        monkeypatch.setenv(name, value)
+    record = run / "weights" / "profiles.jsonl"
+    fit, steps = json.loads(record.read_text().splitlines()[-1]), (200, 400, 500, 600)
+    lines = [json.dumps(fit | {"env_step": step}) + "\n" for step in steps]
+    record.write_text("".join(lines[:2]))
+    app = draw("weights", run="live")
+    assert app.select_slider(key="step").value == steps[1]
+    record.write_text("".join(lines[:3]))
+    assert app.run().select_slider(key="step").value == steps[2]
+    app.select_slider(key="step").set_value(steps[0]).run()
+    record.write_text("".join(lines[:4]))
+    assert app.run().select_slider(key="step").value == steps[0]
+    assert not app.exception
+
+
 def test_weights_names_a_run_whose_profiles_are_damaged(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
