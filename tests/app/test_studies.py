@@ -91,7 +91,8 @@ def test_a_report_runs_no_script() -> None:
     [route] = [route for route in routes(Links()) if route.path == "/reports/{study}"]
 
     def ask(study: str) -> Response:
-        answer = route.endpoint(Request({"type": "http", "path_params": {"study": study}}))
+        asked = {"path_params": {"study": study}, "headers": [(b"host", b"localhost:8600")]}
+        answer = route.endpoint(Request({"type": "http", **asked}))
         assert isinstance(answer, Response)
         return answer
 
