@@ -42,7 +42,8 @@ class RoadScene:
         self, scene: viser.SceneApi, picture: Picture, mode: Mode, name: str = "", x: float = 0.0
     ) -> None:
         """`name` begins the names of its nodes; the map's corner stands at `x`."""
-        self._scene, self._name, self.mode = scene, f"/road{name}", mode
+        self._scene, self._name = scene, f"/road{name}"
+        self.mode: Mode = mode
         scene.add_frame(self._name, show_axes=False, position=(x, 0.0, 0.0))
         draw_map(scene, picture.road, mode, self._name)
         self._rocks = _draw_boulders(scene, picture.road, mode, self._name)
