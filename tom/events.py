@@ -42,13 +42,15 @@ class Weights:
 
     `weight` is (N,) and has mean 1 unless every weight is zero; `per_dim` is (N, O) for learners
     that weigh each dimension (then `weight` is its mean over dimensions). `log_ratio` (N,) is the
-    r that was fed to the dual Q, where the learner has one.
+    r that was fed to the dual Q, where the learner has one. `policy` is the policy of interest at
+    this fit, as the arrays of `tom.policy_file`.
     """
 
     env_step: int
     weight: FloatArray
     per_dim: FloatArray | None = None
     log_ratio: FloatArray | None = None
+    policy: Mapping[str, NDArray] | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ class TrainedPolicy:
     """The policy that a training ended with, as the arrays of `tom.policy_file`."""
 
     env_step: int
-    arrays: dict[str, NDArray]
+    arrays: Mapping[str, NDArray]
 
 
 Event = Tick | Metrics | Weights | Evaluation | Collected | Field | Notice | TrainedPolicy

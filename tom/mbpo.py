@@ -4,7 +4,7 @@
 consumers' affair: this file knows no file, clock or socket.
 """
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -95,7 +95,7 @@ class Mbpo:
                 yield from self.evaluate()
             yield Tick(self.env_step, "optimise")
         yield from self._flush_collected()
-        yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac.actor))
+        yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac))
 
     def fit_and_roll_out(self) -> Steps:
         """Lines 3-19: weights, weighted model fit, rollouts from weighted start states."""
@@ -104,7 +104,8 @@ class Mbpo:
         yield from self._flush_collected()
         context = self._fit_context()
         weighting = yield from weighing(self.learner, context)
-        yield _weights_event(self.env_step, weighting)
+        policy = policy_arrays(self.config.env, self.sac)
+        yield _weights_event(self.env_step, weighting, policy)
         report = yield from self.model.fitting(
             context.replay,
             weighting.fit_weights(self.config.model.weight_clip),
@@ -287,9 +288,12 @@ class Mbpo:
             yield Collected(self.env_step, rows.copy().numpy(), versions.cpu().numpy().copy())
 
 
-def _weights_event(env_step: int, weighting: Weighting) -> Weights:
+def _weights_event(
+    env_step: int, weighting: Weighting, policy: Mapping[str, np.ndarray]
+) -> Weights:
     def array(x: Tensor | None) -> np.ndarray | None:
         return None if x is None else x.to("cpu", torch.float32).numpy()
 
     weight = weighting.weights.to("cpu", torch.float32).numpy()
-    return Weights(env_step, weight, array(weighting.per_dim), array(weighting.log_ratio))
+    per_dim, log_ratio = array(weighting.per_dim), array(weighting.log_ratio)
+    return Weights(env_step, weight, per_dim, log_ratio, policy)

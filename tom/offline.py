@@ -21,7 +21,7 @@ from tom.dynamics.linear import LinearModel
 from tom.envs import road, road_data
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick, Weights
 from tom.health import require_finite
-from tom.learners import make_learner
+from tom.learners import FOLLOW_THE_VALUE, make_learner
 from tom.learners.base import FitContext, Weighting
 from tom.learners.baselines import BASELINES
 from tom.rng import Streams
@@ -41,8 +41,6 @@ from tom.rollout import roll_out, start_states
 
 START_DRAWS = 1000
 """draws of the start distribution mu_0 for the dual"""
-FOLLOW_THE_VALUE = ("vagram", "vagram-ensemble")
-"""learners whose weights change with the value function: they weigh again at every record"""
 
 
 class KnownTask:

@@ -172,7 +172,7 @@ class Sac:
 
     def member(self, index: int = 0) -> "MemberPolicy":
         """Member `index` alone, without the member axis."""
-        return MemberPolicy(self, index)
+        return MemberPolicy(self.actor, self.critic, index)
 
     # Parts
 
@@ -249,11 +249,11 @@ class GaussianPolicy:
 
 
 class MemberPolicy(GaussianPolicy):
-    """One member of a SAC: its policy and its value heads."""
+    """One member of a SAC: its policy and its value heads, networks 2 i and 2 i + 1 of `critic`."""
 
-    def __init__(self, sac: Sac, index: int) -> None:
-        super().__init__(sac.actor, index)
-        self._critic = sac.critic
+    def __init__(self, actor: StackedMLP, critic: StackedMLP, index: int) -> None:
+        super().__init__(actor, index)
+        self._critic = critic
 
     def value_gradient(self, obs: Tensor) -> Tensor:
         """dV_k/ds of both critics' V_k(s) = Q_k(s, mean action(s)) at obs (B, O): (2, B, O)."""

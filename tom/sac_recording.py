@@ -59,7 +59,7 @@ class SacRecording:
             yield from self.learn()
             yield from self._hand_over("optimise")
         yield from self._flush()
-        yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac.actor))
+        yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac))
 
     def learn(self) -> Iterator[Event]:
         """One step of the second half: SAC learns from its own steps while it takes them."""

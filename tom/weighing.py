@@ -10,50 +10,21 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box
 from numpy.typing import NDArray
-from torch import Tensor
 
 from tom.collect import Footprint, footprint
 from tom.config import RunConfig
-from tom.data.datasets import initial_obs, read_dataset
-from tom.data.transitions import TensorTransitions, Transitions
-from tom.envs import MujocoTask, task
+from tom.envs import MujocoTask
 from tom.errors import UserError, unknown
-from tom.learners import LEARNER_NAMES, make_learner
-from tom.learners.base import FitContext, Policy
+from tom.learners import FOLLOW_THE_VALUE, LEARNERS, make_learner
+from tom.learners.base import FitContext
+from tom.ordered_data import OrderedData, find_run
 from tom.policy_file import NAME, StoredPolicy, UniformPolicy, read_policy
-from tom.record import RunReader, Store
+from tom.record import Store, layout
 from tom.rng import Streams
 
 RANDOM = "random"
-FOLLOW_THE_VALUE = ("vagram", "vagram-ensemble")
-WEIGHERS = tuple(name for name in LEARNER_NAMES if name not in FOLLOW_THE_VALUE)
-"""Learners that need no value function: a stored policy has none."""
-
-
-@dataclass(frozen=True)
-class OrderedData:
-    """N transitions in the order of collection, actions in [-1, 1]; random ones come first.
-
-    `policy_version` (N,) says which policy collected each row; where that is not known every row
-    has its own, as with SAC, which changes after every step. `initial_obs` (M0, O) are the
-    episodes' starts.
-    """
-
-    name: str
-    env: str | None
-    transitions: TensorTransitions
-    policy_version: Tensor
-    initial_obs: Tensor
-    ordered_from: int  # rows before it are random data
-
-    def __len__(self) -> int:
-        return len(self.transitions)
-
-    def in_order(self, order: NDArray[np.int64]) -> "OrderedData":
-        """The rows stored in another order, (N,) row numbers. Versions follow the storage."""
-        return replace(self, transitions=self.transitions[torch.from_numpy(order)])
+PolicyOfInterest = StoredPolicy | UniformPolicy
 
 
 @dataclass(frozen=True)
@@ -75,96 +46,21 @@ class Weighed:
         return replace(self, weights=self.weights[back], log_ratio=ratio)
 
 
-def load_data(name: str, store: Store, env: str | None = None) -> OrderedData:
-    """A run of the store, a run folder, a D4RL file or a Minari folder.
-
-    `env` names the task that a dataset was recorded in: its actions are in the task's own units.
-    Raises UserError.
-    """
-    run = _run(name, store)
-    if run is not None:
-        return of_run(run)
-    if not Path(name).exists():
-        raise UserError(
-            f"no data '{name}': name a run of {store.path}/, a run folder, a D4RL file (.hdf5) "
-            "or a Minari folder"
-        )
-    if env is None:
-        raise UserError(f"{name} does not say which task it is of: add --env")
-    known = task(env)
-    rows = read_dataset(name)
-    _check_dims(name, rows, known)
-    rows = replace(rows, action=to_unit_range(np.asarray(rows.action), known))
-    return OrderedData(
-        name=Path(name).stem,
-        env=env,
-        transitions=rows.torch(),
-        policy_version=torch.arange(len(rows)),
-        initial_obs=torch.as_tensor(initial_obs(rows)),
-        ordered_from=0,
-    )
-
-
-def of_run(run: RunReader) -> OrderedData:
-    """A run's replay buffer. Raises UserError when it has none."""
-    env = task(run.env).name  # road-and-rocks has no policy that could be played here
-    rows, version = run.buffer()
-    if run.problems or not len(rows):
-        lacking = "buffer" in run.left_out
-        nothing = "left out of this small copy" if lacking else "it collected nothing"
-        reason = "; ".join(run.problems) or nothing
-        raise UserError(f"the replay buffer of run {run.run_id} cannot be used: {reason}")
-    _check_dims(run.run_id, rows, task(env))
-    settings = run.config.get("config", {})
-    random_rows = settings.get("steps" if run.learner == "sac" else "exploration_steps", 0)
-    return OrderedData(
-        name=run.run_id,
-        env=env,
-        transitions=rows.torch(),
-        policy_version=torch.from_numpy(version),
-        initial_obs=torch.as_tensor(initial_obs(rows)),
-        ordered_from=min(int(random_rows), len(rows) - 1),
-    )
-
-
-def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
-    """As many random rows as `ordered` has, then `ordered`: the paper's two halves.
-
-    Raises UserError when `random` holds fewer.
-    """
-    n = len(ordered)
-    if len(random) < n:
-        raise UserError(f"{random.name} holds {len(random)} rows, {ordered.name} needs {n} of them")
-    rows = TensorTransitions.join([random.transitions[:n], ordered.transitions])
-    rows.truncated[n - 1] = 1 - rows.terminated[n - 1]
-    version = ordered.policy_version - ordered.policy_version.min() + 1
-    return OrderedData(
-        name=f"{random.name}+{ordered.name}",
-        env=ordered.env,
-        transitions=rows,
-        policy_version=torch.cat((torch.zeros(n, dtype=version.dtype), version)),
-        initial_obs=torch.as_tensor(initial_obs(rows)),
-        ordered_from=n,
-    )
-
-
-def to_unit_range(action: NDArray, known: MujocoTask) -> NDArray[np.float32]:
-    """Actions (N, A) in the task's own control range, rescaled to [-1, 1]."""
-    space = known.make().unwrapped.action_space
-    assert isinstance(space, Box)
-    return ((2 * action - (space.high + space.low)) / (space.high - space.low)).astype(np.float32)
-
-
 def policy_env(name: str, store: Store) -> str | None:
     """The task that the policy `name` was trained for; None for the random one."""
     return None if name == RANDOM else _stored(name, store).env
 
 
-def load_policy(name: str, store: Store, known: MujocoTask) -> Policy:
-    """`random`, a `policy.npz`, or a run (folder or id) that holds one. Raises UserError."""
+def load_policy(
+    name: str, store: Store, known: MujocoTask, step: int | None = None
+) -> PolicyOfInterest:
+    """`random`, a `policy.npz`, or a run (folder or id) that holds one. Raises UserError.
+
+    `step` asks for the policy that a run had at the model fit of that env step.
+    """
     if name == RANDOM:
         return UniformPolicy(known.obs_dim, known.action_dim)
-    policy = _stored(name, store)
+    policy = _stored(name, store, step)
     dims = policy.obs_dim, policy.action_dim
     if dims != (known.obs_dim, known.action_dim):
         raise UserError(
@@ -176,7 +72,7 @@ def load_policy(name: str, store: Store, known: MujocoTask) -> Policy:
 
 def weigh(
     data: OrderedData,
-    policy: Policy,
+    policy: PolicyOfInterest,
     known: MujocoTask,
     config: RunConfig,
     learners: Sequence[str],
@@ -186,11 +82,16 @@ def weigh(
     """Every learner's weights under every seed, as they are found.
 
     A seed fixes the footprint (the policy's sampled actions in the real environment) and all that
-    a learner draws. Raises UserError for a learner that cannot weigh by a policy alone.
+    a learner draws. Raises UserError for a learner that needs more than the policy has.
     """
     for name in learners:
-        if name not in WEIGHERS:
-            raise unknown("learner", name, WEIGHERS)
+        if name not in LEARNERS:
+            raise unknown("learner", name, LEARNERS)
+        if name in FOLLOW_THE_VALUE and policy.value_gradient is None:
+            raise UserError(
+                f"learner {name} follows a value function, and this policy comes without one: "
+                f"leave {name} out, or name the policy of a newer run"
+            )
     for seed in seeds:
         streams = Streams(seed)
         start = streams.integer("footprint env")
@@ -199,7 +100,9 @@ def weigh(
             yield _weigh(data, policy, made, config.but(learner=name, seed=seed))
 
 
-def _weigh(data: OrderedData, policy: Policy, made: Footprint, config: RunConfig) -> Weighed:
+def _weigh(
+    data: OrderedData, policy: PolicyOfInterest, made: Footprint, config: RunConfig
+) -> Weighed:
     rows, streams = data.transitions, Streams(config.seed)
     dims = rows.obs.shape[1], rows.action.shape[1]
     learner = make_learner(config.learner, config, *dims, streams.torch("learner"))
@@ -211,6 +114,7 @@ def _weigh(data: OrderedData, policy: Policy, made: Footprint, config: RunConfig
         initial_obs=data.initial_obs,
         policy=policy,
         generator=streams.torch("weigh"),
+        value_gradient=policy.value_gradient,
     )
     found = learner.weigh(context)
     ratio = None if found.log_ratio is None else found.log_ratio.to(torch.float32).numpy()
@@ -225,23 +129,14 @@ def _weigh(data: OrderedData, policy: Policy, made: Footprint, config: RunConfig
     )
 
 
-def _run(name: str, store: Store) -> RunReader | None:
-    path = Path(name)
-    if (path / "config.json").is_file():
-        return Store(path.absolute().parent).run(path.absolute().name)
-    inside = "/" not in name and (store.path / name / "config.json").is_file()
-    return store.run(name) if inside else None
-
-
-def _stored(name: str, store: Store) -> StoredPolicy:
-    run = _run(name, store)
-    return read_policy(Path(name) if run is None else run.path / NAME)
-
-
-def _check_dims(name: str, rows: Transitions, known: MujocoTask) -> None:
-    dims = rows.obs.shape[1], rows.action.shape[1]
-    if dims != (known.obs_dim, known.action_dim):
-        raise UserError(
-            f"{name} has {dims[0]} observations and {dims[1]} actions, {known.name} has "
-            f"{known.obs_dim} and {known.action_dim}: is it data of another task or version?"
-        )
+def _stored(name: str, store: Store, step: int | None = None) -> StoredPolicy:
+    run = find_run(name, store)
+    if step is None:
+        return read_policy(Path(name) if run is None else run.path / NAME)
+    if run is None:
+        raise UserError(f"--step {step} is a step of a run, and policy {name} is none: name a run")
+    kept = run.policy_steps()
+    if step not in kept:
+        known = ", ".join(map(str, kept)) or "none, as runs of earlier versions and small copies"
+        raise UserError(f"run {run.run_id} kept no policy of step {step}; it kept {known}")
+    return read_policy(run.path / layout.policy(step))

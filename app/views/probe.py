@@ -12,10 +12,11 @@ from app.theme import learner_label
 from app.trainings import Started
 from app.views import empty, model_error
 from app.weighings import Weighing
+from tom.learners import LEARNER_NAMES
 from tom.progression import Progression
 from tom.record import layout
 from tom.record.reader import RunReader
-from tom.weighing import RANDOM, WEIGHERS
+from tom.weighing import RANDOM
 
 TITLE = "Probe"
 ICON = ":material/experiment:"
@@ -144,7 +145,7 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
         row = st.columns([4, 4, 2, 2])
         policy = row[0].selectbox("By the policy of", [*policies, RANDOM], key="weigh policy")
         learners = row[1].multiselect(
-            "Learners", WEIGHERS, ["tom", "pmac", "mle"], key="weigh learners",
+            "Learners", LEARNER_NAMES, ["tom", "pmac", "mle"], key="weigh learners",
             format_func=learner_label,
         )  # fmt: skip
         preset = row[2].selectbox("TOM's preset", PRESETS, key="weigh preset")

@@ -13,6 +13,7 @@ from tom.errors import UserError
 from tom.evaluate import evaluate
 from tom.events import Episode
 from tom.imagine import imagine, joint_positions, kept_model, kept_step, step_errors
+from tom.ordered_data import of_run
 from tom.policy_file import read_policy
 from tom.presets import resolve
 from tom.record import RunReader, Store, checkpoint, layout
@@ -20,7 +21,6 @@ from tom.record.export import export_small
 from tom.record.health import verify
 from tom.resume import resume
 from tom.run import train
-from tom.weighing import of_run
 
 
 class Adder:

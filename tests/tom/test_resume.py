@@ -67,6 +67,7 @@ def assert_same_events(first: list[Event], second: list[Event]) -> None:
             np.testing.assert_equal(a.values, b.values)
         elif isinstance(a, Weights) and isinstance(b, Weights):
             np.testing.assert_array_equal(a.weight, b.weight)
+            np.testing.assert_equal(a.policy, b.policy)
         elif isinstance(a, Evaluation) and isinstance(b, Evaluation):
             for x, y in zip(a.episodes, b.episodes, strict=True):
                 np.testing.assert_array_equal(x.obs, y.obs)

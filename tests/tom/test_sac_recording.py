@@ -99,7 +99,7 @@ def test_same_seed_same_bits_and_evaluations_leave_no_trace():
 def test_a_stored_policy_is_the_policy_to_the_last_bit(tmp_path: Path):
     recording = SacRecording(config("inverted-pendulum", steps=80, exploration_steps=40))
     list(recording.events())
-    arrays = policy_arrays("inverted-pendulum", recording.sac.actor)
+    arrays = policy_arrays("inverted-pendulum", recording.sac)
     np.savez(tmp_path / "policy.npz", allow_pickle=False, **arrays)
     stored = read_policy(tmp_path / "policy.npz")
     assert (stored.env, stored.obs_dim, stored.action_dim) == ("inverted-pendulum", 4, 1)
@@ -109,6 +109,11 @@ def test_a_stored_policy_is_the_policy_to_the_last_bit(tmp_path: Path):
     sampled = stored(obs, 3, ours)
     assert sampled.shape == (3, 50, 1)
     assert torch.equal(sampled, recording.policy(obs, 3, theirs))
+    assert stored.value_gradient is not None
+    assert torch.equal(stored.value_gradient(obs), recording.policy.value_gradient(obs))
+    of_old = {name: array for name, array in arrays.items() if not name.startswith("critic")}
+    np.savez(tmp_path / "old.npz", allow_pickle=False, **of_old)
+    assert read_policy(tmp_path / "old.npz").value_gradient is None
 
 
 def test_the_recorded_policy_file_is_that_of_the_run(recording: RunReader):
@@ -134,6 +139,13 @@ def test_the_recorded_policy_file_is_that_of_the_run(recording: RunReader):
             "bias_0": np.zeros(2, np.float32),
         },
         {"env": np.array({"evil": 1}, object)},
+        {
+            "env": np.array("hopper"),
+            "weight_0": np.zeros((3, 2), np.float32),
+            "bias_0": np.zeros(2, np.float32),
+            "critic_weight_0": np.zeros((2, 3, 1), np.float32),  # it should read 3 + 1 numbers
+            "critic_bias_0": np.zeros((2, 1), np.float32),
+        },
     ],
 )
 def test_what_is_no_policy_is_one_line(tmp_path: Path, arrays: dict[str, np.ndarray]):

@@ -17,18 +17,16 @@ from tom.cli.tables import show
 from tom.config import RunConfig, TomConfig
 from tom.envs import ENVS, task
 from tom.errors import UserError, unknown
+from tom.learners import LEARNERS
 from tom.matmul import choose_matmul
+from tom.ordered_data import OrderedData, after_random, load_data
 from tom.record import Store, layout
 from tom.record.files import plain
 from tom.record.versions import git_commit, versions
 from tom.reports import weighing_files
 from tom.weighing import (
     RANDOM,
-    WEIGHERS,
-    OrderedData,
     Weighed,
-    after_random,
-    load_data,
     load_policy,
     policy_env,
     weigh,
@@ -52,9 +50,13 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     parser.add_argument(
         "--learner", nargs="+", default=["tom", "pmac", "mle"], metavar="LEARNER",
-        help=", ".join(WEIGHERS) + " [tom pmac mle]",
+        help=", ".join(LEARNERS) + " [tom pmac mle]",
     )  # fmt: skip
     parser.add_argument("--env", help="the task of a dataset: " + ", ".join(ENVS))
+    parser.add_argument(
+        "--step", type=count, metavar="N",
+        help="of a run: its buffer and its policy at the model fit of env step N [at the end]",
+    )  # fmt: skip
     parser.add_argument("--random", help="random data put first, as much as DATA has")
     parser.add_argument("--seeds", nargs="+", type=whole, default=[0, 1, 2], metavar="N")
     parser.add_argument("--bins", type=count, default=100, metavar="N", help="of a profile [100]")
@@ -77,11 +79,11 @@ def run(args: argparse.Namespace) -> int:
     data, env = _data(args, store)
     known = task(env)
     config = _config(args, env)
-    policy = load_policy(args.policy, store, known)
+    policy = load_policy(args.policy, store, known, args.step)
     for name in args.learner:
-        if name not in WEIGHERS:
-            raise unknown("learner", name, WEIGHERS)
-    out = args.out or _default_out(store, data, args.policy)
+        if name not in LEARNERS:
+            raise unknown("learner", name, LEARNERS)
+    out = args.out or _default_out(store, data, args)
     weighing_files.check_free(out)
     torch.set_num_threads(config.threads)
     choose_matmul(config.matmul)
@@ -92,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{data.name}: {one.learner} seed {one.seed}", file=sys.stderr, flush=True)
     report = {
         "policy": args.policy,
+        "step": args.step,
         "preset": args.preset,
         "footprint": args.footprint,
         "config": {"tom": config.tom.model_dump(), "pmac": config.pmac.model_dump()},
@@ -110,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _data(args: argparse.Namespace, store: Store) -> tuple[OrderedData, str]:
     env = args.env or policy_env(args.policy, store)
-    data = load_data(args.data, store, env)
+    data = load_data(args.data, store, env, args.step)
     if data.env != (env or data.env):
         raise UserError(f"{data.name} is of {data.env}, not of {env}: name a policy of {data.env}")
     if args.random:
@@ -129,10 +132,11 @@ def _config(args: argparse.Namespace, env: str) -> RunConfig:
         raise one_line(error) from None
 
 
-def _default_out(store: Store, data: OrderedData, policy: str) -> Path:
+def _default_out(store: Store, data: OrderedData, args: argparse.Namespace) -> Path:
+    policy, at = args.policy, "" if args.step is None else f"-at-{args.step}"
     by = Path(policy).parent.name if policy.endswith(".npz") else Path(policy).name
     name = f"{data.name}-by-{by}" if by != data.name else f"{data.name}-by-its-own"
-    return store.path / layout.WEIGHINGS / f"{name}-{datetime.now():%y%m%d-%H%M%S}"
+    return store.path / layout.WEIGHINGS / f"{name}{at}-{datetime.now():%y%m%d-%H%M%S}"
 
 
 def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
@@ -144,7 +148,8 @@ def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
         [row["learner"], str(row["seed"]), *(_number(row[c]) for c in columns)]
         for row in report["results"]
     ]
-    title = f"{report['data']}, weighed by {report['policy']}"
+    at = "" if report["step"] is None else f" at step {report['step']}"
+    title = f"{report['data']}, weighed by {report['policy']}{at}"
     show(title, ("learner", "seed", *(c.replace("_", " ") for c in columns)), rows)
     print(out)
 

@@ -36,6 +36,8 @@ LEARNERS: dict[str, LearnerEntry] = {
 }
 
 LEARNER_NAMES: tuple[str, ...] = tuple(LEARNERS)
+FOLLOW_THE_VALUE = ("vagram", "vagram-ensemble")
+"""learners whose weights come from a value function and change with it"""
 
 
 def make_learner(

@@ -76,7 +76,7 @@ def repair(reader: RunReader) -> list[str]:
 
 
 def _arrays(path: Path) -> Iterator[Path]:
-    for folder in ("", "weights", "episodes", "buffer", "fields"):
+    for folder in ("", *layout.FOLDERS):
         for file in sorted((path / folder).glob("*")):
             if file.suffix in (".npz", ".parquet") and not file.name.startswith("."):
                 yield file

@@ -15,12 +15,13 @@ PROFILES = "weights/profiles.jsonl"
 NOTICES = "notices.jsonl"
 LABELS = "labels.json"
 POLICY = "policy.npz"
+POLICIES = "policies"
 MODEL = "model"
 DAMAGED = "damaged"
 WEIGHINGS = "weighings"
 LOCK = ".writer"
 BALLAST = ".ballast"
-FOLDERS = ("weights", "episodes", "buffer", "fields")
+FOLDERS = ("weights", POLICIES, "episodes", "buffer", "fields")
 
 _NUMBERED = re.compile(r"(?:(?P<name>.+)-)?(?P<number>\d{9,18})")
 _RRD = re.compile(r"run(?:-(\d+))?\.rrd")
@@ -28,6 +29,10 @@ _RRD = re.compile(r"run(?:-(\d+))?\.rrd")
 
 def snapshot(step: int) -> str:
     return f"weights/snapshot-{step:09d}.parquet"
+
+
+def policy(step: int) -> str:
+    return f"{POLICIES}/{step:09d}.npz"
 
 
 def episodes(step: int) -> str:

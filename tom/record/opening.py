@@ -15,6 +15,12 @@ def drop_unfinished(path: Path) -> None:
                 temporary.unlink(missing_ok=True)
 
 
+def make_folders(path: Path) -> None:
+    """Make the folders that an earlier version did not make."""
+    for name in layout.FOLDERS:
+        (path / name).mkdir(exist_ok=True)
+
+
 def renew(path: Path) -> None:
     """Give the growing files new ones in their place.
 

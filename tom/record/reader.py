@@ -152,6 +152,10 @@ class RunReader:
         read = self._read(layout.snapshot(step), _table, needed=True)
         return pd.DataFrame({"weight": np.zeros(0, np.float32)}) if read is None else read
 
+    def policy_steps(self) -> list[int]:
+        """Steps of the model fits whose policy of interest was kept."""
+        return layout.numbers(self.path / layout.POLICIES, ".npz")
+
     def evaluation_steps(self) -> list[int]:
         return layout.numbers(self.path / "episodes", ".npz")
 

@@ -9,7 +9,7 @@ from tom.record.files import files_in, size_of
 from tom.record.manage import unwritten
 from tom.record.reader import RunReader
 
-PARTS = ("buffer", "checkpoint", "episodes", "fields", "recording", "weights", "rest")
+PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "recording", "weights", "rest")
 
 
 def sizes(reader: RunReader) -> dict[str, int]:

@@ -78,6 +78,7 @@ def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
         "recording": bool(run.rrd_files()),
         "simulator states": len(copy.buffer()[0]) > 0 and bool(run.buffer_state()),
         "other snapshots": run.snapshot_steps() != snapshots,
+        "other policies": 0 < len(copy.policy_steps()) < len(run.policy_steps()),
         "per-dimension weights": any("dim_0" in run.snapshot(step) for step in snapshots),
         "other evaluations": run.evaluation_steps() != evaluations,
         "other episodes": any(len(run.episodes(step)) > 1 for step in evaluations),
@@ -165,10 +166,17 @@ def _policy(reader: RunReader, to: Path) -> None:
     _arrays(reader.path, to, layout.POLICY)
 
 
+def _policies(reader: RunReader, to: Path) -> None:
+    """Those of the fits whose single weights are kept."""
+    for step in sorted({*reader.policy_steps()} & {*RunReader(to).snapshot_steps()}):
+        _arrays(reader.path, to, layout.policy(step))
+
+
 PARTS: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
     "buffer": ("buffer", _buffer),
     "model": (layout.MODEL, _model),
     "policy": (layout.POLICY, _policy),
+    "policies": (layout.POLICIES, _policies),
 }
 """Parts that are left out where they are not small: where each lies, and its writer."""
 

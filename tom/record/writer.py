@@ -57,6 +57,7 @@ class RunWriter:
         taken_over = lock.written_here(path) is False
         self._hold = lock.hold(path)
         opening.drop_unfinished(path)
+        opening.make_folders(path)
         if taken_over:
             opening.renew(path)
         self._metrics = JsonLines(path / layout.METRICS)
@@ -188,7 +189,7 @@ class RunWriter:
         return means
 
     def snapshot(self, weights: Weights, *, keep: bool) -> None:
-        """Write every single weight; the snapshot before goes unless it was to be kept."""
+        """Write every single weight, and whose they are; those before go unless to be kept."""
         columns = {"weight": weights.weight}
         if weights.log_ratio is not None:
             columns["log_ratio"] = weights.log_ratio
@@ -196,9 +197,12 @@ class RunWriter:
             columns |= {f"dim_{i}": column for i, column in enumerate(weights.per_dim.T)}
         arrays = {name: np.asarray(column, np.float32) for name, column in columns.items()}
         self._table(layout.snapshot(weights.env_step), pa.table(arrays))
+        if weights.policy is not None:
+            self._arrays(layout.policy(weights.env_step), weights.policy)
         previous, self._latest_snapshot = self._latest_snapshot, weights.env_step
         if previous is not None and previous != weights.env_step:
-            (self.path / layout.snapshot(previous)).unlink(missing_ok=True)
+            for name in (layout.snapshot(previous), layout.policy(previous)):
+                (self.path / name).unlink(missing_ok=True)
         if keep:
             self._latest_snapshot = None
 

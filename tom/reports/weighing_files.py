@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from tom.data.sampling import bin_means
 from tom.errors import UserError
 from tom.learners import LEARNERS
+from tom.ordered_data import OrderedData
 from tom.progression import medians, progression
 from tom.record import layout
 from tom.record.files import read_json, replace_json
 from tom.record.thin import write_columns
 from tom.reports.progression import Panel, profile_figure
 from tom.reports.style import save
-from tom.weighing import OrderedData, Weighed
+from tom.weighing import Weighed
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 LOG_RATIO = "-log_ratio"

@@ -24,11 +24,12 @@ from tom.dynamics.base import DynamicsModel
 from tom.envs import MujocoTask, task
 from tom.learners import LEARNERS
 from tom.learners.base import Policy, Weighting
+from tom.ordered_data import OrderedData, of_run
 from tom.policy_file import NAME, read_policy
 from tom.presets import resolve
 from tom.record import RunReader
 from tom.rng import Streams
-from tom.weighing import OrderedData, Weighed, of_run, weigh
+from tom.weighing import Weighed, weigh
 
 Rival = Literal["mle", "pmac", "tom paper", "tom exact"]
 RIVALS: tuple[Rival, ...] = ("mle", "pmac", "tom paper", "tom exact")

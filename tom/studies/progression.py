@@ -15,10 +15,11 @@ import numpy as np
 
 from tom.config import RunConfig, SacRecordingConfig, TomConfig
 from tom.envs import task
+from tom.ordered_data import of_run
 from tom.policy_file import NAME, UniformPolicy, read_policy
 from tom.progression import DECILES, Progression, progression, same_profile
 from tom.record import RunReader, Store
-from tom.weighing import Weighed, of_run, weigh
+from tom.weighing import Weighed, weigh
 
 Condition = Literal["own", "random", "shuffled"]
 Preset = Literal["paper", "exact"]

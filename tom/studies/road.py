@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tom import offline
 from tom.config import RoadConfig
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
+from tom.learners import FOLLOW_THE_VALUE
 from tom.road_measure import returns
 from tom.studies.checks import Check, at_least, at_most
 
@@ -106,7 +107,7 @@ def tell(case: Case) -> Story:
         turn=case.config.turn,
         **{name: values[path] for name, path in _PATHS.items()},
     )
-    if case.config.learner in offline.FOLLOW_THE_VALUE:
+    if case.config.learner in FOLLOW_THE_VALUE:
         found = replace(found, planner_return=nan, planner_success=nan)
     if case.optimise and last is not None:
         sac_return, sac_success = returns(last.episodes)

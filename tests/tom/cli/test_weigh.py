@@ -10,12 +10,11 @@ import pytest
 import torch
 
 from tom.cli import main
-from tom.cli.weigh import WEIGHERS
 from tom.data.sampling import bin_means
 from tom.envs import task
 from tom.learners.pmac import recency_probabilities
+from tom.ordered_data import after_random, load_data, of_run, to_unit_range
 from tom.record import RunReader, Store
-from tom.weighing import after_random, load_data, to_unit_range
 
 QUICK = [
     "--preset", "paper", "--tom.q-hidden", "16", "--tom.q-steps", "20",
@@ -110,6 +109,24 @@ def test_an_ordinary_training_leaves_its_policy(store: Path, tmp_path: Path, cap
     assert report["rows"] == 250
 
 
+@pytest.mark.parametrize("learner", ["pmac", "vagram"])
+def test_at_a_step_the_weights_are_those_that_the_run_had(store: Path, tmp_path: Path, learner):
+    words = ["--env", "inverted-pendulum", "--learner", learner, "--preset", "smoke"]
+    steps = ["--steps", "250", "--fit-every", "20", "--run-id", learner, "--store", str(tmp_path)]
+    assert main(["train", *words, *steps, "--no-rerun"]) == 0
+    run = RunReader(tmp_path / learner)
+    assert run.policy_steps() == run.snapshot_steps()
+    step = run.policy_steps()[1]
+    out = tmp_path / "out"
+    chosen = ("--policy", learner, "--learner", learner, "--step", str(step), "--seeds", "0")
+    assert weigh(tmp_path, learner, *chosen, "--out", str(out)) == 0
+    found = pq.read_table(out / "weights.parquet")[f"{learner}-s0"].to_numpy()
+    recorded = run.snapshot(step)["weight"].to_numpy()
+    assert len(recorded) == step < 250
+    np.testing.assert_allclose(found, recorded, rtol=1e-5)
+    assert json.loads((out / "report.json").read_text())["step"] == step
+
+
 def write_d4rl(path: Path, run: RunReader, scale: float) -> Path:
     rows = run.buffer()[0].numpy()
     with h5py.File(path, "w") as file:
@@ -148,7 +165,7 @@ def test_shuffled_rows_come_back_in_order(store: Path):
     """PMAC follows the storage; a row's own weight comes back to its place."""
     from tom.config import RunConfig
     from tom.policy_file import UniformPolicy
-    from tom.weighing import of_run, weigh
+    from tom.weighing import weigh
 
     data, known = of_run(RunReader(store / "sac")), task("inverted-pendulum")
     order = np.random.default_rng(0).permutation(len(data))
@@ -166,7 +183,14 @@ def test_shuffled_rows_come_back_in_order(store: Path):
     [
         (["nothing", "--policy", "random", "--env", "hopper"], "no data 'nothing'"),
         (["sac", "--policy", "nothing"], "no policy at nothing"),
-        (["sac", "--policy", "random", "--learner", "vagram"], "Known: " + ", ".join(WEIGHERS)),
+        (["sac", "--policy", "random", "--learner", "vagram"], "without one: leave vagram out"),
+        (
+            ["trained", "--policy", "trained", "--step", "7"],
+            "kept no policy of step 7; it kept 200",
+        ),
+        (["trained", "--policy", "sac", "--step", "200"], "kept no policy of step 200"),
+        (["trained", "--policy", "random", "--step", "251"], "--step 251 is none of them"),
+        (["sac", "--policy", "random", "--step", "200"], "has no fits of a model"),
         (["sac", "--policy", "random", "--learner", "tmo"], "did you mean 'tom'?"),
         (["sac", "--policy", "random", "--env", "hopper"], "is of inverted-pendulum, not of"),
         (["sac", "--policy", "random", "--seeds", "-1"], "must be at least 0"),

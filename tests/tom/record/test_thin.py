@@ -72,11 +72,11 @@ def test_nothing_is_named_that_the_run_never_had(record, tmp_path: Path):
 
 def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: Path):
     rows, version = transitions(0, 9), np.zeros(9, np.int64)
-    weight = np.ones(9, np.float32)
+    weight, dims = np.ones(9, np.float32), np.ones((9, 11), np.float32)
     run = record(
         given=[
             Collected(1, rows, version, {"qpos": np.zeros((9, 6)), "qvel": np.zeros((9, 6))}),
-            *(Weights(100 * n, weight, np.ones((9, 11), np.float32)) for n in range(10)),
+            *(Weights(100 * n, weight, dims, policy={"weight_0": weight}) for n in range(10)),
             *(Evaluation(n, episodes(n)[:1]) for n in range(1, 6)),
             *(Field(n, "map", {"gain": weight}) for n in range(6)),
         ]
@@ -86,8 +86,9 @@ def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: P
     small = RunReader(export_small(run, tmp_path))
     lacking = {
         "checkpoint", "recording", "simulator states", "other snapshots", "other evaluations",
-        "per-dimension weights", "other pictures",
+        "per-dimension weights", "other pictures", "other policies",
     }  # fmt: skip
+    assert small.policy_steps() == small.snapshot_steps()
     assert set(small.left_out) == lacking
     again = RunReader(export_small(small, tmp_path / "again"))
     assert again.left_out == small.left_out

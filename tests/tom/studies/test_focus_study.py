@@ -12,11 +12,11 @@ from tom.cli import main
 from tom.config import SacRecordingConfig
 from tom.data.transitions import Transitions
 from tom.envs import task
+from tom.ordered_data import of_run
 from tom.policy_file import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.run import train
 from tom.studies.focus import Case, Focus, Rival, _tested, cases, focus, summary, verdict
-from tom.weighing import of_run
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,156 @@
+"""Recorded transitions in the order of their collection: a run's replay buffer or a dataset."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+from torch import Tensor
+
+from tom.data.datasets import initial_obs, read_dataset
+from tom.data.transitions import TensorTransitions, Transitions
+from tom.envs import MujocoTask, task
+from tom.errors import UserError
+from tom.record import RunReader, Store
+
+
+@dataclass(frozen=True)
+class OrderedData:
+    """N transitions in the order of collection, actions in [-1, 1]; random ones come first.
+
+    `policy_version` (N,) says which policy collected each row; where that is not known every row
+    has its own, as with SAC, which changes after every step. `initial_obs` (M0, O) are the
+    episodes' starts.
+    """
+
+    name: str
+    env: str | None
+    transitions: TensorTransitions
+    policy_version: Tensor
+    initial_obs: Tensor
+    ordered_from: int  # rows before it are random data
+
+    def __len__(self) -> int:
+        return len(self.transitions)
+
+    def in_order(self, order: NDArray[np.int64]) -> "OrderedData":
+        """The rows stored in another order, (N,) row numbers. Versions follow the storage."""
+        return replace(self, transitions=self.transitions[torch.from_numpy(order)])
+
+
+def load_data(
+    name: str, store: Store, env: str | None = None, step: int | None = None
+) -> OrderedData:
+    """A run of the store, a run folder, a D4RL file or a Minari folder.
+
+    `env` names the task that a dataset was recorded in: its actions are in the task's own units.
+    `step` asks for a run's buffer as it was at that env step. Raises UserError.
+    """
+    run = find_run(name, store)
+    if run is not None:
+        return of_run(run, step)
+    if step is not None:
+        raise UserError(f"--step {step} is a step of a run, and {name} is none: leave it out")
+    if not Path(name).exists():
+        raise UserError(
+            f"no data '{name}': name a run of {store.path}/, a run folder, a D4RL file (.hdf5) "
+            "or a Minari folder"
+        )
+    if env is None:
+        raise UserError(f"{name} does not say which task it is of: add --env")
+    known = task(env)
+    rows = read_dataset(name)
+    _check_dims(name, rows, known)
+    rows = replace(rows, action=to_unit_range(np.asarray(rows.action), known))
+    return OrderedData(
+        name=Path(name).stem,
+        env=env,
+        transitions=rows.torch(),
+        policy_version=torch.arange(len(rows)),
+        initial_obs=torch.as_tensor(initial_obs(rows)),
+        ordered_from=0,
+    )
+
+
+def of_run(run: RunReader, step: int | None = None) -> OrderedData:
+    """A run's replay buffer, or what of it was collected by env step `step`.
+
+    Raises UserError when it has none.
+    """
+    env = task(run.env).name  # road-and-rocks has no policy that could be played here
+    rows, version = run.buffer()
+    if run.problems or not len(rows):
+        lacking = "buffer" in run.left_out
+        nothing = "left out of this small copy" if lacking else "it collected nothing"
+        reason = "; ".join(run.problems) or nothing
+        raise UserError(f"the replay buffer of run {run.run_id} cannot be used: {reason}")
+    _check_dims(run.run_id, rows, task(env))
+    if step is not None:
+        rows, version = _until(step, run, rows, version)
+    settings = run.config.get("config", {})
+    random_rows = settings.get("steps" if run.learner == "sac" else "exploration_steps", 0)
+    return OrderedData(
+        name=run.run_id,
+        env=env,
+        transitions=rows.torch(),
+        policy_version=torch.from_numpy(version),
+        initial_obs=torch.as_tensor(initial_obs(rows)),
+        ordered_from=min(int(random_rows), len(rows) - 1),
+    )
+
+
+def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
+    """As many random rows as `ordered` has, then `ordered`: the paper's two halves.
+
+    Raises UserError when `random` holds fewer.
+    """
+    n = len(ordered)
+    if len(random) < n:
+        raise UserError(f"{random.name} holds {len(random)} rows, {ordered.name} needs {n} of them")
+    rows = TensorTransitions.join([random.transitions[:n], ordered.transitions])
+    rows.truncated[n - 1] = 1 - rows.terminated[n - 1]
+    version = ordered.policy_version - ordered.policy_version.min() + 1
+    return OrderedData(
+        name=f"{random.name}+{ordered.name}",
+        env=ordered.env,
+        transitions=rows,
+        policy_version=torch.cat((torch.zeros(n, dtype=version.dtype), version)),
+        initial_obs=torch.as_tensor(initial_obs(rows)),
+        ordered_from=n,
+    )
+
+
+def to_unit_range(action: NDArray, known: MujocoTask) -> NDArray[np.float32]:
+    """Actions (N, A) in the task's own control range, rescaled to [-1, 1]."""
+    space = known.make().unwrapped.action_space
+    assert isinstance(space, Box)
+    return ((2 * action - (space.high + space.low)) / (space.high - space.low)).astype(np.float32)
+
+
+def find_run(name: str, store: Store) -> RunReader | None:
+    """The run called `name`, an id in the store or a folder; None where it is none."""
+    path = Path(name)
+    if (path / "config.json").is_file():
+        return Store(path.absolute().parent).run(path.absolute().name)
+    inside = "/" not in name and (store.path / name / "config.json").is_file()
+    return store.run(name) if inside else None
+
+
+def _until(
+    step: int, run: RunReader, rows: Transitions, version: NDArray[np.int64]
+) -> tuple[Transitions, NDArray[np.int64]]:
+    if run.learner == "sac" or not 0 < step <= len(rows):
+        has = f"{len(rows)} steps" if run.learner != "sac" else "no fits of a model"
+        raise UserError(f"run {run.run_id} has {has}: --step {step} is none of them")
+    return rows[:step], version[:step]
+
+
+def _check_dims(name: str, rows: Transitions, known: MujocoTask) -> None:
+    dims = rows.obs.shape[1], rows.action.shape[1]
+    if dims != (known.obs_dim, known.action_dim):
+        raise UserError(
+            f"{name} has {dims[0]} observations and {dims[1]} actions, {known.name} has "
+            f"{known.obs_dim} and {known.action_dim}: is it data of another task or version?"
+        )
