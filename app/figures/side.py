@@ -1,6 +1,7 @@
 """Runs side by side: a column each, every axis linked."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -8,17 +9,18 @@ from plotly.subplots import make_subplots
 
 from app import text
 from app.aggregate import Curve, decimate
-from app.figures.base import GRID, LAYOUT, X_AXIS, Y_AXIS, note
+from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note
 from app.figures.curves import POINTS
 from app.figures.scales import octaves, relative_scale
 from app.figures.weights import bin_centres, shown_fits
 from app.theme import Mode, learner_colour, learner_symbol
 from tom.record.profiles import Profiles
 
+Part = tuple[str, Curve, Profiles]
+"""A column: name, curve and weight profiles of a run."""
 
-def side_by_side(
-    parts: Sequence[tuple[str, Curve, Profiles]], mode: Mode, height: int
-) -> go.Figure:
+
+def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     """Return above, weights of every fit below, for each (name, curve, profiles).
 
     Long curves and many fits are thinned, which the figure says.
@@ -34,40 +36,60 @@ def side_by_side(
     flat = np.concatenate([part.ravel() for part in bins]) if bins else np.ones(1)
     scale = relative_scale(flat, mode)
     last = max((i for i, (*_, held) in enumerate(parts, 1) if len(held.env_step)), default=0)
-    thinned = any(len(curve.step) > POINTS for _, curve, _ in parts)
-    words = [f"returns thinned to {POINTS} points a line"] if thinned else []
-    for column, (name, curve, profiles) in enumerate(parts, 1):
+    for column, (_, curve, profiles) in enumerate(parts, 1):
         figure.add_trace(_line(curve), 1, column)
         if len(profiles.env_step):
-            shown = shown_fits(len(profiles.env_step), len(profiles.env_step) - 1)
-            if len(shown) < len(profiles.env_step):
-                fits = f"{len(shown)} of {len(profiles.env_step)} fits"
-                words.append(f"{text.plotly(name)}: {fits}")
-            weights = profiles.bins[shown].T
-            figure.add_trace(
-                go.Heatmap(
-                    x=profiles.env_step[shown],
-                    y=bin_centres(len(weights)),
-                    z=octaves(weights),
-                    customdata=weights,
-                    hovertemplate="step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
-                    "weight %{customdata:.3g}<extra></extra>",
-                    showscale=column == last,
-                    **scale,
-                ),
-                2,
-                column,
-            )
+            figure.add_trace(_map(profiles, scale, bar=column == last), 2, column)
+        else:
+            _say_empty(figure, len(parts) + column)
     figure.update_layout(**LAYOUT, height=height, uirevision="side by side")
     figure.update_layout(margin={"t": 34})
+    _link_axes(figure, len(parts))
+    figure.update_traces(
+        selector={"type": "heatmap"},
+        colorbar={"len": 0.48, "y": 0, "yanchor": "bottom"},
+    )
+    words = _left_out(parts)
+    return note(figure, "<br>".join(words)) if words else figure
+
+
+def _left_out(parts: Sequence[Part]) -> list[str]:
+    """What the figure does not show of the runs, in words."""
+    thinned = any(len(curve.step) > POINTS for _, curve, _ in parts)
+    words = [f"returns thinned to {POINTS} points a line"] if thinned else []
+    for name, _, profiles in parts:
+        fits = len(profiles.env_step)
+        shown = len(shown_fits(fits, fits - 1)) if fits else 0
+        if shown < fits:
+            words.append(f"{text.plotly(name)}: {shown} of {fits} fits")
+    return words
+
+
+def _map(profiles: Profiles, scale: Mapping[str, Any], *, bar: bool) -> go.Heatmap:
+    """The weights of the fits that are shown; `bar` says their colours."""
+    shown = shown_fits(len(profiles.env_step), len(profiles.env_step) - 1)
+    weights = profiles.bins[shown].T
+    return go.Heatmap(
+        x=profiles.env_step[shown],
+        y=bin_centres(len(weights)),
+        z=octaves(weights),
+        customdata=weights,
+        hovertemplate="step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
+        "weight %{customdata:.3g}<extra></extra>",
+        showscale=bar,
+        **scale,
+    )
+
+
+def _link_axes(figure: go.Figure, columns: int) -> None:
+    """All columns zoom together; words stand at the left and at the foot only."""
     figure.update_xaxes(matches="x", title_text="", **X_AXIS)
     figure.update_yaxes(**Y_AXIS)
-    for row, first in ((1, "y"), (2, f"y{len(parts) + 1}")):
+    for row, first in ((1, "y"), (2, f"y{columns + 1}")):
         figure.update_yaxes(matches=first, showticklabels=False, row=row)
         figure.update_yaxes(showticklabels=True, row=row, col=1)
     figure.update_xaxes(title_text="env steps", row=2)
     figure.update_xaxes(ticks="", showticklabels=False, row=1)
-    figure.update_yaxes(gridcolor=GRID)
     figure.update_yaxes(title_text="return", row=1, col=1)
     figure.update_yaxes(
         tickvals=[0, 50, 100],
@@ -76,23 +98,18 @@ def side_by_side(
         ticks="",  # beside a map Plotly draws them, also where they have no label
         row=2,
     )
-    for column, (*_, profiles) in enumerate(parts, 1):
-        if not len(profiles.env_step):
-            axis = len(parts) + column
-            figure.add_annotation(
-                text="no weights recorded",
-                xref=f"x{axis} domain",
-                yref=f"y{axis} domain",
-                x=0.5,
-                y=0.5,
-                showarrow=False,
-                opacity=0.75,
-            )
-    figure.update_traces(
-        selector={"type": "heatmap"},
-        colorbar={"len": 0.48, "y": 0, "yanchor": "bottom"},
+
+
+def _say_empty(figure: go.Figure, axis: int) -> None:
+    figure.add_annotation(
+        text="no weights recorded",
+        xref=f"x{axis} domain",
+        yref=f"y{axis} domain",
+        x=0.5,
+        y=0.5,
+        showarrow=False,
+        opacity=0.75,
     )
-    return note(figure, "<br>".join(words)) if words else figure
 
 
 def _line(curve: Curve) -> go.Scatter:
