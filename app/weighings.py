@@ -28,6 +28,7 @@ class Weighing:
     preset: str
     rows: int  # the run's first so many transitions
     ordered_from: int  # rows before it are random data
+    step: int | None  # of the model fit whose buffer and policy these are; None: the run's end
     written: int  # of the report, mtime_ns
 
     @property
@@ -36,6 +37,8 @@ class Weighing:
 
     def missing(self, rows: int) -> str:
         """In words, what it leaves out of a buffer of `rows` transitions; empty where nothing."""
+        if self.step is not None:
+            return f"The buffer of {rows:,} transitions as it was at the fit of step {self.step:,}."
         if self.rows == rows:
             return ""
         return (
@@ -96,6 +99,7 @@ def _read(path: Path, rows: int) -> Weighing | None:
         if not 0 <= first < weighed <= rows:
             return None
         policy, preset = str(report["policy"]), str(report["preset"])
-        return Weighing(str(path), policy, preset, weighed, first, written)
+        step = None if report.get("step") is None else int(report["step"])
+        return Weighing(str(path), policy, preset, weighed, first, step, written)
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -1,21 +1,19 @@
 """Curves: a line and a band for each learner, a figure for each environment, a table, CSV."""
 
 from collections.abc import Callable, Mapping, Sequence
-from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import tables, text
+from app import replay_link, tables, text
 from app.aggregate import Curve, Group
 from app.comparing import measure
 from app.comparing.measure import Measure
 from app.figures.curves import group_curves, metric_title, run_curves
-from app.plot import Point, chart
+from app.plot import chart
 from app.readers import RunInfo
 from tom import statistics
-from tom.record.reader import RunReader
 
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
@@ -34,7 +32,7 @@ def draw(runs: Sequence[RunInfo]) -> None:
     _figures(grouped, how)
     _remarks(grouped, found, how)
     if how.axes.x == measure.STEPS:
-        _replay(runs)
+        replay_link.show(runs)
     table = tables.summary(grouped)
     st.dataframe(shown(table), hide_index=True, column_config=columns())
     downloads(
@@ -64,13 +62,8 @@ def _figures(grouped: Sequence[Group], how: Measure) -> None:
                 window=how.window,
             )
             label = f"{how.metric} against {how.axes.x} in {env}"
-            chart(figure, f"compare {env}", label, None if how.axes.x != measure.STEPS else _jump)
-
-
-def _jump(point: Point) -> None:
-    """A click on a single run's line is remembered: its replay at that step is one click away."""
-    if isinstance(point.meta, str):
-        st.session_state["compare jump"] = (point.meta, int(point.x))
+            clicked = replay_link.remember if how.axes.x == measure.STEPS else None
+            chart(figure, f"compare {env}", label, clicked)
 
 
 def _crossing(found: Sequence[Curve], how: Measure) -> None:
@@ -111,19 +104,6 @@ def _remarks(grouped: Sequence[Group], found: Sequence[Curve], how: Measure) -> 
     if empty := sum(not len(curve.step) for curve in found):
         words.append(f"{empty} runs have recorded nothing of this yet.")
     st.caption(" ".join(words))
-
-
-def _replay(runs: Sequence[RunInfo]) -> None:
-    """A link to the episodes of the point that was clicked last."""
-    run_id, step = st.session_state.get("compare jump", ("", 0))
-    run = next((run for run in runs if run.run_id == run_id), None)
-    steps = RunReader(run.path).evaluation_steps() if run else []
-    if run is None or not steps:
-        st.caption("Click a point of a single run for its replay.")
-        return
-    at = min(steps, key=lambda evaluated: abs(evaluated - step))
-    address = f"/replays?run={quote(run_id)}&step={at}"
-    st.markdown(f"[Replay of {text.markdown(run.name)}, step {at:,}]({address})")
 
 
 def shown(table: pd.DataFrame) -> pd.DataFrame:

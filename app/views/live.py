@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from app import readers, session, text, widgets
+from app import readers, replay_link, session, text, widgets
 from app.cards import cards
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
@@ -104,7 +104,10 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
         st.markdown(f"**Return**: {describe(MAIN_METRIC)}")
         curves = [widgets.curve(run, MAIN_METRIC) for run in shown]
         figure = run_curves(curves, MAIN_METRIC, 330, legend=True)
-        chart(figure, "curve main", "return against env steps, one line a run")
+        chart(
+            figure, "curve main", "return against env steps, one line a run", replay_link.remember
+        )
+        replay_link.show(shown)
     with right, st.container(border=True):
         st.markdown("**Weights of the last fit**: dashed: all transitions count the same")
         _last_profiles(shown)

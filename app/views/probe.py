@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
 from app import buffer_reader, form, pictures, readers, session, text, trainings, weighings, widgets
 from app.figures.probe import probe_profiles
@@ -23,6 +24,7 @@ ICON = ":material/experiment:"
 PATH = "probe"
 
 PRESETS = ("paper", "exact")
+END = "the end"
 
 
 def page() -> None:
@@ -134,25 +136,23 @@ def _columns() -> dict:
 
 
 def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
-    """A form that starts `tom weigh` on this buffer."""
-    policies = [
-        other.run_id
-        for other in kept
-        if other.env == run.env and (RunReader(other.path).path / layout.POLICY).is_file()
-    ]
-    policies.sort(key=lambda name: name != run.run_id)
+    """A form that starts `tom weigh` on this buffer, whole or as it was at a fit."""
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=not folded):
-        row = st.columns([4, 4, 2, 2])
-        policy = row[0].selectbox("By the policy of", [*policies, RANDOM], key="weigh policy")
-        learners = row[1].multiselect(
+        row = st.columns([2, 4, 4, 2, 2])
+        step = _pick_fit(row[0], run)
+        policies = [
+            other.run_id for other in kept if other.env == run.env and has_policy(other, step)
+        ]
+        policies.sort(key=lambda name: name != run.run_id)
+        policy = row[1].selectbox("By the policy of", [*policies, RANDOM], key="weigh policy")
+        learners = row[2].multiselect(
             "Learners", LEARNER_NAMES, ["tom", "pmac", "mle"], key="weigh learners",
             format_func=learner_label,
         )  # fmt: skip
-        preset = row[2].selectbox("TOM's preset", PRESETS, key="weigh preset")
-        seeds = row[3].number_input("Seeds", 1, 10, 2, key="weigh seeds")
-        words = command(
-            run.run_id, str(policy), learners, str(preset), int(seeds), session.links().store
-        )
+        preset = row[3].selectbox("TOM's preset", PRESETS, key="weigh preset")
+        seeds = int(row[4].number_input("Seeds", 1, 10, 2, key="weigh seeds"))
+        store = session.links().store
+        words = command(run.run_id, str(policy), learners, str(preset), seeds, store, step)
         st.code(form.shown(words), language="bash", wrap_lines=True)
         if not session.may_act():
             st.caption("This studio is open to other machines, so its pages change nothing.")
@@ -163,13 +163,38 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
     _progress()
 
 
+def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
+    """A fit whose policy the run kept, chosen here or by the address (`?at=`); None for its end."""
+    steps = [str(step) for step in RunReader(run.path).policy_steps()]
+    if st.session_state.get("at", END) not in (END, *steps):
+        del st.session_state["at"]  # it was chosen for another run
+    chosen = place.selectbox(
+        "As it was at step", [END, *steps], key="at", bind="query-params",
+        help="the buffer and the policies at that fit; the steps are those where both were kept",
+    )  # fmt: skip
+    return None if chosen in (None, END) else int(chosen)
+
+
+def has_policy(run: RunInfo, step: int | None) -> bool:
+    """The run has kept its policy of the fit at `step` (None: that of its end)."""
+    name = layout.POLICY if step is None else layout.policy(step)
+    return (RunReader(run.path).path / name).is_file()
+
+
 def command(
-    run_id: str, policy: str, learners: list[str], preset: str, seeds: int, store: str
+    run_id: str,
+    policy: str,
+    learners: list[str],
+    preset: str,
+    seeds: int,
+    store: str,
+    step: int | None = None,
 ) -> list[str]:
-    """What follows `tom` to weigh a run's buffer."""
+    """What follows `tom` to weigh a run's buffer, as it was at `step` or at the end."""
+    at = [] if step is None else ["--step", str(step)]
     seed_words = [str(seed) for seed in range(seeds)]
     return [
-        "weigh", run_id, "--policy", policy, "--learner", *learners, "--seeds", *seed_words,
+        "weigh", run_id, "--policy", policy, *at, "--learner", *learners, "--seeds", *seed_words,
         "--preset", preset, "--store", store,
     ]  # fmt: skip
 

@@ -10,7 +10,7 @@ from app.figures.weights import effective_sample, weight_map, weight_profile
 from app.plot import Point, chart
 from app.readers import RunInfo
 from app.theme import learner_label
-from app.views import empty
+from app.views import empty, same_buffer
 from tom.record.profiles import Profiles
 
 TITLE = "Weights"
@@ -69,6 +69,7 @@ def page() -> None:
         chart(
             figure, "effective sample", "effective sample size and share of zero weights", _choose
         )
+    same_buffer.at_fit(run, int(profiles.env_step[chosen]))
     _against(run, int(profiles.env_step[chosen]))
     widgets.show_problems(run)
 

@@ -104,6 +104,37 @@ def test_the_page_lays_all_learners_over_one_buffer(weighed: Path) -> None:
     assert shown.loc["MLE", "random data"] == pytest.approx(1)
 
 
+def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
+    there = weighed.parents[1]
+    step = RunReader(there / PENDULUM_TOM).policy_steps()[1]
+    address = f"/probe?run={PENDULUM_TOM}&at={step}"
+    app = draw("weights", run=PENDULUM_TOM, step=str(step))
+    assert any(address in words.value for words in app.caption)
+    asked = draw("probe", run=PENDULUM_TOM, at=str(step))
+    assert f"--policy {PENDULUM_TOM} --step {step} " in asked.code[-1].value
+    assert asked.selectbox(key="weigh policy").value == PENDULUM_TOM
+
+    words = [
+        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--step", str(step), "--seeds", "0",
+        "--learner", "pmac", "vagram", "--footprint", "50", "--matmul", "default",
+    ]  # fmt: skip
+    assert main([*words, "--store", str(there)]) == 0
+    made = next((there / "weighings").glob(f"*-at-{step}-*"))
+    profile = pd.read_csv(made / "profile.csv").set_index(["learner", "bin"])["mean_weight"]
+    app = draw("weights", run=PENDULUM_TOM, step=str(step))
+    assert not any(address in words.value for words in app.caption)
+    shown = next(f for f in figures(app) if any(t.get("meta") == "vagram" for t in f["data"]))
+    for learner in ("pmac", "vagram"):
+        line = array(trace(shown, meta=learner)["y"])
+        assert line == pytest.approx(profile[learner].to_numpy(), rel=1e-3)
+    whole = draw("probe", run=PENDULUM_TOM, weighed=made.name)
+    assert any(f"as it was at the fit of step {step}." in note.value for note in whole.caption)
+
+
+def test_a_fit_of_another_run_is_not_asked_for() -> None:
+    assert draw("probe", run=PENDULUM_TOM, at="7").selectbox(key="at").value == "the end"
+
+
 def test_a_buffer_that_nobody_weighed_says_so() -> None:
     app = draw("probe", run="pendulum-mle-0")
     assert any("Nobody has weighed" in note.value for note in app.info)
