@@ -48,7 +48,10 @@ class Weighed:
 
 def policy_env(name: str, store: Store) -> str | None:
     """The task that the policy `name` was trained for; None for the random one."""
-    return None if name == RANDOM else _stored(name, store).env
+    if name == RANDOM:
+        return None
+    run = find_run(name, store)
+    return read_policy(Path(name)).env if run is None else run.env
 
 
 def load_policy(

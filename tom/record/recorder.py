@@ -218,11 +218,16 @@ class Recorder:
         bins = self._writer.profile(weights, self._config.bins)
         chosen = weights.env_step >= self._next_snapshot
         if chosen:
-            gap = self.total / self._config.snapshots
-            self._next_snapshot = gap * (weights.env_step // gap + 1)
+            self._next_snapshot = self._after(weights.env_step)
         self._writer.snapshot(weights, keep=chosen)
         if self._sink:
             self._sink.weights(weights, bins)
+
+    def _after(self, env_step: int) -> int:
+        """The first step of the next of `snapshots` equal parts of the run."""
+        parts = self._config.snapshots
+        part = env_step * parts // self.total + 1
+        return -(-part * self.total // parts)
 
     def _evaluation(self, evaluation: Evaluation) -> None:
         self._writer.episodes(evaluation.env_step, evaluation.episodes)

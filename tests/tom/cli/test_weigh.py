@@ -123,6 +123,8 @@ def test_at_a_step_the_weights_are_those_that_the_run_had(store: Path, tmp_path:
     found = pq.read_table(out / "weights.parquet")[f"{learner}-s0"].to_numpy()
     recorded = run.snapshot(step)["weight"].to_numpy()
     assert len(recorded) == step < 250
+    (run.path / "policy.npz").unlink()  # as while it trains
+    assert weigh(tmp_path, learner, *chosen, "--out", str(tmp_path / "again")) == 0
     np.testing.assert_allclose(found, recorded, rtol=1e-5)
     assert json.loads((out / "report.json").read_text())["step"] == step
 

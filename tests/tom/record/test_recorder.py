@@ -70,6 +70,15 @@ def test_snapshots_are_spread_over_the_run_and_the_last_is_there(record):
     np.testing.assert_array_equal(table["log_ratio"], -np.arange(400))
 
 
+def test_a_part_of_the_run_has_one_snapshot_also_where_a_fit_falls_on_its_first_step(store: Store):
+    config = Config.but(steps=40_000, snapshots=12)
+    with Recorder(RunWriter.create(store, "run", config)) as recorder:
+        for step in range(5000, 40_000, 250):
+            recorder.consume(Weights(step, np.ones(1, np.float32)))
+    kept = [5000, 6750, 10000, 13500, 16750, 20000, 23500, 26750, 30000, 33500, 36750, 39750]
+    assert store.run("run").snapshot_steps() == kept
+
+
 def test_a_run_without_chosen_snapshots_keeps_the_last(store: Store):
     config = Config.but(snapshots=0)
     with Recorder(RunWriter.create(store, "run", config)) as recorder:
