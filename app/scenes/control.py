@@ -5,15 +5,19 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from multiprocessing.connection import Client, Listener
+from itertools import count
+from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
+from threading import Lock, Thread
 from typing import Any
 
 from app.theme import Mode
 
 MESSAGE_LIMIT = 100_000
+SILENCE_S = 30.0
+"""a client that has said nothing for so long is given up"""
 PAUSE_S = 0.1
-"""after a message that failed: a socket that always fails must not keep a core busy"""
+"""after a client that could not be let in: a socket that fails must not keep a core busy"""
 
 _log = logging.getLogger(__name__)
 
@@ -75,20 +79,47 @@ def tell(socket: str, client: str, selection: Selection) -> None:
 
 
 def listen(socket: str, select: Callable[[str, Selection], None]) -> None:
-    """Hand every selection that arrives to `select`, for ever.
+    """Hand every selection that arrives to `select`, one after the other, for ever.
 
-    A message that breaks off, or that cannot be shown, is logged: those after it still count.
+    Each client is heard beside the others, so one that never sends holds up nobody. Of a page's
+    selections the one counts that connected last. A message that breaks off, or that cannot be
+    shown, is logged: those after it still count.
     """
     Path(socket).unlink(missing_ok=True)  # what a server that was killed left behind
+    ear = _Ear(select)
     with Listener(socket) as listener:
-        while True:
+        for number in count():
             try:
-                with listener.accept() as connection:
-                    message = connection.recv_bytes(MESSAGE_LIMIT)
-                select(*unpacked(message))
+                caller = listener.accept()
+                Thread(target=ear.hear, args=(number, caller), daemon=True).start()
             except Exception:
-                _log.exception("a page's selection was not shown")
+                _log.exception("a page was not heard")
                 time.sleep(PAUSE_S)
+
+
+class _Ear:
+    """What pages have said, whichever of them says it first."""
+
+    def __init__(self, select: Callable[[str, Selection], None]) -> None:
+        self._select = select
+        self._newest: dict[str, int] = {}
+        """the number of the connection that brought what a page shows"""
+        self._turn = Lock()
+
+    def hear(self, number: int, caller: Connection) -> None:
+        """Read one message and show it, unless its page has said something newer."""
+        try:
+            with caller:
+                if not caller.poll(SILENCE_S):
+                    raise TimeoutError(f"nothing was said for {SILENCE_S:.0f} s")
+                client, selection = unpacked(caller.recv_bytes(MESSAGE_LIMIT))
+                with self._turn:
+                    if number > self._newest.get(client, -1):
+                        self._newest[client] = number
+                        self._select(client, selection)
+        except Exception:
+            with self._turn:  # Python 3.11 cannot format two tracebacks at a time
+                _log.exception("a page's selection was not shown")
 
 
 def packed(client: str, selection: Selection) -> bytes:
