@@ -1,7 +1,10 @@
-"""What a run's `config.json` says of a small copy (`thin` writes it) under `thinned`."""
+"""What a small copy (`thin` writes it) says of itself: `thinned` in `config.json`, its status."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
+
+from tom.record.status import Status
 
 KEY = "thinned"
 
@@ -16,3 +19,10 @@ def left_out(config: Mapping[str, Any]) -> tuple[str, ...]:
     note = config.get(KEY)
     names = note.get("left_out") if isinstance(note, dict) else None
     return tuple(name for name in names if isinstance(name, str)) if isinstance(names, list) else ()
+
+
+def status_of(running: Status, env_step: int) -> Status:
+    """What the copy at `env_step` of a run that says it is running says: nobody trains the copy."""
+    why = "while it was training" if running.alive else "after its process ended without a word"
+    reason = f"copied at step {env_step} {why}"
+    return replace(running, state="stopped", phase="", env_step=env_step, reason=reason, eta_s=None)

@@ -9,6 +9,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from tom.record.files import plain, replace_json, size_of
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
 from tom.record.rounding import coarse, half, short
+from tom.record.status import Status
 
 ROWS = 250  # of metrics; every row of an evaluation is kept beyond them
 FITS = 120  # weight profiles
@@ -39,6 +41,7 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
     Those of PARTS that are in `keep` are kept whatever their size.
     """
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    status = reader.status  # before the rest: a training may end meanwhile
     try:
         for folder in layout.FOLDERS:
             (unfinished / folder).mkdir(parents=True)
@@ -48,9 +51,18 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
         lacks += [part for part, lost in found.items() if lost]
         left_out = dict.fromkeys([*reader.left_out, *lacks])  # of a small copy, what that lacks
         replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
+        if status.state == "running":
+            _settle(status, unfinished)
         unfinished.rename(path)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _settle(status: Status, copy: Path) -> None:
+    """Write the status of the copy of a run that had `status` and said it was running."""
+    rows = RunReader(copy).metrics()["env_step"].to_numpy()  # may be newer than the status
+    settled = small_copy.status_of(status, int(rows.max(initial=status.env_step)))
+    replace_json(copy / layout.STATUS, asdict(settled), sync=False)
 
 
 def _copy(reader: RunReader, to: Path) -> None:

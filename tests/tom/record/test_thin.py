@@ -1,14 +1,15 @@
 """Small copies: what they keep is the run's, what they leave out they name."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import STEPS, episodes, transitions
+from recorded import FIT, STEPS, Config, episodes, events, transitions
 
 from tom.events import Collected, Evaluation, Field, Weights
-from tom.record import RunReader, Store, checkpoint, decode
+from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, decode
 from tom.record.export import export_small
 from tom.record.health import verify
 from tom.record.rounding import half
@@ -68,6 +69,29 @@ def test_nothing_is_named_that_the_run_never_had(record, tmp_path: Path):
     assert (small.small_copy, small.shown) == (True, "finished (a small copy)")
     assert small.left_out == ("other snapshots", "other episodes")
     assert (run.small_copy, run.shown, run.left_out) == (False, "finished", ())
+
+
+def test_a_copy_of_a_run_in_training_is_stopped_where_the_copy_ends(store: Store, tmp_path: Path):
+    with Recorder(RunWriter.create(store, "run", Config, command="tom train")) as recorder:
+        for event in events()[:-1]:
+            recorder.consume(event)
+        assert store.run("run").status.alive
+        small = RunReader(export_small(store.run("run"), tmp_path))
+    assert small.shown == "stopped (a small copy)"
+    step, rows = small.status.env_step, small.metrics()["env_step"].to_numpy()
+    assert step >= rows.max() >= STEPS - FIT
+    assert small.status.reason == f"copied at step {step} while it was training"
+    assert (small.status.phase, small.status.eta_s) == ("", None)
+    assert verify(small) == []
+
+
+def test_a_copy_of_a_run_that_died_says_so(record, tmp_path: Path):
+    run = record()
+    content = asdict(run.status) | {"state": "running", "heartbeat": run.status.heartbeat - 3600}
+    (run.path / "status.json").write_text(json.dumps(content))
+    small = RunReader(export_small(run, tmp_path))
+    assert small.status.state == "stopped"
+    assert small.status.reason == f"copied at step {STEPS} after its process ended without a word"
 
 
 def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: Path):
