@@ -1,7 +1,11 @@
 """Copies runs out of an object store into a run store, where everything else can read them."""
 
+import fcntl
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 from tom.errors import UserError
 from tom.record import attempts, layout, lock, manage
@@ -25,13 +29,17 @@ def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
     """
     place = store.resolve(run_id)
     unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
+    with _alone(store):
+        _mend(store, place)
     try:
         if attempts.fetch(bucket, run_id, unfinished) is None:
             raise UserError(f"no run '{run_id}' in {bucket.url}")
-        if not place.exists():
+        with _alone(store):
+            _mend(store, place)
+            if place.exists():
+                return _replace(RunReader(place), RunReader(unfinished))
             unfinished.rename(place)
             return FETCHED
-        return _replace(RunReader(place), RunReader(unfinished))
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 
@@ -48,8 +56,38 @@ def _replace(held: RunReader, fetched: RunReader) -> str:
     with manage.unwritten(held):
         if labels.is_file() and not labels.is_symlink():
             shutil.copy2(labels, fetched.path / layout.LABELS)
-        behind = fetched.path.with_name(f"{fetched.path.name}.old")
-        held.path.rename(behind)
+        older = _older(held.path)
+        held.path.rename(older)
         fetched.path.rename(held.path)
-        shutil.rmtree(behind)
+        older.rename(fetched.path)  # what has this name is deleted
     return FETCHED
+
+
+def _older(place: Path) -> Path:
+    """Where a run lies for the instant in which a newer copy takes its place."""
+    return place.with_name(f".{place.name}.old")
+
+
+def _mend(store: Store, place: Path) -> None:
+    """Bring back the run that a fetch had moved when it was killed.
+
+    Where another one has its place by now, which may be no copy of it, it goes to the trash.
+    """
+    older = _older(place)
+    if not older.is_dir():
+        return
+    if place.exists():
+        manage.into_trash(store, place.name, older)
+    else:
+        older.rename(place)
+
+
+@contextmanager
+def _alone(store: Store) -> Iterator[None]:
+    """One fetch at a time is inside the block, of those of this machine."""
+    folder = os.open(store.path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)

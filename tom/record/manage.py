@@ -50,10 +50,18 @@ def trash(store: Store, run_id: str) -> Path:
     """
     reader = store.run(run_id)
     with unwritten(reader), _refused(f"cannot trash run '{run_id}'"):
-        folder = _trash_folder(store)
-        folder.mkdir(exist_ok=True)
-        place = _place(folder, run_id, _newest(folder, run_id) + 1)
-        reader.path.rename(place)
+        return into_trash(store, run_id, reader.path)
+
+
+def into_trash(store: Store, run_id: str, path: Path) -> Path:
+    """Move the folder `path`, which holds a run `run_id`, into the trash; where it lies then.
+
+    Raises OSError where it cannot be moved, UserError where the trash is a link.
+    """
+    folder = _trash_folder(store)
+    folder.mkdir(exist_ok=True)
+    place = _place(folder, run_id, _newest(folder, run_id) + 1)
+    path.rename(place)
     return place
 
 

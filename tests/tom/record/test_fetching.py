@@ -1,0 +1,76 @@
+"""A fetch that is killed while it puts the newer copy of a run in the place of the older one."""
+
+import json
+import os
+import shutil
+import signal
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from recorded import events
+
+from tom.errors import UserError
+from tom.record import RunReader, Store, fetching, manage
+from tom.record.attempts import Attempt
+from tom.record.bucket import Bucket
+from tom.record.fetching import FETCHED, SAME, fetch_run
+
+STATES = {2: "stopped", 3: "finished"}  # of the older copy, of the newer one
+
+
+def say(run: RunReader, state: str, env_step: int) -> None:
+    content = asdict(run.status) | {"state": state, "env_step": env_step}
+    (run.path / "status.json").write_text(json.dumps(content))
+
+
+def killed_at_rename(number: int, store: Store, fetched: Path) -> None:
+    """In a process of its own: put `fetched` in the place of the run; the n-th rename kills it."""
+    if child := os.fork():
+        assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
+        return
+    renames: list[object] = []
+
+    def watch(event: str, args: tuple[object, ...]) -> None:
+        if event == "os.rename":
+            renames.append(args)
+            if len(renames) == number:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(watch)
+    try:
+        fetching._replace(store.run("run"), RunReader(fetched))
+    finally:
+        os._exit(0)
+
+
+@pytest.fixture
+def here(tmp_path: Path, record) -> Store:
+    """A store that holds a labelled copy of the run from before it was finished."""
+    store = Store(tmp_path / "here")
+    shutil.copytree(record("run", events()[:600]).path, store.path / "run")
+    say(store.run("run"), "stopped", 5)
+    manage.tag(store, "run", add=["mine"])
+    return store
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+@pytest.mark.parametrize("number", [2, 3])
+def test_a_fetch_killed_between_two_renames__loses_nothing_and_the_next_one_mends_it(
+    number: int, here: Store, store: Store, bucket_url: str
+):
+    killed_at_rename(number, here, shutil.copytree(store.path / "run", here.path / ".run.1.tmp"))
+    assert here.names() == ([] if number == 2 else ["run"])
+    bucket = Bucket.open(bucket_url)
+    with pytest.raises(UserError, match="no run 'run'"):  # nothing newer is to be had
+        fetch_run(bucket, "run", here)
+    run = here.run("run")
+    assert (run.status.state, run.labels.tags) == (STATES[number], ("mine",))
+    Attempt.claim(bucket, "run").put(store.path / "run")
+    assert fetch_run(bucket, "run", here) == (FETCHED if number == 2 else SAME)
+    assert here.run("run").status.state == "finished"
+    assert here.run("run").labels.tags == ("mine",)
+    assert manage.trashed(here) == ([] if number == 2 else ["run"])
+    assert not list(here.path.glob(".run.*old"))
