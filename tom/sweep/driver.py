@@ -78,19 +78,21 @@ class Driver:
                 copy = "a small copy, " if run.small_copy else ""
                 seat.state, seat.note = "finished", f"{copy}was there already"
             self.seats.append(seat)
+        self._order = list(self.seats)
+        """in which they are looked after"""
         self.full = False
         self.trouble = ""
         """why the runs cannot be reached at present"""
 
     def poll(self) -> bool:
-        """Look after every training once; True when there is nothing left to do."""
+        """Look after every training once; True when there is nothing left to do.
+
+        One that cannot be reached is not judged, and ends the round: its home may be away, and then
+        every question takes its time. The others come before it in the next poll.
+        """
         self.trouble = ""
-        try:
-            for seat in self.seats:
-                self._attend(seat)
-            self._start_some()
-        except OSError as error:  # the home cannot be reached: nothing is judged until it can
-            self.trouble = str(error)
+        all(self._reached(self._attend, seat) for seat in tuple(self._order))
+        self._start_some()
         return all(seat.state in ("finished", "failed", "stopped") for seat in self.seats)
 
     def stop(self, wait_s: float = KILL_AFTER_S) -> None:
@@ -113,6 +115,17 @@ class Driver:
             finished = self._reader(seat).status.state == "finished"
             seat.state = "finished" if finished else "stopped"
 
+    def _reached(self, look: Callable[[Seat], None], seat: Seat) -> bool:
+        """Do `look`; False where the training cannot be reached: it is the last one from now on."""
+        try:
+            look(seat)
+        except OSError as error:
+            self.trouble = str(error)
+            self._order.remove(seat)
+            self._order.append(seat)
+            return False
+        return True
+
     def _attend(self, seat: Seat) -> None:
         """Look after one training."""
         if seat.state not in ("running", "elsewhere"):
@@ -129,16 +142,16 @@ class Driver:
             self._ended(seat, ended)
 
     def _start_some(self) -> None:
-        free = shutil.disk_usage(self.store.path).free if self.store.path.is_dir() else None
-        self.full = free is not None and free < self.low_bytes
+        with suppress(OSError):  # not there yet, or out of reach: a start will find out
+            self.full = shutil.disk_usage(self.store.path).free < self.low_bytes
         busy = sum(seat.state in ("running", "elsewhere") for seat in self.seats)
         slots = self.engine.slots
-        for seat in self.seats:
-            if busy >= slots or self.full:
+        now = self._clock()
+        due = [s for s in self._order if s.state == "waiting" and now >= s.not_before]
+        for seat in due:
+            if busy >= slots or self.full or not self._reached(self._start, seat):
                 return
-            if seat.state == "waiting" and self._clock() >= seat.not_before:
-                self._start(seat)
-                busy += 1
+            busy += 1
 
     def _start(self, seat: Seat) -> None:
         self.home.look(seat.run_id, now=True)

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from sweeping import until
@@ -182,3 +183,34 @@ def test_a_run_that_another_process_writes_is_left_to_it(tmp_path: Path):
         assert driver.seats[0].process is None
     finally:
         writer.close()
+
+
+class Patchy(FolderHome):
+    """Folders of which some cannot be reached."""
+
+    away: str | None = None
+
+    def look(self, run_id: str, *, now: bool = False) -> None:
+        if run_id == self.away:
+            raise OSError("this one is out of reach")
+
+
+@pytest.mark.parametrize("state", ["elsewhere", "waiting"])
+@pytest.mark.parametrize("away", [0, 1, 2])
+def test_a_run_out_of_reach_holds_up_no_other(
+    state: Literal["elsewhere", "waiting"], away: int, tmp_path: Path
+):
+    planned, home = trials(checked({**PLAN, "seeds": 3})), Patchy(Store(tmp_path))
+    driver = Driver(home, planned, LocalEngine(3))
+    for seat in driver.seats:
+        finished(driver.store, seat.trial)
+        seat.state = state
+    lost = driver.seats[away]
+    home.away = lost.run_id
+    assert not driver.poll()
+    assert not driver.poll()
+    assert driver.trouble == "this one is out of reach"
+    assert [seat.run_id for seat in driver.seats if seat.state != "finished"] == [lost.run_id]
+    home.away = None
+    assert driver.poll()
+    assert (lost.state, driver.trouble) == ("finished", "")
