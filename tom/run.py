@@ -17,7 +17,7 @@ from tom.mbpo import Mbpo
 from tom.memory import keep_freed_memory
 from tom.offline import Offline
 from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, open_sink
-from tom.record.writer import TakenError
+from tom.record.creating import TakenError
 from tom.sac_recording import SacRecording
 
 AnyConfig = OnlineConfig | RoadConfig | SacRecordingConfig

@@ -39,7 +39,7 @@ def at_fit(run: RunInfo, step: int) -> None:
             f"**Every learner on the buffer of step {at:,}**, by the policy of that fit: "
             f"[Probe]({address})",
             help=f"made by `tom weigh --step {at}`, {text.markdown(weighed[at].preset)} preset; "
-            "lines are medians over seeds, bands their range",
+            "lines are medians over seeds, bands their range; the dotted line ends the random data",
         )
         share = weighed[at].ordered_from / weighed[at].rows
         figure = probe_profiles(weighings.profiles(of), share, HEIGHT, log=False)

@@ -38,7 +38,7 @@ def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) ->
     replay, generator = context.replay, context.generator
     scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, -log_ratio, context.initial_obs, context.policy, config, scaling)
-    q = QFunction(q_net(*_dims(context), config, generator), config.but(q_weight_decay=0.0))
+    q = QFunction(q_net(*_dims(context), config, generator), config)
     net, _ = problem.minimise(q, generator)
     raw, _ = problem.solution(net, generator)
     weights, _ = normalise(raw)

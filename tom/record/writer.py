@@ -1,7 +1,5 @@
 """Writes a run folder (docs/run-folder.md): files only, no threads, no clocks of its own."""
 
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -16,25 +14,21 @@ from numpy.typing import NDArray
 
 from tom.config import RunConfig
 from tom.data.transitions import Transitions
-from tom.errors import UserError
 from tom.events import Episode, Weights
 from tom.record import decode, layout, lock, opening
+from tom.record.creating import make_folder
 from tom.record.files import JsonLines, read_json, replace, replace_json, sync
 from tom.record.profiles import effective_share, profile, zero_share
 from tom.record.rows import read_metrics
 from tom.record.status import Status
 from tom.record.store import Store
-from tom.record.versions import git_commit, machine, versions
+from tom.record.versions import git_commit, versions
 
 SEGMENT_ROWS = 4096
 """A segment of the replay buffer is rewritten with its new rows until it holds so many."""
 
 BALLAST_BYTES = 64 * 1024
 """Thrown off when the disk is full: room for the status that says so."""
-
-
-class TakenError(UserError):
-    """There is a run of that name already."""
 
 
 class RunWriter:
@@ -78,28 +72,8 @@ class RunWriter:
         matmul: object = None,
         command: str = "",
     ) -> "RunWriter":
-        """Make the run folder, `config.json` first; it appears whole or not at all.
-
-        `matmul` says what the probe for fast matrix products found (anything JSON can hold).
-        Raises UserError when the id is bad or taken, or when the store cannot be written.
-        """
-        path = store.resolve(run_id)
-        store.ensure_writable()
-        if os.path.lexists(path):
-            raise _taken(run_id)
-        unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
-        try:
-            for folder in layout.FOLDERS:
-                (unfinished / folder).mkdir(parents=True)
-            description = _describe(run_id, config, matmul, command)
-            replace_json(unfinished / layout.CONFIG, description, sync=True)
-            _publish(unfinished, path)
-        except BaseException as error:
-            shutil.rmtree(unfinished, ignore_errors=True)
-            if isinstance(error, OSError):
-                raise UserError(f"cannot make run {run_id}: {error}") from error
-            raise
-        return cls(path, config)
+        """The writer of a new run (`make_folder`, which says what is raised)."""
+        return cls(make_folder(store, run_id, config, matmul, command), config)
 
     def mark(self) -> dict[str, Any]:
         """Where the files stand, for `rewind`."""
@@ -266,35 +240,3 @@ class RunWriter:
 
         self._hold.check()
         replace(self.path / name, write, sync=sync)
-
-
-def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> dict[str, Any]:
-    return {
-        "schema": layout.SCHEMA,
-        "run_id": run_id,
-        "env": config.env,
-        "learner": config.learner,
-        "seed": config.seed,
-        "preset": config.preset,
-        "config": config.model_dump(mode="json"),
-        "versions": versions(),
-        "git_commit": git_commit(),
-        "machine": machine(),
-        "matmul": matmul,
-        "command": command,
-        "created": datetime.now(UTC).isoformat(),
-    }
-
-
-def _publish(unfinished: Path, path: Path) -> None:
-    # A rename onto a folder that holds anything fails: of two writers one wins.
-    try:
-        unfinished.rename(path)
-    except OSError as error:
-        if path.exists():
-            raise _taken(path.name) from error
-        raise
-
-
-def _taken(run_id: str) -> TakenError:
-    return TakenError(f"run '{run_id}' exists already: choose another run id")

@@ -1,0 +1,75 @@
+"""Makes a new run folder: `config.json` with everything that a run was begun with."""
+
+import os
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tom.config import RunConfig
+from tom.errors import UserError
+from tom.record import layout
+from tom.record.files import replace_json
+from tom.record.store import Store
+from tom.record.versions import git_commit, machine, versions
+
+
+class TakenError(UserError):
+    """There is a run of that name already."""
+
+
+def make_folder(store: Store, run_id: str, config: RunConfig, matmul: object, command: str) -> Path:
+    """Make the run folder, `config.json` first; it appears whole or not at all.
+
+    `matmul` says what the probe for fast matrix products found (anything JSON can hold).
+    Raises UserError when the id is bad or taken, or when the store cannot be written.
+    """
+    path = store.resolve(run_id)
+    store.ensure_writable()
+    if os.path.lexists(path):
+        raise _taken(run_id)
+    unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
+    try:
+        for folder in layout.FOLDERS:
+            (unfinished / folder).mkdir(parents=True)
+        description = _describe(run_id, config, matmul, command)
+        replace_json(unfinished / layout.CONFIG, description, sync=True)
+        _publish(unfinished, path)
+    except BaseException as error:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise UserError(f"cannot make run {run_id}: {error}") from error
+        raise
+    return path
+
+
+def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> dict[str, Any]:
+    return {
+        "schema": layout.SCHEMA,
+        "run_id": run_id,
+        "env": config.env,
+        "learner": config.learner,
+        "seed": config.seed,
+        "preset": config.preset,
+        "config": config.model_dump(mode="json"),
+        "versions": versions(),
+        "git_commit": git_commit(),
+        "machine": machine(),
+        "matmul": matmul,
+        "command": command,
+        "created": datetime.now(UTC).isoformat(),
+    }
+
+
+def _publish(unfinished: Path, path: Path) -> None:
+    # A rename onto a folder that holds anything fails: of two writers one wins.
+    try:
+        unfinished.rename(path)
+    except OSError as error:
+        if path.exists():
+            raise _taken(path.name) from error
+        raise
+
+
+def _taken(run_id: str) -> TakenError:
+    return TakenError(f"run '{run_id}' exists already: choose another run id")
