@@ -10,6 +10,7 @@ from app import session, text, trainings
 from app.readers import RunInfo
 from app.theme import learner_colour, learner_label
 from tom.errors import UserError
+from tom.record import small_copy
 from tom.record.store import Store
 
 COLUMNS = 3
@@ -82,9 +83,11 @@ def _asked() -> set[str]:
 
 
 def progress_line(run: RunInfo) -> str:
-    """Where the run is, and for a dead one since when nothing was heard of it."""
+    """Where the run is, since when nothing was heard of a dead one, and that it is a small copy."""
     status = run.status
     steps = f"{status.env_step:,} of {status.total:,} steps"
+    if run.small_copy:
+        return f"{steps} · {small_copy.NAME}"
     if status.alive:
         return f"{steps} · {status.phase}" if status.phase else steps
     if status.shown == "dead":

@@ -12,7 +12,7 @@ from app.cache import Kept
 from app.pictures import Picture
 from app.settings import Settings, flat
 from tom.errors import UserError
-from tom.record import layout
+from tom.record import layout, small_copy
 from tom.record.labels import Labels
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
@@ -39,6 +39,12 @@ class RunInfo:
     labels: Labels
     settings: Settings
     """the whole configuration: path to words"""
+    small_copy: bool
+
+    @property
+    def shown(self) -> str:
+        """The state in words, as `RunReader.shown` has it."""
+        return small_copy.shown(self.status, self.small_copy)
 
     @property
     def name(self) -> str:
@@ -181,6 +187,7 @@ def _read_info(store: str, name: str) -> RunInfo:
         status=reader.status,
         labels=reader.labels,
         settings=flat(reader.config.get("config")),
+        small_copy=reader.small_copy,
         problems=tuple(reader.problems),
     )
 

@@ -50,7 +50,7 @@ def overview(runs: Sequence[RunInfo]) -> pd.DataFrame:
                 "learner": learner_label(run.learner),
                 "seed": run.seed,
                 "preset": run.preset,
-                "state": run.status.shown,
+                "state": run.shown,
                 "steps": run.status.env_step,
                 "last": run.status.last_return,
                 "best": run.status.best_return,

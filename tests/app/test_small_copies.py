@@ -1,5 +1,6 @@
 """Pages on a small copy without buffer, model and policy: they say that those were left out."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import draw
 from studio_runs import info
 
+from app.comparing.labels import overview
 from app.links import Links
 from app.views import empty
 from tom.record import RunReader, Store
@@ -59,3 +61,16 @@ def test_of_a_whole_run_nothing_was_left_out(bare: Path) -> None:
     shown = info(bare, PENDULUM.run_id)
     assert not empty.left_out(shown, "episodes")
     assert not empty.left_out_of_all([shown], "episodes")
+
+
+def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:
+    config = bare / ROAD.run_id / "config.json"
+    content = json.loads(config.read_text())
+    del content["thinned"]
+    config.write_text(json.dumps(content))
+    copy, whole = info(bare, PENDULUM.run_id), info(bare, ROAD.run_id)
+    assert list(overview([copy, whole])["state"]) == ["finished (a small copy)", "finished"]
+    (bar,) = draw("live", runs=PENDULUM.run_id).get("progress")
+    assert bar.proto.text.endswith(" steps · a small copy")
+    (bar,) = draw("live", runs=ROAD.run_id).get("progress")
+    assert bar.proto.text.endswith(" steps")

@@ -102,7 +102,7 @@ class RunReader:
     @property
     def shown(self) -> str:
         """The state in words: `finished`, or `finished (a small copy)`."""
-        return self.status.shown + (" (a small copy)" if self.small_copy else "")
+        return small_copy.shown(self.status, self.small_copy)
 
     @property
     def status(self) -> Status:

@@ -7,6 +7,7 @@ from typing import Any
 from tom.record.status import Status
 
 KEY = "thinned"
+NAME = "a small copy"
 
 
 def is_one(config: Mapping[str, Any]) -> bool:
@@ -19,6 +20,11 @@ def left_out(config: Mapping[str, Any]) -> tuple[str, ...]:
     note = config.get(KEY)
     names = note.get("left_out") if isinstance(note, dict) else None
     return tuple(name for name in names if isinstance(name, str)) if isinstance(names, list) else ()
+
+
+def shown(status: Status, small: bool) -> str:
+    """The state in words: `finished`, or `finished (a small copy)`."""
+    return f"{status.shown} ({NAME})" if small else status.shown
 
 
 def status_of(running: Status, env_step: int) -> Status:
