@@ -57,6 +57,22 @@ def rollout_error(
     return float(((obs - rows.next_obs[starts + HORIZON - 1]) / scale).square().mean().sqrt())
 
 
+def ending_metrics(
+    replay: TensorTransitions, policy_buffer: TensorTransitions, weights: Tensor
+) -> dict[str, float]:
+    """How much the transitions count that end an episode in a terminal state, if any does.
+
+    Their share of the weights (N,), beside their share of the policy's last transitions.
+    """
+    ends = replay.terminated
+    if not len(policy_buffer) or not bool(ends.any()) or not bool(weights.any()):
+        return {}
+    return {
+        "weights/ends": float((weights * ends).sum() / weights.sum()),
+        "weights/ends_policy": float(policy_buffer.terminated.mean()),
+    }
+
+
 def unbroken(rows: TensorTransitions) -> Tensor:
     """The rows (K,) from which `HORIZON` steps follow without an episode's end."""
     ended = ((rows.terminated + rows.truncated) > 0).to(torch.float32)
@@ -77,6 +93,7 @@ def fit_metrics(
     """
     replay = context.replay
     metrics = {**weight_metrics(weighting.weights), "buffer/size": float(len(replay))}
+    metrics |= ending_metrics(replay, context.policy_buffer, weighting.weights)
     others = len(replay) - len(context.policy_buffer)  # the policy buffer is the newest rows
     if others < 1 or not len(context.policy_buffer):
         return metrics

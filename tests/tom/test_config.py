@@ -1,7 +1,10 @@
+import numpy as np
 import pytest
+from gymnasium.spaces import Box
 from pydantic import ValidationError
 
 from tom.config import OnlineConfig, RolloutConfig, TomConfig
+from tom.envs import task
 from tom.presets import resolve
 
 
@@ -33,6 +36,18 @@ def test_rollout_length_follows_janners_schedule():
     rollout = RolloutConfig(final_length=15, schedule_start=20, schedule_end=150)
     assert [rollout.length_at(1000 * e) for e in (0, 20, 85, 150, 300)] == [1, 1, 8, 15, 15]
     assert RolloutConfig().length_at(200_000) == 1
+
+
+@pytest.mark.parametrize("env", ["hopper", "walker2d", "halfcheetah", "ant", "humanoid"])
+def test_the_papers_entropy_is_that_of_actions_in_the_tasks_own_range(env: str):
+    """The released code: -dim A there; of actions in [-1, 1] the half range's logs are more."""
+    config, known = resolve(env, "mle"), task(env)
+    assert isinstance(config, OnlineConfig)
+    target = config.sac.target_entropy
+    space = known.make().unwrapped.action_space
+    assert isinstance(space, Box)
+    expected = -known.action_dim - np.log(space.high).sum()
+    assert (-known.action_dim if target is None else target) == pytest.approx(expected, abs=0.01)
 
 
 def test_the_model_buffer_holds_what_janners_pool_holds():

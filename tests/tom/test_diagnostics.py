@@ -2,7 +2,14 @@ import pytest
 import torch
 
 from tom.data.transitions import TensorTransitions
-from tom.diagnostics import HORIZON, one_step_error, rollout_error, unbroken, weight_metrics
+from tom.diagnostics import (
+    HORIZON,
+    ending_metrics,
+    one_step_error,
+    rollout_error,
+    unbroken,
+    weight_metrics,
+)
 
 
 def line(n: int, ended: list[int] | None = None) -> TensorTransitions:
@@ -47,3 +54,11 @@ def test_weight_metrics_by_hand():
     assert metrics["weights/ess"] == pytest.approx(16 / 10 / 4)
     assert metrics["weights/age_correlation"] > 0.9
     assert weight_metrics(torch.ones(5))["weights/age_correlation"] == 0
+
+
+def test_what_ends_an_episode_counts_by_hand():
+    rows = line(4, [1, 3])
+    found = ending_metrics(rows, rows[2:], torch.tensor([0.0, 1.0, 2.0, 1.0]))
+    assert found == {"weights/ends": 0.5, "weights/ends_policy": 0.5}
+    assert ending_metrics(rows, rows[2:], torch.zeros(4)) == {}
+    assert ending_metrics(line(4), line(2), torch.ones(4)) == {}

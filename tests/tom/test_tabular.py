@@ -57,6 +57,29 @@ def test_a_terminal_state_ends_the_path():
     assert d.sum() * (1 - mdp.discount) == pytest.approx(1 - mdp.discount - lost)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_chi_square_takes_weight_from_transitions_that_end_an_episode(seed: int):
+    """Where a step in a hundred ends: less than their share of the policy's, many exactly none."""
+    rng = np.random.default_rng(seed)
+    mdp = random_mdp(20, 3, 3, 0.99, rng)
+    terminal = np.arange(20) == 19
+    alive, start = (np.where(terminal, 0.0, x) for x in (mdp.transition + 1e-4, mdp.start))
+    transition = 0.99 * alive / alive.sum(2, keepdims=True) + 0.01 * terminal
+    mdp = replace(mdp, terminal=terminal, transition=transition, start=start / start.sum())
+    target, behaviour = random_policy(mdp, rng, uniform=0.1), random_policy(mdp, rng, uniform=0.3)
+    p, q = transition_occupancy(mdp, target), transition_occupancy(mdp, behaviour)
+    problem = OccupancyProblem.of(mdp, target, q / q.sum())
+    # A discriminator compares distributions: both have mass one there.
+    problem = replace(problem, log_ratio=problem.log_ratio - np.log(p.sum()))
+    weights, ends = solve(problem, "chi2").weights, terminal[problem.index[2]]
+    mass, replay = problem.replay * weights, problem.replay
+    assert p[..., terminal].sum() / p.sum() == pytest.approx(0.01)
+    assert 0.003 < mass[ends].sum() / mass.sum() < 0.0085
+    unheard = weights < 1e-9
+    assert 0.3 < replay[ends & unheard].sum() / replay[ends].sum() < 0.7
+    assert replay[unheard].sum() < 0.1
+
+
 @pytest.mark.parametrize("name", ["chi2", "kl"])
 @pytest.mark.parametrize(("seed", "successors", "discount"), CASES)
 def test_strong_duality(seed, successors, discount, name):
