@@ -28,7 +28,9 @@ from torch import Tensor
 MAX_ERROR = 2e-4  # of a 256-term product of unit normals, against float64; fp32 gives 2e-5 to 4e-5
 MIN_GAIN = 1.15  # below this the default stays: a tie must not flip between runs
 REPEATS = 7
-CPU_LINES = ("vendor_id", "cpu family", "model", "stepping", "flags")  # of /proc/cpuinfo
+X86_LINES = ("vendor_id", "cpu family", "model", "stepping", "flags")
+ARM_LINES = ("CPU implementer", "CPU variant", "CPU part", "CPU revision", "Features")
+CPU_LINES = X86_LINES + ARM_LINES  # of /proc/cpuinfo
 
 
 @dataclass(frozen=True)
@@ -110,9 +112,14 @@ def kept_in() -> Path:
 def _cpu() -> str:
     """What tells one kind of CPU from another, and is the same at every start."""
     with contextlib.suppress(OSError):
-        first = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
-        return "\n".join(line for line in first if line.startswith(CPU_LINES))
+        return kind_of(Path("/proc/cpuinfo").read_text())
     return f"{platform.machine()} {platform.processor()}"
+
+
+def kind_of(cpuinfo: str) -> str:
+    """What `/proc/cpuinfo` says of the kind of its first core."""
+    first = cpuinfo.split("\n\n")[0].splitlines()
+    return "\n".join(line for line in first if line.startswith(CPU_LINES))
 
 
 def _of_this_machine(path: Path) -> MatmulReport:

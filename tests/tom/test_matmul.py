@@ -28,6 +28,43 @@ def test_a_machine_is_probed_once(kept: Path):
     assert matmul.choose_matmul() == first  # times and all: nothing was measured anew
 
 
+def test_another_torch_or_another_cpu_is_another_machine(
+    kept: Path, monkeypatch: pytest.MonkeyPatch
+):
+    assert matmul.kept_in() == kept
+    with monkeypatch.context() as another:
+        another.setattr("torch.__version__", "1.0")
+        assert matmul.kept_in() != kept
+    monkeypatch.setattr(matmul, "CPU_LINES", ())  # a CPU of which nothing is known
+    assert matmul.kept_in() != kept
+
+
+X86 = "vendor_id\t: AuthenticAMD\ncpu family\t: 25\nmodel\t: 17\ncpu MHz\t: 2596.142\nflags\t: avx2"
+ARM = "BogoMIPS\t: 50.00\nFeatures\t: asimd\nCPU implementer\t: 0x41\nCPU part\t: 0xd0c"
+
+
+@pytest.mark.parametrize(
+    ("cpu", "was", "now"),
+    [
+        (X86, "AuthenticAMD", "GenuineIntel"),
+        (X86, "25", "26"),
+        (X86, "17", "18"),
+        (X86, "avx2", "avx2 avx512_bf16"),
+        (ARM, "0x41", "0xc0"),
+        (ARM, "0xd0c", "0xd4f"),
+        (ARM, "asimd", "asimd bf16"),
+    ],
+)
+def test_a_cpu_is_told_from_another_kind(cpu: str, was: str, now: str):
+    assert matmul.kind_of(cpu) != matmul.kind_of(cpu.replace(was, now))
+
+
+def test_a_cpu_is_the_same_at_every_start_and_on_every_core():
+    assert matmul.kind_of(X86) == matmul.kind_of(X86.replace("2596.142", "1498.9"))
+    assert matmul.kind_of(ARM) == matmul.kind_of(ARM.replace("50.00", "48.00"))
+    assert matmul.kind_of(f"{X86}\n\n{X86.replace('17', '18')}") == matmul.kind_of(X86)
+
+
 @pytest.mark.parametrize("chosen", ["default", "onednn"])
 def test_what_is_kept_is_used(kept: Path, chosen: matmul.Backend):
     found = matmul.MatmulReport(chosen, default_ms=1.0, onednn_ms=0.9, onednn_error=1e-5)
