@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.aggregate import (
@@ -149,6 +149,7 @@ def test_points_are_those_that_were_recorded() -> None:
     assert len(curve_points(frame, "no/such")[0]) == 0
 
 
+@settings(deadline=None)
 @given(st.integers(10, 3000), st.integers(4, 200))
 def test_thinning_keeps_the_extremes(count: int, limit: int) -> None:
     value = np.random.default_rng(count).normal(size=count)

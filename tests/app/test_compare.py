@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as hypothesis
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures, trace
@@ -135,6 +135,7 @@ def test_the_steps_to_a_value_are_those_up_to_the_step_that_every_run_reaches() 
     assert table["first"].tolist()[1] == 200
 
 
+@settings(deadline=None)
 @given(hypothesis.floats(-1e5, 1e5), hypothesis.floats(1e-3, 1e4), hypothesis.integers(2, 9))
 def test_the_level_lies_between_the_worst_and_the_best_run(
     low: float, spread: float, runs: int

@@ -1,3 +1,4 @@
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -8,11 +9,16 @@ from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.wrappers import TimeLimit
 
 from tom.config import OnlineConfig
+from tom.data.replay import ReplayBuffer
+from tom.data.transitions import TensorTransitions
+from tom.dynamics.fitting import Fit
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import LEARNER_NAMES
 from tom.learners.base import Weighting
+from tom.lockstep import Work
 from tom.mbpo import Mbpo
 from tom.presets import resolve
+from tom.sac_work import SacUpdates
 
 
 def smoke(learner: str = "tom", **changes: object) -> OnlineConfig:
@@ -24,6 +30,14 @@ def smoke(learner: str = "tom", **changes: object) -> OnlineConfig:
 def run(config: OnlineConfig) -> tuple[Mbpo, list[Event]]:
     training = Mbpo(config)
     return training, list(training.events())
+
+
+def unfolded(training: Mbpo) -> Iterator[Event | Work]:
+    """What the run tells, and the pieces of its work, each handed out right before it is done."""
+    for item in training.algorithm():
+        yield item
+        if isinstance(item, Work):
+            type(item).do([item], item.subject)
 
 
 def of(events: list[Event], kind: type) -> list:
@@ -113,6 +127,59 @@ def test_the_model_buffer_grows_with_the_rollouts():
         sizes[event.env_step] = training.model_buffer.capacity
     assert sizes[450] == 200  # a length of 1.9 is one
     assert sizes[551] == 400
+
+
+def packed(buffer: ReplayBuffer) -> set[bytes]:
+    rows = buffer.packed(torch.arange(len(buffer))).numpy()
+    return {row.tobytes() for row in rows}
+
+
+def test_every_step_updates_the_policy_on_its_share_of_real_transitions():
+    changes = {"updates_per_step": 3, "real_ratio": 0.25, "sac": {"batch_size": 40}}
+    training, found = Mbpo(smoke("mle", steps=202, **changes)), 0
+    for item in unfolded(training):
+        if isinstance(item, SacUpdates):
+            found += 1
+            real, model = packed(training.replay), packed(training.model_buffer)
+            assert item.batches.shape[:2] == (3, 40)
+            for batch in item.batches.numpy():
+                rows = [row.tobytes() for row in batch]
+                assert sum(row in real for row in rows) == 10
+                assert sum(row in model for row in rows) == 30
+    assert found == 2  # one an env step after exploration
+    assert float(training.sac.actor_optimiser.taken[0]) == 6
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+@pytest.mark.parametrize("ready", [True, False])
+def test_rollouts_start_by_weight_where_there_are_weights(weighted: bool, ready: bool):
+    """Also by weights beyond those that a fit of the model takes: it clips them, starts do not."""
+    training = Mbpo(smoke("mle", rollout={"starts": 400, "weighted_starts": weighted}))
+    obs = torch.arange(200.0)[:, None].repeat(1, 4)
+    flat = torch.zeros(200)
+    replay = TensorTransitions(obs, flat[:, None], flat, obs, flat, flat)
+    weights = torch.zeros(200)
+    weights[[7, 8]] = torch.tensor([180.0, 20.0])
+    training.roll_out_model(replay, Weighting(weights, ready=ready, clipped=True))
+    started = training.model_buffer.transitions().obs[:, 0]
+    assert len(started) == 400
+    if weighted and ready:
+        assert set(started.tolist()) == {7.0, 8.0}
+        assert (started == 7).float().mean() == pytest.approx(0.9, abs=0.05)
+    else:
+        assert len(started.unique()) > 100
+
+
+def test_the_model_is_fitted_to_clipped_weights_and_the_record_keeps_them_whole():
+    training = Mbpo(smoke(steps=301, model={"weight_clip": 1.01}))
+    fits, recorded = [], []
+    for item in unfolded(training):
+        if isinstance(item, Fit):
+            fits.append(item.job.weights)
+        elif isinstance(item, Weights):
+            recorded.append(torch.from_numpy(item.weight))
+    assert recorded[1].max() > 1.01
+    assert torch.equal(fits[1], recorded[1].clamp(max=1.01))
 
 
 def test_evaluation_leaves_the_training_alone():

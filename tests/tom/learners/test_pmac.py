@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import context, rows
 from torch import Tensor
@@ -23,6 +23,7 @@ def by_recursion(policy_version: Tensor, decay: float) -> Tensor:
     return p
 
 
+@settings(deadline=None)
 @given(
     counts=st.lists(st.integers(0, 4), min_size=1, max_size=30).filter(any),
     decay=st.floats(0.05, 0.999),

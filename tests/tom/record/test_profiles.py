@@ -1,5 +1,5 @@
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tom.record.profiles import effective_share, profile, zero_share
@@ -9,6 +9,7 @@ def test_a_bin_is_the_mean_of_its_part_oldest_first():
     np.testing.assert_allclose(profile(np.arange(200), 100), np.arange(100) * 2 + 0.5)
 
 
+@settings(deadline=None)
 @given(st.integers(0, 400), st.integers(1, 120))
 def test_bins_cover_every_transition_once(count: int, bins: int):
     weight = np.random.default_rng(count).random(count)
