@@ -20,11 +20,27 @@ UNIFORM = {"mle", "sac"}
 
 
 def pick_run(runs: Sequence[RunInfo], label: str = "Run", key: str = "run") -> RunInfo:
-    """A run, chosen here or by the address (`?run=...`); else the newest with something to see."""
+    """A run, chosen here or by the address (`?run=...`); else the most telling one."""
     by_id = {run.run_id: run for run in runs}
-    first = next((i for i, run in enumerate(runs) if differs(run)), 0)
-    chosen = st.selectbox(label, list(by_id), index=first, key=key, bind="query-params")
-    return by_id.get(chosen or "", runs[first])
+    first = most_telling(runs)
+    index = list(by_id).index(first.run_id)
+    chosen = st.selectbox(label, list(by_id), index=index, key=key, bind="query-params")
+    return by_id.get(chosen or "", first)
+
+
+def most_telling(runs: Sequence[RunInfo]) -> RunInfo:
+    """The newest whose weights differ; of small copies, which nobody made just now, TOM's longest.
+
+    Small copies come after one's own runs.
+    """
+    order = sorted(runs, key=_rank)
+    return next((run for run in order if differs(run)), order[0])
+
+
+def _rank(run: RunInfo) -> tuple[bool, bool, int]:
+    if not run.small_copy:
+        return False, False, 0  # as they come: the newest first
+    return True, run.learner != "tom", -run.status.env_step
 
 
 def differs(run: RunInfo) -> bool:

@@ -10,14 +10,17 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import draw
 from studio_runs import info
 
+from app import readers
 from app.comparing.labels import overview
 from app.links import Links
 from app.views import empty
+from app.widgets import differs, most_telling
 from tom.record import RunReader, Store
 from tom.record.export import export_small
 from tom.reports.index import small_copies
 
-TOM = [r for r in small_copies(Store(Path(__file__).parents[2] / "runs")) if r.learner == "tom"]
+GALLERY = Path(__file__).parents[2] / "runs"
+TOM = [r for r in small_copies(Store(GALLERY)) if r.learner == "tom"]
 ROAD, PENDULUM = (
     next(run for run in TOM if run.env == env) for env in ("road-and-rocks", "inverted-pendulum")
 )
@@ -74,3 +77,16 @@ def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:
     assert bar.proto.text.endswith(" steps · a small copy")
     (bar,) = draw("live", runs=ROAD.run_id).get("progress")
     assert bar.proto.text.endswith(" steps")
+
+
+def test_pages_open_with_ones_own_newest_run_and_else_with_toms_longest_copy(store: Path) -> None:
+    copies = readers.listing(str(GALLERY)).runs
+    assert most_telling(copies).run_id == next(
+        run.run_id for run in copies if (run.env, run.learner) == ("hopper", "tom")
+    )
+    own = readers.listing(str(store)).runs
+    mixed = [*copies, *own]
+    newest = next(run for run in own if differs(run))
+    assert most_telling(mixed) == newest
+    uniform = [run for run in copies if run.learner == "mle"]
+    assert most_telling(uniform).status.env_step == max(run.status.env_step for run in uniform)
