@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,6 +18,9 @@ from tom.errors import UserError
 from tom.record.files import replace, replace_json
 from tom.record.reader import RunReader
 from tom.record.thin import thin
+
+WRITTEN_S = 600.0
+"""what Rerun still holds of a recording is on the disk within this"""
 
 
 def export(reader: RunReader, kind: str, folder: Path) -> Path:
@@ -96,10 +99,20 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
 
 def _rrd(reader: RunReader, path: Path) -> None:
     # Imported here: Rerun takes half a second that the other formats need not wait for.
+    import rerun as rr
+
     from tom.record.feed import Follower
 
-    pieces = Follower(reader).pieces()
-    replace(path, lambda file: file.writelines(pieces), sync=False)
+    def write(file: BinaryIO) -> None:
+        try:
+            follower = Follower(reader, rr.FileSink(file.name))  # its pieces are a file each
+            for _ in follower.follow():
+                pass
+            follower.close(WRITTEN_S)
+        except RuntimeError as error:  # Rerun's own, of a full disk
+            raise OSError(str(error)) from error
+
+    replace(path, write, sync=False)
 
 
 def _unix(created: str) -> float:

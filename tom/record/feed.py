@@ -69,7 +69,7 @@ class Tail:
 class Follower:
     """What one run has shown so far."""
 
-    def __init__(self, run: RunReader, sink: rr.GrpcSink | None = None) -> None:
+    def __init__(self, run: RunReader, sink: rr.FileSink | rr.GrpcSink | None = None) -> None:
         self.run = run
         config = run.config.get("config", {})
         every = int(config.get("evaluation", {}).get("every", 1000))
@@ -118,8 +118,9 @@ class Follower:
             yield self._view.read()
         yield self._view.read()
 
-    def close(self) -> None:
-        self._view.close(FLUSH_S)
+    def close(self, within_s: float = FLUSH_S) -> None:
+        """Hand over what is left. Raises RuntimeError where it is not taken in time."""
+        self._view.close(within_s)
 
     def _new(self, kind: str, steps: list[int]) -> list[int]:
         new = [step for step in steps if (kind, step) not in self._shown]

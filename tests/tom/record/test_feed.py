@@ -14,7 +14,7 @@ from rerun.chunk import RrdReader
 
 from tom.events import Metrics
 from tom.record import Recorder, RunWriter, Store, feed, layout
-from tom.record.feed import Feeder, Tail, stream
+from tom.record.feed import Feeder, Follower, Tail, stream
 from tom.record.hub import binary, free_port, without_analytics
 
 
@@ -122,6 +122,11 @@ def test_a_long_run_is_streamed_in_pieces(
     steps = [found for part in parts if (found := _steps(part, tmp_path, metric))]
     assert len(steps) >= len(rows) / 3 > 3
     assert [step for part in steps for step in part] == list(range(FIT, STEPS + 1, FIT))
+
+
+def test_of_a_run_that_has_nothing_yet_the_layout_is_streamed(record):
+    pieces = list(Follower(record(given=[])).pieces())
+    assert [piece[:4] for piece in pieces] == [b"RRF2"]
 
 
 def test_a_viewer_that_comes_late_gets_many_rows_in_one_chunk(store: Store, tmp_path: Path):

@@ -1,6 +1,7 @@
 """The recording holds the right numbers; without it, or when it is slow, training goes on."""
 
 import threading
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,10 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from recorded import Config, events, logged, transitions
+from rerun.chunk import RrdReader
 
 from tom.config import RoadConfig
 from tom.events import Collected, Episode, Evaluation, Field, Metrics, Weights
 from tom.record import Recorder, RunReader, RunWriter, Store, open_sink, scene, sink
+from tom.record.export import export
+from tom.record.feed import Follower
 from tom.record.rerun_episode import episode_recording
 from tom.record.rerun_view import heat
 
@@ -77,16 +81,20 @@ def test_the_camera_follows_the_robot(hopper: RunReader):
     np.testing.assert_allclose([p[0][0] for p in places][:3], [0.0, 0.2, 0.4], atol=1e-6)
 
 
-def test_road_and_rocks_is_a_map(store: Store):
+PLACES = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6], [0.7, 0.8]], np.float32)
+LINE = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9]])
+
+
+@pytest.fixture
+def road(store: Store) -> RunReader:
+    """A fit of road-and-rocks: its data, weights, pictures and metrics."""
     config = RoadConfig(learner="tom", steps=10)
     writer = RunWriter.create(store, "road", config)
-    places = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6], [0.7, 0.8]], np.float32)
-    rows = replace(transitions(0, 4), obs=places)
-    line = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9]])
-    ground = {"centre_line": line, "road_half_width": np.array(0.1)}
+    rows = replace(transitions(0, 4), obs=PLACES)
+    ground = {"centre_line": LINE, "road_half_width": np.array(0.1)}
     ground |= {"start": np.array([0.1, 0.1, 0.02]), "goal": np.array([0.9, 0.9, 0.07])}
-    paths = {"expert_0": line, "learnt_0": line[::-1], "learnt_1": line}
-    arrows = {"points": places, "true": places / 10, "modelled": -places / 10}
+    paths = {"expert_0": LINE, "learnt_0": LINE[::-1], "learnt_1": LINE}
+    arrows = {"points": PLACES, "true": PLACES / 10, "modelled": -PLACES / 10}
     with Recorder(writer, open_sink(writer)) as recorder:
         recorder.consume(Field(0, "map", ground))
         recorder.consume(Collected(0, rows, np.zeros(4, np.int64)))
@@ -94,17 +102,44 @@ def test_road_and_rocks_is_a_map(store: Store):
         recorder.consume(Field(5, "model", arrows))
         recorder.consume(Field(5, "trajectories", paths))
         recorder.consume(Metrics(5, {"model/error_road": 0.25}))
-    run = store.run("road")
-    assert run.notices() == []
-    [path] = run.rrd_files()
+    return store.run("road")
+
+
+def test_road_and_rocks_is_a_map(road: RunReader):
+    assert road.notices() == []
+    [path] = road.rrd_files()
     drawn = logged(path, "map/learnt")["LineStrips2D:strips"].iloc[0]
-    np.testing.assert_allclose(np.stack(drawn[0]), line[::-1] * [1, -1])
+    np.testing.assert_allclose(np.stack(drawn[0]), LINE[::-1] * [1, -1])
     assert len(drawn) == 2
     vectors = logged(path, "map/modelled")["Arrows2D:vectors"].iloc[0]
-    np.testing.assert_allclose(np.stack(vectors), -places / 10 * [1, -1], atol=1e-7)
+    np.testing.assert_allclose(np.stack(vectors), -PLACES / 10 * [1, -1], atol=1e-7)
     assert len(logged(path, "map/data")["Points2D:colors"].iloc[0]) == 4
     text = logged(path, "fit")["TextDocument:text"].iloc[0][0]
     assert "| model/error_road | 0.25 |" in text
+
+
+def held(path: Path) -> Counter[str]:
+    """How many rows a recording holds of each entity."""
+    rows = Counter[str]()
+    for chunk in RrdReader(path).stream():
+        rows[chunk.entity_path] += chunk.num_rows
+    return rows
+
+
+@pytest.mark.parametrize("name", ["hopper", "road"])
+def test_a_recording_made_from_the_files_is_the_trainings_own(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest
+):
+    run = request.getfixturevalue(name)
+    [own] = run.rrd_files()
+    assert held(export(run, "rrd", tmp_path)) == held(own)
+
+
+@pytest.mark.parametrize("name", ["hopper", "road"])
+def test_what_was_sent_is_not_sent_again(name: str, request: pytest.FixtureRequest):
+    follower = Follower(request.getfixturevalue(name))
+    assert b"".join(follower.pieces())
+    assert [piece for piece in follower.pieces() if piece] == []
 
 
 def test_an_episode_is_a_recording_of_its_own(hopper: RunReader, tmp_path: Path):
