@@ -122,6 +122,8 @@ def test_a_long_run_is_streamed_in_pieces(
     steps = [found for part in parts if (found := _steps(part, tmp_path, metric))]
     assert len(steps) >= len(rows) / 3 > 3
     assert [step for part in steps for step in part] == list(range(FIT, STEPS + 1, FIT))
+    profiles = [step for part in parts for step in _steps(part, tmp_path)]
+    assert profiles == store.run("run").profiles().env_step.tolist()
 
 
 def test_of_a_run_that_has_nothing_yet_the_layout_is_streamed(record):
@@ -160,3 +162,12 @@ def test_a_tail_gives_each_whole_row_once(tmp_path: Path):
     with path.open("ab") as file:
         file.write(b'ep":2}\nrubbish\n{"env_step":3}\n')
     assert list(tail.blocks()) == [[{"env_step": 2}, {"env_step": 3}]]
+
+
+def test_a_file_that_was_cut_is_read_from_its_beginning(tmp_path: Path):
+    path = tmp_path / "m"
+    path.write_text('{"env_step":1}\n{"env_step":2}\n{"env_step":3}\n')
+    tail = Tail(path)
+    assert len(next(iter(tail.blocks()))) == 3
+    path.write_text('{"env_step":1}\n{"env_step":2}\n')  # resumed from step 2
+    assert list(tail.blocks()) == [[{"env_step": 1}, {"env_step": 2}]]

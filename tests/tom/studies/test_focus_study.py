@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from torch import Tensor
 
 from tom.cli import main
 from tom.config import SacRecordingConfig
@@ -16,7 +18,19 @@ from tom.ordered_data import of_run
 from tom.policy_file import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.run import train
-from tom.studies.focus import Case, Focus, Rival, _tested, cases, focus, summary, verdict
+from tom.studies.focus import (
+    Case,
+    Focus,
+    Rival,
+    _config,
+    _fitted,
+    _tested,
+    cases,
+    focus,
+    summary,
+    verdict,
+)
+from tom.weighing import Weighed
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +99,23 @@ def test_all_weight_on_new_rows_costs_the_random_half(recording: RunReader):
     assert pmac.ess < 0.6
     assert pmac.random > mle.random
     assert focus(Case(recording.path, "mle", 0, preset="smoke")) == mle
+
+
+@pytest.mark.parametrize("rival", ["tom paper", "pmac"])
+def test_a_fit_clips_toms_weights_alone(recording: RunReader, rival: Rival):
+    data, config = of_run(recording), _config("hopper", rival, "smoke")
+    weights = np.full(len(data), 0.5, np.float32)
+    weights[-50:] = 0.5 * len(data) / 50 + 0.5
+    assert weights[-1] > 2 * config.model.weight_clip
+
+    def predicted(weights: np.ndarray) -> Tensor:
+        weighed = Weighed(config.learner, 0, weights, None, {}, (), None)
+        rows = data.transitions[:20]
+        return _fitted(data, weighed, config).predict(rows.obs, rows.action)[1]
+
+    clipped = weights.clip(max=config.model.weight_clip)
+    same = torch.equal(predicted(weights), predicted(clipped))
+    assert same == (rival == "tom paper")
 
 
 def test_another_recording_in_the_same_place_is_another_case(recording: RunReader, tmp_path: Path):
