@@ -1,5 +1,7 @@
 """Probe: every learner's weights of one run's buffer; and does weighting help the model?"""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 import streamlit as st
@@ -25,6 +27,7 @@ PATH = "probe"
 
 PRESETS = ("paper", "exact")
 END = "the end"
+DIGITS = 6  # of a number in the table: PMAC's weights of old data are 1e-20
 
 
 def page() -> None:
@@ -103,34 +106,32 @@ def table(found: dict[str, list[Progression]]) -> pd.DataFrame:
 
     def median(rows: list[Progression], name: str) -> float:
         values = [getattr(row, name) for row in rows]
-        return float("nan") if None in values else float(np.median(values))
+        return float("nan") if None in values else round(float(np.median(values)), DIGITS)
 
     return pd.DataFrame(
         {
             "learner": learner_label(learner),
-            "seeds": len(rows),
             "ESS": median(rows, "ess"),
             "zero": median(rows, "zeros"),
-            "random data": median(rows, "random_mean"),
-            "newest tenth": median(rows, "last_two"),
-            "rank corr.": median(rows, "spearman"),
+            "random": median(rows, "random_mean"),
+            "newest": median(rows, "last_two"),
+            "rank": median(rows, "spearman"),
         }
         for learner, rows in found.items()
     )
 
 
 def _columns() -> dict:
-    number = st.column_config.NumberColumn
+    number = partial(st.column_config.NumberColumn, width=68)
     return {
-        "seeds": number(width=50),
         "ESS": number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
         "zero": number(format="percent", help="share of transitions with weight zero"),
-        "random data": number(format="%.3g", help="mean weight of the random data"),
-        "newest tenth": number(format="%.3g", help="mean weight of the newest tenth of the buffer"),
-        "rank corr.": number(
+        "random": number(format="%.3g", help="mean weight of the random data"),
+        "newest": number(format="%.3g", help="mean weight of the newest tenth of the buffer"),
+        "rank": number(
             format="%.3g",
-            help="of the tenths of the ordered part with their order: 1 when newer counts more "
-            "throughout",
+            help="rank correlation of the tenths of the ordered part with their order: 1 when "
+            "newer counts more throughout",
         ),
     }
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
 from app import buffer_reader, pictures, readers, regions, session, text, weighings, widgets
 from app.buffer import Rows, dimension_names
@@ -47,8 +48,7 @@ def page() -> None:
     top = st.columns([4, 3, 4], vertical_alignment="bottom")
     with top[0]:
         run = widgets.pick_run(kept)
-    with top[1]:
-        rows = _pick_weights(run)
+    rows = _pick_weights(run, top[1])
     if rows is None:
         if not empty.left_out(run, "buffer"):
             st.warning("The replay buffer of this fit cannot be read.")
@@ -71,8 +71,11 @@ def page() -> None:
     widgets.show_problems(run)
 
 
-def _pick_weights(run: RunInfo) -> Rows | None:
-    """The buffer with the weights of one of the run's own fits, or of a weighing (the probe)."""
+def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
+    """The buffer with the weights of one of the run's own fits, or of a weighing (the probe).
+
+    Whose weights is asked at `place`, which fit below it.
+    """
     length = buffer_reader.length(run)
     found = weighings.of_run(run, length)
     others = {
@@ -80,12 +83,10 @@ def _pick_weights(run: RunInfo) -> Rows | None:
         for weighing in found[:WEIGHINGS]
         for (learner, seed), weight in weighings.weights(weighing).items()
     }
-    chosen = OWN
-    if others:
-        chosen = st.selectbox(
-            "Weights of", [OWN, *others], key="weights", bind="query-params",
-            help="the run's own fits, or what `tom weigh` made of its buffer (page Probe)",
-        )  # fmt: skip
+    chosen = place.selectbox(
+        "Weights of", [OWN, *others], key="weights", bind="query-params",
+        help="the run's own fits, or what `tom weigh` made of its buffer (page Probe)",
+    )  # fmt: skip
     if chosen in others:
         weight, weighing = others[chosen]
         if missing := weighing.missing(length):

@@ -101,7 +101,7 @@ def test_the_page_lays_all_learners_over_one_buffer(weighed: Path) -> None:
         progression(weights[f"tom-s{s}"].to_numpy(), report["ordered_from"]) for s in (0, 1)
     ]
     assert shown.loc["TOM", "ESS"] == pytest.approx(np.median([p.ess for p in expected]))
-    assert shown.loc["MLE", "random data"] == pytest.approx(1)
+    assert shown.loc["MLE", "random"] == pytest.approx(1)
 
 
 def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
