@@ -11,6 +11,7 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
+from app import replay_link
 from app.links import Links
 from app.views import start
 from tom.record.reader import RunReader
@@ -52,6 +53,18 @@ def test_live_shows_chosen_curves(store: Path) -> None:
     app = draw("live", runs=PENDULUM_TOM, curves="model/holdout_nll")
     line = figures(app)[2]["data"][0]
     assert array(line["y"]).tolist() == recorded(store, PENDULUM_TOM, "model/holdout_nll")[1]
+
+
+@pytest.mark.parametrize("page", ["live", "compare"])
+def test_a_click_on_a_runs_curve_leads_to_the_replay_nearest_to_it(store: Path, page: str) -> None:
+    app = draw(page)
+    assert any("for its replay" in words.value for words in app.caption)
+    before, at = RunReader(store / ROAD_TOM).evaluation_steps()[-2:]
+    app.session_state[replay_link.CLICKED] = (ROAD_TOM, at - 1)  # as `remember` does
+    app.run()
+    link = f"[Replay of {ROAD_TOM}, step {at:,}](/replays?run={ROAD_TOM}&step={at})"
+    assert before < at - 1
+    assert link in [words.value for words in app.markdown]
 
 
 def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
