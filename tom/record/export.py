@@ -109,8 +109,8 @@ def _rrd(reader: RunReader, path: Path) -> None:
             for _ in follower.follow():
                 pass
             follower.close(WRITTEN_S)
-        except RuntimeError as error:  # Rerun's own, of a full disk
-            raise OSError(str(error)) from error
+        except RuntimeError as error:  # all that Rerun says of a full disk
+            raise OSError(f"{error}: is the disk full?") from error
 
     replace(path, write, sync=False)
 
