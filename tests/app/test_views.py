@@ -62,9 +62,9 @@ def test_a_click_on_a_runs_curve_leads_to_the_replay_nearest_to_it(store: Path, 
     before, at = RunReader(store / ROAD_TOM).evaluation_steps()[-2:]
     app.session_state[replay_link.CLICKED] = (ROAD_TOM, at - 1)  # as `remember` does
     app.run()
-    link = f"[Replay of {ROAD_TOM}, step {at:,}](/replays?run={ROAD_TOM}&step={at})"
     assert before < at - 1
-    assert link in [words.value for words in app.markdown]
+    address = f"(/replays?run={ROAD_TOM}&step={at})"
+    assert any(words.value.endswith(address) for words in app.markdown)
 
 
 def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
