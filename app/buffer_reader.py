@@ -40,10 +40,10 @@ def rows(run: RunInfo, step: int) -> Rows | None:
     return _rows(run.path, run.env, step, _stamp(run), readers.stamp(_snapshot(run, step)))
 
 
-def weighed_rows(run: RunInfo, weight: NDArray) -> Rows | None:
-    """The first N recorded rows with weights (N,) from elsewhere; None where there are fewer."""
+def weighed_rows(run: RunInfo, weight: NDArray, end: int) -> Rows | None:
+    """The N recorded rows before row `end`, with weights (N,); None where some are lost."""
     recorded = _recorded(run.path, _stamp(run))
-    return rows_at(recorded.rows, recorded.version, weight, len(weight))
+    return rows_at(recorded.rows, recorded.version, weight, end)
 
 
 def model_errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, int] | str:

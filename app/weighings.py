@@ -26,19 +26,27 @@ class Weighing:
     path: str
     policy: str
     preset: str
-    rows: int  # the run's first so many transitions
+    rows: int  # so many transitions of the run, those before `end`
     ordered_from: int  # rows before it are random data
-    step: int | None  # of the model fit whose buffer and policy these are; None: the run's end
+    step: int | None  # the env step at which the buffer held them; None: all there were
     written: int  # of the report, mtime_ns
 
     @property
     def name(self) -> str:
         return Path(self.path).name
 
+    @property
+    def end(self) -> int:
+        """The number of the run's transition that follows the last one weighed."""
+        return self.rows if self.step is None else self.step
+
     def missing(self, rows: int) -> str:
         """In words, what it leaves out of a buffer of `rows` transitions; empty where nothing."""
         if self.step is not None:
-            return f"The buffer of {rows:,} transitions as it was at the fit of step {self.step:,}."
+            return (
+                f"It weighs the {self.rows:,} transitions that the buffer held at step "
+                f"{self.step:,}, of {rows:,} that were collected."
+            )
         if self.rows == rows:
             return ""
         return (

@@ -75,9 +75,9 @@ def load_data(
 
 
 def of_run(run: RunReader, step: int | None = None) -> OrderedData:
-    """A run's replay buffer, or what of it was collected by env step `step`.
+    """All that a run collected, or what its replay buffer held at env step `step`.
 
-    Raises UserError when it has none.
+    Raises UserError when there is nothing, or no such step.
     """
     env = task(run.env).name  # road-and-rocks has no policy that could be played here
     rows, version = run.buffer()
@@ -87,26 +87,33 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
         reason = "; ".join(run.problems) or nothing
         raise UserError(f"the replay buffer of run {run.run_id} cannot be used: {reason}")
     _check_dims(run.run_id, rows, task(env))
-    if step is not None:
-        rows, version = _until(step, run, rows, version)
     settings = run.config.get("config", {})
-    random_rows = settings.get("steps" if run.learner == "sac" else "exploration_steps", 0)
+    random_rows = int(settings.get("steps" if run.learner == "sac" else "exploration_steps", 0))
+    kept = slice(None) if step is None else _held_at(step, run, len(rows))
+    starts = initial_obs(rows[: kept.stop])  # of episodes whose rows may have been dropped, too
+    rows, version = rows[kept], version[kept]
+    random_rows -= kept.start or 0
     return OrderedData(
         name=run.run_id,
         env=env,
         transitions=rows.torch(),
         policy_version=torch.from_numpy(version),
-        initial_obs=torch.as_tensor(initial_obs(rows)),
-        ordered_from=min(int(random_rows), len(rows) - 1),
+        initial_obs=torch.as_tensor(starts),
+        ordered_from=max(min(random_rows, len(rows) - 1), 0),
     )
 
 
 def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
     """As many random rows as `ordered` has, then `ordered`: the paper's two halves.
 
-    Raises UserError when `random` holds fewer.
+    Raises UserError when `random` holds fewer, or rows of another task.
     """
     n = len(ordered)
+    if random.env != ordered.env:
+        raise UserError(
+            f"{random.name} is of {random.env}, {ordered.name} of {ordered.env}: "
+            "name random data of the same task"
+        )
     if len(random) < n:
         raise UserError(f"{random.name} holds {len(random)} rows, {ordered.name} needs {n} of them")
     rows = TensorTransitions.join([random.transitions[:n], ordered.transitions])
@@ -138,13 +145,13 @@ def find_run(name: str, store: Store) -> RunReader | None:
     return store.run(name) if inside else None
 
 
-def _until(
-    step: int, run: RunReader, rows: Transitions, version: NDArray[np.int64]
-) -> tuple[Transitions, NDArray[np.int64]]:
-    if run.learner == "sac" or not 0 < step <= len(rows):
-        has = f"{len(rows)} steps" if run.learner != "sac" else "no fits of a model"
+def _held_at(step: int, run: RunReader, rows: int) -> slice:
+    """Which of its recorded `rows` a run's replay buffer held at env step `step`."""
+    if run.learner == "sac" or not 0 < step <= rows:
+        has = f"{rows} steps" if run.learner != "sac" else "no fits of a model"
         raise UserError(f"run {run.run_id} has {has}: --step {step} is none of them")
-    return rows[:step], version[:step]
+    capacity = int(run.config.get("config", {}).get("replay_capacity", rows))
+    return slice(max(step - capacity, 0), step)
 
 
 def _check_dims(name: str, rows: Transitions, known: MujocoTask) -> None:

@@ -70,6 +70,10 @@ def load_policy(
             f"policy {name} maps {dims[0]} observations to {dims[1]} actions, {known.name} has "
             f"{known.obs_dim} and {known.action_dim}: name a policy of that task"
         )
+    if policy.env != known.name:  # Walker2d's dimensions are HalfCheetah's
+        raise UserError(
+            f"policy {name} is of {policy.env}, not of {known.name}: name a policy of {known.name}"
+        )
     return policy
 
 
@@ -140,6 +144,8 @@ def _stored(name: str, store: Store, step: int | None = None) -> StoredPolicy:
         raise UserError(f"--step {step} is a step of a run, and policy {name} is none: name a run")
     kept = run.policy_steps()
     if step not in kept:
-        known = ", ".join(map(str, kept)) or "none, as runs of earlier versions and small copies"
-        raise UserError(f"run {run.run_id} kept no policy of step {step}; it kept {known}")
+        advice = "--step takes one of " + ", ".join(map(str, kept))
+        if not kept:
+            advice = "it kept none of its fits (nor did any run of an earlier version): omit --step"
+        raise UserError(f"run {run.run_id} kept no policy of step {step}: {advice}")
     return read_policy(run.path / layout.policy(step))

@@ -91,7 +91,7 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
         weight, weighing = others[chosen]
         if missing := weighing.missing(length):
             st.caption(missing)
-        return buffer_reader.weighed_rows(run, weight)
+        return buffer_reader.weighed_rows(run, weight, weighing.end)
     return buffer_reader.rows(run, widgets.pick_step("Fit at step", buffer_reader.fits(run)))
 
 

@@ -1,5 +1,6 @@
 """What every learner makes of the buffer that a run had at one of its fits."""
 
+from pathlib import Path
 from urllib.parse import quote
 
 import streamlit as st
@@ -21,7 +22,8 @@ def at_fit(run: RunInfo, step: int) -> None:
     rows = buffer_reader.length(run)
     if not rows:
         return
-    weighed = {w.step: w for w in reversed(weighings.of_run(run, rows)) if w.policy == run.run_id}
+    found = reversed(weighings.of_run(run, rows))
+    weighed = {w.step: w for w in found if Path(w.policy).name == run.run_id}  # an id or a folder
     steps = sorted({*RunReader(run.path).policy_steps(), *(at for at in weighed if at is not None)})
     if not steps:
         return
@@ -37,7 +39,7 @@ def at_fit(run: RunInfo, step: int) -> None:
     with st.container(border=True):
         st.markdown(
             f"**Every learner on the buffer of step {at:,}**, by the policy of that fit: "
-            f"[Probe]({address})",
+            f"[Probe]({address}&weighed={quote(weighed[at].name)})",
             help=f"made by `tom weigh --step {at}`, {text.markdown(weighed[at].preset)} preset; "
             "lines are medians over seeds, bands their range; the dotted line ends the random data",
         )

@@ -71,7 +71,7 @@ def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) ->
     assert any(f"first {ROWS} of now {2 * ROWS} trans" in words.value for words in app.caption)
     run = info(weighed.parents[1], PENDULUM_TOM)
     [found] = weighings.of_run(run, 2 * ROWS)
-    rows = buffer_reader.weighed_rows(run, weighings.weights(found)["tom", 0])
+    rows = buffer_reader.weighed_rows(run, weighings.weights(found)["tom", 0], found.end)
     assert rows is not None
     assert (rows.first, len(rows)) == (0, ROWS)
 
@@ -127,8 +127,12 @@ def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
     for learner in ("pmac", "vagram"):
         line = array(trace(shown, meta=learner)["y"])
         assert line == pytest.approx(profile[learner].to_numpy(), rel=1e-3)
-    whole = draw("probe", run=PENDULUM_TOM, weighed=made.name)
-    assert any(f"as it was at the fit of step {step}." in note.value for note in whole.caption)
+    there_too = f"{address}&weighed={made.name})"
+    assert any(there_too in words.value for words in app.markdown)
+    (weighed.parent / "made" / "report.json").touch()  # newest, of the whole buffer
+    whole = draw("probe", run=PENDULUM_TOM, at=str(step), weighed=made.name)
+    held = f"the {step} transitions that the buffer held at step {step}, of {ROWS} that"
+    assert any(held in note.value for note in whole.caption)
 
 
 def test_a_fit_of_another_run_is_not_asked_for() -> None:

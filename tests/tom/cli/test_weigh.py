@@ -1,6 +1,7 @@
 """`tom weigh` and `tom reproduce progression` on small real runs and files."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -12,6 +13,7 @@ import torch
 from tom.cli import main
 from tom.data.sampling import bin_means
 from tom.envs import task
+from tom.errors import UserError
 from tom.learners.pmac import recency_probabilities
 from tom.ordered_data import after_random, load_data, of_run, to_unit_range
 from tom.record import RunReader, Store
@@ -109,11 +111,12 @@ def test_an_ordinary_training_leaves_its_policy(store: Path, tmp_path: Path, cap
     assert report["rows"] == 250
 
 
-@pytest.mark.parametrize("learner", ["pmac", "vagram"])
-def test_at_a_step_the_weights_are_those_that_the_run_had(store: Path, tmp_path: Path, learner):
+@pytest.mark.parametrize(("learner", "capacity"), [("pmac", 210), ("vagram", 1000)])
+def test_at_a_step_the_weights_are_those_that_the_run_had(tmp_path: Path, learner, capacity):
     words = ["--env", "inverted-pendulum", "--learner", learner, "--preset", "smoke"]
-    steps = ["--steps", "250", "--fit-every", "20", "--run-id", learner, "--store", str(tmp_path)]
-    assert main(["train", *words, *steps, "--no-rerun"]) == 0
+    steps = ["--steps", "250", "--fit-every", "20", "--replay-capacity", str(capacity)]
+    where = ["--run-id", learner, "--store", str(tmp_path), "--no-rerun"]
+    assert main(["train", *words, *steps, *where]) == 0
     run = RunReader(tmp_path / learner)
     assert run.policy_steps() == run.snapshot_steps()
     step = run.policy_steps()[1]
@@ -122,11 +125,13 @@ def test_at_a_step_the_weights_are_those_that_the_run_had(store: Path, tmp_path:
     assert weigh(tmp_path, learner, *chosen, "--out", str(out)) == 0
     found = pq.read_table(out / "weights.parquet")[f"{learner}-s0"].to_numpy()
     recorded = run.snapshot(step)["weight"].to_numpy()
-    assert len(recorded) == step < 250
+    assert len(recorded) == min(step, capacity) < 250
     (run.path / "policy.npz").unlink()  # as while it trains
     assert weigh(tmp_path, learner, *chosen, "--out", str(tmp_path / "again")) == 0
     np.testing.assert_allclose(found, recorded, rtol=1e-5)
-    assert json.loads((out / "report.json").read_text())["step"] == step
+    report = json.loads((out / "report.json").read_text())
+    # the first 200 steps explored, of which the buffer had dropped what was too much for it
+    assert (report["step"], report["ordered_from"]) == (step, 200 - max(step - capacity, 0))
 
 
 def write_d4rl(path: Path, run: RunReader, scale: float) -> Path:
@@ -188,9 +193,9 @@ def test_shuffled_rows_come_back_in_order(store: Path):
         (["sac", "--policy", "random", "--learner", "vagram"], "without one: leave vagram out"),
         (
             ["trained", "--policy", "trained", "--step", "7"],
-            "kept no policy of step 7; it kept 200",
+            "kept no policy of step 7: --step takes one of 200",
         ),
-        (["trained", "--policy", "sac", "--step", "200"], "kept no policy of step 200"),
+        (["trained", "--policy", "sac", "--step", "200"], "it kept none of its fits"),
         (["trained", "--policy", "random", "--step", "251"], "--step 251 is none of them"),
         (["sac", "--policy", "random", "--step", "200"], "has no fits of a model"),
         (["sac", "--policy", "random", "--learner", "tmo"], "did you mean 'tom'?"),
@@ -220,6 +225,20 @@ def test_data_of_another_task(store: Path, tmp_path: Path, capsys):
     assert weigh(store, str(path), "--policy", "random", "--env", "hoper", *out) == 2
     assert "did you mean 'hopper'?" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["data.hdf5"]
+
+
+def test_a_policy_and_random_data_of_another_task_of_the_same_size(
+    store: Path, tmp_path: Path, capsys
+):
+    with np.load(store / "trained" / "policy.npz") as file:
+        arrays = {**file, "env": np.array("hopper")}
+    np.savez(tmp_path / "policy.npz", **arrays)
+    words = ("--policy", str(tmp_path / "policy.npz"), "--env", "inverted-pendulum")
+    assert weigh(store, "trained", *words, "--out", str(tmp_path / "out")) == 2
+    assert "is of hopper, not of inverted-pendulum" in capsys.readouterr().err
+    data = of_run(RunReader(store / "trained"))
+    with pytest.raises(UserError, match="trained is of hopper, trained of inverted-pendulum"):
+        after_random(replace(data, env="hopper"), data)
 
 
 def test_a_folder_that_holds_something_is_left_alone(store: Path, tmp_path: Path, capsys):
