@@ -51,12 +51,15 @@ def load_data(
     run = find_run(name, store)
     if run is not None:
         return of_run(run, step)
-    if step is not None:
-        raise UserError(f"--step {step} is a step of a run, and {name} is none: leave it out")
     if not Path(name).exists():
         raise UserError(
             f"no data '{name}': name a run of {store.path}/, a run folder, a D4RL file (.hdf5) "
             "or a Minari folder"
+        )
+    if step is not None:
+        raise UserError(
+            f"--step {step} is a step of a run, and {name} is none: leave it out, and name "
+            "an earlier policy by its file (RUN/policies/)"
         )
     if env is None:
         raise UserError(f"{name} does not say which task it is of: add --env")

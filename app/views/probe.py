@@ -1,6 +1,7 @@
 """Probe: every learner's weights of one run's buffer; and does weighting help the model?"""
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -179,7 +180,7 @@ def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
 def has_policy(run: RunInfo, step: int | None) -> bool:
     """The run has kept its policy of the fit at `step` (None: that of its end)."""
     name = layout.POLICY if step is None else layout.policy(step)
-    return (RunReader(run.path).path / name).is_file()
+    return (Path(run.path) / name).is_file()
 
 
 def command(

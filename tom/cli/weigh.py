@@ -133,10 +133,18 @@ def _config(args: argparse.Namespace, env: str) -> RunConfig:
 
 
 def _default_out(store: Store, data: OrderedData, args: argparse.Namespace) -> Path:
-    policy, at = args.policy, "" if args.step is None else f"-at-{args.step}"
-    by = Path(policy).parent.name if policy.endswith(".npz") else Path(policy).name
+    by, at = _short_name(args.policy), "" if args.step is None else f"-at-{args.step}"
     name = f"{data.name}-by-{by}" if by != data.name else f"{data.name}-by-its-own"
     return store.path / layout.WEIGHINGS / f"{name}{at}-{datetime.now():%y%m%d-%H%M%S}"
+
+
+def _short_name(policy: str) -> str:
+    """What a weighing's folder calls a policy: its run's name, an earlier one's step too."""
+    path = Path(policy)
+    if path.suffix != ".npz":
+        return path.name
+    folder = path.absolute().parent
+    return f"{folder.parent.name}-{path.stem}" if folder.name == layout.POLICIES else folder.name
 
 
 def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:

@@ -1,6 +1,7 @@
 """`tom weigh` and `tom reproduce progression` on small real runs and files."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -134,6 +135,16 @@ def test_at_a_step_the_weights_are_those_that_the_run_had(tmp_path: Path, learne
     assert (report["step"], report["ordered_from"]) == (step, 200 - max(step - capacity, 0))
 
 
+def test_a_policy_of_an_earlier_fit_by_its_file(store: Path, tmp_path: Path, capsys):
+    shutil.copytree(store / "trained", tmp_path / "trained")
+    policy = str(tmp_path / "trained" / "policies" / "000000200.npz")
+    words = ("--learner", "mle", "--seeds", "0", "--footprint", "10", "--json")
+    assert weigh(tmp_path, "trained", "--policy", policy, *words) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert Path(report["out"]).name.startswith("trained-by-trained-000000200-")
+    assert (report["rows"], report["step"]) == (250, None)
+
+
 def write_d4rl(path: Path, run: RunReader, scale: float) -> Path:
     rows = run.buffer()[0].numpy()
     with h5py.File(path, "w") as file:
@@ -189,6 +200,7 @@ def test_shuffled_rows_come_back_in_order(store: Path):
     ("arguments", "named"),
     [
         (["nothing", "--policy", "random", "--env", "hopper"], "no data 'nothing'"),
+        (["nothing", "--policy", "random", "--step", "9"], "no data 'nothing'"),
         (["sac", "--policy", "nothing"], "no policy at nothing"),
         (["sac", "--policy", "random", "--learner", "vagram"], "without one: leave vagram out"),
         (
@@ -220,6 +232,8 @@ def test_data_of_another_task(store: Path, tmp_path: Path, capsys):
     out = ("--out", str(tmp_path / "out"))
     assert weigh(store, str(path), "--policy", "random", *out) == 2
     assert "add --env" in capsys.readouterr().err
+    assert weigh(store, str(path), "--policy", "random", "--step", "9", *out) == 2
+    assert "data.hdf5 is none: leave it out" in capsys.readouterr().err
     assert weigh(store, str(path), "--policy", "random", "--env", "hopper", *out) == 2
     assert "has 4 observations and 1 actions, hopper has 11 and 3" in capsys.readouterr().err
     assert weigh(store, str(path), "--policy", "random", "--env", "hoper", *out) == 2
