@@ -9,16 +9,16 @@ from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tom.record import checkpoint, layout
+from tom.record.array_files import DAMAGE, read_arrays, reason
 from tom.record.files import modified, parse_json_line, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import unwritten
 from tom.record.opening import refuse_links
-from tom.record.reader import DAMAGE, RunReader
+from tom.record.reader import RunReader
 
 LINES = (layout.METRICS, layout.PROFILES, layout.NOTICES)
 ENDED = "its process ended without a word: tom train --resume {run} goes on from a checkpoint"
@@ -90,11 +90,9 @@ def _unreadable(path: Path) -> str | None:
         if path.suffix == ".parquet":
             pq.ParquetFile(path).read()
         else:
-            with np.load(path, allow_pickle=False) as file:
-                for name in file.files:
-                    file[name]
+            read_arrays(path)
     except DAMAGE as error:
-        return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        return reason(error)
     return None
 
 
@@ -138,13 +136,12 @@ def _mend_status(reader: RunReader) -> str | None:
         _set_aside(reader, file)
     table = reader.metrics()
     last = int(table["env_step"].to_numpy().max(initial=0))
-    reason = ENDED.format(run=reader.run_id)
     total = reader.config.get("config", {}).get("steps", 0)
     ended = replace(
         status,
         state="stopped",
         phase="",
-        reason=reason,
+        reason=ENDED.format(run=reader.run_id),
         env_step=max(status.env_step, last),
         total=status.total or (total if isinstance(total, int) else 0),
         eta_s=None,

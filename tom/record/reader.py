@@ -3,7 +3,6 @@
 What cannot be read is left out and named in `problems`; nothing here raises for bad content.
 """
 
-import zipfile
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -11,13 +10,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
 from tom.events import Episode
 from tom.record import decode, labels, layout, small_copy, status
+from tom.record.array_files import DAMAGE, read_arrays, read_table, reason
 from tom.record.decode import Arrays
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
@@ -26,18 +24,6 @@ from tom.record.rows import read_metrics
 from tom.record.status import Status
 
 T = TypeVar("T")
-
-DAMAGE = (
-    OSError,
-    ValueError,  # also what numpy and JSON raise
-    KeyError,
-    TypeError,
-    EOFError,
-    OverflowError,  # a number beyond every array's
-    NotImplementedError,  # zipfile, for a method it does not know
-    zipfile.BadZipFile,
-    pa.ArrowException,
-)
 
 
 class RunReader:
@@ -122,7 +108,7 @@ class RunReader:
         """
         rows, table = self.path / layout.METRICS, self.path / layout.METRICS_TABLE
         if modified(table) >= modified(rows) > 0:
-            read = self._read(layout.METRICS_TABLE, _table)
+            read = self._read(layout.METRICS_TABLE, read_table)
             if read is not None and "env_step" in read:
                 return read
         read = self._read(layout.METRICS, read_metrics)
@@ -149,7 +135,7 @@ class RunReader:
 
     def snapshot(self, step: int) -> pd.DataFrame:
         """A row a transition, oldest first: `weight`, and `log_ratio`, `dim_i` where kept."""
-        read = self._read(layout.snapshot(step), _table, needed=True)
+        read = self._read(layout.snapshot(step), read_table, needed=True)
         return pd.DataFrame({"weight": np.zeros(0, np.float32)}) if read is None else read
 
     def policy_steps(self) -> list[int]:
@@ -162,7 +148,7 @@ class RunReader:
     def episodes(self, step: int) -> list[Episode]:
         """The evaluation episodes at `step`."""
         name = layout.episodes(step)
-        return self._read(name, lambda p: decode.episodes_of(_arrays(p)), needed=True) or []
+        return self._read(name, lambda p: decode.episodes_of(read_arrays(p)), needed=True) or []
 
     def buffer(self) -> tuple[Transitions, NDArray[np.int64]]:
         """The replay buffer in order of collection, and which policy collected each row.
@@ -194,7 +180,7 @@ class RunReader:
 
     def field(self, name: str, step: int) -> dict[str, NDArray]:
         """The arrays of the task's own picture `name` at `step`."""
-        return self._read(layout.field(name, step), _arrays, needed=True) or {}
+        return self._read(layout.field(name, step), read_arrays, needed=True) or {}
 
     def rrd_files(self) -> list[Path]:
         """The Rerun recordings, in the order they were written."""
@@ -204,7 +190,7 @@ class RunReader:
         """Rows with their policy versions, and states, of every segment up to the first gap."""
 
         def segment(path: Path) -> tuple[tuple[Transitions, NDArray[np.int64]], Arrays]:
-            arrays = _arrays(path)
+            arrays = read_arrays(path)
             return decode.transitions_of(arrays), decode.state_of(arrays)
 
         row = 0
@@ -236,7 +222,7 @@ class RunReader:
             if needed:
                 self._problem(f"{name} is missing")
         except DAMAGE as error:
-            self._problem(f"{name} cannot be read: {_short(error)}")
+            self._problem(f"{name} cannot be read: {reason(error)}")
         return None
 
     def _leads_out(self, name: str) -> bool:
@@ -250,20 +236,3 @@ class RunReader:
     def _problem(self, text: str) -> None:
         if text not in self.problems:
             self.problems.append(text)
-
-
-def _table(path: Path) -> pd.DataFrame:
-    # One file by its own name: pandas would take hive partitions out of the folder's name. Its own
-    # way from Arrow to a frame takes twice as long, which a store of 200 runs notices.
-    read = pq.ParquetFile(path).read(use_threads=False)
-    return pd.DataFrame({name: read[name].to_numpy() for name in read.column_names})
-
-
-def _arrays(path: Path) -> dict[str, NDArray]:
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
-
-
-def _short(error: BaseException) -> str:
-    text = str(error).strip().splitlines() or [type(error).__name__]
-    return text[0][:200]
