@@ -1,19 +1,18 @@
 """Regions: the replay buffer as a map; what lies in a part of it, down to the robot itself."""
 
 import numpy as np
-import pandas as pd
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from app import buffer_reader, pictures, readers, regions, session, text, weighings, widgets
+from app import buffer_reader, pictures, readers, regions, session, weighings, widgets
 from app.buffer import Rows, dimension_names
-from app.figures.regions import apart_bars, region_map
+from app.figures.regions import region_map
 from app.plot import Region, chart
 from app.readers import RunInfo
-from app.regions import EXPLORED, Mask, Plane
+from app.regions import Mask, Plane
 from app.scenes.control import States
 from app.theme import learner_label
-from app.views import empty
+from app.views import empty, region_tables
 from app.views.stage import stage
 
 TITLE = "Regions"
@@ -26,8 +25,6 @@ SHOWN = 9
 """robots of each kind"""
 GAP = 10
 """steps that two of them are apart at least"""
-LISTED = 300
-"""transitions of a region in its table"""
 CORNERS = 60
 """corners of an outline that an address holds"""
 WEIGHINGS = 3
@@ -64,9 +61,9 @@ def page() -> None:
     with left, st.container(border=True):
         _map(run, rows, plane, axes)
     with right, st.container(border=True):
-        _contents(run, rows, mask, names + actions)
+        region_tables.contents(run, rows, mask, names + actions)
     _scenes(run, rows, mask)
-    _transitions(rows, mask, names, actions)
+    region_tables.transitions(rows, mask, names, actions)
     empty.left_out(run, "other snapshots", "simulator states")
     widgets.show_problems(run)
 
@@ -181,35 +178,6 @@ def _map(run: RunInfo, rows: Rows, plane: Plane, axes: str) -> None:
     chart(figure, "region map", "the buffer's transitions, coloured by weight", selected=select)
 
 
-def _contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
-    st.markdown(f"**In the region**: {mask.sum():,} of {len(rows):,} transitions")
-    table = contents(rows, mask)
-    if run.env == pictures.ENV:  # recorded offline, by nobody's policy
-        table = table[table[""] != EXPLORED]
-    right = {c: st.column_config.TextColumn(c, alignment="right") for c in table.columns[1:]}
-    st.dataframe(table, hide_index=True, height="content", column_config=right)
-    gaps = regions.apart(rows, mask, names)
-    if gaps:
-        st.markdown("**What sets it apart**")
-        chart(apart_bars(gaps, 250), "apart", "dimensions in which the region differs most")
-
-
-def contents(rows: Rows, mask: Mask) -> pd.DataFrame:
-    """A line a quantity: in the region, and in the whole buffer."""
-    here, whole = regions.summary(rows, mask), regions.summary(rows, np.ones(len(rows), bool))
-
-    def shown(name: str, value: float) -> str:
-        return text.number(value, 0 if name == "transitions" else 2)
-
-    return pd.DataFrame(
-        {
-            "": list(here),
-            "region": [shown(name, value) for name, value in here.items()],
-            "buffer": [shown(name, value) for name, value in whole.items()],
-        }
-    )
-
-
 def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
     if run.env == pictures.ENV:
         return  # its states are places on the map, which has a page of its own
@@ -240,33 +208,3 @@ def _sides(rows: Rows, mask: Mask) -> tuple[list[int], list[int], str]:
         heavy = regions.heavy_and_light(rows, whole, SHOWN, GAP)[0]
         return heavy, light, "the buffer's heaviest on the left, weight zero on the right"
     return heavy, light, "the region's heaviest on the left, its lightest on the right"
-
-
-def _transitions(rows: Rows, mask: Mask, names: list[str], actions: list[str]) -> None:
-    index = np.flatnonzero(mask)
-    index = index[np.argsort(-rows.weight[index], kind="stable")][:LISTED]
-    more = f", the {LISTED} heaviest" if mask.sum() > LISTED else ""
-    with st.expander(f"Its transitions{more}"):
-        st.dataframe(transitions(rows, index, names, actions), hide_index=True)
-
-
-def transitions(
-    rows: Rows, index: np.ndarray, names: list[str], actions: list[str]
-) -> pd.DataFrame:
-    """A line for each of these rows: its weight, where it comes from, s, a, r and s'."""
-    part = rows.rows[index].numpy()
-    table = {
-        "weight": rows.weight[index],
-        "row": rows.first + index,
-        "episode": rows.episode[index],
-        "step of the episode": rows.place[index],
-        "return of the episode": rows.episode_return[index],
-        "policy version": rows.version[index],
-        "reward": part.reward,
-        "terminal": np.asarray(part.terminated) != 0,
-    }
-    obs, action, following = (np.asarray(x) for x in (part.obs, part.action, part.next_obs))
-    table |= {name: obs[:, i] for i, name in enumerate(names)}
-    table |= {name: action[:, i] for i, name in enumerate(actions)}
-    table |= {f"next {name}": following[:, i] for i, name in enumerate(names)}
-    return pd.DataFrame(table)
