@@ -10,7 +10,8 @@ from tom.events import Event
 from tom.fleet import train_fleet
 from tom.health import DivergedError
 from tom.learners import LEARNER_NAMES
-from tom.record import RunReader, Store
+from tom.record import RunReader, Store, layout
+from tom.record.array_files import read_arrays
 from tom.run import Stop, train
 from tom.sweep.plan import Trial
 
@@ -53,7 +54,12 @@ def assert_close(first: RunReader, second: RunReader, rtol: float) -> None:
     np.testing.assert_array_equal(versions_a, versions_b)
     np.testing.assert_allclose(first.profiles().bins, second.profiles().bins, rtol, 10 * rtol)
     assert first.evaluation_steps() == second.evaluation_steps()
-    assert first.snapshot_steps() == second.snapshot_steps()
+    assert first.snapshot_steps() == second.snapshot_steps() == first.policy_steps()
+    for step in first.policy_steps():
+        of = [read_arrays(run.path / layout.policy(step)) for run in (first, second)]
+        assert of[0].pop("env") == of[1].pop("env")
+        for name, x in of[0].items():
+            np.testing.assert_allclose(x, of[1][name], rtol=10 * rtol, atol=10 * rtol)
     ours, theirs = first.metrics(), second.metrics()
     assert ours["env_step"].tolist() == theirs["env_step"].tolist()
     for name in ("model/holdout_nll", "weights/ess", "critic/loss", "rollout/reward"):

@@ -1,6 +1,7 @@
 import json
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from tom.record import Recorder, RunWriter, Store, lock
 from tom.record import heartbeat as heartbeat_module
 
 EVERY_FIT = list(range(FIT, STEPS + 1, FIT))
+POLICY = {"weight_0": np.ones((2, 3), np.float32)}
 
 
 def test_metrics_are_one_row_a_step(record):
@@ -83,8 +85,19 @@ def test_a_run_without_chosen_snapshots_keeps_the_last(store: Store):
     config = Config.but(snapshots=0)
     with Recorder(RunWriter.create(store, "run", config)) as recorder:
         for step in EVERY_FIT:
-            recorder.consume(weights(step))
-    assert store.run("run").snapshot_steps() == [1000]
+            recorder.consume(replace(weights(step), policy=POLICY))
+    run = store.run("run")
+    assert run.snapshot_steps() == run.policy_steps() == [1000]
+
+
+def test_a_run_of_an_earlier_version_keeps_its_policies_from_now_on(store: Store):
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        recorder.consume(weights(100))
+    (store.path / "run" / "policies").rmdir()
+    with Recorder(RunWriter(store.path / "run", Config)) as recorder:
+        recorder.consume(replace(weights(200), policy=POLICY))
+    run = store.run("run")
+    assert (run.snapshot_steps(), run.policy_steps()) == ([100, 200], [200])
 
 
 def test_weights_of_each_dimension_are_kept(store: Store):
