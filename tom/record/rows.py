@@ -37,8 +37,11 @@ def _by_row(path: Path) -> tuple[pd.DataFrame, list[str]]:
 def _columns(path: Path) -> tuple[pd.DataFrame, list[str]]:
     content = path.read_bytes()
     whole = content[: content.rfind(b"\n") + 1]
-    if b"[" in whole or whole.count(b"{") > whole.count(b"\n"):
-        raise ValueError("rows are flat: Arrow's parser overflows the stack on what is nested")
+    lines = whole.count(b"\n")
+    flat = b"[" not in whole and whole.count(b"{") == lines
+    if not flat or (b"\n" + whole).count(b"\n{") != lines:
+        # Arrow's parser takes the process down: by what is nested, and by a bare `null`.
+        raise ValueError("not every line is one flat object")
     half = len(whole) < len(content)
     problems = [f"{path.name}: the last line is half written and was skipped"] if half else []
     try:

@@ -116,3 +116,20 @@ def test_any_bytes_in_an_array_file_are_named(recorded: Path, tmp_path: Path, su
             for step in run.snapshot_steps():
                 run.snapshot(step)
         path.write_bytes(content)
+
+
+@pytest.mark.parametrize("line", [b"null", b"1", b"", b'"a"', b"}", b"\x00"])
+def test_a_large_file_with_a_line_that_is_no_object_takes_nobody_down(
+    recorded: Path, line: bytes, monkeypatch: pytest.MonkeyPatch
+):
+    """Arrow's parser ends the whole process at a bare `null`."""
+    monkeypatch.setattr("tom.record.rows.LARGE_BYTES", 0)
+    path = recorded / "run" / "metrics.jsonl"
+    before = path.read_bytes()
+    try:
+        path.write_bytes(before + line + b"\n")
+        reader = RunReader(path.parent)
+        assert len(reader.metrics()) == len(before.splitlines())
+        assert bool(reader.problems) == bool(line)
+    finally:
+        path.write_bytes(before)
