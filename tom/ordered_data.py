@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tom.data.datasets import initial_obs, read_dataset
 from tom.data.transitions import TensorTransitions, Transitions
-from tom.envs import MujocoTask, task
+from tom.envs import ENVS, MujocoTask, task
 from tom.errors import UserError
 from tom.record import RunReader, Store
 
@@ -82,14 +82,18 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
 
     Raises UserError when there is nothing, or no such step.
     """
-    env = task(run.env).name  # road-and-rocks has no policy that could be played here
+    if run.env not in ENVS:  # road-and-rocks has no policy that could be played here
+        raise UserError(
+            f"run {run.run_id} is of {run.env}, which cannot be weighed: name one of "
+            + ", ".join(ENVS)
+        )
     rows, version = run.buffer()
     if run.problems or not len(rows):
         lacking = "buffer" in run.left_out
         nothing = "left out of this small copy" if lacking else "it collected nothing"
         reason = "; ".join(run.problems) or nothing
         raise UserError(f"the replay buffer of run {run.run_id} cannot be used: {reason}")
-    _check_dims(run.run_id, rows, task(env))
+    _check_dims(run.run_id, rows, task(run.env))
     settings = run.config.get("config", {})
     random_rows = int(settings.get("steps" if run.learner == "sac" else "exploration_steps", 0))
     kept = slice(None) if step is None else _held_at(step, run, len(rows))
@@ -98,7 +102,7 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
     random_rows -= kept.start or 0
     return OrderedData(
         name=run.run_id,
-        env=env,
+        env=run.env,
         transitions=rows.torch(),
         policy_version=torch.from_numpy(version),
         initial_obs=torch.as_tensor(starts),

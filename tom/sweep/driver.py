@@ -91,7 +91,9 @@ class Driver:
         every question takes its time. The others come before it in the next poll.
         """
         self.trouble = ""
-        all(self._reached(self._attend, seat) for seat in tuple(self._order))
+        for seat in tuple(self._order):
+            if not self._reached(self._attend, seat):
+                break
         self._start_some()
         return all(seat.state in ("finished", "failed", "stopped") for seat in self.seats)
 

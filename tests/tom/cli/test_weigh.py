@@ -12,12 +12,13 @@ import pytest
 import torch
 
 from tom.cli import main
+from tom.config import RoadConfig
 from tom.data.sampling import bin_means
 from tom.envs import task
 from tom.errors import UserError
 from tom.learners.pmac import recency_probabilities
 from tom.ordered_data import after_random, load_data, of_run, to_unit_range
-from tom.record import RunReader, Store
+from tom.record import RunReader, RunWriter, Store
 
 QUICK = [
     "--preset", "paper", "--tom.q-hidden", "16", "--tom.q-steps", "20",
@@ -253,6 +254,12 @@ def test_a_policy_and_random_data_of_another_task_of_the_same_size(
     data = of_run(RunReader(store / "trained"))
     with pytest.raises(UserError, match="trained is of hopper, trained of inverted-pendulum"):
         after_random(replace(data, env="hopper"), data)
+
+
+def test_a_run_of_road_and_rocks_is_named(tmp_path: Path):
+    RunWriter.create(Store(tmp_path), "flat", RoadConfig(learner="tom")).close()
+    with pytest.raises(UserError, match=r"run flat is of road-and-rocks.*name one of.* hopper"):
+        of_run(RunReader(tmp_path / "flat"))
 
 
 def test_a_folder_that_holds_something_is_left_alone(store: Path, tmp_path: Path, capsys):
