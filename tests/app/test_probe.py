@@ -126,7 +126,7 @@ def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
     shown = next(f for f in figures(app) if any(t.get("meta") == "vagram" for t in f["data"]))
     for learner in ("pmac", "vagram"):
         line = array(trace(shown, meta=learner)["y"])
-        assert line == pytest.approx(profile[learner].to_numpy(), rel=1e-3)
+        assert line == pytest.approx(np.asarray(profile[learner]), rel=1e-3)
     there_too = f"{address}&weighed={made.name})"
     assert any(there_too in words.value for words in app.markdown)
     (weighed.parent / "made" / "report.json").touch()  # newest, of the whole buffer
