@@ -46,6 +46,19 @@ def shown(path: Path, metric: str) -> int:
     return sum(chunk.to_record_batch().num_rows for chunk in chunks)
 
 
+def until_full(pid: int, run: Path, recorder: Recorder) -> int:
+    """Write until what Rerun lets wait is full, so that the process stands still; the next step."""
+    step, seen = 11, [0.0]
+    while len(seen) < 4 or seen[-1] - seen[-4] > 1:
+        assert len(seen) < 20, f"it goes on growing: {seen}"
+        write_rows(run, step, 20_000)
+        step += 20_000
+        recorder.beat()
+        time.sleep(3)
+        seen.append(megabytes(pid))
+    return step
+
+
 @pytest.fixture
 def growing(tmp_path: Path):
     """A run that is being written, and its recorder."""
@@ -158,10 +171,8 @@ def test_a_hub_that_never_reads__its_feeder_does_not_grow_and_the_training_does_
         time.sleep(2)  # the run is being shown
         os.kill(rerun, signal.SIGSTOP)
         try:
-            write_rows(store.path / "a", 11, 60_000)
-            recorder.beat()
-            time.sleep(8)  # until what Rerun lets wait is full
-            before, step = megabytes(process.pid), 70_000
+            step = until_full(process.pid, store.path / "a", recorder)
+            before = megabytes(process.pid)
             for _ in range(4):
                 write_rows(store.path / "a", step, 40_000)
                 step += 40_000
