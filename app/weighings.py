@@ -40,6 +40,11 @@ class Weighing:
         """The number of the run's transition that follows the last one weighed."""
         return self.rows if self.step is None else self.step
 
+    @property
+    def settings(self) -> str:
+        """Those that TOM weighed with, in words."""
+        return "the run's own settings" if self.preset == "own" else f"its preset {self.preset}"
+
     def missing(self, rows: int) -> str:
         """In words, what it leaves out of a buffer of `rows` transitions; empty where nothing."""
         if self.step is not None:

@@ -85,8 +85,11 @@ def unfinished(store: Store, config: AnyConfig) -> str | None:
     return None
 
 
-def recorded_config(reader: RunReader) -> AnyConfig:
-    """The configuration a run was made with. Raises UserError where it is another version's."""
+def recorded_config(reader: RunReader, otherwise: str = "start it again") -> AnyConfig:
+    """The configuration a run was made with.
+
+    Raises UserError where it is another version's; `otherwise` says what to do then.
+    """
     kinds: dict[bool, type[RunConfig]] = {True: RoadConfig, False: OnlineConfig}
     kind = SacRecordingConfig if reader.learner == "sac" else kinds[reader.env == "road-and-rocks"]
     try:
@@ -97,7 +100,7 @@ def recorded_config(reader: RunReader) -> AnyConfig:
         where = ".".join(str(part) for part in first["loc"])
         raise UserError(
             f"run '{reader.run_id}' was made by another version ({made_by}; its setting {where} "
-            "is not known): start it again"
+            f"is not known): {otherwise}"
         ) from None
 
 

@@ -26,7 +26,7 @@ TITLE = "Probe"
 ICON = ":material/experiment:"
 PATH = "probe"
 
-PRESETS = ("paper", "exact")
+PRESETS = ("own", "paper", "exact")
 END = "the end"
 DIGITS = 6  # of a number in the table: PMAC's weights of old data are 1e-20
 
@@ -99,7 +99,7 @@ def _weighed(weighing: Weighing, rows: int) -> None:
             table(weighings.numbers(weighing, of)), hide_index=True, height="content",
             column_config=_columns(),
         )  # fmt: skip
-        st.caption(f"TOM with its preset {text.markdown(weighing.preset)}. Weights have mean 1.")
+        st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
 
 
 def table(found: dict[str, list[Progression]]) -> pd.DataFrame:
@@ -151,7 +151,10 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
             "Learners", LEARNER_NAMES, ["tom", "pmac", "mle"], key="weigh learners",
             format_func=learner_label,
         )  # fmt: skip
-        preset = row[3].selectbox("TOM's preset", PRESETS, key="weigh preset")
+        preset = row[3].selectbox(
+            "TOM's preset", PRESETS, key="weigh preset",
+            help="own: the settings of the buffer's run",
+        )  # fmt: skip
         seeds = int(row[4].number_input("Seeds", 1, 10, 2, key="weigh seeds"))
         store = session.links().store
         words = command(run.run_id, str(policy), learners, str(preset), seeds, store, step)
@@ -168,8 +171,11 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
 def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
     """A fit whose policy the run kept, chosen here or by the address (`?at=`); None for its end."""
     steps = [str(step) for step in RunReader(run.path).policy_steps()]
-    if st.session_state.get("at", END) not in (END, *steps):
-        del st.session_state["at"]  # it was chosen for another run
+    asked = st.session_state.get("at", st.query_params.get("at", END))
+    if asked not in (END, *steps):
+        st.session_state.pop("at", None)  # it was chosen for another run
+        st.caption(f"This run keeps no policy of step {text.markdown(asked)}: its end is taken.")
+    empty.left_out(run, "policies")
     chosen = place.selectbox(
         "As it was at step", [END, *steps], key="at", bind="query-params",
         help="the buffer and the policies at that fit; the steps are those where both were kept",

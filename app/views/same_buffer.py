@@ -40,8 +40,9 @@ def at_fit(run: RunInfo, step: int) -> None:
         st.markdown(
             f"**Every learner on the buffer of step {at:,}**, by the policy of that fit: "
             f"[Probe]({address}&weighed={quote(weighed[at].name)})",
-            help=f"made by `tom weigh --step {at}`, {text.markdown(weighed[at].preset)} preset; "
-            "lines are medians over seeds, bands their range; the dotted line ends the random data",
+            help=f"made by `tom weigh --step {at}`, TOM with "
+            f"{text.markdown(weighed[at].settings)}; lines are medians over seeds, bands their "
+            "range; the dotted line ends the random data",
         )
         share = weighed[at].ordered_from / weighed[at].rows
         figure = probe_profiles(weighings.profiles(of), share, HEIGHT, log=False)

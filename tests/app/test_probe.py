@@ -136,7 +136,10 @@ def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
 
 
 def test_a_fit_of_another_run_is_not_asked_for() -> None:
-    assert draw("probe", run=PENDULUM_TOM, at="7").selectbox(key="at").value == "the end"
+    app = draw("probe", run=PENDULUM_TOM, at="7")
+    assert app.selectbox(key="at").value == "the end"
+    assert any("keeps no policy of step 7: its end" in note.value for note in app.caption)
+    assert not any("Left out" in note.value for note in app.caption)
 
 
 def test_a_buffer_that_nobody_weighed_says_so() -> None:

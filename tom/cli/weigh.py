@@ -19,11 +19,12 @@ from tom.envs import ENVS, task
 from tom.errors import UserError, unknown
 from tom.learners import LEARNERS
 from tom.matmul import choose_matmul
-from tom.ordered_data import OrderedData, after_random, load_data
+from tom.ordered_data import OrderedData, after_random, find_run, load_data
 from tom.record import Store, layout
 from tom.record.files import plain
 from tom.record.versions import git_commit, versions
 from tom.reports import weighing_files
+from tom.resume import recorded_config
 from tom.weighing import (
     RANDOM,
     Weighed,
@@ -32,8 +33,9 @@ from tom.weighing import (
     weigh,
 )
 
-PRESETS = ("exact", "paper")
-SETTINGS = ("tom.", "pmac.", "threads", "matmul")
+OWN = "own"
+PRESETS = ("exact", "paper", OWN)
+SETTINGS = ("tom.", "pmac.", "vagram.", "threads", "matmul")
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -64,7 +66,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--footprint", type=count, default=1000, metavar="N",
         help="real transitions of the policy that TOM compares with [1000]",
     )  # fmt: skip
-    parser.add_argument("--preset", default="exact", help="TOM's: exact or paper [exact]")
+    parser.add_argument(
+        "--preset",
+        help="TOM's: exact or paper; own: the run's settings [own with --step, else exact]",
+    )
     parser.add_argument("--out", type=Path, help="new folder [STORE/weighings/DATA-by-POLICY-TIME]")
     parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
@@ -78,7 +83,8 @@ def run(args: argparse.Namespace) -> int:
     store = Store(args.store)
     data, env = _data(args, store)
     known = task(env)
-    config = _config(args, env)
+    args.preset = args.preset or ("exact" if args.step is None else OWN)
+    config = _config(args, store, env)
     policy = load_policy(args.policy, store, known, args.step)
     for name in args.learner:
         if name not in LEARNERS:
@@ -97,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
         "step": args.step,
         "preset": args.preset,
         "footprint": args.footprint,
-        "config": {"tom": config.tom.model_dump(), "pmac": config.pmac.model_dump()},
+        "config": config.model_dump(include={"tom", "pmac", "vagram"}),
         **weighing_files.summary(data, found),
         "made": {
             "command": shlex.join(["tom", *sys.argv[1:]]),
@@ -122,14 +128,25 @@ def _data(args: argparse.Namespace, store: Store) -> tuple[OrderedData, str]:
     return data, data.env
 
 
-def _config(args: argparse.Namespace, env: str) -> RunConfig:
+def _config(args: argparse.Namespace, store: Store, env: str) -> RunConfig:
     if args.preset not in PRESETS:
         raise unknown("preset", args.preset, PRESETS)
     try:
-        config = RunConfig(env=env, learner="tom", tom=TomConfig.preset(args.preset))
+        if args.preset == OWN:
+            config = _own_settings(args.data, store)
+        else:
+            config = RunConfig(env=env, learner="tom", tom=TomConfig.preset(args.preset))
         return config.but(**overrides(args))
     except ValidationError as error:
         raise one_line(error) from None
+
+
+def _own_settings(name: str, store: Store) -> RunConfig:
+    run = find_run(name, store)
+    if run is None:
+        raise UserError(f"{name} is no run, so it has no settings: --preset exact or paper")
+    own = recorded_config(run, "name --preset exact or paper")
+    return RunConfig(env=own.env, learner="tom", tom=own.tom, pmac=own.pmac, vagram=own.vagram)
 
 
 def _default_out(store: Store, data: OrderedData, args: argparse.Namespace) -> Path:

@@ -136,6 +136,29 @@ def test_at_a_step_the_weights_are_those_that_the_run_had(tmp_path: Path, learne
     assert (report["step"], report["ordered_from"]) == (step, 200 - max(step - capacity, 0))
 
 
+def test_at_a_step_a_runs_own_settings_hold(tmp_path: Path, capsys):
+    words = ["--env", "inverted-pendulum", "--learner", "pmac", "--preset", "smoke"]
+    where = ["--run-id", "own", "--store", str(tmp_path), "--no-rerun"]
+    assert main(["train", *words, "--steps", "240", "--pmac.decay", "0.9", *where]) == 0
+    run = RunReader(tmp_path / "own")
+    step = run.policy_steps()[-1]
+    chosen = ["own", "--policy", "own", "--learner", "pmac", "--seeds", "0", "--footprint", "10"]
+    weigh_it = ["weigh", *chosen, "--step", str(step), "--store", str(tmp_path), "--json"]
+    capsys.readouterr()
+    for more, decay in ([], 0.9), (["--pmac.decay", "0.8"], 0.8), (["--preset", "paper"], 0.996):
+        assert main([*weigh_it, *more, "--out", str(tmp_path / f"out-{decay}")]) == 0
+        assert json.loads(capsys.readouterr().out)["config"]["pmac"]["decay"] == decay
+    found = pq.read_table(tmp_path / "out-0.9" / "weights.parquet")["pmac-s0"].to_numpy()
+    np.testing.assert_allclose(found, run.snapshot(step)["weight"].to_numpy(), rtol=1e-5)
+
+
+def test_a_dataset_has_no_settings_of_its_own(store: Path, tmp_path: Path, capsys):
+    path = write_d4rl(tmp_path / "pendulum.hdf5", RunReader(store / "sac"), scale=3.0)
+    words = ["weigh", str(path), "--policy", "sac", "--store", str(store), "--preset", "own"]
+    assert main(words) == 2
+    assert "is no run, so it has no settings: --preset exact or paper" in capsys.readouterr().err
+
+
 def test_a_policy_of_an_earlier_fit_by_its_file(store: Path, tmp_path: Path, capsys):
     shutil.copytree(store / "trained", tmp_path / "trained")
     policy = str(tmp_path / "trained" / "policies" / "000000200.npz")
