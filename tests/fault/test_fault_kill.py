@@ -96,6 +96,15 @@ def test_kill_9_fifty_times_with_rerun__at_most_the_last_flush_is_lost_and_resum
     assert left == [], "what a killed writer left half-done is cleared by the next"
 
 
+@pytest.fixture
+def not_under_nohup():
+    """A training that is begun under nohup goes on after SIGHUP, also where the tests are."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("not_under_nohup")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_stop__a_checkpoint_is_written_and_resume_auto_ends_as_if_undisturbed(
     tmp_path: Path, how: signal.Signals
