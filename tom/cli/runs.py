@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,9 @@ from tom.cli import runs_fetch, runs_files, runs_labels
 from tom.cli.parser import folder
 from tom.cli.tables import show
 from tom.cli.train import number, summary
-from tom.errors import UserError
+from tom.envs import ENV_NAMES
+from tom.errors import UserError, unknown
+from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
@@ -57,7 +60,10 @@ def _add_list(verbs) -> None:
 
 def list_runs(args: argparse.Namespace) -> int:
     store = Store(args.store)
-    runs = [run for run in store.runs() if _wanted(run, args)]
+    store.ensure_there()
+    held = store.runs()
+    _check_filters(args, held)
+    runs = [run for run in held if _wanted(run, args)]
     rows = [_row(run) for run in runs]
     if args.json:
         print(json.dumps(rows))
@@ -133,6 +139,17 @@ def _comparable(run: RunReader) -> dict[str, Any]:
     status = run.status
     results = {name: getattr(status, name) for name in ("state", "env_step", "last_return")}
     return flat(own) | results | {"best_return": status.best_return}
+
+
+def _check_filters(args: argparse.Namespace, runs: Sequence[RunReader]) -> None:
+    """Raises UserError for an environment or learner that nobody knows and no run has."""
+    known = {
+        "env": (args.env, [*ENV_NAMES, *(run.env for run in runs)]),
+        "learner": (args.learner, [*LEARNER_NAMES, *(run.learner for run in runs)]),
+    }
+    for kind, (asked, names) in known.items():
+        if asked is not None and asked not in names:
+            raise unknown(kind, asked, dict.fromkeys(names))
 
 
 def _wanted(run: RunReader, args: argparse.Namespace) -> bool:

@@ -81,6 +81,8 @@ def export_runs(args: argparse.Namespace) -> int:
     if args.keep and not args.small:
         raise UserError("--keep says what a small copy keeps: add --small")
     runs = _finished(Store(args.store), args.run_ids)
+    if not runs:
+        raise UserError(f"{args.store}/ has no finished runs: name those to export")
     with _all_or_none(args.out) as made:
         for run in runs:
             for path in _exported(run, args):
@@ -156,6 +158,7 @@ def prune(args: argparse.Namespace) -> int:
 
 def _chosen(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
     """The named runs, or all; a name that is wrong stops everything before it begins."""
+    store.ensure_there()
     return [store.run(run_id) for run_id in run_ids] if run_ids else store.runs()
 
 

@@ -41,6 +41,7 @@ def note(args: argparse.Namespace) -> int:
 
 def trash(args: argparse.Namespace) -> int:
     store = Store(args.store)
+    store.ensure_there()
     if not args.run_ids:
         return _list(args, manage.trashed(store))
     for run_id in args.run_ids:

@@ -89,6 +89,14 @@ class Store:
             run_id = f"{base}-{number}"
         return run_id
 
+    def ensure_there(self) -> None:
+        """Raises UserError where there is no such folder: a mistyped name is no empty store."""
+        if not self.path.exists():
+            raise UserError(
+                f"there is no store {self.path}/: name another with --store, or train something "
+                "(`tom demo`)"
+            )
+
     def ensure_writable(self) -> None:
         """Make the store's folder. Raises UserError when nothing can be written there."""
         try:

@@ -131,6 +131,8 @@ def test_an_export_that_is_refused_leaves_nothing_behind(store: Path, capsys, tm
         (["export", "one", "--format", "xls"], "xls"),
         (["prune", "--keep", "-1"], "--keep -1"),
         (["rename", "one", "x" * 100], "80 at most"),
+        (["list", "--env", "inverted-pendulm"], "did you mean 'inverted-pendulum'"),
+        (["list", "--learner", "tomm"], "did you mean 'tom'"),
     ],
 )
 def test_bad_input(store: Path, capsys, words: list[str], named: str):
@@ -144,3 +146,19 @@ def test_bad_input(store: Path, capsys, words: list[str], named: str):
     assert named in error
     assert error.count("\n") == 1
     assert (store / "one").exists()
+
+
+@pytest.mark.parametrize(
+    "words", [["list"], ["verify"], ["export"], ["size"], ["prune"], ["trash"]]
+)
+def test_a_store_that_is_not_there_is_not_an_empty_one(words: list[str], tmp_path: Path, capsys):
+    assert main(["runs", *words, "--store", str(tmp_path / "rnus")]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "rnus/: name another with --store" in said.err
+    assert said.err.count("\n") == 1
+
+
+def test_a_store_without_finished_runs_has_nothing_to_export(tmp_path: Path, capsys):
+    assert main(["runs", "export", "--store", str(tmp_path)]) == 2
+    assert "name those to export" in capsys.readouterr().err
