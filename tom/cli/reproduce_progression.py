@@ -21,6 +21,7 @@ from tom.record import Store
 from tom.reports import progression_files
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
+from tom.studies import verdicts
 from tom.studies.each import each
 from tom.studies.progression import Finding, Result, cases, checks, result
 
@@ -65,12 +66,13 @@ def run(args: argparse.Namespace) -> int:
         say(f"{one.recording}: TOM {one.preset}, {one.condition}")
     found = checks(done)
     progression_files.write(args.out, done, found, args.preset[0])
-    _report(found, args)
-    _print(found, args)
+    said = verdicts.progression([c for c in found if c.preset == args.preset[0]])
+    _report(found, said, args)
+    _print(found, said, args)
     return 0 if all(c.met is not False for c in found if c.preset == args.preset[0]) else 1
 
 
-def _report(found: Sequence[Finding], args: argparse.Namespace) -> None:
+def _report(found: Sequence[Finding], said: Sequence[str], args: argparse.Namespace) -> None:
     rows = [
         {
             "name": f"{c.recording}, {c.condition} policy, {c.learner}, {c.quantity}",
@@ -86,15 +88,15 @@ def _report(found: Sequence[Finding], args: argparse.Namespace) -> None:
     used = in_short(args.seeds)
     recordings = len({c.recording for c in found})
     n = f"{recordings} recordings, {len(args.seeds)} seeds of TOM on each"
-    write_study(args.out, "Weight progression", CLAIM, rows, drawn, n=n, seeds=used)
+    write_study(args.out, "Weight progression", CLAIM, said, rows, drawn, n=n, seeds=used)
 
 
-def _print(found: Sequence[Finding], args: argparse.Namespace) -> None:
+def _print(found: Sequence[Finding], said: Sequence[str], args: argparse.Namespace) -> None:
     if args.json:
         rows = [{**asdict(c), "median": c.median, "met": c.met} for c in found]
-        print_json({"checks": rows, "out": str(args.out)})
+        print_json({"checks": rows, "verdict": said, "out": str(args.out)})
         return
     titles, *rows = progression_files.table(found)
     plain_rows = [[cell.replace("**", "") for cell in row] for row in rows]
     show("Weight progression: median over TOM's seeds (by seed)", titles, plain_rows)
-    print(args.out)
+    print("\n".join([*said, str(args.out)]))

@@ -22,6 +22,7 @@ from tom.reports.files import write_csv
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
 from tom.reports.style import save
+from tom.studies import verdicts
 from tom.studies.checks import Check
 from tom.studies.each import each
 from tom.studies.road import (
@@ -72,13 +73,18 @@ def run(args: argparse.Namespace) -> int:
     stories, sweep = told[: len(main)], [story.outcome for story in told[len(main) :]]
     outcomes = [s.outcome for s in stories]
     checks = [*acceptance(outcomes), *controls(outcomes)]
-    _write(args.out, stories, sweep, checks)
-    _print(checks, outcomes, args)
+    said = verdicts.road(outcomes, sweep)
+    _write(args.out, stories, sweep, checks, said)
+    _print(checks, outcomes, said, args)
     return 0 if all(check.met for check in checks) else 1
 
 
 def _write(
-    out: Path, stories: Sequence[Story], sweep: Sequence[Outcome], checks: Sequence[Check]
+    out: Path,
+    stories: Sequence[Story],
+    sweep: Sequence[Outcome],
+    checks: Sequence[Check],
+    said: Sequence[str],
 ) -> None:
     write_csv(out / "outcomes.csv", (asdict(s.outcome) for s in stories))
     write_csv(out / "sweep.csv", (asdict(o) for o in sweep))
@@ -102,17 +108,23 @@ def _write(
     used = in_short([s.outcome.seed for s in stories])
     learners = len({s.outcome.name for s in stories})
     n = f"{len(stories)} trainings of {learners} learners and controls"
-    write_study(out, "Road-and-rocks", CLAIM, rows, pngs, outcomes, n=n, seeds=used)
+    write_study(out, "Road-and-rocks", CLAIM, said, rows, pngs, outcomes, n=n, seeds=used)
 
 
-def _print(checks: Sequence[Check], outcomes: Sequence[Outcome], args: argparse.Namespace) -> None:
+def _print(
+    checks: Sequence[Check],
+    outcomes: Sequence[Outcome],
+    said: Sequence[str],
+    args: argparse.Namespace,
+) -> None:
     if args.json:
-        print_json({"checks": [asdict(c) for c in checks], "out": str(args.out)})
+        judged = [asdict(c) for c in checks]
+        print_json({"checks": judged, "verdict": said, "out": str(args.out)})
         return
     title = f"Road-and-rocks, seeds {' '.join(map(str, args.seeds))}"
     show_checks(title, checks)
     _show_seeds(outcomes)
-    print(args.out)
+    print("\n".join([*said, str(args.out)]))
 
 
 def _show_seeds(outcomes: Sequence[Outcome]) -> None:

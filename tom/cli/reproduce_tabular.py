@@ -21,6 +21,7 @@ from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
 from tom.reports.style import save
 from tom.reports.tabular import estimate_figure
+from tom.studies import verdicts
 from tom.studies.checks import Check
 from tom.studies.each import each
 from tom.studies.tabular import (
@@ -80,12 +81,13 @@ def run(args: argparse.Namespace) -> int:
     used = in_short(args.seeds)
     judgement = [asdict(check) for check in checks]
     n = f"{len(judged)} problems"
-    write_study(args.out, "Exact weights", CLAIM, judgement, drawn, tables, n=n, seeds=used)
+    said = verdicts.tabular(summary(rows))
+    write_study(args.out, "Exact weights", CLAIM, said, judgement, drawn, tables, n=n, seeds=used)
     if args.json:
-        print_json({"checks": [asdict(c) for c in checks], "out": str(args.out)})
+        print_json({"checks": judgement, "verdict": said, "out": str(args.out)})
     else:
         _print(checks, rows, len(judged))
-        print(args.out)
+        print("\n".join([*said, str(args.out)]))
     return 0 if all(check.met for check in checks) else 1
 
 

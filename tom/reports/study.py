@@ -14,6 +14,7 @@ def write_study(
     folder: Path,
     title: str,
     claim: str,
+    verdict: Sequence[str],
     checks: Rows,
     figures: Sequence[tuple[str, Path]],
     tables: Sequence[tuple[str, Rows]] = (),
@@ -21,13 +22,17 @@ def write_study(
 ) -> Path:
     """Write `report.html`: `checks` are rows with `name` and `met` (None where it is not judged).
 
+    `verdict` holds the result against the paper's `claim`, `checks` against our own acceptance.
     `how` adds to the origin, such as n and seeds. The hours are those of this process.
     """
     judged = [row for row in checks if row["met"] is not None]
     failed = [str(row["name"]) for row in judged if not row["met"]]
-    found = [f"{len(judged) - len(failed)} of {len(judged)} figures of our acceptance are met."]
+    found = [
+        *verdict,
+        f"{len(judged) - len(failed)} of {len(judged)} figures of our acceptance are met.",
+    ]
     if failed:
-        found.append(f"Not met, so different from what was expected: {'; '.join(failed)}.")
+        found.append(f"Not met: {'; '.join(failed)}.")
     shown = [{**row, "met": {True: "yes", False: "NO", None: ""}[row["met"]]} for row in checks]  # pyright: ignore[reportArgumentType]
     tables = [("Acceptance", shown), *tables]
     return write_report(Report(title, claim, found, figures, tables, study_origin(**how)), folder)

@@ -24,10 +24,11 @@ def story(name: str, seed: int) -> Story:
 def test_road_and_rocks(tmp_path: Path):
     stories = [story(name, seed) for name in ("mle", "tom") for seed in (0, 1, 2)]
     checks = [Check("TOM's success", 1.0, ">= 0.8", True), Check("MLE's", 0.5, "<= 0.1", False)]
-    reproduce_road._write(tmp_path, stories, [s.outcome for s in stories], checks)
+    reproduce_road._write(tmp_path, stories, [s.outcome for s in stories], checks, ["Agrees."])
     text = (tmp_path / "report.html").read_text()
     assert "1 of 2 figures of our acceptance are met." in text
-    assert "expected: MLE&#x27;s." in text
+    assert "Not met: MLE&#x27;s." in text
+    assert "<p>Agrees.</p>" in text
     assert text.count("data:image/png") == 3
     assert "0-2" in text
     assert {"returns.csv", "outcomes.csv", "checks.csv", "weights.svg"} <= {
@@ -44,7 +45,8 @@ def test_weight_progression_judges_its_first_preset(tmp_path: Path):
         Finding("hopper", "exact", *asked, (0.1, 0.1), ("<=", 0.2)),
         Finding("hopper", "paper", *asked, (9.0, 9.0), ("<=", 0.2)),
     ]
-    reproduce_progression._report(numbers, args)
+    reproduce_progression._report(numbers, ["Agrees."], args)
     text = (tmp_path / "report.html").read_text()
     assert "1 of 1 figures of our acceptance are met." in text
     assert "hopper, own policy, tom, random half" in text
+    assert "<p>Agrees.</p>" in text
