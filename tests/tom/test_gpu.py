@@ -14,7 +14,7 @@ from tom.dynamics.mdn import Mdn
 from tom.events import Event
 from tom.fleet import train_fleet
 from tom.graphs import WARM_UP, graphed
-from tom.learners.discriminator import Judge, discriminator_net
+from tom.learners.discriminator import Discriminator, discriminator_net
 from tom.learners.dual import QFunction, q_net
 from tom.presets import resolve
 from tom.record import RunReader, Store
@@ -65,9 +65,9 @@ def fresh_mdn(device: str) -> Mdn:
     return Mdn(O, A, config, generator(0, device))
 
 
-def fresh_judge(device: str) -> Judge:
+def fresh_discriminator(device: str) -> Discriminator:
     config = TomConfig(discriminator_hidden=32)
-    return Judge(discriminator_net(O, A, config, generator(0, device)), config)
+    return Discriminator(discriminator_net(O, A, config, generator(0, device)), config)
 
 
 def fresh_q(device: str) -> QFunction:
@@ -83,7 +83,7 @@ def draws(*shapes: tuple[int, ...]) -> list[list[Tensor]]:
 CASES = {
     "sac": (fresh_sac, draws((M, B, 2 * O + A + 3), (2, M, B, A))),
     "mdn": (fresh_mdn, draws((1, B, O + A), (1, B, 1 + O))),
-    "judge": (fresh_judge, draws((1, B, 2 * O + A), (1, B, 2 * O + A))),
+    "discriminator": (fresh_discriminator, draws((1, B, 2 * O + A), (1, B, 2 * O + A))),
     "q": (fresh_q, draws((1,), (1, 4 * B, O + A), (1, 2, B), (1, 1, B), (1, B), (1, B))),
 }
 

@@ -16,7 +16,7 @@ from tom.dynamics import make_model
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import task
 from tom.learners.base import Policy
-from tom.learners.discriminator import Judge, discriminator_net
+from tom.learners.discriminator import Discriminator, discriminator_net
 from tom.learners.dual import DualProblem, QFunction, q_net
 from tom.learners.scaling import Scaling
 from tom.rollout import roll_out
@@ -121,8 +121,9 @@ def test_a_step_of_a_models_fit(kind: str, members: int):
 @pytest.mark.parametrize("penalty", [0.0, 10.0])
 def test_a_step_of_the_discriminator(penalty: float, members: int):
     config = TomConfig(discriminator_hidden=16, gradient_penalty=penalty)
-    judges = [Judge(discriminator_net(O, A, config, generator()), config) for _ in range(members)]
-    joint, drawn = many(Judge, judges), torch.rand(2, members, B, 2 * O + A)
+    nets = [discriminator_net(O, A, config, generator()) for _ in range(members)]
+    joint = many(Discriminator, [Discriminator(net, config) for net in nets])
+    drawn = torch.rand(2, members, B, 2 * O + A)
     mix = [torch.rand(members, B, 1)] if penalty else []
     assert not waits(lambda: joint.step(*drawn, *mix))
 

@@ -8,7 +8,7 @@ from tom.config import TomConfig
 from tom.data.sampling import normalise
 from tom.envs.road_data import OfflineData
 from tom.learners.base import FitContext, Weighting
-from tom.learners.discriminator import Discriminator, Judge, discriminator_net
+from tom.learners.discriminator import Discriminator, RatioProblem, discriminator_net
 from tom.learners.dual import DualProblem, QFunction, q_net
 from tom.learners.scaling import Scaling
 
@@ -48,9 +48,9 @@ def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) ->
 def discriminate(context: FitContext, config: TomConfig) -> tuple[Tensor, dict[str, float]]:
     """The logit (N,) of a fresh discriminator between policy buffer and replay, and metrics."""
     net = discriminator_net(*_dims(context), config, context.generator)
-    judge = Discriminator(net, context.replay, context.policy_buffer)
-    metrics = judge.train(Judge(net, config), context.generator)
-    return judge.log_ratio(), metrics
+    ratio = RatioProblem.of(context.policy_buffer, context.replay)
+    trained, metrics = ratio.solve(Discriminator(net, config), context.generator)
+    return ratio.log_ratio(trained), metrics
 
 
 def _dims(context: FitContext) -> tuple[int, int]:

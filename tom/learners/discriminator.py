@@ -34,55 +34,8 @@ def discriminator_net(
     return StackedMLP(1, [2 * obs_dim + action_dim, hidden, hidden, 1], torch.tanh, [generator])
 
 
-class Discriminator:
-    """A network between a policy buffer and a replay buffer, its inputs z-scored."""
-
-    def __init__(
-        self, net: StackedMLP, replay: TensorTransitions, policy_buffer: TensorTransitions
-    ) -> None:
-        self.net = net
-        self.replay = replay
-        self.policy_buffer = policy_buffer
-        self.scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
-
-    def inputs(self, rows: TensorTransitions) -> Tensor:
-        """z-scored (s, a, s' - s), (B, 2 O + A)."""
-        return self.scaling(torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), dim=1))
-
-    def train(self, judge: "Judge", generator: torch.Generator) -> dict[str, float]:
-        """Gradient steps on the cross entropy: see `TrainJudge`."""
-        work = TrainJudge(self, judge, generator)
-        TrainJudge.do([work], judge)
-        return work.metrics
-
-    @torch.no_grad()
-    def log_ratio(self) -> Tensor:
-        """The logit of every replay row, (N,)."""
-        logits = torch.empty_like(self.replay.reward)  # written in place: pieces fragment memory
-        size = rows_at_once(logits.device, CHUNK)
-        for i in range(0, len(logits), size):
-            rows = self.replay[i : i + size]
-            logits[i : i + size] = self.net(self.inputs(rows)[None])[0, :, 0]
-        return logits
-
-    def batches(
-        self, config: TomConfig, generator: torch.Generator
-    ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Inputs of rows of the policy buffer and of the replay, (B, D) each, for every step."""
-        size, left = config.discriminator_batch, config.discriminator_steps
-        block = block_size(self.replay.obs.device, BLOCK, GPU_BLOCK)
-        while left > 0:
-            n = min(left, block)
-            left -= n
-            drawn = []
-            for buffer in (self.policy_buffer, self.replay):
-                index = uniform_indices(len(buffer), n * size, generator)
-                drawn.append(self.inputs(buffer[index.to(buffer.obs.device)]).split(size))
-            yield from zip(*drawn, strict=True)
-
-
-class Judge(Trained):
-    """The discriminator's network, of one member or of many in lock-step."""
+class Discriminator(Trained):
+    """The network and its optimiser, of one member or of many in lock-step."""
 
     def __init__(self, net: StackedMLP, config: TomConfig) -> None:
         super().__init__(net, config.discriminator_lr)
@@ -112,17 +65,69 @@ class Judge(Trained):
         return losses.detach(), logits.detach()
 
 
-@dataclass
-class TrainJudge(Work):
-    """Work: gradient steps on the cross entropy; loss and accuracy over the last tenth of them.
+@dataclass(frozen=True)
+class RatioProblem:
+    """A policy buffer and a replay buffer: what the discriminator is fitted to tell apart."""
 
-    From then on the discriminator's `net` is the average network, where the config asks for one.
+    policy_buffer: TensorTransitions
+    replay: TensorTransitions
+    scaling: Scaling  # of (s, a, s' - s)
+
+    @classmethod
+    def of(cls, policy_buffer: TensorTransitions, replay: TensorTransitions) -> "RatioProblem":
+        """The problem whose inputs are z-scored by the replay buffer's moments."""
+        scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
+        return cls(policy_buffer, replay, scaling)
+
+    def solve(
+        self, discriminator: Discriminator, generator: torch.Generator
+    ) -> tuple[StackedMLP, dict[str, float]]:
+        """`TrainDiscriminator`: the discriminator's (average) network, and metrics."""
+        work = TrainDiscriminator(self, discriminator, generator)
+        TrainDiscriminator.do([work], discriminator)
+        return work.net, work.metrics
+
+    @torch.no_grad()
+    def log_ratio(self, net: StackedMLP) -> Tensor:
+        """r: the logit of every replay row, (N,)."""
+        logits = torch.empty_like(self.replay.reward)  # written in place: pieces fragment memory
+        size = rows_at_once(logits.device, CHUNK)
+        for i in range(0, len(logits), size):
+            rows = self.replay[i : i + size]
+            logits[i : i + size] = net(self._inputs(rows)[None])[0, :, 0]
+        return logits
+
+    def batches(
+        self, config: TomConfig, generator: torch.Generator
+    ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Inputs of rows of the policy buffer and of the replay, (B, D) each, for every step."""
+        size, steps = config.discriminator_batch, config.discriminator_steps
+        block = block_size(self.replay.obs.device, BLOCK, GPU_BLOCK)
+        for first in range(0, steps, block):
+            n = min(block, steps - first)
+            drawn = []
+            for buffer in (self.policy_buffer, self.replay):
+                index = uniform_indices(len(buffer), n * size, generator)
+                drawn.append(self._inputs(buffer[index.to(buffer.obs.device)]).split(size))
+            yield from zip(*drawn, strict=True)
+
+    def _inputs(self, rows: TensorTransitions) -> Tensor:
+        """z-scored (s, a, s' - s), (B, 2 O + A)."""
+        return self.scaling(torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), dim=1))
+
+
+@dataclass
+class TrainDiscriminator(Work):
+    """Work: gradient steps on the cross entropy; then `net` is the (average) network.
+
+    `metrics` are of the last tenth of the steps.
     """
 
     rank: ClassVar[int] = 2
-    problem: Discriminator
-    subject: Judge
+    problem: RatioProblem
+    subject: Discriminator
     generator: torch.Generator
+    net: StackedMLP = field(init=False)
     metrics: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -130,7 +135,7 @@ class TrainJudge(Work):
         return repr(self.subject.config)
 
     @classmethod
-    def do(cls, works: "Sequence[TrainJudge]", subject: Judge) -> None:
+    def do(cls, works: "Sequence[TrainDiscriminator]", subject: Discriminator) -> None:
         config = subject.config
         averages = [Average(w.subject.net, config.parameter_average) for w in works]
         last = config.discriminator_steps - max(config.discriminator_steps // 10, 1)
@@ -143,7 +148,7 @@ class TrainJudge(Work):
                 losses.append(loss.clone())
                 judged.append(logits.clone().unflatten(1, (2, -1)))
         for m, (work, average) in enumerate(zip(works, averages, strict=True)):
-            work.problem.net = average.net
+            work.net = average.net
             if losses:
                 work._measure([one[m] for one in losses], [one[m] for one in judged])
 

@@ -18,8 +18,8 @@ from tom.data.transitions import TensorTransitions, Transitions
 from tom.learners.base import DEGENERATE, FitContext, Policy, Weighting, uniform
 from tom.learners.discriminator import (
     Discriminator,
-    Judge,
-    TrainJudge,
+    RatioProblem,
+    TrainDiscriminator,
     discriminator_net,
     membership_reward,
 )
@@ -69,8 +69,8 @@ class Networks:
         self.dims = obs_dim, action_dim
         self.config = config
         device = device or generator.device
-        judge = discriminator_net(*self.dims, config, generator).to(device)
-        self.discriminator = Judge(judge, config)
+        net = discriminator_net(*self.dims, config, generator).to(device)
+        self.discriminator = Discriminator(net, config)
         self.q = QFunction(q_net(*self.dims, config, generator).to(device), config)
 
     def restart_discriminator(self, generator: torch.Generator) -> None:
@@ -92,12 +92,12 @@ def estimate(
     config = networks.config
     metrics: dict[str, float] = {}
     if config.discriminator:
-        judge = Discriminator(networks.discriminator.net, replay, policy_buffer)
-        judging = TrainJudge(judge, networks.discriminator, generator)
-        yield judging
-        metrics |= judging.metrics
-        log_ratio = judge.log_ratio()
-        scaling = judge.scaling.first(sum(networks.dims))  # of (s, a); (s' - s) comes after
+        ratio = RatioProblem.of(policy_buffer, replay)
+        training = TrainDiscriminator(ratio, networks.discriminator, generator)
+        yield training
+        metrics |= training.metrics
+        log_ratio = ratio.log_ratio(training.net)
+        scaling = ratio.scaling.first(sum(networks.dims))  # of (s, a); (s' - s) comes after
     else:
         log_ratio = membership_reward(replay, policy_buffer)
         scaling = Scaling.of((replay.obs, replay.action))
