@@ -11,6 +11,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from tom.config import ModelConfig, RolloutConfig, SacConfig, TomConfig
 from tom.data.replay import ReplayBuffer
+from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.neural import NeuralDynamics
@@ -18,7 +19,6 @@ from tom.envs import task
 from tom.learners.base import Policy
 from tom.learners.discriminator import Discriminator, discriminator_net
 from tom.learners.dual import DualProblem, QFunction, q_net
-from tom.learners.scaling import Scaling
 from tom.rollout import roll_out
 from tom.sac import Sac
 from tom.sac_work import SacUpdates

@@ -16,39 +16,19 @@ from torch.nn.functional import silu, softplus
 from tom.adam import Adam
 from tom.backprop import forward_trace, gradients
 from tom.config import ModelConfig
-from tom.data.columns import column_moments
 from tom.data.sampling import uniform_indices
+from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import FitReport
 from tom.dynamics.fitting import Fit, Job
 from tom.lockstep import Work, finished
 from tom.nn import StackedMLP
 
-MIN_STD = 1e-6  # a constant dimension is centred and left unscaled
-
 
 def soft_bound(x: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
     """x pressed smoothly between two bounds (Chua et al. 2018)."""
     x = high - softplus(high - x)
     return low + softplus(x - low)
-
-
-class Standardiser:
-    """Mean and standard deviation of each column, (D,); constant columns have scale 1."""
-
-    def __init__(self, dim: int, device: torch.device | str = "cpu") -> None:
-        self.mean = torch.zeros(dim, device=device)
-        self.std = torch.ones(dim, device=device)
-
-    def take(self, std: Tensor, mean: Tensor) -> None:
-        """Scale by these from now on."""
-        self.mean, self.std = mean, torch.where(std < MIN_STD, torch.ones_like(std), std)
-
-    def forward(self, x: Tensor) -> Tensor:
-        return (x - self.mean) / self.std
-
-    def inverse(self, z: Tensor) -> Tensor:
-        return z * self.std + self.mean
 
 
 class NeuralDynamics:
@@ -70,8 +50,8 @@ class NeuralDynamics:
         hidden = [config.hidden] * config.layers
         sizes = [obs_dim + action_dim, *hidden, self.targets * outputs_per_dim]
         self.net = StackedMLP(ensemble, sizes, silu, [generator]).requires_grad_(False)
-        self.input_scale = Standardiser(obs_dim + action_dim, generator.device)
-        self.target_scale = Standardiser(self.targets, generator.device)
+        self.input_scaling = Scaling.identity(obs_dim + action_dim, generator.device)
+        self.target_scaling = Scaling.identity(self.targets, generator.device)
         self.elites = torch.arange(min(config.elites, ensemble), device=generator.device)
         self.optimiser = Adam(self.parameters(), config.lr, self.weight_decay())
 
@@ -167,7 +147,7 @@ class NeuralDynamics:
     def joined(cls, models: Sequence[Self]) -> Self:
         """One model of all networks; from now on the models' parameters are views of its own.
 
-        It is there to be stepped: its scales and elites are the first model's.
+        It is there to be stepped: its scalings and elites are those of no fit.
         """
         joint = copy(models[0])
         joint.net = StackedMLP.joined([m.net for m in models])
@@ -180,23 +160,18 @@ class NeuralDynamics:
 
     def inputs(self, rows: TensorTransitions) -> Tensor:
         """z-scored (obs, action), (..., O + A)."""
-        return self.input_scale.forward(torch.cat([rows.obs, rows.action], -1))
+        return self.input_scaling(torch.cat([rows.obs, rows.action], -1))
 
     def scaled_targets(self, rows: TensorTransitions) -> Tensor:
         """z-scored (reward, change of obs), (..., 1 + O)."""
         change = torch.cat([rows.reward.unsqueeze(-1), rows.next_obs - rows.obs], -1)
-        return self.target_scale.forward(change)
+        return self.target_scaling(change)
 
     def fit_scales(self, data: TensorTransitions, rows: Tensor) -> None:
         """Scale inputs and targets by the moments of these rows (n,) of the data."""
-        inputs = [column_moments(part, rows=rows) for part in (data.obs, data.action)]
-        targets = [
-            column_moments(data.reward.unsqueeze(1), rows=rows),
-            column_moments(data.next_obs, data.obs, rows),
-        ]
-        for scale, parts in ((self.input_scale, inputs), (self.target_scale, targets)):
-            std, mean = zip(*parts, strict=True)
-            scale.take(torch.cat(std), torch.cat(mean))
+        self.input_scaling = Scaling.of((data.obs, data.action), rows=rows)
+        change = data.next_obs, data.obs
+        self.target_scaling = Scaling.of((data.reward.unsqueeze(1),), change, rows)
 
     # Predicting
 
@@ -209,7 +184,7 @@ class NeuralDynamics:
         self, obs: Tensor, action: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
         """Draw (reward (B,), next_obs (B, O)); each row from one elite network at random."""
-        x = self.input_scale.forward(torch.cat([obs, action], -1))
+        x = self.input_scaling(torch.cat([obs, action], -1))
         drawn = self.draw(self.outputs(x), generator)
         pick = uniform_indices(len(self.elites), len(obs), generator)
         if self.ensemble == 1:
@@ -220,17 +195,17 @@ class NeuralDynamics:
     @torch.no_grad()
     def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The elites' mean (reward (B,), next_obs (B, O))."""
-        x = self.input_scale.forward(torch.cat([obs, action], -1))
+        x = self.input_scaling(torch.cat([obs, action], -1))
         return self._unscale(obs, self.mean(self.outputs(x)[self.elites]).mean(0))
 
     def _unscale(self, obs: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
-        y = self.target_scale.inverse(z)
+        y = self.target_scaling.inverse(z)
         return y[:, 0], obs + y[:, 1:]
 
     # State
 
     def state_dict(self) -> dict[str, Any]:
-        scales = (self.input_scale, self.target_scale)
+        scales = (self.input_scaling, self.target_scaling)
         return {
             "net": self.net.state_dict(),
             "extra": [p.detach().clone() for p in self.extra_parameters()],
@@ -248,7 +223,7 @@ class NeuralDynamics:
         with torch.no_grad():
             for parameter, value in zip(self.extra_parameters(), state["extra"], strict=True):
                 parameter.copy_(value)
-        device = self.elites.device
-        self.input_scale.mean, self.input_scale.std = (t.to(device) for t in state["scales"][:2])
-        self.target_scale.mean, self.target_scale.std = (t.to(device) for t in state["scales"][2:])
-        self.elites = state["elites"].to(device)
+        scales = state["scales"]
+        self.input_scaling = Scaling(*scales[:2]).to(self.device)
+        self.target_scaling = Scaling(*scales[2:]).to(self.device)
+        self.elites = state["elites"].to(self.device)

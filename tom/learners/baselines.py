@@ -6,11 +6,11 @@ from torch import Tensor
 
 from tom.config import TomConfig
 from tom.data.sampling import normalise
+from tom.data.scaling import Scaling
 from tom.envs.road_data import OfflineData
 from tom.learners.base import FitContext, Weighting
 from tom.learners.discriminator import Discriminator, RatioProblem, discriminator_net
 from tom.learners.dual import DualProblem, QFunction, q_net
-from tom.learners.scaling import Scaling
 
 Baseline = Callable[[OfflineData, FitContext, TomConfig], Weighting]
 

@@ -15,9 +15,9 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 from tom.backprop import forward_trace, gradients
 from tom.config import TomConfig
 from tom.data.sampling import block_size, uniform_indices
+from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.averaging import Average
-from tom.learners.scaling import Scaling
 from tom.learners.training import Trained
 from tom.lockstep import Work
 from tom.nn import StackedMLP, rows_at_once

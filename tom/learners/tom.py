@@ -14,6 +14,7 @@ from torch import Tensor
 
 from tom.config import TomConfig
 from tom.data.sampling import normalise
+from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.learners.base import DEGENERATE, FitContext, Policy, Weighting, uniform
 from tom.learners.discriminator import (
@@ -24,7 +25,6 @@ from tom.learners.discriminator import (
     membership_reward,
 )
 from tom.learners.dual import DualProblem, Minimise, QFunction, q_net
-from tom.learners.scaling import Scaling
 from tom.lockstep import Work, finished
 
 __all__ = ["Occupancy", "TomConfig", "TomLearner", "occupancy_weights"]

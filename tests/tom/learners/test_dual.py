@@ -6,6 +6,7 @@ from made import ACTION, OBS, QUICK, ended, generator, rows, uniform_policy
 from torch import Tensor
 
 from tom.config import TomConfig
+from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.dual import (
     Batch,
@@ -18,7 +19,6 @@ from tom.learners.dual import (
     q_net,
     values_of,
 )
-from tom.learners.scaling import Scaling
 from tom.nn import StackedMLP
 
 
