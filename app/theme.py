@@ -3,18 +3,10 @@
 from typing import Any, Literal
 
 from tom.learners import LEARNERS
+from tom.reports.colours import LEARNER_COLOURS
 
 Mode = Literal["light", "dark"]
 
-# At least 3:1 against both backgrounds; any two differ by 14 or more (CIE 1976) under normal,
-# red-blind, green-blind and blue-blind vision. tests/app/test_theme.py measures both.
-LEARNER_COLOURS: dict[str, str] = {
-    "mle": "#2b6fe0",
-    "pmac": "#0c8577",
-    "tom": "#c8441c",
-    "vagram": "#e056c0",
-    "vagram-ensemble": "#bd8d12",
-}
 # No learners of a model, drawn beside them in muted tones.
 BASELINE_COLOURS: dict[str, str] = {
     "expert-only": "#6d7686",

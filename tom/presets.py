@@ -10,7 +10,7 @@ from typing import Any
 from tom.config import OnlineConfig, RoadConfig, RunConfig
 from tom.envs import ENV_NAMES, task
 from tom.errors import unknown
-from tom.learners import LEARNER_NAMES
+from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.learners.baselines import BASELINES
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -106,10 +106,7 @@ def learners(env: str) -> tuple[str, ...]:
 def _online(env: str, learner: str, preset: str) -> OnlineConfig:
     steps = 600 if preset == "smoke" else task(env).steps
     config = OnlineConfig(env=env, learner=learner, steps=steps).but(**PRESETS[preset])
-    config = config.but(**BY_ENV[preset].get(env, {}))
-    if learner == "vagram-ensemble":
-        config = config.but(model={"kind": "mean-ensemble"})
-    return config
+    return config.but(**BY_ENV[preset].get(env, {})).but(**LEARNERS[learner].settings)
 
 
 def _road(preset: str) -> RoadConfig:

@@ -1,7 +1,8 @@
 """The learners: one file and one registry line each."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 
@@ -19,25 +20,42 @@ Build = Callable[[RunConfig, int, int, torch.Generator], Learner]
 
 @dataclass(frozen=True)
 class LearnerEntry:
-    """How a learner is shown and built."""
+    """How a learner is shown and built, and what else goes by its name.
+
+    `colour` is its own in every figure. `follows_value`: its weights come from a value function and
+    change with it. `settings` change the preset of its online runs.
+    """
 
     label: str
     build: Build
+    colour: str | None = None
+    follows_value: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
+# Colours: at least 3:1 against light and dark; any two differ by 14 or more (CIE 1976) under
+# normal, red-blind, green-blind and blue-blind vision. tests/app/test_theme.py measures both.
 LEARNERS: dict[str, LearnerEntry] = {
-    "mle": LearnerEntry("MLE", lambda c, o, a, g: MleLearner()),
-    "pmac": LearnerEntry("PMAC", lambda c, o, a, g: PmacLearner(c.pmac)),
-    "tom": LearnerEntry("TOM", lambda c, o, a, g: TomLearner(c.tom, o, a, g)),
-    "vagram": LearnerEntry("VaGram (MDN)", lambda c, o, a, g: VagramLearner(c.vagram)),
+    "mle": LearnerEntry("MLE", lambda c, o, a, g: MleLearner(), "#2b6fe0"),
+    "pmac": LearnerEntry("PMAC", lambda c, o, a, g: PmacLearner(c.pmac), "#0c8577"),
+    "tom": LearnerEntry("TOM", lambda c, o, a, g: TomLearner(c.tom, o, a, g), "#c8441c"),
+    "vagram": LearnerEntry(
+        "VaGram (MDN)",
+        lambda c, o, a, g: VagramLearner(c.vagram),
+        "#e056c0",
+        follows_value=True,
+    ),
     "vagram-ensemble": LearnerEntry(
-        "VaGram (Ensemble)", lambda c, o, a, g: VagramLearner(c.vagram, "vagram-ensemble")
+        "VaGram (Ensemble)",
+        lambda c, o, a, g: VagramLearner(c.vagram),
+        "#bd8d12",
+        follows_value=True,
+        settings={"model": {"kind": "mean-ensemble"}},
     ),
 }
 
 LEARNER_NAMES: tuple[str, ...] = tuple(LEARNERS)
-FOLLOW_THE_VALUE = ("vagram", "vagram-ensemble")
-"""learners whose weights come from a value function and change with it"""
+FOLLOW_THE_VALUE = tuple(name for name, entry in LEARNERS.items() if entry.follows_value)
 
 
 def make_learner(

@@ -107,8 +107,6 @@ class LearnerWithWork(Protocol):
 class Learner(Protocol):
     """A model learner. It keeps what it warm-starts; `state_dict` is all of that."""
 
-    name: str
-
     def weigh(self, context: FitContext) -> Weighting: ...
 
     def state_dict(self) -> dict[str, Any]: ...

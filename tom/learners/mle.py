@@ -8,8 +8,6 @@ from tom.learners.base import FitContext, Weighting, uniform
 class MleLearner:
     """Weight one for every transition (paper, eq. 2)."""
 
-    name = "mle"
-
     def weigh(self, context: FitContext) -> Weighting:
         return uniform(context.replay, ready=True)
 

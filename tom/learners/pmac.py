@@ -31,8 +31,6 @@ def recency_probabilities(policy_version: Tensor, decay: float) -> Tensor:
 class PmacLearner:
     """Recency weights over policy versions."""
 
-    name = "pmac"
-
     def __init__(self, config: PmacConfig) -> None:
         self.config = config
 

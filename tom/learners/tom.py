@@ -152,8 +152,6 @@ class TomLearner:
     Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
     """
 
-    name = "tom"
-
     def __init__(
         self,
         config: TomConfig,

@@ -47,8 +47,7 @@ class VagramLearner:
     Uniform, and not ready, while there is no value function or nothing was collected on policy.
     """
 
-    def __init__(self, config: VagramConfig, name: str = "vagram") -> None:
-        self.name = name
+    def __init__(self, config: VagramConfig) -> None:
         self.config = config
         self.degenerate = 0
 

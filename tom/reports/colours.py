@@ -1,12 +1,8 @@
 """One colour for each learner, the studio's own."""
 
-LEARNER_COLOURS = {
-    "mle": "#2b6fe0",
-    "pmac": "#0c8577",
-    "tom": "#c8441c",
-    "vagram": "#e056c0",
-    "vagram-ensemble": "#bd8d12",
-}
+from tom.learners import LEARNERS
+
+LEARNER_COLOURS = {name: entry.colour for name, entry in LEARNERS.items() if entry.colour}
 NEUTRAL = "#8a92a3"
 TEXT = "#1c2330"
 

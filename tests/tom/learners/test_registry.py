@@ -20,7 +20,6 @@ def test_names_and_labels():
 @pytest.mark.parametrize("name", LEARNER_NAMES)
 def test_every_learner_weighs_a_buffer(name):
     learner = make_learner(name, config(name), OBS, ACTION, generator())
-    assert learner.name == name
     version = torch.arange(100) // 25
     found = learner.weigh(
         context(
