@@ -14,8 +14,8 @@ from tom.dynamics.linear import LinearModel
 from tom.envs import MujocoTask, task
 from tom.errors import UserError
 from tom.events import Episode
-from tom.offline import KnownTask
 from tom.record import RunReader, checkpoint, layout
+from tom.road_model import RoadModel
 
 BATCH = 4096
 """rows that are predicted at once: more do not fit the processor's cache"""
@@ -34,16 +34,6 @@ class Predictor(Protocol):
     def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The mean (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
         ...
-
-
-class _RoadModel:
-    """A road-and-rocks run's linear model with the task's known reward."""
-
-    def __init__(self, coefficients: Tensor) -> None:
-        self._known = KnownTask(LinearModel(coefficients))
-
-    def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
-        return self._known.sample(obs, action, torch.Generator())
 
 
 @dataclass(frozen=True)
@@ -99,7 +89,7 @@ def kept_model(run: RunReader) -> KeptModel:
 
 def _predictor(run: RunReader, state: dict[str, Any]) -> Predictor:
     if run.env == "road-and-rocks":
-        return _RoadModel(state["coefficients"])
+        return RoadModel(LinearModel(state["coefficients"]))
     known = task(run.env)
     # The model's settings alone: another version may have other ones elsewhere.
     config = ModelConfig.model_validate(run.config["config"]["model"])

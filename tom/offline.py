@@ -36,25 +36,12 @@ from tom.road_measure import (
     trajectory_field,
     weight_shares,
 )
+from tom.road_model import RoadModel, fit_linear
 from tom.road_policy import RoadSac
 from tom.rollout import roll_out, start_states
 
 START_DRAWS = 1000
 """draws of the start distribution mu_0 for the dual"""
-
-
-class KnownTask:
-    """The learnt dynamics with what is known of the task: its bounds and its reward."""
-
-    def __init__(self, model: LinearModel) -> None:
-        self.model = model
-
-    def sample(
-        self, obs: Tensor, action: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """(reward (B,), next_obs (B, O)); the linear model is deterministic."""
-        next_obs = self.model.predict(obs, action).clamp(0, 1)
-        return road.reward(next_obs), next_obs
 
 
 class Offline:
@@ -135,7 +122,7 @@ class Offline:
     def fit(self, value_gradient: bool) -> Iterator[Event]:
         """Weigh the data, then fit the linear model by those weights."""
         self.weighting = self.weigh(self.context(value_gradient))
-        self.model = fit_model(self.data, self.weighting)
+        self.model = fit_linear(self.data.rows, self.weighting)
         for kind, message in self.weighting.notices:
             yield Notice(self.env_step, kind, message)
         yield Metrics(
@@ -176,7 +163,7 @@ class Offline:
         config, generator = self.config.rollout, self.streams.torch("rollout")
         weights = self.weighting.row_weights if config.weighted_starts else None
         return roll_out(
-            KnownTask(self.model),
+            RoadModel(self.model),
             self.policy,
             road.at_goal,
             start_states(self.data.rows, weights, config.starts, generator),
@@ -258,12 +245,6 @@ class Offline:
 def train(config: RoadConfig) -> Iterator[Event]:
     """The events of an offline run."""
     return Offline(config).events()
-
-
-def fit_model(data: road_data.OfflineData, weighting: Weighting) -> LinearModel:
-    """The weighted fit; by dimension where the learner weighs dimensions."""
-    by_dim = weighting.per_dim
-    return LinearModel.fit(data.rows, weighting.weights if by_dim is None else by_dim)
 
 
 def storage_order(rows: int) -> Tensor:

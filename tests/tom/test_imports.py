@@ -11,7 +11,7 @@ LEVELS = [
     | {"adam", "graphs", "parent", "lockstep", "memory", "divergences", "statistics", "health"},
     {"learners", "sac", "sac_work", "dynamics", "evaluate", "tabular", "planner", "cloning"}
     | {"collect", "policy_file", "road_policy"},
-    {"rollout", "diagnostics", "presets", "road_measure"},
+    {"rollout", "diagnostics", "presets", "road_measure", "road_model"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
     {"run", "bench", "ordered_data"},
     {"weighing"},
