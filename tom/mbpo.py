@@ -4,7 +4,7 @@
 consumers' affair: this file knows no file, clock or socket.
 """
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
 from functools import partial
 from typing import Any
 
@@ -29,7 +29,6 @@ from tom.events import (
     Notice,
     Tick,
     TrainedPolicy,
-    Weights,
 )
 from tom.health import require_finite
 from tom.learners import make_learner
@@ -100,12 +99,12 @@ class Mbpo:
     def fit_and_roll_out(self) -> Steps:
         """Lines 3-19: weights, weighted model fit, rollouts from weighted start states."""
         yield Tick(self.env_step, "fit")
-        self._sac_losses()
+        self._sac_losses()  # a policy that has diverged ends the run here
         yield from self._flush_collected()
         context = self._fit_context()
         weighting = yield from weighing(self.learner, context)
         policy = policy_arrays(self.config.env, self.sac)
-        yield _weights_event(self.env_step, weighting, policy)
+        yield weighting.event(self.env_step, policy)
         report = yield from self.model.fitting(
             context.replay,
             weighting.fit_weights(self.config.model.weight_clip),
@@ -286,14 +285,3 @@ class Mbpo:
         if len(rows):
             versions = self.replay.policy_version()[-len(rows) :]
             yield Collected(self.env_step, rows.copy().numpy(), versions.cpu().numpy().copy())
-
-
-def _weights_event(
-    env_step: int, weighting: Weighting, policy: Mapping[str, np.ndarray]
-) -> Weights:
-    def array(x: Tensor | None) -> np.ndarray | None:
-        return None if x is None else x.to("cpu", torch.float32).numpy()
-
-    weight = weighting.weights.to("cpu", torch.float32).numpy()
-    per_dim, log_ratio = array(weighting.per_dim), array(weighting.log_ratio)
-    return Weights(env_step, weight, per_dim, log_ratio, policy)

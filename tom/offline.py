@@ -19,7 +19,7 @@ from tom.data.sampling import uniform_indices
 from tom.data.transitions import Transitions
 from tom.dynamics.linear import LinearModel
 from tom.envs import road, road_data
-from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick, Weights
+from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick
 from tom.health import require_finite
 from tom.learners import FOLLOW_THE_VALUE, make_learner
 from tom.learners.base import FitContext, Weighting
@@ -205,10 +205,8 @@ class Offline:
 
     def record(self) -> Iterator[Event]:
         """Weights, model and trajectories as they stand."""
-        step, weighting = self.env_step, self.weighting
-        yield Weights(
-            step, _array(weighting.weights), _maybe(weighting.per_dim), _maybe(weighting.log_ratio)
-        )
+        step = self.env_step
+        yield self.weighting.event(step)
         yield Field(step, "model", model_field(self.data.road_map, self.model))
         yield Field(step, "trajectories", trajectory_field(self.data.demonstrations, self.episodes))
 
@@ -253,11 +251,3 @@ def storage_order(rows: int) -> Tensor:
     Nothing else is known of who recorded what, so PMAC takes the order of storage for age.
     """
     return torch.arange(rows)
-
-
-def _array(x: Tensor) -> np.ndarray:
-    return x.to(torch.float32).numpy()
-
-
-def _maybe(x: Tensor | None) -> np.ndarray | None:
-    return None if x is None else _array(x)

@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.data.transitions import TensorTransitions
+from tom.events import FloatArray, Weights
 from tom.lockstep import Work
 
 
@@ -76,6 +78,20 @@ class Weighting:
     def fit_weights(self, clip: float) -> Tensor:
         """The rows' weights for a fit of the model, (N,): at most `clip` where they are clipped."""
         return self.row_weights.clamp(max=clip) if self.clipped else self.row_weights
+
+    def event(self, env_step: int, policy: Mapping[str, NDArray] | None = None) -> Weights:
+        """What a training tells of a fit by these weights; `policy` as in `Weights`."""
+
+        def array(x: Tensor) -> FloatArray:
+            return x.to("cpu", torch.float32).numpy()
+
+        return Weights(
+            env_step,
+            weight=array(self.weights),
+            per_dim=None if self.per_dim is None else array(self.per_dim),
+            log_ratio=None if self.log_ratio is None else array(self.log_ratio),
+            policy=policy,
+        )
 
 
 def uniform(replay: TensorTransitions, ready: bool) -> Weighting:
