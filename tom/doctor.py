@@ -20,7 +20,7 @@ import torch
 from packaging.requirements import Requirement
 
 from tom.envs import ENVS
-from tom.errors import UserError
+from tom.errors import UserError, reason
 from tom.matmul import choose_matmul, kept_in
 from tom.record import Store, hub, scene
 
@@ -63,10 +63,8 @@ def _guarded(name: str, check: Callable[[], Finding]) -> Finding:
     try:
         return check()
     except Exception as error:  # a doctor that dies of the illness helps nobody
-        text = (str(error).strip().splitlines() or [""])[0]
-        return Finding(
-            name, "bad", f"{type(error).__name__}: {text}", "see docs/troubleshooting.md"
-        )
+        text = f"{type(error).__name__}: {reason(error)}"
+        return Finding(name, "bad", text, "see docs/troubleshooting.md")
 
 
 def _python() -> Finding:

@@ -1,4 +1,4 @@
-"""Errors that are the user's to mend: one line, naming the fix."""
+"""Errors that are the user's to mend: one line, naming the fix; and any error in one line."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -18,3 +18,9 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     near = get_close_matches(name.lower(), names, n=1, cutoff=0.5)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return UserError(f"unknown {kind} '{name}': {hint}Known: {', '.join(names)}")
+
+
+def reason(error: BaseException) -> str:
+    """Why something failed: the first line of an error, its kind where it says nothing."""
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return lines[0][:200]

@@ -12,7 +12,7 @@ from tom.config import ModelConfig
 from tom.dynamics import make_model
 from tom.dynamics.linear import LinearModel
 from tom.envs import MujocoTask, task
-from tom.errors import UserError
+from tom.errors import UserError, reason
 from tom.events import Episode
 from tom.record import RunReader, checkpoint, layout
 from tom.road_model import RoadModel
@@ -81,9 +81,9 @@ def kept_model(run: RunReader) -> KeptModel:
     try:
         return KeptModel(held.env_step, _predictor(run, held.state["training"]))
     except (KeyError, RuntimeError, ValueError) as error:  # ValidationError is a ValueError
-        reason = str(error).splitlines()[0]
         raise UserError(
-            f"the model in the checkpoint of run '{run.run_id}' is another version's: {reason}"
+            f"the model in the checkpoint of run '{run.run_id}' is another version's: "
+            f"{reason(error)}"
         ) from None
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import relu
 
-from tom.errors import UserError
+from tom.errors import UserError, reason
 from tom.nn import StackedMLP
 from tom.sac import GaussianPolicy, MemberPolicy, Sac
 
@@ -93,8 +93,7 @@ def read_policy(path: Path) -> StoredPolicy:
             f"no policy at {path}: name a run folder, its policy.npz or 'random'"
         ) from None
     except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UserError(f"{path} is no stored policy ({reason[:120]}): name another") from error
+        raise UserError(f"{path} is no stored policy ({reason(error)}): name another") from error
 
 
 def _array(parameter: Tensor) -> NDArray[np.float32]:

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from tom.config import OnlineConfig, RoadConfig, RunConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
-from tom.errors import UserError
+from tom.errors import UserError, reason
 from tom.events import Notice
 from tom.health import Watch
 from tom.lockstep import finished
@@ -132,10 +132,9 @@ def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch
             watch.load_state_dict(held.state["watch"])
         return held.state["record"]
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-        reason = str(error).partition("\n")[0]
         raise UserError(
             f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is another "
-            f"version's ({type(error).__name__}: {reason}): start it again"
+            f"version's ({type(error).__name__}: {reason(error)}): start it again"
         ) from error
 
 

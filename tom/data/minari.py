@@ -14,7 +14,7 @@ import pyarrow.dataset
 
 from tom.data.hdf5 import column, open_hdf5
 from tom.data.transitions import Transitions
-from tom.errors import UserError
+from tom.errors import UserError, reason
 
 
 def read_minari(path: str | Path) -> Transitions:
@@ -69,8 +69,9 @@ def _arrow_episodes(folder: Path, form: str) -> Iterator[Transitions]:
             obs, action = _rows(table, "observations"), _rows(table, "actions")
             flat = [table[f].to_numpy() for f in ("rewards", "terminations", "truncations")]
         except (pa.ArrowException, KeyError, OSError) as error:
-            reason = str(error).splitlines()[0]
-            raise UserError(f"{episode} cannot be read: download it again ({reason})") from error
+            raise UserError(
+                f"{episode} cannot be read: download it again ({reason(error)})"
+            ) from error
         # The columns are as long as the observations: the last row of the others is padding.
         yield _episode(str(episode), obs, action[:-1], *(c[:-1] for c in flat))
 

@@ -1,4 +1,4 @@
-"""Reads files of arrays and tables; what reading a damaged one raises, and why in a line."""
+"""Reads files of arrays and tables; what reading a damaged one raises."""
 
 import zipfile
 from pathlib import Path
@@ -35,9 +35,3 @@ def read_arrays(path: Path) -> dict[str, NDArray]:
     """The arrays of an `.npz` file by name, loaded without pickle. Raises one of DAMAGE."""
     with np.load(path, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
-
-
-def reason(error: BaseException) -> str:
-    """Why something failed: the first line of an error, its kind where it says nothing."""
-    text = str(error).strip().splitlines() or [type(error).__name__]
-    return text[0][:200]

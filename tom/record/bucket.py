@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 from pyarrow import fs
 
-from tom.errors import UserError
+from tom.errors import UserError, reason
 
 CONNECT_S, ANSWER_S, TRIES = 10.0, 30.0, 3
 URL = re.compile(r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(?:/(?P<prefix>[^?#]*))?")
@@ -38,7 +38,7 @@ class Bucket:
             files = _connect(name)
             found = files.get_file_info(name).type
         except OSError as error:
-            raise UserError(f"{url}: cannot reach the bucket: {_cause(error)}") from error
+            raise UserError(f"{url}: cannot reach the bucket: {reason(error)}") from error
         if found is fs.FileType.NotFound:
             raise UserError(f"{url}: there is no bucket '{name}' (or these credentials see none)")
         return cls(files, f"{name}/{prefix}" if prefix else name, url.rstrip("/"))
@@ -103,7 +103,3 @@ def _connect(bucket: str) -> fs.S3FileSystem:
         retry_strategy=fs.AwsStandardS3RetryStrategy(max_attempts=TRIES),
         **where,
     )
-
-
-def _cause(error: OSError) -> str:
-    return str(error).splitlines()[0][:300]

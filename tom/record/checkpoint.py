@@ -17,6 +17,7 @@ from typing import Any, BinaryIO, cast
 
 import torch
 
+from tom.errors import reason
 from tom.record.files import read_json, sync
 
 SCHEMA = 1
@@ -75,7 +76,7 @@ def load(folder: Path) -> Checkpoint | None:
         try:
             state = _load_one(path)
         except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-            problems.append(f"checkpoint {path.name} cannot be used: {_first_line(error)}")
+            problems.append(f"checkpoint {path.name} cannot be used: {reason(error)}")
             unusable.append(path)
             continue
         return Checkpoint(int(path.name), state, problems, unusable)
@@ -158,10 +159,6 @@ def _drop_unfinished(folder: Path) -> None:
     """Remove what a killed process left half-written (the run's lock is held by us)."""
     for path in folder.glob(".*.tmp"):
         shutil.rmtree(path, ignore_errors=True)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
 
 
 def _sync_file(file: BinaryIO) -> None:

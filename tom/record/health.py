@@ -12,8 +12,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from tom.errors import reason
 from tom.record import checkpoint, layout
-from tom.record.array_files import DAMAGE, read_arrays, reason
+from tom.record.array_files import DAMAGE, read_arrays
 from tom.record.files import modified, parse_json_line, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import unwritten

@@ -13,9 +13,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
+from tom.errors import reason
 from tom.events import Episode
 from tom.record import decode, labels, layout, small_copy, status
-from tom.record.array_files import DAMAGE, read_arrays, read_table, reason
+from tom.record.array_files import DAMAGE, read_arrays, read_table
 from tom.record.decode import Arrays
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels

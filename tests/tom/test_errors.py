@@ -1,0 +1,25 @@
+"""Errors in one line: why something failed, and what was meant by a name that is unknown."""
+
+import pytest
+
+from tom.errors import reason, unknown
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (OSError("\n  the disk\nand more of it\n"), "the disk"),
+        (RuntimeError(), "RuntimeError"),  # torch has errors without a word
+        (ValueError("x" * 5000), "x" * 200),
+    ],
+)
+def test_why_something_failed_in_one_line(error: Exception, line: str):
+    assert reason(error) == line
+
+
+def test_an_unknown_name_offers_the_nearest_if_one_is_near():
+    known = ("mle", "pmac", "tom")
+    assert str(unknown("learner", "PMACS", known)) == (
+        "unknown learner 'PMACS': did you mean 'pmac'? Known: mle, pmac, tom"
+    )
+    assert "did you mean" not in str(unknown("learner", "zzzz", known))
