@@ -10,7 +10,7 @@ import pandas as pd
 from app import pictures, trainings
 from app.cache import Kept
 from app.pictures import Picture
-from app.settings import Settings, flat
+from app.settings import Settings, in_words
 from tom.errors import UserError
 from tom.record import layout, small_copy
 from tom.record.labels import Labels
@@ -186,7 +186,7 @@ def _read_info(store: str, name: str) -> RunInfo:
         created=reader.created,
         status=reader.status,
         labels=reader.labels,
-        settings=flat(reader.config.get("config")),
+        settings=in_words(reader.config.get("config")),
         small_copy=reader.small_copy,
         problems=tuple(reader.problems),
     )

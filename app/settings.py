@@ -1,9 +1,11 @@
 """The settings that runs were made with: what differs, and what puts runs into one group."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import pandas as pd
+
+from tom.nested import flat
 
 Settings = Mapping[str, str]
 
@@ -29,17 +31,10 @@ class Made(Protocol):
     def settings(self) -> Settings: ...
 
 
-def flat(config: Any, prefix: str = "") -> dict[str, str]:
-    """A configuration as path: words (`sac.lr`: `0.0003`)."""
-    if not isinstance(config, dict):
-        return {}
-    found: dict[str, str] = {}
-    for name, value in config.items():
-        if isinstance(value, dict):
-            found |= flat(value, f"{prefix}{name}.")
-        else:
-            found[f"{prefix}{name}"] = str(value).lower() if value is not None else "none"
-    return found
+def in_words(config: object) -> dict[str, str]:
+    """A configuration as path: words (`sac.lr`: `0.0003`); empty for what is none."""
+    values = flat(config) if isinstance(config, dict) else {}
+    return {path: str(value).lower() for path, value in values.items()}
 
 
 def differences(runs: Sequence[Made]) -> dict[str, list[str]]:

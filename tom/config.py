@@ -1,4 +1,4 @@
-"""Every number of a run, frozen, with the presets; the resolved copy is saved with the run.
+"""Every number of a run, frozen; the resolved copy is saved with the run.
 
 The docstring below a field is its help text on the command line.
 """
@@ -6,6 +6,8 @@ The docstring below a field is its help text on the command line.
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from tom.nested import merged
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Discount = Annotated[float, Field(ge=0, lt=1)]
@@ -22,16 +24,7 @@ class Config(BaseModel):
 
     def but(self, **changes: Any) -> Self:
         """A checked copy with some values changed; nested groups take a dict of changes."""
-        merged = _merge(self.model_dump(), changes)
-        return type(self).model_validate(merged)
-
-
-def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for name, value in changes.items():
-        nested = isinstance(value, dict) and isinstance(merged.get(name), dict)
-        merged[name] = _merge(merged[name], value) if nested else value
-    return merged
+        return type(self).model_validate(merged(self.model_dump(), changes))
 
 
 class ModelConfig(Config):

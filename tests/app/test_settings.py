@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from app.settings import NONE, differences, flat, table, variants
+from app.settings import NONE, differences, in_words, table, variants
 
 
 @dataclass(frozen=True)
@@ -16,13 +16,13 @@ class Run:
 
 def test_a_configuration_is_flat_words() -> None:
     config = {"seed": 1, "sac": {"lr": 3e-4, "target_entropy": None}, "x": True}
-    assert flat(config) == {
+    assert in_words(config) == {
         "seed": "1",
         "sac.lr": "0.0003",
         "sac.target_entropy": "none",
         "x": "true",
     }
-    assert flat("damaged") == {}
+    assert in_words("damaged") == {}
 
 
 def test_only_differences_are_shown() -> None:

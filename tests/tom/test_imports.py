@@ -8,7 +8,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 LEVELS = [
     {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
-    | {"adam", "graphs", "parent", "lockstep", "memory", "divergences", "statistics", "health"},
+    | {"adam", "graphs", "nested", "parent", "lockstep", "memory", "divergences", "statistics"}
+    | {"health"},
     {"learners", "sac", "sac_work", "dynamics", "evaluate", "tabular", "planner", "cloning"}
     | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_model"},

@@ -13,6 +13,7 @@ from tom.cli.train import number, summary
 from tom.envs import ENV_NAMES
 from tom.errors import UserError, unknown
 from tom.learners import LEARNER_NAMES
+from tom.nested import flat
 from tom.record import RunReader, Store
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
@@ -119,16 +120,6 @@ def diff(args: argparse.Namespace) -> int:
     else:
         show(f"{len(rows)} differences", ("what", args.first, args.second), rows)
     return 0
-
-
-def flat(content: Any, prefix: str = "") -> dict[str, Any]:
-    """A nested dict with dotted names."""
-    if not isinstance(content, dict):
-        return {prefix: content}
-    found: dict[str, Any] = {}
-    for name, value in content.items():
-        found |= flat(value, f"{prefix}.{name}" if prefix else str(name))
-    return found
 
 
 def _comparable(run: RunReader) -> dict[str, Any]:

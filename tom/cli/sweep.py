@@ -21,11 +21,12 @@ from tom.config import OnlineConfig
 from tom.envs import ENV_NAMES
 from tom.errors import UserError
 from tom.learners import LEARNER_NAMES
+from tom.nested import merged
 from tom.presets import PRESETS
 from tom.record import RunReader, Store
 from tom.run import Stop
 from tom.sweep.driver import ATTEMPTS, Driver
-from tom.sweep.plan import Trial, checked, merged, read_plan, same_run, trials
+from tom.sweep.plan import Trial, checked, read_plan, same_run, trials
 from tom.sweep.projection import Cost, cost
 from tom.sweep.slurm import script
 

@@ -1,8 +1,9 @@
 """What runs were trained with beside their preset: whether they may be held against each other."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+from tom.nested import flat
 from tom.presets import resolve
 from tom.record import RunReader
 
@@ -12,9 +13,9 @@ OWN = ("seed", "steps")
 
 def changed(run: RunReader) -> dict[str, Any]:
     """The settings, by dotted path, in which a run differs from its preset for its learner."""
-    has = dict(_paths(run.config["config"]))
+    has = flat(run.config["config"])
     preset = resolve(run.env, run.learner, run.config["preset"]).model_dump(mode="json")
-    usual = dict(_paths(preset))
+    usual = flat(preset)
     paths = [path for path in sorted(has.keys() | usual.keys()) if path not in OWN]
     return {path: has.get(path) for path in paths if has.get(path) != usual.get(path)}
 
@@ -28,11 +29,3 @@ def unlike(runs: Sequence[RunReader]) -> list[str]:
         for path in paths
         if len({repr(one[path]) if path in one else "as the preset" for one in found}) > 1
     ]
-
-
-def _paths(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _paths(value, f"{above}{name}.")
-        else:
-            yield above + name, value

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from ruamel.yaml import YAML, YAMLError
 
 from tom.config import Config, OnlineConfig, RoadConfig
 from tom.errors import UserError
+from tom.nested import flat
 from tom.presets import resolve
 from tom.record import RunReader
 
@@ -60,10 +61,9 @@ class Trial:
 
     def options(self) -> tuple[str, ...]:
         """The words of `tom train` that make this training."""
-        flat = list(_flat(self.overrides))
-        given = [("env", self.env), ("learner", self.learner), ("preset", self.preset)]
-        words = [*given, ("seed", self.seed), *flat]
-        return tuple(f"--{name.replace('_', '-')}={_word(value)}" for name, value in words)
+        given = {"env": self.env, "learner": self.learner, "preset": self.preset}
+        words = given | {"seed": self.seed} | flat(self.overrides)
+        return tuple(f"--{name.replace('_', '-')}={_word(value)}" for name, value in words.items())
 
 
 def trials(plan: Plan) -> list[Trial]:
@@ -126,17 +126,6 @@ def checked(content: dict[str, Any]) -> Plan:
         raise UserError(f"sweep: {where}: {first['msg']} (a plan has {known})") from None
 
 
-def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` on top, group by group."""
-    found = {**base}
-    for name, value in changes.items():
-        held = found.get(name)
-        if isinstance(held, dict) and isinstance(value, dict):
-            value = merged(held, value)
-        found[name] = value
-    return found
-
-
 def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
     """The run of this training among `runs`: a finished one, else its own, else the newest.
 
@@ -147,14 +136,6 @@ def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
     done = [run for run in mine if run.status.state == "finished"]
     own = [run for run in mine if run.run_id == trial.run_id]
     return next(iter([*done, *own, *mine]), None)
-
-
-def _flat(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in content.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _word(value: Any) -> str:

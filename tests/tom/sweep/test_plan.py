@@ -10,7 +10,7 @@ from tom.errors import UserError
 from tom.presets import resolve
 from tom.record import RunWriter, Store
 from tom.record.export import export_small
-from tom.sweep.plan import checked, merged, read_plan, same_run, trials
+from tom.sweep.plan import checked, read_plan, same_run, trials
 
 SMALL = {"env": ["inverted-pendulum"], "learner": ["mle", "tom"], "seeds": 2, "preset": "smoke"}
 
@@ -103,11 +103,6 @@ def test_files_that_are_no_plans(tmp_path: Path):
     (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(UserError):
         read_plan(tmp_path / "bytes.yaml")
-
-
-def test_settings_come_on_top_of_each_other():
-    base = {"sac": {"lr": 1, "tau": 2}, "steps": 3}
-    assert merged(base, {"sac": {"lr": 9}}) == {"sac": {"lr": 9, "tau": 2}, "steps": 3}
 
 
 def test_a_run_is_known_by_its_settings_not_by_its_name(tmp_path: Path):
