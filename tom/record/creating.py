@@ -1,7 +1,6 @@
 """Makes a new run folder: `config.json` with everything that a run was begun with."""
 
 import os
-import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 from tom.config import RunConfig
 from tom.errors import UserError
 from tom.record import layout
-from tom.record.files import replace_json
+from tom.record.files import replace_json, whole_folder
 from tom.record.store import Store
 from tom.record.versions import git_commit, machine, versions
 
@@ -28,18 +27,16 @@ def make_folder(store: Store, run_id: str, config: RunConfig, matmul: object, co
     store.ensure_writable()
     if os.path.lexists(path):
         raise _taken(run_id)
-    unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
     try:
-        for folder in layout.FOLDERS:
-            (unfinished / folder).mkdir(parents=True)
-        description = _describe(run_id, config, matmul, command)
-        replace_json(unfinished / layout.CONFIG, description, sync=True)
-        _publish(unfinished, path)
-    except BaseException as error:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise UserError(f"cannot make run {run_id}: {error}") from error
-        raise
+        with whole_folder(path) as unfinished:
+            for folder in layout.FOLDERS:
+                (unfinished / folder).mkdir()
+            description = _describe(run_id, config, matmul, command)
+            replace_json(unfinished / layout.CONFIG, description, sync=True)
+    except OSError as error:
+        if path.exists():  # another writer was first
+            raise _taken(run_id) from error
+        raise UserError(f"cannot make run {run_id}: {error}") from error
     return path
 
 
@@ -59,16 +56,6 @@ def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> d
         "command": command,
         "created": datetime.now(UTC).isoformat(),
     }
-
-
-def _publish(unfinished: Path, path: Path) -> None:
-    # A rename onto a folder that holds anything fails: of two writers one wins.
-    try:
-        unfinished.rename(path)
-    except OSError as error:
-        if path.exists():
-            raise _taken(path.name) from error
-        raise
 
 
 def _taken(run_id: str) -> TakenError:

@@ -4,10 +4,10 @@ Everything is made from the run's files and written under a temporary name first
 """
 
 import os
-import shutil
 from collections.abc import Callable, Collection
 from dataclasses import asdict
 from datetime import datetime
+from math import isnan
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tom.errors import UserError
-from tom.record.files import replace, replace_json
+from tom.record.files import replace, replace_json, whole_folder
 from tom.record.reader import RunReader
 from tom.record.thin import thin
 
@@ -82,19 +82,14 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
     from tensorboardX import SummaryWriter
 
     begun = _unix(reader.created)
-    unfinished = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
-    try:
-        with SummaryWriter(str(unfinished)) as writer:
-            for row in reader.metrics().to_dict("records"):
-                step = int(row.pop("env_step"))
-                wall = row.get("time/wall_s", 0.0)
-                at = begun + (wall if wall == wall else 0.0)
-                for name, value in row.items():
-                    if value == value:  # NaN: this metric has no value at this step
-                        writer.add_scalar(str(name), value, step, walltime=at)
-        unfinished.rename(folder)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+    with whole_folder(folder) as unfinished, SummaryWriter(str(unfinished)) as writer:
+        for row in reader.metrics().to_dict("records"):
+            step = int(row.pop("env_step"))
+            wall = row.get("time/wall_s", 0.0)
+            at = begun + (0.0 if isnan(wall) else wall)
+            for name, value in row.items():
+                if not isnan(value):  # else this metric has no value at this step
+                    writer.add_scalar(str(name), value, step, walltime=at)
 
 
 def _rrd(reader: RunReader, path: Path) -> None:

@@ -1,11 +1,13 @@
-"""Files that survive a kill at any moment: whole-file replacement and append-only JSON lines."""
+"""Files and folders that are whole or not there, and append-only JSON lines, at a kill too."""
 
 import errno
 import json
 import math
 import os
+import shutil
 import stat
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -29,6 +31,22 @@ def replace(path: Path, write: Callable[[BinaryIO], object], *, sync: bool) -> N
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A new folder that becomes `path` when the block has filled it.
+
+    Nothing is left of it otherwise. Raises OSError where it cannot be made, or where `path` holds
+    something already: of two writers one wins.
+    """
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        unfinished.mkdir(parents=True)
+        yield unfinished
+        unfinished.rename(path)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def replace_json(path: Path, content: Mapping[str, Any], *, sync: bool) -> None:

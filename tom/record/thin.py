@@ -6,7 +6,6 @@ of the run it lacks.
 """
 
 import json
-import os
 import shutil
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
@@ -19,7 +18,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.record import checkpoint, decode, layout, small_copy
-from tom.record.files import plain, replace_json, size_of
+from tom.record.files import plain, replace_json, size_of, whole_folder
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
 from tom.record.rounding import coarse, half, short
@@ -40,11 +39,10 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
 
     Those of PARTS that are in `keep` are kept whatever their size.
     """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     status = reader.status  # before the rest: a training may end meanwhile
-    try:
+    with whole_folder(path) as unfinished:
         for folder in layout.FOLDERS:
-            (unfinished / folder).mkdir(parents=True)
+            (unfinished / folder).mkdir()
         _copy(reader, unfinished)
         lacks = [part for part in PARTS if _leave_out(reader, unfinished, part, keep)]
         found = _lost(reader, RunReader(unfinished))
@@ -53,9 +51,6 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
         replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
         if status.state == "running":
             _settle(status, unfinished)
-        unfinished.rename(path)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _settle(status: Status, copy: Path) -> None:

@@ -19,7 +19,7 @@ from tom.learners import LEARNERS
 from tom.ordered_data import OrderedData
 from tom.progression import medians, progression
 from tom.record import layout
-from tom.record.files import read_json, replace_json
+from tom.record.files import read_json, replace_json, whole_folder
 from tom.record.thin import write_columns
 from tom.reports.progression import Panel, profile_figure
 from tom.reports.style import save
@@ -124,18 +124,14 @@ def write(
 
 @contextmanager
 def _whole(out: Path) -> Iterator[Path]:
-    """A folder that becomes `out` when the block has filled it; nothing is left of it otherwise."""
-    unfinished = out.absolute().with_name(f".{out.absolute().name}.{os.getpid()}.tmp")
+    """`whole_folder` with a UserError where it cannot be written."""
     try:
-        unfinished.mkdir(parents=True)
-        yield unfinished
-        unfinished.rename(out.absolute())
+        with whole_folder(out.absolute()) as unfinished:
+            yield unfinished
     except OSError as error:
         raise UserError(
             f"cannot write {out}: {error.strerror or error}; name another --out"
         ) from error
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _data(path: Path) -> str | None:
