@@ -63,7 +63,7 @@ def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
     sync(folder)
-    for old in _folders(folder)[KEPT:]:
+    for old in folders(folder)[KEPT:]:
         shutil.rmtree(old, ignore_errors=True)
     return path
 
@@ -72,7 +72,7 @@ def load(folder: Path) -> Checkpoint | None:
     """The newest checkpoint that is whole; None where there is none."""
     problems: list[str] = []
     unusable: list[Path] = []
-    for path in _folders(folder):
+    for path in folders(folder):
         try:
             state = _load_one(path)
         except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
@@ -85,14 +85,14 @@ def load(folder: Path) -> Checkpoint | None:
 
 def newest(folder: Path) -> int | None:
     """The step of the newest checkpoint, whole or not; None where there is none."""
-    found = _folders(folder)
+    found = folders(folder)
     return int(found[0].name) if found else None
 
 
 def stamps(folder: Path) -> tuple[tuple[int, int, int], ...]:
     """Step, mtime_ns and size of each checkpoint, newest first: another one differs somewhere."""
     found = []
-    for path in _folders(folder):
+    for path in folders(folder):
         try:
             state = (path / STATE).stat()
         except OSError:  # dropped at this moment, or damaged
@@ -147,8 +147,8 @@ def _load_one(path: Path) -> dict[str, Any]:
         return torch.load(file, weights_only=True)
 
 
-def _folders(folder: Path) -> list[Path]:
-    """The checkpoint folders, newest first."""
+def folders(folder: Path) -> list[Path]:
+    """The checkpoints in `folder`, newest first, whole or not."""
     if not folder.is_dir():
         return []
     found = [p for p in folder.iterdir() if p.name.isdigit() and p.is_dir() and not p.is_symlink()]

@@ -1,10 +1,7 @@
 """Copies runs out of an object store into a run store, where everything else can read them."""
 
-import fcntl
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from tom.errors import UserError
@@ -29,12 +26,12 @@ def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
     """
     place = store.resolve(run_id)
     unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
-    with _alone(store):
+    with lock.alone_in(store.path):
         _mend(store, place)
     try:
         if attempts.fetch(bucket, run_id, unfinished) is None:
             raise UserError(f"no run '{run_id}' in {bucket.url}")
-        with _alone(store):
+        with lock.alone_in(store.path):
             _mend(store, place)
             if place.exists():
                 return _replace(RunReader(place), RunReader(unfinished))
@@ -80,14 +77,3 @@ def _mend(store: Store, place: Path) -> None:
         manage.into_trash(store, place.name, older)
     else:
         older.rename(place)
-
-
-@contextmanager
-def _alone(store: Store) -> Iterator[None]:
-    """One fetch at a time is inside the block, of those of this machine."""
-    folder = os.open(store.path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(folder, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(folder)

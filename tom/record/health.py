@@ -45,7 +45,7 @@ def verify(reader: RunReader) -> list[str]:
     folder = fresh.path / checkpoint.FOLDER
     held = checkpoint.load(folder)
     problems += held.problems if held else []
-    if held is None and folder.is_dir() and any(p.name.isdigit() for p in folder.iterdir()):
+    if held is None and checkpoint.newest(folder) is not None:
         problems.append("no checkpoint is whole: the run cannot go on")
     if (fresh.path / layout.MODEL).is_dir() and checkpoint.load(fresh.path / layout.MODEL) is None:
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")

@@ -9,8 +9,8 @@ import fcntl
 import os
 import secrets
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,6 +105,20 @@ def held(path: Path) -> bool:
     finally:
         os.close(lock)
     return False
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Inside the block is one process of this machine at a time, of those that ask for `folder`.
+
+    Raises OSError where there is no such folder. No writer of a run asks for its folder.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def written_here(path: Path) -> bool | None:

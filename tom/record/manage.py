@@ -1,6 +1,5 @@
 """Managing the runs of a store: labels, trash and restore. Never touches what a training wrote."""
 
-import fcntl
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -106,13 +105,8 @@ def unwritten(reader: RunReader) -> Iterator[None]:
 def _changing(store: Store, run_id: str) -> Iterator[tuple[Path, Labels]]:
     """The folder of a run and its labels, which nobody else changes inside the block."""
     path = store.run(run_id).path
-    with _refused(f"cannot label run '{run_id}'"):
-        folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            fcntl.flock(folder, fcntl.LOCK_EX)
-            yield path, _held(path)
-        finally:
-            os.close(folder)
+    with _refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
+        yield path, _held(path)
 
 
 def _held(path: Path) -> Labels:

@@ -26,9 +26,7 @@ def sizes(reader: RunReader) -> dict[str, int]:
 def checkpoints(reader: RunReader) -> list[Path]:
     """The checkpoints of a run, newest first."""
     folder = reader.path / checkpoint.FOLDER
-    if not folder.is_dir() or folder.is_symlink():
-        return []
-    return sorted((p for p in folder.iterdir() if p.name.isdigit()), reverse=True)
+    return [] if folder.is_symlink() else checkpoint.folders(folder)
 
 
 def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
