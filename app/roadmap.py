@@ -102,12 +102,6 @@ def trajectories(arrays: Mapping[str, NDArray], kind: str) -> list[NDArray]:
     return [arrays[name] for name in sorted(names, key=lambda name: int(name.split("_")[1]))]
 
 
-def driven_return(line: NDArray, road: RoadMap) -> bool:
-    """The line ends in the goal."""
-    x, y, radius = road.goal
-    return bool(np.hypot(*(line[-1] - [x, y])) <= radius)
-
-
 def _one_side(line: NDArray, offset: float) -> NDArray[np.float64]:
     """The points on the left of `line`, with a half circle round its last point and round
     every corner that bends to the right; what lies inside the road is left in."""

@@ -19,12 +19,12 @@ UNIFORM = {"mle", "sac"}
 """learners whose weights are all the same: no need to look"""
 
 
-def pick_run(runs: Sequence[RunInfo], label: str = "Run", key: str = "run") -> RunInfo:
+def pick_run(runs: Sequence[RunInfo], label: str = "Run") -> RunInfo:
     """A run, chosen here or by the address (`?run=...`); else the most telling one."""
     by_id = {run.run_id: run for run in runs}
     first = most_telling(runs)
     index = list(by_id).index(first.run_id)
-    chosen = st.selectbox(label, list(by_id), index=index, key=key, bind="query-params")
+    chosen = st.selectbox(label, list(by_id), index=index, key="run", bind="query-params")
     return by_id.get(chosen or "", first)
 
 

@@ -40,11 +40,6 @@ class Evaluator:
         return [tape.episode() for tape in self._tapes]
 
 
-def evaluate(task: MujocoTask, policy_mean: PolicyMean, episodes: int, seed: int) -> list[Episode]:
-    """`episodes` episodes of the policy in fresh environments of `task`."""
-    return Evaluator(task, episodes).run(policy_mean, seed)
-
-
 class _Tape:
     """One environment and the recording of its running episode."""
 

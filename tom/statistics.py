@@ -16,7 +16,7 @@ from scipy import stats
 Array = NDArray[np.float64]
 Statistic = Callable[..., Array]
 
-LEVEL = 0.95
+LEVEL = 0.95  # of every interval and band
 RESAMPLES = 2000
 ENOUGH = 10
 """Fewer seeds than this are called few."""
@@ -79,7 +79,6 @@ def interval(
     scores: ArrayLike,
     statistic: Statistic,
     rng: np.random.Generator,
-    level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> Interval:
     """A statistic of `scores` (runs, tasks) with its stratified percentile bootstrap interval.
@@ -90,7 +89,7 @@ def interval(
     value = float(statistic(*tasks))
     if min(map(len, tasks)) < 2:
         return Interval(value, np.nan, np.nan)
-    low, high = _bootstrap(tasks, statistic, rng, level, resamples)
+    low, high = _bootstrap(tasks, statistic, rng, resamples)
     return Interval(value, float(low), float(high))
 
 
@@ -98,7 +97,6 @@ def band(
     values: ArrayLike,
     statistic: Statistic,
     rng: np.random.Generator,
-    level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> tuple[Array, Array]:
     """The bootstrap interval at every point of curves (n, T): low (T,) and high (T,).
@@ -108,7 +106,7 @@ def band(
     curves = np.asarray(values, np.float64).T  # (T, n)
     if curves.shape[1] < 2:
         return np.full(len(curves), np.nan), np.full(len(curves), np.nan)
-    return _bootstrap([curves], statistic, rng, level, resamples)
+    return _bootstrap([curves], statistic, rng, resamples)
 
 
 def summary(scores: ArrayLike, rng: np.random.Generator) -> Summary:
@@ -128,14 +126,13 @@ def profile_band(
     scores: ArrayLike,
     thresholds: ArrayLike,
     rng: np.random.Generator,
-    level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> tuple[Array, Array]:
     """The bootstrap interval of `performance_profile`: low (T,) and high (T,), NaN for one run."""
     at, tasks = np.asarray(thresholds, np.float64), _columns(scores)
     if min(map(len, tasks)) < 2:
         return np.full(len(at), np.nan), np.full(len(at), np.nan)
-    pairs = [_bootstrap(tasks, _shares(at[[i]]), rng, level, resamples) for i in range(len(at))]
+    pairs = [_bootstrap(tasks, _shares(at[[i]]), rng, resamples) for i in range(len(at))]
     low, high = np.array(pairs)[:, :, 0].T
     return low, high
 
@@ -153,7 +150,7 @@ def probability_of_improvement(x: ArrayLike, y: ArrayLike, rng: np.random.Genera
     value = float(_wins(*tasks))
     if min(map(len, tasks)) < 2:
         return Interval(value, np.nan, np.nan)
-    low, high = _bootstrap(tasks, _wins, rng, LEVEL, RESAMPLES)
+    low, high = _bootstrap(tasks, _wins, rng, RESAMPLES)
     return Interval(value, float(low), float(high))
 
 
@@ -185,11 +182,6 @@ def running_maximum(value: ArrayLike) -> Array:
     return np.maximum.accumulate(np.asarray(value, np.float64))
 
 
-def final(value: ArrayLike) -> float:
-    """The last value of a curve."""
-    return float(np.asarray(value, np.float64)[-1])
-
-
 def remark(runs: int | Sequence[int]) -> str:
     """What so few seeds cannot carry; empty from ten on. `runs`: seeds, or seeds of each task."""
     n = min(runs, default=0) if isinstance(runs, Sequence) else runs
@@ -219,7 +211,6 @@ def _bootstrap(
     tasks: Sequence[Array],
     statistic: Statistic,
     rng: np.random.Generator,
-    level: float,
     resamples: int,
 ) -> tuple[Array, Array]:
     numbers = sum(task.size for task in tasks)
@@ -230,7 +221,7 @@ def _bootstrap(
         batch=max(_BATCH_NUMBERS // numbers, 1),
         vectorized=True,
         axis=-1,
-        confidence_level=level,
+        confidence_level=LEVEL,
         method="percentile",
         rng=rng,
     )

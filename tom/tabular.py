@@ -51,11 +51,9 @@ def random_mdp(
     return Mdp(transition, start, discount, np.zeros(states, bool))
 
 
-def random_policy(
-    mdp: Mdp, rng: np.random.Generator, concentration: float = 1.0, uniform: float = 0.0
-) -> Array:
-    """pi(a|s) (S, A): Dirichlet draws, mixed with a share of the uniform policy."""
-    drawn = rng.dirichlet(np.full(mdp.actions, concentration), size=mdp.states)
+def random_policy(mdp: Mdp, rng: np.random.Generator, uniform: float = 0.0) -> Array:
+    """pi(a|s) (S, A): uniform draws from the simplex, mixed with a share of the uniform policy."""
+    drawn = rng.dirichlet(np.ones(mdp.actions), size=mdp.states)
     return (1 - uniform) * drawn + uniform / mdp.actions
 
 

@@ -56,11 +56,6 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
     return figure
 
 
-def displacement_error(picture: Picture) -> NDArray[np.float64]:
-    """Distance (G,) between real and modelled displacement at each point of the field."""
-    return np.linalg.norm(picture.modelled - picture.true, axis=-1)
-
-
 def _lines(
     lines: Sequence[NDArray], name: str, colour: str, width: float, opacity: float = 1.0
 ) -> go.Scatter:

@@ -51,9 +51,7 @@ def weight_map(
     return figure
 
 
-def weight_profile(
-    bins: NDArray[np.float64], learner: str, height: int, *, log: bool = False
-) -> go.Figure:
+def weight_profile(bins: NDArray[np.float64], learner: str, height: int) -> go.Figure:
     """The weight of each part of the buffer, oldest to newest, at one fit: bins (100,)."""
     figure = go.Figure(
         go.Bar(
@@ -65,7 +63,7 @@ def weight_profile(
             hovertemplate="%{x:.0f} % of the buffer's age<br>weight %{y:.3g}<extra></extra>",
         )
     )
-    _finish_profile(figure, height, log=log)
+    _finish_profile(figure, height)
     figure.update_layout(showlegend=False, bargap=0)
     return figure
 
@@ -91,7 +89,7 @@ def profile_lines(profiles: Sequence[tuple[str, str, NDArray]], height: int) -> 
                 "<br>weight %{y:.3g}<extra></extra>",
             )
         )
-    return _finish_profile(figure, height, log=False)
+    return _finish_profile(figure, height)
 
 
 def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int) -> go.Figure:
@@ -131,10 +129,10 @@ def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
     return np.union1d(spread, [chosen])
 
 
-def _finish_profile(figure: go.Figure, height: int, *, log: bool) -> go.Figure:
+def _finish_profile(figure: go.Figure, height: int) -> go.Figure:
     styled(figure, "position in the buffer", height, keep="profile", marks=[across(1, 1.5, "dash")])
     figure.update_xaxes(
         range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
     )
-    figure.update_yaxes(type="log" if log else "linear", rangemode="tozero")
+    figure.update_yaxes(type="linear", rangemode="tozero")
     return figure

@@ -1,6 +1,6 @@
 """Road-and-rocks as one self-contained HTML file: fits that play, cars that drive."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import viser
 from viser.infra import StateSerializer
@@ -22,9 +22,7 @@ REST_S = 1.0
 """how long a fit stays when the cars have arrived"""
 
 
-def as_html(
-    fits: Sequence[Sequence[Picture]], mode: Mode, layers: Mapping[str, bool] | None = None
-) -> str:
+def as_html(fits: Sequence[Sequence[Picture]], mode: Mode) -> str:
     """The pictures of R runs at F fits, (F, R), as a page that needs nothing else.
 
     Its time line shows fit after fit; in each the cars drive all their way. It is made by a viser
@@ -43,7 +41,7 @@ def as_html(
             RoadScene(server.scene, picture, mode, str(i), road.place(i))
             for i, picture in enumerate(fits[0])
         ]
-        serializer = _record(server, scenes, fits, layers)
+        serializer = _record(server, scenes, fits)
         return serializer.as_html(dark_mode=mode == "dark")
     finally:
         server.stop()
@@ -53,9 +51,8 @@ def _record(
     server: viser.ViserServer,
     scenes: Sequence[RoadScene],
     fits: Sequence[Sequence[Picture]],
-    layers: Mapping[str, bool] | None,
 ) -> StateSerializer:
-    shown = dict(layers) if layers else {name: on for name, _, on in LAYERS}
+    shown = {name: on for name, _, on in LAYERS}
     for each in scenes:
         each.show(shown)
     serializer = server.get_scene_serializer()

@@ -8,7 +8,7 @@ import torch
 
 from tom.envs import ENVS
 from tom.envs.state import capture
-from tom.evaluate import Evaluator, evaluate
+from tom.evaluate import Evaluator
 
 
 def still(action_dim: int):
@@ -23,7 +23,7 @@ def test_episodes_are_complete_and_consistent():
         widths.append(len(obs))
         return torch.sin(7 * obs[:, :3])
 
-    episodes = evaluate(task, policy, 4, seed=1)
+    episodes = Evaluator(task, 4).run(policy, seed=1)
     assert len(episodes) == 4
     assert widths[0] == 4
     assert widths == sorted(widths, reverse=True)
@@ -87,7 +87,7 @@ def test_same_seed_same_episodes_whatever_was_played_before():
 @pytest.mark.parametrize("limit", [1000, 37])
 def test_the_time_limit_is_the_tasks_own_and_truncates(limit):
     task = replace(ENVS["halfcheetah"], max_episode_steps=limit)
-    (episode,) = evaluate(task, still(6), 1, seed=0)
+    (episode,) = Evaluator(task, 1).run(still(6), seed=0)
     assert episode.length == limit
     assert episode.truncated
     assert not episode.terminated
@@ -100,7 +100,7 @@ def test_training_environment_is_left_untouched():
         for _ in range(5):
             e.step(e.action_space.sample())
     before = capture(env)
-    evaluate(task, still(3), 2, seed=8)
+    Evaluator(task, 2).run(still(3), seed=8)
     after = capture(env)
     assert torch.equal(before["integration"], after["integration"])
     assert all(torch.equal(v, after["lagging"][k]) for k, v in before["lagging"].items())

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tom.envs import road, task
 from tom.errors import UserError
-from tom.evaluate import evaluate
+from tom.evaluate import Evaluator
 from tom.events import Episode
 from tom.imagine import imagine, joint_positions, kept_model, kept_step, step_errors
 from tom.ordered_data import of_run
@@ -95,7 +95,7 @@ def test_one_imagined_step_is_the_models_prediction(hopper: RunReader):
 def test_the_place_on_the_ground_is_integrated_from_the_velocity(env: str):
     known = task(env)
     action = torch.full((1, known.action_dim), 0.3)
-    episode = evaluate(known, lambda obs: action.expand(len(obs), -1), 1, seed=3)[0]
+    episode = Evaluator(known, 1).run(lambda obs: action.expand(len(obs), -1), seed=3)[0]
     assert episode.qpos is not None
     dt = float(known.make().unwrapped.dt)  # pyright: ignore[reportAttributeAccessIssue]
     found = joint_positions(known, episode, episode.obs, dt, horizon=10)

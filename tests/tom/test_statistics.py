@@ -152,9 +152,8 @@ def test_area_under_curve_is_a_mean_height():
     assert np.isnan(st.area_under_curve([], [], until=5))
 
 
-def test_running_maximum_and_final():
+def test_running_maximum():
     assert st.running_maximum([1.0, 3.0, 2.0]).tolist() == [1, 3, 3]
-    assert st.final([1.0, 3.0, 2.0]) == 2
 
 
 @pytest.mark.parametrize("scores", [[1.0, 2.0], [[np.nan]], np.zeros((0, 2)), np.zeros((3, 0))])

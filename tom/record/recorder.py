@@ -35,22 +35,20 @@ class Recorder:
     """Consumes the events of one training and writes them down.
 
     As a context manager it ends the run's status by itself: `stopped` after Ctrl-C, `failed`
-    with the reason after any other exception, `finished` otherwise. `total` is the number of
-    env steps of the run (default: the config's `total_steps`), `clock` gives unix seconds.
+    with the reason after any other exception, `finished` otherwise. `clock` gives unix seconds,
+    `timer` seconds that never go back.
     """
 
     def __init__(
         self,
         writer: RunWriter,
         sink: Sink | None = None,
-        total: int | None = None,
         clock: Callable[[], float] = time.time,
         timer: Callable[[], float] = time.monotonic,
         mark: Mapping[str, Any] | None = None,
     ) -> None:
         """`mark` is what `Recorder.mark` gave at the checkpoint that the training goes on from."""
         config = writer.config
-        self.total = config.total_steps if total is None else total
         self._writer = writer
         self.run_id = writer.run_id
         self._config = config
@@ -64,7 +62,7 @@ class Recorder:
         self._checkpoint_s = 0.0
         self._next_snapshot = 0.0 if config.snapshots else np.inf
         self._finished = False
-        self._heartbeat = Heartbeat(writer, self.total, clock, timer)
+        self._heartbeat = Heartbeat(writer, config.total_steps, clock, timer)
         if mark:
             try:
                 self._go_on(mark)
@@ -225,9 +223,9 @@ class Recorder:
 
     def _after(self, env_step: int) -> int:
         """The first step of the next of `snapshots` equal parts of the run."""
-        parts = self._config.snapshots
-        part = env_step * parts // self.total + 1
-        return -(-part * self.total // parts)
+        parts, total = self._config.snapshots, self._config.total_steps
+        part = env_step * parts // total + 1
+        return -(-part * total // parts)
 
     def _evaluation(self, evaluation: Evaluation) -> None:
         self._writer.episodes(evaluation.env_step, evaluation.episodes)

@@ -97,8 +97,6 @@ class Estimate:
     replay: Array  # q (R,)
     exact: Array  # exact weights (R,)
     estimated: Array  # mean estimated weight of each transition (R,); NaN where none was drawn
-    exact_log_ratio: Array  # (R,)
-    log_ratio: Array  # mean logit (R,)
 
     def row(self) -> dict[str, Any]:
         """The flat record: case, variant and score."""
@@ -232,17 +230,7 @@ def _compare(
     )
     with np.errstate(invalid="ignore"):
         estimated = mass * len(rows) / count
-        logit = np.bincount(rows, log_ratio, minlength=cells) / count
-    return Estimate(
-        case,
-        variant.label,
-        score,
-        problem.replay,
-        exact,
-        estimated,
-        problem.log_ratio,
-        logit,
-    )
+    return Estimate(case, variant.label, score, problem.replay, exact, estimated)
 
 
 def _correlation(x: Array, y: Array) -> float:

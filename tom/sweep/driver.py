@@ -59,14 +59,12 @@ class Driver:
         engine: Engine,
         low_bytes: float = LOW_BYTES,
         back_off_s: float = BACK_OFF_S,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.home = home
         self.store = home.store
         self.engine = engine
         self.low_bytes = low_bytes
         self.back_off_s = back_off_s
-        self._clock = clock
         runs = self.store.runs()
         logs = self.store.path / LOGS
         self.seats: list[Seat] = []
@@ -105,9 +103,9 @@ class Driver:
         running = [(seat, seat.process) for seat in self.seats if seat.process]
         for _, process in running:
             process.signal(signal.SIGTERM)
-        until = self._clock() + wait_s
+        until = time.monotonic() + wait_s
         with suppress(KeyboardInterrupt):  # asked twice: the checkpoints they have must do
-            while self._clock() < until and any(lives(process) for _, process in running):
+            while time.monotonic() < until and any(lives(process) for _, process in running):
                 time.sleep(0.1)
         for seat, process in running:
             process.end()
@@ -148,7 +146,7 @@ class Driver:
             self.full = shutil.disk_usage(self.store.path).free < self.low_bytes
         busy = sum(seat.state in ("running", "elsewhere") for seat in self.seats)
         slots = self.engine.slots
-        now = self._clock()
+        now = time.monotonic()
         due = [s for s in self._order if s.state == "waiting" and now >= s.not_before]
         for seat in due:
             if busy >= slots or self.full or not self._reached(self._start, seat):
@@ -212,7 +210,7 @@ class Driver:
             seat.attempts -= 1  # no fault of its own, also where it was refused: it waits for room
         given_up = not full and (hopeless or seat.attempts >= ATTEMPTS)
         seat.state = "failed" if given_up else "waiting"
-        seat.not_before = self._clock() + self.back_off_s * 2 ** max(seat.attempts - 1, 0)
+        seat.not_before = time.monotonic() + self.back_off_s * 2 ** max(seat.attempts - 1, 0)
 
     def _watch(self, seat: Seat) -> None:
         run = self._reader(seat)

@@ -36,7 +36,7 @@ def test_an_estimate_carries_the_points_behind_its_score():
     seen = np.isfinite(found.estimated)
     assert found.replay @ found.exact == pytest.approx(1.0)
     assert found.replay[seen] @ found.estimated[seen] == pytest.approx(1.0, abs=0.1)
-    assert found.exact.shape == found.log_ratio.shape == found.exact_log_ratio.shape
+    assert found.exact.shape == found.estimated.shape == found.replay.shape
     row = found.row()
     assert row["variant"] == "quick"
     assert row["seed"] == 0
