@@ -102,11 +102,11 @@ def probe() -> MatmulReport:
     return MatmulReport("onednn" if better else "default", default_ms, onednn_ms, error)
 
 
-def kept_in() -> Path:
-    """The file that keeps the probe's answer for this kind of CPU and this torch."""
+def kept_in(what: str = "matmul") -> Path:
+    """The file that keeps the probe's answer, or another's, for this kind of CPU and this torch."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tom-studio"
     kind = hashlib.sha256(f"{_cpu()}\n{torch.__version__}".encode()).hexdigest()
-    return folder / f"matmul-{kind[:12]}.json"
+    return folder / f"{what}-{kind[:12]}.json"
 
 
 def _cpu() -> str:

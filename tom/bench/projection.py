@@ -1,4 +1,4 @@
-"""How long whole trainings take on one core, from what the parts cost on Hopper."""
+"""How long whole trainings take on one core, and what they write, from the parts of a Hopper."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,6 +9,12 @@ from tom.envs import ENVS, MujocoTask
 from tom.presets import resolve
 
 PRESETS = ("paper", "mbpo")
+NEEDED = (
+    *("SAC update", "mdn step (in a fit)", "ensemble step (in a fit)", "dual Q step"),
+    *("discriminator step", "weights, 1000 transitions", "rollout, 1000 states", "Hopper-v5 step"),
+)
+"""the parts of `tom bench` that a projection is made of"""
+EPISODE = 1000  # steps of an episode at most, in every task
 
 
 def hours(ms: Mapping[str, float]) -> list[dict[str, Any]]:
@@ -29,19 +35,47 @@ def hours(ms: Mapping[str, float]) -> list[dict[str, Any]]:
 
 
 def per_step_ms(config: OnlineConfig, task: MujocoTask, ms: Mapping[str, float]) -> float:
-    """CPU milliseconds of one env step, the fits' share in it."""
+    """CPU milliseconds of one env step, the fits' share in it.
+
+    Of the learners TOM's own work is counted, no other's: it was measured for TOM alone.
+    """
     dims = task.obs_dim, task.action_dim
     sac = ms["SAC update"] * sac_flops(config.sac, *dims) / sac_flops(SacConfig())
-    kind = ModelConfig.model_validate({"kind": config.model.kind})
-    part = f"{config.model.kind} step (in a fit)"
-    model = ms[part] * model_flops(config.model, *dims) / model_flops(kind)
-    rolled = rollout_flops(config.model, config.sac, *dims) / rollout_flops(kind, SacConfig())
+    # Mean-only networks have half the outputs of the ensemble and were not measured by themselves.
+    timed = "mdn" if config.model.kind == "mdn" else "ensemble"
+    own, kind = config.model.but(kind=timed), ModelConfig(kind=timed)
+    model = ms[f"{timed} step (in a fit)"] * model_flops(own, *dims) / model_flops(kind)
+    rolled = rollout_flops(own, config.sac, *dims) / rollout_flops(kind, SacConfig())
     fit = config.model.rounds * config.model.batches_per_round * model
-    fit += config.tom.q_steps * ms["dual Q step"]
-    fit += config.tom.discriminator_steps * ms["discriminator step"]
-    fit += ms["weights, 1000 transitions"] * task.steps / 2 / 1000  # the buffer's mean size
-    fit += ms["rollout, 1000 states"] * rolled * _starts(config.rollout, task.steps) / 1000
+    if config.learner == "tom":
+        fit += config.tom.q_steps * ms["dual Q step"]
+        fit += config.tom.discriminator_steps * ms["discriminator step"]
+        fit += ms["weights, 1000 transitions"] * config.steps / 2 / 1000  # the buffer's mean size
+    fit += ms["rollout, 1000 states"] * rolled * _starts(config.rollout, config.steps) / 1000
     return config.updates_per_step * sac + fit / config.fit_every + ms["Hopper-v5 step"]
+
+
+def written_bytes(config: OnlineConfig, task: MujocoTask) -> float:
+    """Bytes of a run folder without a recording, at most: as if episodes never ended early.
+
+    The replay buffer, two checkpoints (modelled transitions, networks, Adam's moments), the
+    evaluations, and the policies and weights that are kept with some fits.
+    """
+    row = 2 * task.obs_dim + task.action_dim + 2
+    last = config.rollout.kept_at(config.steps - config.exploration_steps, config.fit_every)
+    evaluations = config.steps / config.evaluation.every * config.evaluation.episodes
+    frame = task.obs_dim + task.action_dim + 2 * task.nq + 1
+    network = _numbers(config.sac.hidden, config.sac.layers, task)  # actor, critic, Q and the like
+    members = 1 if config.model.kind == "mdn" else config.model.members
+    model = members * _numbers(config.model.hidden, config.model.layers, task)
+    kept = config.snapshots * (3 * network + config.steps / 2)  # actor and critics, weights
+    checkpoint = last * row + 3 * model + 17 * network  # SAC 3 x 3 + 2 targets, TOM's two x 3
+    return 4.0 * (config.steps * row + 2 * checkpoint + evaluations * EPISODE * frame + kept)
+
+
+def _numbers(hidden: int, layers: int, task: MujocoTask) -> int:
+    """Parameters of a network over (s, a), about."""
+    return hidden * (task.obs_dim + task.action_dim + hidden * (layers - 1))
 
 
 def _starts(rollout: RolloutConfig, steps: int) -> float:

@@ -80,7 +80,7 @@ NOT_MEASURED = (
 
 
 def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
-    from tom.bench import parts, peers, projection, report, targets, timing
+    from tom.bench import kept, parts, peers, projection, report, targets, timing
 
     if into is not None:
         report.require_place(into)
@@ -94,7 +94,9 @@ def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
     for timed in timings:
         wanted, met = targets.target(timed) or (None, None)
         rows.append({**asdict(timed), "target": wanted, "met": met})
-    hours = projection.hours({timed.part: timed.ms for timed in timings})
+    ms = {timed.part: timed.ms for timed in timings}
+    kept.keep(ms)
+    hours = projection.hours(ms)
     missing = [*NOT_MEASURED, *peers.missing()]
     found = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
     found["not_measured"] = missing

@@ -3,7 +3,6 @@
 import argparse
 import json
 import os
-import shutil
 import signal
 import sys
 import time
@@ -13,9 +12,9 @@ from types import FrameType
 from typing import Any
 
 from tom.cli.parser import add_config_options, overrides
+from tom.cli.sweep_dry import dry_run, longest
 from tom.cli.sweep_places import open_engine, open_home, place, refuse_mismatch
 from tom.cli.sweep_table import Watcher, seat_row
-from tom.cli.tables import show
 from tom.cli.train_many import run_fleets
 from tom.config import OnlineConfig
 from tom.envs import ENV_NAMES
@@ -23,11 +22,9 @@ from tom.errors import UserError
 from tom.learners import LEARNER_NAMES
 from tom.nested import merged
 from tom.presets import PRESETS
-from tom.record import RunReader, Store
 from tom.run import Stop
 from tom.sweep.driver import ATTEMPTS, Driver
-from tom.sweep.plan import Trial, checked, read_plan, same_run, trials
-from tom.sweep.projection import Cost, cost
+from tom.sweep.plan import Trial, checked, read_plan, trials
 from tom.sweep.slurm import script
 
 POLL_S = 0.5
@@ -82,9 +79,9 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("--only is given to each task of the array: leave it out")
     with open_home(args.store, planned) as home:
         if args.dry_run:
-            return _dry_run(args, home.store, planned, jobs)
+            return dry_run(args, home.store, planned, jobs)
         if args.engine == "slurm":
-            print(script(planned, args.store, _own_words(), _longest(home.store, planned)))
+            print(script(planned, args.store, _own_words(), longest(home.store, planned)))
             return 0
         if args.engine == "fleet" or on_gpu:
             stop = Stop()
@@ -169,61 +166,6 @@ def _report(args: argparse.Namespace, driver: Driver) -> int:
     if isinstance(args.store, str):
         print(f"to look at them: tom runs fetch {args.store} --store runs", file=stream)
     return 0 if done == len(states) else 1
-
-
-def _dry_run(args: argparse.Namespace, store: Store, planned: list[Trial], jobs: int) -> int:
-    runs = store.runs()
-    rows, todo = [], []
-    for trial in planned:
-        found = same_run(trial, runs)
-        done = found is not None and found.status.state == "finished"
-        rows.append(_dry_row(trial, found, None if done else cost(trial, runs)))
-        todo += [] if done else rows[-1:]
-    hours = sum(row["hours"] or 0.0 for row in todo) / jobs
-    disk = sum(row["megabytes"] or 0.0 for row in todo)
-    if args.json:
-        print(json.dumps({"runs": rows, "hours": hours, "megabytes": disk}))
-        return 0
-    cells = [["" if v is None else _cell(v) for v in row.values()] for row in rows]
-    show(f"{len(rows)} runs, {len(todo)} to do", list(rows[0]), cells)
-    unknown = sorted({f"{r['env']} {r['learner']}" for r in todo if r["hours"] is None})
-    print(f"about {hours:.1f} h with {jobs} at a time and {disk / 1000:.1f} GB", end="")
-    free = _free_gb(store.path)
-    print(f" ({free:.0f} GB are free)" if free is not None else "")
-    if unknown:
-        print(f"without {', '.join(unknown)}: {args.store} has no finished run to judge them by")
-    return 0
-
-
-def _dry_row(trial: Trial, found: RunReader | None, expected: Cost | None) -> dict[str, Any]:
-    return {
-        "run": found.run_id if found else trial.run_id,
-        "env": trial.env,
-        "learner": trial.learner,
-        "seed": trial.seed,
-        "steps": trial.config.total_steps,
-        "state": found.shown if found else "new",
-        "hours": expected.hours if expected else None,
-        "megabytes": expected.megabytes if expected else None,
-        "judged by": expected.source if expected else None,
-    }
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-def _free_gb(store: Path) -> float | None:
-    return shutil.disk_usage(store).free / 1e9 if store.is_dir() else None
-
-
-def _longest(store: Store, planned: list[Trial]) -> float | None:
-    """The hours of the longest run, where all can be judged."""
-    runs = store.runs()
-    expected = [cost(trial, runs) for trial in planned]
-    if any(one is None for one in expected):
-        return None
-    return max(one.hours for one in expected if one)
 
 
 def _own_words() -> list[str]:

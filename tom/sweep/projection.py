@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from heapq import heapreplace
 from statistics import median
 
 from tom.record import RunReader
@@ -20,11 +21,12 @@ class Cost:
     source: str
 
 
-def cost(trial: Trial, runs: Sequence[RunReader]) -> Cost | None:
+def cost(trial: Trial, runs: Sequence[RunReader], done: int = 0) -> Cost | None:
     """The cost of `trial` from finished runs of the same environment and preset; None without any.
 
-    Runs of the same learner count before those of another. Time and disk grow with the steps; a
-    longer run also fits a larger buffer, so what is judged from a short one is a lower bound.
+    Of a run that goes on from step `done` what is left is counted. Runs of the same learner count
+    before those of another. Time and disk grow with the steps; a longer run also fits a larger
+    buffer, so what is judged from a short one is a lower bound.
     """
     like = [run for run in runs if _alike(run, trial)]
     same = [run for run in like if run.learner == trial.learner]
@@ -34,10 +36,24 @@ def cost(trial: Trial, runs: Sequence[RunReader]) -> Cost | None:
         return None
     seconds, written = (median(values) for values in zip(*found, strict=True))
     steps = trial.config.total_steps
-    trained = max(steps - trial.settings.get("exploration_steps", 0), 0)
     other = "" if same else f" of {chosen[0].learner}"
     source = f"{len(found)} run{'s' if len(found) > 1 else ''}{other}"
-    return Cost(seconds * trained / 3600, written * steps / 1e6, source)
+    hours = seconds * steps_to_train(trial, done) / 3600
+    return Cost(hours, written * max(steps - done, 0) / 1e6, source)
+
+
+def steps_to_train(trial: Trial, done: int) -> int:
+    """Env steps after exploration that a run has before it when it goes on from step `done`."""
+    begun = max(done, trial.settings.get("exploration_steps", 0))
+    return max(trial.config.total_steps - begun, 0)
+
+
+def makespan(hours: Sequence[float], seats: int) -> float:
+    """Hours until the last of these runs is done, begun in order, so many at a time."""
+    ends = [0.0] * seats
+    for run in hours:
+        heapreplace(ends, ends[0] + run)
+    return max(ends)
 
 
 def _alike(run: RunReader, trial: Trial) -> bool:

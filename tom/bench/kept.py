@@ -1,0 +1,47 @@
+"""The last `tom bench` of this kind of machine: `tom sweep --dry-run` projects hours from it."""
+
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from math import isfinite
+
+from tom.bench.projection import NEEDED, per_step_ms, written_bytes
+from tom.config import OnlineConfig
+from tom.envs import task
+from tom.matmul import kept_in
+from tom.record.files import replace
+from tom.sweep.plan import Trial
+from tom.sweep.projection import Cost, steps_to_train
+
+SOURCE = "tom bench, at most"
+
+
+def keep(ms: Mapping[str, float]) -> None:
+    """Keep CPU milliseconds by part in the user's cache, where that can be written."""
+    path = kept_in("bench")
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace(path, lambda file: file.write(json.dumps(dict(ms)).encode()), sync=False)
+
+
+def kept() -> dict[str, float] | None:
+    """What was kept last; None where that is nothing, damaged, or lacks a part."""
+    try:
+        content = json.loads(kept_in("bench").read_text())
+        ms = {name: float(content[name]) for name in NEEDED}
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return ms if all(isfinite(value) and value > 0 for value in ms.values()) else None
+
+
+def bench_cost(trial: Trial, ms: Mapping[str, float], done: int = 0) -> Cost | None:
+    """The cost of a training on a core of this machine that goes on from step `done`.
+
+    None for what `tom bench` does not measure: road-and-rocks, and a GPU.
+    """
+    config = trial.config
+    if not isinstance(config, OnlineConfig) or config.device != "cpu":
+        return None
+    known = task(trial.env)
+    hours = per_step_ms(config, known, ms) * steps_to_train(trial, done) / 3.6e6
+    return Cost(hours, written_bytes(config, known) / 1e6, SOURCE)
