@@ -6,12 +6,11 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from tom.cli.parser import add_config_options, overrides
+from tom.cli.signals import on_stopping
 from tom.cli.sweep_dry import dry_run, longest
 from tom.cli.sweep_places import open_engine, open_home, place, refuse_mismatch
 from tom.cli.sweep_table import Watcher, seat_row
@@ -85,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
             return 0
         if args.engine == "fleet" or on_gpu:
             stop = Stop()
-            _on_signals(stop)
+            on_stopping(stop)
             return run_fleets(args.store, _by_env(planned), stop, rerun=False, as_json=args.json)
         with open_engine(args.engine, args.address, args.jobs) as engine:
             home.store.ensure_writable()
@@ -124,7 +123,7 @@ def _by_env(planned: list[Trial]) -> list[list[Trial]]:
 
 def drive(args: argparse.Namespace, driver: Driver) -> int:
     """Run the sweep to its end with a table of how it goes; the exit code."""
-    _on_signals(signal.default_int_handler)
+    on_stopping(signal.default_int_handler)
     stream = sys.stderr if args.json else sys.stdout
     with Watcher(driver, stream) as watcher:
         try:
@@ -137,14 +136,6 @@ def drive(args: argparse.Namespace, driver: Driver) -> int:
             driver.stop()
         watcher.look()
     return _report(args, driver)
-
-
-def _on_signals(stop: Callable[[int, FrameType | None], object]) -> None:
-    """SIGINT (also where a shell put it in the background), SIGTERM and a closed terminal stop."""
-    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        under_nohup = name is signal.SIGHUP and signal.getsignal(name) is signal.SIG_IGN
-        if not under_nohup:
-            signal.signal(name, stop)
 
 
 def _report(args: argparse.Namespace, driver: Driver) -> int:

@@ -4,7 +4,6 @@ import argparse
 import json
 import os
 import shlex
-import signal
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -15,6 +14,7 @@ from pydantic import ValidationError
 from tom.cli import train_many
 from tom.cli.parser import DEST, add_config_options, add_run_options, one_line, overrides
 from tom.cli.progress import ProgressReport
+from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
 from tom.envs import ENV_NAMES
 from tom.errors import UserError
@@ -30,8 +30,6 @@ from tom.sweep.engine import LocalEngine
 from tom.sweep.home import FolderHome
 
 OWN_OPTIONS = {"env", "learner", "preset"}
-STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""signals after which a training writes a checkpoint and ends"""
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -151,11 +149,9 @@ def _watched(
 
 
 def _stop_on_signals() -> Stop:
+    """Asked to stop by a signal, a training writes a checkpoint and ends."""
     stop = Stop()
-    for name in STOPPING:
-        under_nohup = name is signal.SIGHUP and signal.getsignal(name) is signal.SIG_IGN
-        if not under_nohup:
-            signal.signal(name, stop)
+    on_stopping(stop)
     return stop
 
 
