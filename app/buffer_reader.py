@@ -30,11 +30,6 @@ def fits(run: RunInfo) -> list[int]:
     return RunReader(run.path).snapshot_steps()
 
 
-def at_or_before(steps: list[int], step: int) -> int:
-    """The last of `steps` that is not after `step`, else the first."""
-    return max((at for at in steps if at <= step), default=steps[0])
-
-
 def rows(run: RunInfo, step: int) -> Rows | None:
     """The replay buffer at the fit of `step`, with that fit's weights; None where it is damaged."""
     return _rows(run.path, run.env, step, _stamp(run), readers.stamp(_snapshot(run, step)))

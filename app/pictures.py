@@ -1,13 +1,12 @@
 """One fit of one road-and-rocks run, read from its folder for the map and the 3D scene."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.roadmap import RoadMap, road_share, trajectories, weight_grid
-from tom.record.reader import RunReader
+from tom.record.reader import RunReader, at_or_before
 
 ENV = "road-and-rocks"
 
@@ -36,8 +35,8 @@ def steps(run: RunReader) -> list[int]:
 def load(run: RunReader, step: int) -> Picture | None:
     """The fit at `step`; None when the run's folder lacks the map (see `run.problems`)."""
     try:
-        road = RoadMap.of(run.field("map", _at_or_before(run.field_steps("map"), step)))
-    except (KeyError, LookupError):
+        road = RoadMap.of(run.field("map", at_or_before(run.field_steps("map"), step)))
+    except LookupError:
         return None
     weight = run.snapshot(step)["weight"].to_numpy(np.float32)
     obs = np.asarray(run.buffer()[0].obs)[: len(weight)]
@@ -61,9 +60,4 @@ def load(run: RunReader, step: int) -> Picture | None:
 
 def _field(run: RunReader, name: str, step: int) -> dict[str, NDArray]:
     recorded = run.field_steps(name)
-    return run.field(name, _at_or_before(recorded, step)) if recorded else {}
-
-
-def _at_or_before(recorded: Sequence[int], step: int) -> int:
-    """The last of `recorded` that is not after `step`, else the first."""
-    return max((at for at in recorded if at <= step), default=recorded[0])
+    return run.field(name, at_or_before(recorded, step)) if recorded else {}

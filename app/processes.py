@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tom.parent import end_with_parent
-from tom.record.address import family
+from tom.record import address
 
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12
@@ -101,12 +101,12 @@ def _signal(servers: Sequence[Server], number: signal.Signals) -> None:
 
 def free_port(host: str, preferred: int = 0) -> int:
     """`preferred` if it is free on `host`, else any free port."""
-    return preferred if preferred and is_free(host, preferred) else _any_port(host)
+    return preferred if preferred and is_free(host, preferred) else address.free_port(host)
 
 
 def is_free(host: str, port: int) -> bool:
     """Nothing listens on `port` of `host`. Raises OSError for a host that is not this machine."""
-    with socket.socket(family(host), socket.SOCK_STREAM) as probe:
+    with socket.socket(address.family(host), socket.SOCK_STREAM) as probe:
         # As the servers do: a port in TIME_WAIT counts as free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -116,12 +116,6 @@ def is_free(host: str, port: int) -> bool:
                 return False
             raise
         return True
-
-
-def _any_port(host: str) -> int:
-    with socket.socket(family(host), socket.SOCK_STREAM) as probe:
-        probe.bind((host, 0))
-        return probe.getsockname()[1]
 
 
 _TAKEN = (98, 48, 13)  # EADDRINUSE (Linux, macOS), EACCES (a privileged port)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from pydantic import ValidationError
 
-from tom.config import OnlineConfig, RoadConfig, RunConfig, SacRecordingConfig
+from tom.config import SacRecordingConfig
 from tom.data.transitions import Transitions
 from tom.errors import UserError, reason
 from tom.events import Notice
@@ -14,6 +14,7 @@ from tom.health import Watch
 from tom.lockstep import finished
 from tom.matmul import choose_matmul
 from tom.memory import keep_freed_memory
+from tom.presets import config_type
 from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, open_sink
 from tom.record.checkpoint import Checkpoint
 from tom.record.heartbeat import BEAT_S
@@ -90,8 +91,7 @@ def recorded_config(reader: RunReader, otherwise: str = "start it again") -> Any
 
     Raises UserError where it is another version's; `otherwise` says what to do then.
     """
-    kinds: dict[bool, type[RunConfig]] = {True: RoadConfig, False: OnlineConfig}
-    kind = SacRecordingConfig if reader.learner == "sac" else kinds[reader.env == "road-and-rocks"]
+    kind = SacRecordingConfig if reader.learner == "sac" else config_type(reader.env)
     try:
         return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
     except (KeyError, ValidationError) as error:

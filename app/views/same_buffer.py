@@ -9,7 +9,7 @@ from app import buffer_reader, text, weighings
 from app.figures.probe import probe_profiles
 from app.plot import chart
 from app.readers import RunInfo
-from tom.record.reader import RunReader
+from tom.record.reader import RunReader, at_or_before
 
 HEIGHT = 300
 
@@ -27,7 +27,7 @@ def at_fit(run: RunInfo, step: int) -> None:
     steps = sorted({*RunReader(run.path).policy_steps(), *(at for at in weighed if at is not None)})
     if not steps:
         return
-    at = buffer_reader.at_or_before(steps, step)
+    at = at_or_before(steps, step)
     of = weighings.weights(weighed[at]) if at in weighed else {}
     address = f"/probe?run={quote(run.run_id)}&at={at}"
     if not of:

@@ -12,6 +12,7 @@ from app.readers import RunInfo
 from app.theme import learner_label
 from app.views import empty, same_buffer
 from tom.record.profiles import Profiles
+from tom.record.reader import at_or_before
 
 TITLE = "Weights"
 ICON = ":material/gradient:"
@@ -79,7 +80,7 @@ def _against(run: RunInfo, step: int) -> None:
     kept = buffer_reader.fits(run)
     if not kept:
         return
-    fit = buffer_reader.at_or_before(kept, step)
+    fit = at_or_before(kept, step)
     rows = buffer_reader.rows(run, fit)
     if rows is None:
         if not empty.left_out(run, "buffer"):

@@ -37,3 +37,10 @@ def in_url(host: str) -> str:
 def family(host: str) -> socket.AddressFamily:
     """IPv4 or IPv6."""
     return socket.AF_INET6 if ":" in host else socket.AF_INET
+
+
+def free_port(host: str) -> int:
+    """A port of `host` that nobody listens on."""
+    with socket.socket(family(host)) as probe:
+        probe.bind((host, 0))
+        return probe.getsockname()[1]

@@ -8,7 +8,6 @@ runs to the hub. It listens on 127.0.0.1 unless told otherwise, and ends with it
 import argparse
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -22,7 +21,7 @@ import rerun_cli
 
 from tom.parent import end_with_parent
 from tom.record import web
-from tom.record.address import family, local_host
+from tom.record.address import free_port, local_host
 
 MEMORY = "512MiB"
 """What the hub keeps for viewers that come late; then the oldest goes."""
@@ -143,13 +142,6 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-
-
-def free_port(host: str) -> int:
-    """A port of `host` that nobody listens on."""
-    with socket.socket(family(host)) as probe:
-        probe.bind((host, 0))
-        return probe.getsockname()[1]
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 What cannot be read is left out and named in `problems`; nothing here raises for bad content.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,6 +25,11 @@ from tom.record.rows import read_metrics
 from tom.record.status import Status
 
 T = TypeVar("T")
+
+
+def at_or_before(steps: Sequence[int], step: int) -> int:
+    """The last of recorded `steps` that is not after `step`, else the first of them."""
+    return max((at for at in steps if at <= step), default=steps[0])
 
 
 class RunReader:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tom.record import checkpoint, decode, layout, small_copy
 from tom.record.files import plain, replace_json, size_of, whole_folder
 from tom.record.profiles import Profiles
-from tom.record.reader import RunReader
+from tom.record.reader import RunReader, at_or_before
 from tom.record.rounding import coarse, half, short
 from tom.record.status import Status
 
@@ -231,8 +231,7 @@ def _spread(items: Sequence[int], most: int) -> list[int]:
 
 def _beside(recorded: Sequence[int], snapshots: Sequence[int]) -> list[int]:
     """Those of `recorded` that belong to a snapshot: the last not after it, else the first."""
-    before = ([at for at in recorded if at <= step] for step in snapshots)
-    return sorted({steps[-1] if steps else recorded[0] for steps in before} | {recorded[0]})
+    return sorted({at_or_before(recorded, step) for step in snapshots} | {recorded[0]})
 
 
 def _lines(path: Path, rows: Iterable[dict[str, Any]]) -> None:
