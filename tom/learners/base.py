@@ -18,15 +18,32 @@ from tom.lockstep import Work
 
 
 class Policy(Protocol):
-    """A stochastic policy: n actions for each observation.
-
-    A policy with finitely many actions may also offer
-    `support(obs) -> (actions (K, B, A), probs (K, B))`; expectations over a' are exact then.
-    """
+    """A stochastic policy: n actions for each observation. It may be a `FinitePolicy`, too."""
 
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """obs (B, O) -> actions (n, B, A)."""
         ...
+
+
+@runtime_checkable
+class FinitePolicy(Protocol):
+    """A policy with finitely many actions, which makes expectations over a' exact."""
+
+    def support(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """obs (B, O) -> actions (K, B, A) and their probabilities (K, B)."""
+        ...
+
+
+def policy_actions(
+    policy: Policy, obs: Tensor, n: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Actions (K, B, A) and probabilities (K, B) that stand for a ~ pi(.|obs): all, or n draws."""
+    if isinstance(policy, FinitePolicy):
+        actions, probs = policy.support(obs)
+    else:
+        actions = policy(obs, n, generator)
+        probs = obs.new_full(actions.shape[:2], 1.0 / len(actions))
+    return actions.detach().to(obs), probs.detach().to(obs)
 
 
 @dataclass(frozen=True)

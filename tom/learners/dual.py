@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -15,22 +15,13 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.divergences import divergence
 from tom.learners.averaging import Average
-from tom.learners.base import Policy
+from tom.learners.base import Policy, policy_actions
 from tom.learners.training import Trained
 from tom.lockstep import Work
 from tom.nn import StackedMLP, rows_at_once
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
 BLOCK, GPU_BLOCK = 8, 100  # minibatches gathered, and their actions drawn, at once
-
-
-@runtime_checkable
-class FinitePolicy(Protocol):
-    """A policy with finitely many actions, which makes expectations over a' exact."""
-
-    def support(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        """obs (B, O) -> actions (K, B, A) and their probabilities (K, B)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -62,18 +53,6 @@ def q_net(
     """A fresh Q with two ReLU layers: (1, B, O + A) -> (1, B, 1)."""
     sizes = [obs_dim + action_dim, config.q_hidden, config.q_hidden, 1]
     return StackedMLP(1, sizes, relu, [generator])
-
-
-def policy_actions(
-    policy: Policy, obs: Tensor, n: int, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Actions (K, B, A) and probabilities (K, B) that stand for a ~ pi(.|obs): all, or n draws."""
-    if isinstance(policy, FinitePolicy):
-        actions, probs = policy.support(obs)
-    else:
-        actions = policy(obs, n, generator)
-        probs = obs.new_full(actions.shape[:2], 1.0 / len(actions))
-    return actions.detach().to(obs), probs.detach().to(obs)
 
 
 def dual_argument(values: Values, log_ratio: Tensor, terminated: Tensor, discount: float) -> Tensor:
@@ -173,7 +152,7 @@ class DualProblem:
     config: TomConfig
     scaling: Scaling  # of (s, a)
 
-    def minimise(self, q: "QFunction", generator: torch.Generator) -> tuple[StackedMLP, float]:
+    def minimise(self, q: QFunction, generator: torch.Generator) -> tuple[StackedMLP, float]:
         """Gradient steps on the dual: Q's (average) network, and the last tenth's mean loss."""
         work = Minimise(self, q, generator)
         Minimise.do([work], q)

@@ -8,6 +8,7 @@ from torch import Tensor
 from tom.config import TomConfig
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
+from tom.learners.base import policy_actions
 from tom.learners.dual import (
     Batch,
     DualProblem,
@@ -15,7 +16,6 @@ from tom.learners.dual import (
     Values,
     dual_argument,
     dual_loss,
-    policy_actions,
     q_net,
     values_of,
 )
