@@ -14,31 +14,23 @@ from numpy.typing import NDArray
 from tom.envs import ENVS
 from tom.events import Episode, Evaluation, Field
 from tom.metrics import describe
-from tom.record import rerun_robot, scene
+from tom.record import rerun_road, rerun_robot, scene
 from tom.record.blueprint import (
     CAR,
     FIT,
     GHOST,
     GHOST_CAR,
-    MAP,
     PROFILE,
     REWARD,
     ROBOT,
     TRACKED,
     blueprint,
 )
-from tom.record.rerun_robot import GREY
 
 ROWS = 256  # of metrics that are sent together: a viewer takes a second for some hundred chunks
 
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
-
-TARMAC = (120, 130, 145)
-EXPERT = (240, 180, 60)
-LEARNT = (80, 160, 250)
-TRUE = (90, 200, 120)
-MODELLED = (230, 90, 90)
 
 
 class RerunView:
@@ -113,15 +105,14 @@ class RerunView:
     def places(self, places: NDArray) -> None:
         """Where the transitions lie on the map, (N, 2); drawn once."""
         self._places = len(places)
-        points = rr.Points2D.from_fields(positions=_up(places), radii=0.004, draw_order=-1)
-        self._stream.log(f"{MAP}/data", points, static=True)
+        rerun_road.places(self._stream, places)
 
     def weights(self, env_step: int, weight: NDArray) -> None:
         """Each transition on the map in the colour of its weight, (N,)."""
         if self._places != len(weight):
             return
         self._stream.set_time("env_step", sequence=env_step)
-        self._stream.log(f"{MAP}/data", rr.Points2D.from_fields(colors=heat(weight)))
+        rerun_road.weights(self._stream, weight)
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """The first episode, where it has MuJoCo states."""
@@ -144,21 +135,16 @@ class RerunView:
             return
         steps = np.arange(episode.length + 1)
         times = self._times(env_step, episode.length, steps, dt)
-        for path, color, places in ((CAR, LEARNT, episode.obs), (GHOST_CAR, MODELLED, ghost)):
-            if places is not None:
-                look = rr.Points2D.from_fields(colors=color, radii=0.012, draw_order=2)
-                self._stream.log(path, look, static=True)
-                columns = rr.Points2D.columns(positions=_up(places))
-                self._stream.send_columns(path, times, columns)
+        rerun_road.car(self._stream, CAR, times, episode.obs, rerun_road.LEARNT)
+        if ghost is not None:
+            rerun_road.car(self._stream, GHOST_CAR, times, ghost, rerun_road.MODELLED)
 
     def field(self, field: Field) -> None:
         """Road-and-rocks: the map, the trajectories and the model's displacements."""
         if self._env in ENVS:
             return
         self._stream.set_time("env_step", sequence=field.env_step)
-        draw = {"map": self._map, "trajectories": self._trajectories, "model": self._model}
-        if field.name in draw:
-            draw[field.name](field.arrays)
+        rerun_road.picture(self._stream, field.name, field.arrays)
 
     def close(self, timeout_s: float) -> None:
         """Write out what is left; raises when the sink does not take it in time."""
@@ -184,62 +170,12 @@ class RerunView:
                 moves = rr.Transform3D.columns(translation=place)
                 self._stream.send_columns(TRACKED, times, moves)
 
-    def _times(
-        self, env_step: int, length: int, frames: NDArray, dt: float
-    ) -> tuple[rr.TimeColumn, ...]:
+    def _times(self, env_step: int, length: int, frames: NDArray, dt: float) -> rerun_robot.Times:
         steps = env_step + frames * self._every // max(length + 1, self._every)
         return (
             rr.TimeColumn("env_step", sequence=steps),
             rr.TimeColumn("replay", duration=self._replay_s + frames * dt),
         )
-
-    def _map(self, arrays: Mapping[str, NDArray]) -> None:
-        line = arrays["centre_line"]
-        width = float(arrays["road_half_width"])
-        # A strip for each piece: their round ends make a round corner.
-        pieces = _up(np.stack([line[:-1], line[1:]], axis=1))
-        road = rr.LineStrips2D(pieces, radii=width, colors=TARMAC, draw_order=-2)
-        ends = np.stack([arrays["start"], arrays["goal"]])
-        circles = rr.Ellipses2D(
-            centers=_up(ends[:, :2]),
-            half_sizes=ends[:, 2:].repeat(2, axis=1),
-            colors=[LEARNT, TRUE],
-            labels=["start", "goal"],
-        )
-        corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
-        edge = rr.LineStrips2D([_up(corners)], colors=GREY, radii=0.001)
-        self._stream.log(f"{MAP}/edge", edge, static=True)
-        self._stream.log(f"{MAP}/road", road, static=True)
-        self._stream.log(f"{MAP}/ends", circles, static=True)
-
-    def _trajectories(self, arrays: Mapping[str, NDArray]) -> None:
-        for name, color in (("expert", EXPERT), ("learnt", LEARNT)):
-            strips = [_up(path) for key, path in arrays.items() if key.startswith(f"{name}_")]
-            if strips:
-                drawn = rr.LineStrips2D(strips, colors=color, radii=0.002)
-                self._stream.log(f"{MAP}/{name}", drawn)
-
-    def _model(self, arrays: Mapping[str, NDArray]) -> None:
-        for name, color in (("true", TRUE), ("modelled", MODELLED)):
-            arrows = rr.Arrows2D(
-                origins=_up(arrays["points"]),
-                vectors=_up(arrays[name]),
-                colors=color,
-                radii=0.0015,
-            )
-            self._stream.log(f"{MAP}/{name}", arrows)
-
-
-def heat(weight: NDArray) -> NDArray[np.uint8]:
-    """Colours (N, 4) of weights (N,): blue below the mean of 1, grey at it, red above.
-
-    The scale is logarithmic and ends at a tenth and at ten times the mean.
-    """
-    share = np.log10(np.clip(weight, 0.1, 10.0))[:, None]  # -1 to 1
-    low, mean, high = np.array([(50, 90, 200), (170, 170, 170), (220, 60, 40)], float)
-    color = np.where(share < 0, mean + share * (mean - low), mean + share * (high - mean))
-    alpha = np.full((len(weight), 1), 200.0)
-    return np.concatenate([color, alpha], axis=1).astype(np.uint8)
 
 
 def _table(values: Mapping[str, float]) -> str:
@@ -248,8 +184,3 @@ def _table(values: Mapping[str, float]) -> str:
     rows = [(path, value) for path, value in values.items() if path.startswith(groups)]
     lines = [f"| {path} | {value:.4g} | {describe(path)} |" for path, value in sorted(rows)]
     return "\n".join(["| metric | value | meaning |", "|---|---|---|", *lines])
-
-
-def _up(points: NDArray) -> NDArray:
-    """Map points (..., 2) for a view in which y runs downwards."""
-    return points * np.array([1.0, -1.0])

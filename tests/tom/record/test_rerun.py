@@ -17,7 +17,7 @@ from tom.record import Recorder, RunReader, RunWriter, Store, open_sink, scene, 
 from tom.record.export import export
 from tom.record.feed import Follower
 from tom.record.rerun_episode import episode_recording
-from tom.record.rerun_view import heat
+from tom.record.rerun_road import heat
 
 mj = scene._mj
 
