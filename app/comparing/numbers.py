@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 from numpy.typing import NDArray
+from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.aggregate import Group, interval
@@ -25,19 +26,7 @@ THRESHOLDS = 61
 def draw(runs: Sequence[RunInfo]) -> None:
     """One environment, one score a run, and what its distribution says."""
     row = st.columns([3, 4, 3, 3], vertical_alignment="bottom")
-    env = row[0].selectbox(
-        "Environment compared", sorted({run.env for run in runs}), key="task", bind="query-params"
-    )
-    metric = row[1].segmented_control(
-        "Of", list(measure.METRICS), default=measure.RETURN, required=True, key="of",
-        bind="query-params",
-    )  # fmt: skip
-    score = row[2].selectbox(
-        "Score of a run", SCORES, key="score", bind="query-params",
-        help="all of them up to the step that every run reaches, so that a longer run has no "
-        "advantage; mean height: area under the curve over its length",
-    )  # fmt: skip
-    name = measure.METRICS[metric or measure.RETURN]
+    env, name, score = _pick(row, runs)
     _, grouped = measure.grouped([run for run in runs if run.env == env], name)
     if not grouped:
         st.info("None of these runs has been evaluated yet.")
@@ -49,7 +38,7 @@ def draw(runs: Sequence[RunInfo]) -> None:
     if not grouped:
         st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
         return
-    scores = [scores_of(group, score or FINAL, until) for group in grouped]
+    scores = [scores_of(group, score, until) for group in grouped]
     everything = np.concatenate(scores)
     level = row[3].number_input(
         "Steps to reach", value=default_level(everything), step=None, format="%.6g",
@@ -62,15 +51,11 @@ def draw(runs: Sequence[RunInfo]) -> None:
         f". Scores are those up to step {until:,.0f}, which every run reaches."
         + (f" Left out, as nothing was recorded until then: {', '.join(late)}." if late else "")
     )
-    _profiles(grouped, names, scores, score or FINAL)
+    _profiles(grouped, names, scores, score)
     pairs = compared(names, scores)
     _improvement(pairs, [grouped[i].learner for i, _ in combinations(range(len(grouped)), 2)])
     table = reached(grouped, names, float(level), until)
-    st.markdown(
-        f"**Sample efficiency**: env steps until {text.markdown(name)} is {level:,.6g}; "
-        f"runs are followed up to step {until:,.0f}, which every run reaches"
-    )
-    st.dataframe(_shown(table), hide_index=True)
+    _efficiency(table, name, float(level), until)
     downloads(
         {
             "Scores": (lambda: _scores(names, grouped, scores), "scores"),
@@ -79,6 +64,23 @@ def draw(runs: Sequence[RunInfo]) -> None:
         },
         name,
     )
+
+
+def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str | None, str, str]:
+    """The environment, the metric and the score of a run that are looked at."""
+    env = row[0].selectbox(
+        "Environment compared", sorted({run.env for run in runs}), key="task", bind="query-params"
+    )
+    metric = row[1].segmented_control(
+        "Of", list(measure.METRICS), default=measure.RETURN, required=True, key="of",
+        bind="query-params",
+    )  # fmt: skip
+    score = row[2].selectbox(
+        "Score of a run", SCORES, key="score", bind="query-params",
+        help="all of them up to the step that every run reaches, so that a longer run has no "
+        "advantage; mean height: area under the curve over its length",
+    )  # fmt: skip
+    return env, measure.METRICS[metric or measure.RETURN], score or FINAL
 
 
 def _names(grouped: Sequence[Group]) -> list[str]:
@@ -127,6 +129,14 @@ def _improvement(
         )
         figure = improvement(pairs, learners, 90 + 34 * len(pairs))
         chart(figure, "improvement", "probability that a run of one group beats one of another")
+
+
+def _efficiency(table: pd.DataFrame, name: str, level: float, until: float) -> None:
+    st.markdown(
+        f"**Sample efficiency**: env steps until {text.markdown(name)} is {level:,.6g}; "
+        f"runs are followed up to step {until:,.0f}, which every run reaches"
+    )
+    st.dataframe(_shown(table), hide_index=True)
 
 
 def _scores(names: Sequence[str], grouped: Sequence[Group], scores: Sequence[NDArray]):

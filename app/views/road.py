@@ -15,6 +15,7 @@ from app.theme import learner_label
 from app.views import empty
 from app.views.stage import stage
 from tom.metrics import describe
+from tom.record.reader import at_or_before
 
 TITLE = "Road and rocks"
 ICON = ":material/add_road:"
@@ -63,27 +64,10 @@ def page() -> None:
         return
     _numbers(run, picture)
     together = [run, *beside]
-    ids = tuple(each.run_id for each in together)
-    if beside:
-        stage(Road(ids, step), HEIGHT)
-        for column, each in zip(st.columns(len(together)), together, strict=True):
-            with column, st.container(border=True):
-                _flat_map(each, step, SMALL)
-    else:
-        left, right = st.columns([5, 4])
-        with left:
-            stage(Road(ids, step), HEIGHT)
-        with right:
-            _flat_map(run, step, HEIGHT)
+    _pictures(together, step)
     empty.left_out(run, "buffer", "other snapshots")
     _export(together)
-    st.markdown("**Every learner**: at the last step that was recorded")
-    st.dataframe(comparison(shown), hide_index=True, column_config=_columns())
-    st.caption(
-        "Errors are root mean squared one-step errors in full steps (the task's noise alone makes "
-        "0.07). Planner: value iteration in the learnt model, driven in the real task; policy: SAC "
-        "in the learnt model, driven in the real task."
-    )
+    _every_learner(shown)
     for each in shown:
         # Of those in the table alone, only what the table is made of.
         drawn = each in together
@@ -97,6 +81,32 @@ def _pick_others(others: list[RunInfo]) -> list[RunInfo]:
         key="beside", bind="query-params", placeholder="no other run",
     )  # fmt: skip
     return [other for name in chosen for other in others if other.run_id == name]
+
+
+def _pictures(together: list[RunInfo], step: int) -> None:
+    """The 3D scene, and the map of each run: below it, or beside it where there is one run."""
+    ids = tuple(each.run_id for each in together)
+    if len(together) > 1:
+        stage(Road(ids, step), HEIGHT)
+        for column, each in zip(st.columns(len(together)), together, strict=True):
+            with column, st.container(border=True):
+                _flat_map(each, step, SMALL)
+        return
+    left, right = st.columns([5, 4])
+    with left:
+        stage(Road(ids, step), HEIGHT)
+    with right:
+        _flat_map(together[0], step, HEIGHT)
+
+
+def _every_learner(shown: list[RunInfo]) -> None:
+    st.markdown("**Every learner**: at the last step that was recorded")
+    st.dataframe(comparison(shown), hide_index=True, column_config=_columns())
+    st.caption(
+        "Errors are root mean squared one-step errors in full steps (the task's noise alone makes "
+        "0.07). Planner: value iteration in the learnt model, driven in the real task; policy: SAC "
+        "in the learnt model, driven in the real task."
+    )
 
 
 def _flat_map(run: RunInfo, step: int, height: int) -> None:
@@ -113,9 +123,7 @@ def _flat_map(run: RunInfo, step: int, height: int) -> None:
 
 def _fit(run: RunInfo, step: int) -> Picture | None:
     """A run's record at `step`, else its last before."""
-    steps = readers.road_steps(run)
-    at = max((s for s in steps if s <= step), default=steps[0])
-    return readers.road_picture(run, at)
+    return readers.road_picture(run, at_or_before(readers.road_steps(run), step))
 
 
 def _export(runs: list[RunInfo]) -> None:

@@ -54,10 +54,19 @@ def page() -> None:
         return
     chosen = _chosen_fit(profiles)
     _numbers(run, profiles, chosen)
+    _figures(run, profiles, chosen, relative=scale == RELATIVE)
+    step = int(profiles.env_step[chosen])
+    same_buffer.at_fit(run, step)
+    _against(run, step)
+    widgets.show_problems(run)
+
+
+def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -> None:
+    """The map of all fits, the profile of the chosen one, the effective sample of all."""
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown("**Every fit**: click one to look at it")
-        figure = weight_map(profiles, chosen, session.mode(), 400, relative=scale == RELATIVE)
+        figure = weight_map(profiles, chosen, session.mode(), 400, relative=relative)
         chart(figure, "weight map", "weight of each part of the buffer at every fit", _choose)
     with right, st.container(border=True):
         step = profiles.env_step[chosen]
@@ -70,9 +79,6 @@ def page() -> None:
         chart(
             figure, "effective sample", "effective sample size and share of zero weights", _choose
         )
-    same_buffer.at_fit(run, int(profiles.env_step[chosen]))
-    _against(run, int(profiles.env_step[chosen]))
-    widgets.show_problems(run)
 
 
 def _against(run: RunInfo, step: int) -> None:
