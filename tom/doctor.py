@@ -27,7 +27,7 @@ from tom.record import Store, hub, scene
 State = Literal["ok", "note", "bad"]
 
 PYTHON = (3, 11)
-SERVERS = 4  # ports that the studio takes
+HOST, SERVERS = "127.0.0.1", 4  # where the studio listens, on so many ports
 LOW_GB, FULL_GB = 10.0, 1.0
 
 
@@ -143,11 +143,15 @@ def _rerun() -> Finding:
 
 
 def _ports() -> Finding:
-    """The studio's servers each need a port of 127.0.0.1."""
-    with ExitStack() as opened:
-        for _ in range(SERVERS):
-            opened.enter_context(socket.create_server(("127.0.0.1", 0)))
-    return Finding("ports", "ok", f"{SERVERS} could be opened on 127.0.0.1")
+    """The studio's servers each need a port of this machine."""
+    try:
+        with ExitStack() as opened:
+            for _ in range(SERVERS):
+                opened.enter_context(socket.create_server((HOST, 0)))
+    except OSError as error:
+        fix = "`ip link set lo up` brings the loopback up, `ulimit -n 4096` allows more open files"
+        return Finding("ports", "bad", f"none can be opened on {HOST}: {error.strerror}", fix)
+    return Finding("ports", "ok", f"{SERVERS} could be opened on {HOST}")
 
 
 def _chromium() -> Finding:

@@ -1,4 +1,4 @@
-"""Every command, option, path and link that README and docs name exists."""
+"""Every command, option, setting, metric, path and link that README and docs name exists."""
 
 import argparse
 import re
@@ -10,20 +10,30 @@ from ruamel.yaml import YAML
 
 from app.__main__ import _parser as studio_parser
 from tom.cli import build_parser
+from tom.cli.parser import leaf_fields
+from tom.config import OnlineConfig, RoadConfig
+from tom.metrics import METRICS
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TOP = ("README.md", "CONTRIBUTING.md", "runs/README.md")  # the changelog names what was, too
+PAGES = [*(ROOT / name for name in TOP), *sorted((ROOT / "docs").rglob("*.md"))]
 CODE = re.compile(r"```[a-z]*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
 COMMAND = re.compile(r"(?:^|[\s/&(])tom ((?:[a-z][\w-]*)(?:[^\n`;|&)]*))")
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
 PLACE = re.compile(r"(?:tom|app|tests|docs|\.ci)/[\w./-]*[\w/]")
+SETTING = re.compile(r"(?:tom|pmac|vagram|sac|model|rollout|evaluation)\.[a-z_]+(?==|$)")
+METRIC = re.compile(r"(?:weights|dual|discriminator|model|eval|planner)/[a-z_]+")
 OF_THE_SYSTEM = {"No space left on device"}
 EXAMPLES = {"docs/extend.md"}  # names files that do not exist yet: test_extend makes them
 
 
+def inline(page: Path) -> Iterator[str]:
+    return (text for _, text in CODE.findall(page.read_text()) if text)
+
+
 def code(page: Path) -> Iterator[str]:
-    for block, inline in CODE.findall(page.read_text()):
-        yield (block or inline).replace("\\\n", " ")
+    for block, text in CODE.findall(page.read_text()):
+        yield (block or text).replace("\\\n", " ")
 
 
 def commands() -> Iterator[tuple[Path, str]]:
@@ -82,8 +92,43 @@ def test_every_path_exists(page: Path):
     if str(page.relative_to(ROOT)) in EXAMPLES:
         return
     for text in code(page):
-        for place in PLACE.findall(text) if " " not in text.strip() else ():
+        for place in PLACE.findall(text):
             assert (ROOT / place).exists(), f"{page.name}: {place}"
+
+
+def options(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Every option of a parser and of all its subcommands."""
+    for action in parser._actions:
+        yield from action.option_strings
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from options(below)
+
+
+def test_every_option_setting_and_metric_exists():
+    road = ["train", "--env", "road-and-rocks"]
+    known = {*options(build_parser(road)), *options(build_parser()), *options(studio_parser())}
+    settings = {path for config in (OnlineConfig, RoadConfig) for path, _ in leaf_fields(config)}
+    seen = set()
+    for page in PAGES:
+        for text in inline(page):
+            if text.startswith("--"):
+                assert text.split()[0].split("=")[0] in known, f"{page.name}: {text}"
+                seen.add("option")
+            elif found := SETTING.match(text):
+                assert found[0] in settings, f"{page.name}: {text}"
+                seen.add("setting")
+            elif METRIC.fullmatch(text):
+                assert text in METRICS, f"{page.name}: {text}"
+                seen.add("metric")
+    assert seen == {"option", "setting", "metric"}
+
+
+def test_every_change_says_whether_it_changes_results():
+    _, *changes = re.split(r"^- ", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
+    assert len(changes) > 50
+    for change in changes:
+        assert re.search(r"\(changes\s+results:\s+[^)]+\)\s*$", change), change
 
 
 def test_the_commands_are_really_found():

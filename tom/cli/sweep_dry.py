@@ -30,9 +30,10 @@ def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jo
         return 0
     cells = [["" if v is None else _cell(v) for v in row.values()] for row in rows]
     show(f"{len(rows)} runs, {len(todo)} to do", list(rows[0]), cells)
-    print(f"about {hours:.1f} h with {jobs} at a time and {disk / 1000:.1f} GB", end="")
-    free = _free_gb(store.path)
-    print(f" ({free:.0f} GB are free)" if free is not None else "")
+    if not todo or any(row["hours"] is not None for row in todo):
+        print(f"about {hours:.1f} h with {jobs} at a time and {disk / 1000:.1f} GB", end="")
+        free = _free_gb(store.path)
+        print(f" ({free:.0f} GB are free)" if free is not None else "")
     unknown = sorted({f"{r['env']} {r['learner']}" for r in todo if r["hours"] is None})
     if unknown:
         print(

@@ -58,6 +58,14 @@ def test_a_package_of_another_version_is_named():
     assert doctor._unmet('no-such-package; extra == "bench"') is None
 
 
+def test_ports_that_cannot_be_opened_are_named_with_a_fix(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor, "HOST", "203.0.113.1")  # an address that no machine has
+    found = doctor._ports()
+    assert found.state == "bad"
+    assert "203.0.113.1: Cannot assign requested address" in found.text
+    assert "lo up" in found.fix
+
+
 def test_a_check_that_breaks_is_a_finding():
     def broken() -> doctor.Finding:
         socket.create_server(("127.0.0.1", 0), family=-5)  # pyright: ignore[reportArgumentType]

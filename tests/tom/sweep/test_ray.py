@@ -61,6 +61,16 @@ def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys, m
     assert not (tmp_path / "store").exists()
 
 
+def test_ray_is_told_to_want_a_token_and_to_send_no_statistics(tmp_path: Path, monkeypatch):
+    names = ("RAY_AUTH_MODE", "RAY_USAGE_STATS_ENABLED")
+    for name in names:
+        monkeypatch.setenv(name, "")  # so that what is set now is put back
+        monkeypatch.delenv(name)
+    words = ["--engine", "ray", "--address", "127.0.0.1:9", "--store", str(tmp_path)]
+    assert main(["sweep", *SMOKE, *words]) == 2
+    assert [os.environ[name] for name in names] == ["token", "0"]
+
+
 def test_without_ray_the_line_names_what_to_install(tmp_path: Path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     assert main(["sweep", *SMOKE, "--engine", "ray", "--store", str(tmp_path / "store")]) == 2
