@@ -1,8 +1,10 @@
 """Run folders for the pages: read once, read again when a file changes."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -18,6 +20,8 @@ from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
 from tom.record.status import DEAD_AFTER_S, Status
 from tom.record.store import Store
+
+T = TypeVar("T")
 
 Stamp = tuple[int, int]
 """(mtime_ns, size) of a file: what a cached read depends on."""
@@ -193,27 +197,30 @@ def _read_info(store: str, name: str) -> RunInfo:
 
 
 def _metrics(run: RunInfo) -> tuple[pd.DataFrame, list[str]]:
-    def read() -> tuple[pd.DataFrame, list[str]]:
-        reader = RunReader(run.path)
-        return reader.metrics(), reader.problems
-
-    return _METRICS.get(run.path, read, recorded(run))
+    return _read(_METRICS, run, RunReader.metrics, recorded(run))
 
 
 def _profiles(run: RunInfo) -> tuple[Profiles, list[str]]:
-    def read() -> tuple[Profiles, list[str]]:
-        reader = RunReader(run.path)
-        return reader.profiles(), reader.problems
-
-    return _PROFILES.get(run.path, read, _stamps(run, layout.PROFILES))
+    return _read(_PROFILES, run, RunReader.profiles, _stamps(run, layout.PROFILES))
 
 
 def _notices(run: RunInfo) -> tuple[list[dict], list[str]]:
-    def read() -> tuple[list[dict], list[str]]:
-        reader = RunReader(run.path)
-        return reader.notices(), reader.problems
+    return _read(_NOTICES, run, RunReader.notices, _stamps(run, layout.NOTICES))
 
-    return _NOTICES.get(run.path, read, _stamps(run, layout.NOTICES))
+
+def _read(
+    kept: Kept[tuple[T, list[str]]],
+    run: RunInfo,
+    read: Callable[[RunReader], T],
+    version: tuple[Stamp, ...],
+) -> tuple[T, list[str]]:
+    """A part of a run and what is damaged in it, from `kept` where its files are in `version`."""
+
+    def make() -> tuple[T, list[str]]:
+        reader = RunReader(run.path)
+        return read(reader), reader.problems
+
+    return kept.get(run.path, make, version)
 
 
 def _count(frame: pd.DataFrame) -> dict[str, int]:
