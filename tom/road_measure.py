@@ -50,7 +50,7 @@ def held_out(road_map: road.RoadMap, generator: torch.Generator) -> HeldOut:
 
 def one_step_error(model: LinearModel, rows: TensorTransitions) -> float:
     """Root mean squared distance between predicted and real next position, in full steps."""
-    error = model.predict(rows.obs, rows.action) - rows.next_obs
+    error = model.next_obs(rows.obs, rows.action) - rows.next_obs
     return float(error.square().sum(-1).mean().sqrt()) / road.STEP
 
 
@@ -100,7 +100,7 @@ def reference_returns(road_map: road.RoadMap, generator: torch.Generator) -> dic
 
 def plan(model: LinearModel, discount: float) -> Steering:
     """The planner's policy in a learnt model."""
-    return Planner(model.predict, road.reward, road.at_goal, discount).steering()
+    return Planner(model.next_obs, road.reward, road.at_goal, discount).steering()
 
 
 # Pictures: the arrays that docs/run-folder.md names
@@ -123,7 +123,7 @@ def model_field(road_map: road.RoadMap, model: LinearModel) -> dict[str, NDArray
     axis = (torch.arange(FIELD_POINTS) + 0.5) / FIELD_POINTS
     points = torch.cartesian_prod(axis, axis)
     action = road.expert_action(points)
-    modelled = model.predict(points, action) - points
+    modelled = model.next_obs(points, action) - points
     true = road.displacement(road_map, points, action)
     arrays = {"points": points, "action": action, "true": true, "modelled": modelled}
     return {name: array.numpy() for name, array in arrays.items()}

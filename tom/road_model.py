@@ -17,7 +17,7 @@ class RoadModel:
 
     def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The (reward (B,), next_obs (B, 2)) after obs (B, 2) and action (B, 2)."""
-        next_obs = self.linear.predict(obs, action).clamp(0, 1)
+        next_obs = self.linear.next_obs(obs, action).clamp(0, 1)
         return road.reward(next_obs), next_obs
 
     def sample(

@@ -136,7 +136,7 @@ def _weigh(
     )
 
 
-def _stored(name: str, store: Store, step: int | None = None) -> StoredPolicy:
+def _stored(name: str, store: Store, step: int | None) -> StoredPolicy:
     run = find_run(name, store)
     if step is None:
         return read_policy(Path(name) if run is None else run.path / NAME)

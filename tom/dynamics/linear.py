@@ -45,7 +45,7 @@ class LinearModel:
         inputs = affine_inputs(data.obs, data.action)
         return cls(least_squares(inputs, data.next_obs, weights).float())
 
-    def predict(self, obs: Tensor, action: Tensor) -> Tensor:
+    def next_obs(self, obs: Tensor, action: Tensor) -> Tensor:
         """Next observations (..., O) after (..., O) observations and (..., A) actions."""
         return affine_inputs(obs, action) @ self.coefficients.T
 

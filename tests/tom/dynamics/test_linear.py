@@ -48,7 +48,7 @@ def test_a_true_linear_system_is_found_and_predicted():
     model = LinearModel.fit(linear, torch.rand(50, generator=torch.Generator().manual_seed(0)))
     torch.testing.assert_close(model.coefficients, true, atol=1e-5, rtol=0)
     torch.testing.assert_close(
-        model.predict(data.obs, data.action), linear.next_obs, atol=1e-5, rtol=0
+        model.next_obs(data.obs, data.action), linear.next_obs, atol=1e-5, rtol=0
     )
 
 
@@ -57,7 +57,7 @@ def test_too_few_rows_do_not_break_the_fit():
     assert model.coefficients.isfinite().all()
     data = rows(2)
     torch.testing.assert_close(
-        model.predict(data.obs, data.action), data.next_obs, atol=1e-3, rtol=0
+        model.next_obs(data.obs, data.action), data.next_obs, atol=1e-3, rtol=0
     )
 
 
