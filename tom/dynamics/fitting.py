@@ -28,47 +28,42 @@ Step = Callable[..., Tensor]
 """(x, y, *scales), (E, B, ...) each -> each network's loss (E,): `NeuralDynamics.step`."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """A model to fit to N transitions with weights (N,), and per-dimension weights (N, O)."""
+@dataclass
+class Fit(Work):
+    """Work: a model is fitted to N transitions; then `report` is there.
 
-    model: NeuralDynamics
+    With weights (N,), and per-dimension weights (N, O).
+    """
+
+    rank: ClassVar[int] = 4
+    subject: NeuralDynamics
     data: TensorTransitions
     weights: Tensor
     per_dim: Tensor | None
     generator: torch.Generator
-
-
-@dataclass
-class Fit(Work):
-    """Work: a fit; then `report` is there."""
-
-    rank: ClassVar[int] = 4
-    subject: NeuralDynamics
-    job: Job
     report: FitReport = field(init=False)
 
     @property
     def kind(self) -> Hashable:
-        return type(self.job.model), self.job.model.config, self.job.model.targets
+        return type(self.subject), self.subject.config, self.subject.targets
 
     @classmethod
     def do(cls, works: Sequence[Fit], subject: NeuralDynamics) -> None:
-        reports = fit([w.job for w in works], subject.step)
+        reports = fit(works, subject.step)
         for work, report in zip(works, reports, strict=True):
             work.report = report
 
 
 @torch.no_grad()
-def fit(jobs: Sequence[Job], step: Step) -> list[FitReport]:
+def fit(works: Sequence[Fit], step: Step) -> list[FitReport]:
     """Weighted maximum likelihood (eq. 18) with early stopping; the best networks are kept.
 
     Weights have mean 1. They draw the minibatches or scale the loss, never both. A round is
     `batches_per_round` minibatches; a fit stops after more than `patience` rounds in a row without
     a gain: a weighted holdout loss that is `min_gain` (relative) below that of the last gain. The
-    first round is one. `step` moves the networks of all jobs at once; their configs are equal.
+    first round is one. `step` moves the networks of all works at once; their configs are equal.
     """
-    members = [_Member(job) for job in jobs]
+    members = [_Member(work) for work in works]
     while any(m.goes_on for m in members):
         _round(members, step)
     return [m.report() for m in members]
@@ -110,21 +105,21 @@ def _round(members: Sequence[_Member], step: Step) -> None:
 
 
 class _Member:
-    """One job's way through its fit."""
+    """One model's way through its fit."""
 
-    def __init__(self, job: Job) -> None:
-        self.model, self.data, self.generator = job.model, job.data, job.generator
-        self.config = job.model.config
-        self.weights = job.weights
-        self.per_dim = job.per_dim
-        self.train, held = split(len(job.data), self.config, job.generator)
-        self.model.fit_scales(job.data, self.train)
-        rows = job.data[held]
+    def __init__(self, work: Fit) -> None:
+        self.model, self.data, self.generator = work.subject, work.data, work.generator
+        self.config = self.model.config
+        self.weights = work.weights
+        self.per_dim = work.per_dim
+        self.train, held = split(len(self.data), self.config, self.generator)
+        self.model.fit_scales(self.data, self.train)
+        rows = self.data[held]
         self._held = self.model.inputs(rows), self.model.scaled_targets(rows)
         self._held_weights = self.weights[held], self._dims(held)
         self._sampler = None
         if self.config.weights == "sample":
-            self._sampler = WeightedSampler(self.weights[self.train], job.generator)
+            self._sampler = WeightedSampler(self.weights[self.train], self.generator)
         self._best = _Best(self.model, self.config.min_gain)
         self._best.keep(holdout_loss(self.model, *self._held, *self._held_weights))
         self._rounds = self._idle = 0

@@ -20,7 +20,7 @@ from tom.data.sampling import uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import FitReport
-from tom.dynamics.fitting import Fit, Job
+from tom.dynamics.fitting import Fit
 from tom.lockstep import Work, finished
 from tom.nn import StackedMLP
 
@@ -111,7 +111,7 @@ class NeuralDynamics:
         generator: torch.Generator,
     ) -> Generator[Work, None, FitReport]:
         """`fit` as work that members of a fleet may do in one go."""
-        work = Fit(self, Job(self, data, weights, per_dim, generator))
+        work = Fit(self, data, weights, per_dim, generator)
         yield work
         return work.report
 

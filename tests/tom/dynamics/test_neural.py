@@ -10,7 +10,7 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
-from tom.dynamics.fitting import Job, _Best, fit, holdout_loss, split
+from tom.dynamics.fitting import Fit, _Best, fit, holdout_loss, split
 from tom.dynamics.mdn import Mdn, pick_component
 from tom.dynamics.neural import NeuralDynamics
 
@@ -96,16 +96,16 @@ def test_fitted_together_is_fitted_alone(kind: str):
     per_dim = torch.rand(600, 2, generator=generator())
     reports = []
     for fitted, together in zip(models, (False, True), strict=True):
-        jobs = [
-            Job(m, rows(300 * (s + 1), s), torch.ones(300 * (s + 1)), dims, generator(s))
+        works = [
+            Fit(m, rows(300 * (s + 1), s), torch.ones(300 * (s + 1)), dims, generator(s))
             for s, (m, dims) in enumerate(zip(fitted, (None, per_dim, None), strict=True))
             if isinstance(m, NeuralDynamics)
         ]
-        joint = type(jobs[0].model).joined([j.model for j in jobs]) if together else None
+        joint = type(works[0].subject).joined([w.subject for w in works]) if together else None
         for again in range(2):  # the second fit begins with unequal numbers of steps
             generators = [generator(10 * again + s) for s in range(3)]
-            now = [replace(j, generator=g) for j, g in zip(jobs, generators, strict=True)]
-            done = fit(now, joint.step) if joint else [fit([j], j.model.step)[0] for j in now]
+            now = [replace(w, generator=g) for w, g in zip(works, generators, strict=True)]
+            done = fit(now, joint.step) if joint else [fit([w], w.subject.step)[0] for w in now]
             reports.append([r.metrics for r in done])
     assert [r["model/rounds"] for r in reports[1]] == [r["model/rounds"] for r in reports[3]]
     assert len({r["model/rounds"] for r in reports[0] + reports[1]}) > 1
