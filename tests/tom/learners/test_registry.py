@@ -5,6 +5,7 @@ from made import ACTION, OBS, QUICK, context, generator, rows
 from tom.config import OnlineConfig
 from tom.errors import UserError
 from tom.learners import LEARNER_NAMES, LEARNERS, make_learner
+from tom.presets import resolve
 
 
 def config(name: str) -> OnlineConfig:
@@ -34,6 +35,22 @@ def test_every_learner_weighs_a_buffer(name):
     again = make_learner(name, config(name), OBS, ACTION, generator(1))
     again.load_state_dict(learner.state_dict())
     assert (name == "mle") == bool((found.weights == 1).all() and found.per_dim is None)
+
+
+@pytest.mark.parametrize("name", LEARNER_NAMES)
+def test_those_that_follow_a_value_function_wait_for_one(name: str):
+    learner = make_learner(name, config(name), OBS, ACTION, generator())
+    found = learner.weigh(context(rows(100), policy_version=torch.arange(100) // 25))
+    assert found.ready is not LEARNERS[name].follows_value
+
+
+def test_vagrams_ensemble_is_another_model_unless_the_user_wants_one():
+    def kind(learner: str, **overrides: object) -> str:
+        return resolve("hopper", learner, overrides=overrides).model_dump()["model"]["kind"]
+
+    assert kind("vagram") == "mdn"
+    assert kind("vagram-ensemble") == "mean-ensemble"
+    assert kind("vagram-ensemble", model={"kind": "ensemble"}) == "ensemble"
 
 
 def test_an_unknown_learner_offers_the_nearest():
