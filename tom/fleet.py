@@ -8,9 +8,8 @@ that is what fills it; on a CPU it brings nothing, and seeds are processes there
 from collections.abc import Sequence
 from typing import Unpack
 
-import torch
-
 from tom.config import OnlineConfig
+from tom.device import require_device
 from tom.errors import UserError
 from tom.lockstep import Lockstep
 from tom.record import RunReader, Store
@@ -48,20 +47,10 @@ def check(trials: Sequence[Trial]) -> None:
         raise UserError("a fleet shares one environment: train the others with another command")
     for trial in trials:
         if not isinstance(trial.config, OnlineConfig):
-            raise UserError(f"{trial.env} cannot be trained as a fleet: leave out --engine fleet")
+            raise UserError(
+                f"{trial.env} trains alone, on the CPU: leave out --engine fleet and --device"
+            )
         require_device(trial.config.device)
-
-
-def require_device(device: str) -> None:
-    """Raise UserError where torch does not know `device` or cannot use it here."""
-    try:
-        kind = torch.device(device).type
-    except RuntimeError:
-        kind = ""
-    if kind not in ("cpu", "cuda"):
-        raise UserError(f"--device {device}: must be cpu or cuda")
-    if kind == "cuda" and not torch.cuda.is_available():
-        raise UserError("--device cuda: torch finds no CUDA GPU here; leave out --device")
 
 
 def _member(trial: Trial, runs: Sequence[RunReader], store: Store, **how: Unpack[How]) -> Recorded:

@@ -5,6 +5,7 @@ than running them. Captured once, they are launched as one.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import torch
@@ -17,13 +18,17 @@ def graphed(function: Callable[..., Any]) -> Callable[..., Any]:
     """`function` of CUDA tensors, captured after a few calls, once for each set of shapes.
 
     It must move everything else in place, draw no random numbers and never ask for a value on the
-    host. What it returns is overwritten by its next call.
+    host. What it returns is overwritten by its next call. On CPU tensors it is called as it is.
     """
     known: dict[tuple[torch.Size, ...], _Capture] = {}
 
     def call(*inputs: Tensor) -> Any:
-        capture = known.setdefault(tuple(x.shape for x in inputs), _Capture(function))
-        return capture(inputs)
+        if inputs[0].device.type != "cuda":
+            return function(*inputs)
+        shapes = tuple(x.shape for x in inputs)
+        if shapes not in known:
+            known[shapes] = _Capture(function, inputs[0].device)
+        return known[shapes](inputs)
 
     return call
 
@@ -31,33 +36,41 @@ def graphed(function: Callable[..., Any]) -> Callable[..., Any]:
 class _Capture:
     """One function at one set of shapes."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], device: torch.device) -> None:
         self._function = function
+        self._device = device
         self._calls = 0
-        self._graph = torch.cuda.CUDAGraph() if torch.cuda.is_available() else None
+        self._graph = torch.cuda.CUDAGraph()
         self._inputs: tuple[Tensor, ...] = ()
         self._output: Any = None
 
     def __call__(self, inputs: tuple[Tensor, ...]) -> Any:
         self._calls += 1
-        if self._graph is None:
-            return self._function(*inputs)
         if self._calls <= WARM_UP:
             return self._on_side_stream(inputs)
         if self._calls == WARM_UP + 1:
             self._inputs = tuple(x.clone() for x in inputs)
-            with torch.cuda.graph(self._graph):  # records, and runs nothing
-                self._output = self._function(*self._inputs)
+            with torch.cuda.graph(self._graph, stream=_side_stream(self._device)):
+                self._output = self._function(*self._inputs)  # recorded, and not run
         for static, x in zip(self._inputs, inputs, strict=True):
             static.copy_(x)
         self._graph.replay()
         return self._output
 
     def _on_side_stream(self, inputs: tuple[Tensor, ...]) -> Any:
-        """A call as the capture will make it: not on the default stream."""
-        here, side = torch.cuda.current_stream(), torch.cuda.Stream()
+        """A call as the capture will make it: on its stream, not on the default one."""
+        here, side = torch.cuda.current_stream(self._device), _side_stream(self._device)
         side.wait_stream(here)
         with torch.cuda.stream(side):
             output = self._function(*inputs)
         here.wait_stream(side)
         return output
+
+
+@cache
+def _side_stream(device: torch.device) -> torch.cuda.Stream:
+    """The stream of every capture on this device, which need not be the current one.
+
+    Another device's stream would record nothing, without an error; one for all has one workspace.
+    """
+    return torch.cuda.Stream(device)

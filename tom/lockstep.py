@@ -87,13 +87,14 @@ def _threads() -> ThreadPoolExecutor:
 
 def alone(steps: Generator[Told | Work, None, Result]) -> Generator[Told, None, Result]:
     """A training by itself: its work is done as it comes."""
+    lockstep = Lockstep()
     while True:
         try:
             item = next(steps)
         except StopIteration as end:
             return end.value
         if isinstance(item, Work):
-            type(item).do([item], item.subject)
+            lockstep.do([item])
         else:
             yield item
 
@@ -115,23 +116,27 @@ class Lockstep:
         self._joints: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
 
     def run(self, trainings: Sequence[Generator[Work, None, Result]]) -> list[Result | Exception]:
-        """What each training comes to, or the error that ended it; the others go on without it.
+        """What each training comes to, or the error that ended it; the others are joined
+        anew and go on without it.
 
         KeyboardInterrupt, and an error in the shared work itself, end all.
         """
         running, waiting = dict(enumerate(trainings)), {}
         results: dict[int, Result | Exception] = {}
+        moved: dict[int, set[int]] = defaultdict(set)  # the subjects of each one's work
         try:
             while running:
                 for number in [n for n in running if n not in waiting]:
                     try:
                         waiting[number] = next(running[number])
+                        moved[number].add(id(waiting[number].subject))
                     except StopIteration as end:
                         results[number] = end.value
                     except Exception as error:  # its own affair, and told to the caller
                         results[number] = error
                     if number in results:
                         del running[number]
+                        self._part(moved[number])
                 self._do_first(waiting)
         finally:
             for training in running.values():
@@ -146,8 +151,12 @@ class Lockstep:
             work = waiting.pop(number)
             kinds[type(work), work.kind].append(work)
         for works in kinds.values():
-            for some, subject in self._joined(works):
-                type(works[0]).do(some, subject)
+            self.do(works)
+
+    def do(self, works: Sequence[Work]) -> None:
+        """Do works of one kind, in one go where they can be."""
+        for some, subject in self._joined(works):
+            type(works[0]).do(some, subject)
 
     def _joined(self, works: Sequence[Work]) -> Iterator[tuple[Sequence[Work], Any]]:
         """The works with their subjects' joint, or one by one where the others are elsewhere."""
@@ -170,9 +179,14 @@ class Lockstep:
 
     def _join(self, subjects: Sequence[Any]) -> Any:
         """One subject of many; what was captured of one alone stands at tensors it has left."""
-        for subject in subjects:
-            self._joints.pop((id(subject),), None)
+        self._part({id(subject) for subject in subjects})
         return type(subjects[0]).joined(subjects)
+
+    def _part(self, subjects: set[int]) -> None:
+        """Forget what any of these was joined to, and at once the memory of its capture."""
+        for key in [key for key in self._joints if subjects & set(key)]:
+            _, joint = self._joints.pop(key)
+            vars(joint).pop("step", None)
 
     def _among_others(self, key: tuple[int, ...]) -> bool:
         """Whether some of them are joined with more: joining them anew would part those."""

@@ -73,6 +73,13 @@ class StackedMLP(nn.Module):
         """The parameters: every layer's weight, then every layer's bias."""
         return [*(weight for weight, _ in self.layers), *(bias for _, bias in self.layers)]
 
+    def own_state(self) -> dict[str, Tensor]:
+        """`state_dict` in memory of its own.
+
+        A file takes all the memory behind a view, and a joined stack's parameters are views.
+        """
+        return {name: value.clone() for name, value in self.state_dict().items()}
+
     @classmethod
     def joined(cls, nets: "Sequence[StackedMLP]") -> "StackedMLP":
         """All networks of all stacks as one; the stacks' parameters become views of its own.

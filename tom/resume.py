@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from tom.config import SacRecordingConfig
 from tom.data.transitions import Transitions
+from tom.device import require_device
 from tom.errors import UserError, reason
 from tom.events import Notice
 from tom.health import Watch
@@ -42,6 +43,7 @@ def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[H
     config = recorded_config(reader)
     if steps is not None:
         config = _with_steps(config, steps)
+    require_device(config.device)
     if reader.status.alive:
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
     writer = RunWriter(reader.path, config)  # from here on no other process writes the run

@@ -9,6 +9,7 @@ import torch
 
 from tom.config import OnlineConfig, RoadConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
+from tom.device import require_device
 from tom.events import Event, Notice, Tick
 from tom.health import Watch
 from tom.lockstep import Work, finished
@@ -77,7 +78,7 @@ def train(
 
     A run that `stop` asked to stop is left as `stopped` with a checkpoint. KeyboardInterrupt ends
     it as `stopped` at once, any other error as `failed` with its reason; both go on to the
-    caller. What was recorded until then stays.
+    caller. What was recorded until then stays. Raises UserError without the config's device.
     """
     return finished(recorded(config, store, run_id, **how))
 
@@ -86,6 +87,7 @@ def recorded(
     config: AnyConfig, store: Store, run_id: str | None = None, **how: Unpack[How]
 ) -> Recorded:
     """`train` as a member of a fleet runs it: its heavy work is handed out."""
+    require_device(config.device)
     keep_freed_memory()
     torch.set_num_threads(config.threads)
     matmul = choose_matmul(config.matmul).record()

@@ -189,9 +189,9 @@ class Sac:
 
     def state_dict(self) -> dict[str, Any]:
         return {
-            "actor": self.actor.state_dict(),
-            "critic": self.critic.state_dict(),
-            "target_critic": self.target_critic.state_dict(),
+            "actor": self.actor.own_state(),
+            "critic": self.critic.own_state(),
+            "target_critic": self.target_critic.own_state(),
             "log_temperature": self.log_temperature.clone(),
             "actor_optimiser": self.actor_optimiser.state_dict(),
             "critic_optimiser": self.critic_optimiser.state_dict(),

@@ -100,6 +100,18 @@ def test_members_go_on_by_themselves_where_another_has_ended():
     assert log == [2, 1, 1]
 
 
+def test_those_who_are_left_are_joined_anew_where_another_has_ended():
+    log: list[int] = []
+    a, b, c = counters(3)
+    first, second, third = (
+        training(a, [1, 2, 3], log),
+        training(b, [1], log),
+        training(c, [5] * 3, log),
+    )
+    assert Lockstep().run([first, second, third]) == [6, 1, 15]
+    assert log == [3, 2, 2]
+
+
 def test_an_error_ends_its_own_training_alone():
     def failing(counter: Counter) -> Generator[Work, None, float]:
         yield Add(counter, 1.0, [])

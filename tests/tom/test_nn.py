@@ -51,6 +51,17 @@ def test_joined_networks_stay_themselves():
     torch.testing.assert_close(joint(x)[2:], nets[1](x[2:]))
 
 
+def test_the_state_of_a_joined_network_is_its_own_alone():
+    """A file takes the whole memory behind a view: one member's would hold all members'."""
+    nets = [StackedMLP(2, [4, 8, 1], relu, generators(s)) for s in (3, 7)]
+    before = [net.own_state() for net in nets]
+    StackedMLP.joined(nets)
+    for net, state in zip(nets, before, strict=True):
+        for name, value in net.own_state().items():
+            assert torch.equal(value, state[name])
+            assert value.untyped_storage().nbytes() == value.nbytes
+
+
 @pytest.mark.parametrize("activation", [relu, silu, torch.tanh])
 @pytest.mark.parametrize("members", [1, 3])
 def test_many_rows_without_a_gradient_are_the_same_rows(

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from tom.config import OnlineConfig
 from tom.errors import UserError
@@ -114,6 +115,18 @@ def test_a_run_without_a_checkpoint_says_so(tmp_path: Path):
         (folder / "manifest.json").unlink()
     with pytest.raises(UserError, match="no checkpoint"):
         resume(store, "a", rerun=False)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpus_run_is_refused_in_one_line_where_there_is_none(undisturbed, tmp_path: Path):
+    shutil.copytree(undisturbed.path, tmp_path / "gpu")
+    path = tmp_path / "gpu" / "config.json"
+    path.write_text(path.read_text().replace('"device": "cpu"', '"device": "cuda"'))
+    with pytest.raises(UserError, match="no CUDA GPU here"):
+        resume(Store(tmp_path), "gpu", steps=1000, rerun=False)
+    with pytest.raises(UserError, match="no CUDA GPU here"):
+        train(config(device="cuda:1"), Store(tmp_path), "new", rerun=False)
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_run_of_another_version_is_refused_in_one_line(undisturbed, tmp_path: Path):

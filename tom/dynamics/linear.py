@@ -27,7 +27,7 @@ def least_squares(inputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
     share = weights.double() / weights.double().sum(0)
     share = share[:, None].expand_as(y) if share.ndim == 1 else share  # (N, D)
     gram = torch.einsum("nd,ni,nj->dij", share, x, x)
-    gram = gram + RIDGE * torch.eye(x.shape[1], dtype=torch.float64)
+    gram = gram + RIDGE * torch.eye(x.shape[1], dtype=torch.float64, device=x.device)
     moment = torch.einsum("nd,ni->di", share * y, x)
     return torch.linalg.solve(gram, moment)
 
@@ -56,8 +56,9 @@ class LinearDynamics:
     def __init__(
         self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
     ) -> None:
-        self.coefficients = torch.zeros(1 + obs_dim, obs_dim + action_dim + 1)
-        self.std = torch.ones(1 + obs_dim)
+        device = generator.device
+        self.coefficients = torch.zeros(1 + obs_dim, obs_dim + action_dim + 1, device=device)
+        self.std = torch.ones(1 + obs_dim, device=device)
 
     def fit(
         self,
@@ -71,7 +72,7 @@ class LinearDynamics:
         targets = torch.cat([data.reward.unsqueeze(-1), data.next_obs], -1)
         by_column = weights[:, None].expand_as(targets)
         if per_dim is not None:
-            by_column = by_column * torch.cat([torch.ones(len(per_dim), 1), per_dim], -1)
+            by_column = by_column * torch.cat([torch.ones_like(per_dim[:, :1]), per_dim], -1)
         self.coefficients = least_squares(inputs, targets, by_column).float()
         square = (targets - inputs @ self.coefficients.T).square()
         variance = (by_column * square).sum(0) / by_column.sum(0)
@@ -100,7 +101,8 @@ class LinearDynamics:
     ) -> tuple[Tensor, Tensor]:
         """A draw of (reward (B,), next_obs (B, O))."""
         mean = affine_inputs(obs, action) @ self.coefficients.T
-        drawn = mean + self.std * torch.randn(mean.shape, generator=generator)
+        noise = torch.randn(mean.shape, generator=generator, device=generator.device)
+        drawn = mean + self.std * noise
         return drawn[:, 0], drawn[:, 1:]
 
     def state_dict(self) -> dict[str, Any]:
@@ -110,7 +112,8 @@ class LinearDynamics:
         self.load_parameters(state)
 
     def load_parameters(self, state: dict[str, Any]) -> None:
-        self.coefficients, self.std = state["coefficients"], state["std"]
+        device = self.std.device
+        self.coefficients, self.std = (state[n].to(device) for n in ("coefficients", "std"))
 
 
 def affine_inputs(obs: Tensor, action: Tensor) -> Tensor:

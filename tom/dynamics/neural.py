@@ -207,7 +207,7 @@ class NeuralDynamics:
     def state_dict(self) -> dict[str, Any]:
         scales = (self.input_scaling, self.target_scaling)
         return {
-            "net": self.net.state_dict(),
+            "net": self.net.own_state(),
             "extra": [p.detach().clone() for p in self.extra_parameters()],
             "optimiser": self.optimiser.state_dict(),
             "scales": [t.clone() for s in scales for t in (s.mean, s.std)],

@@ -144,7 +144,8 @@ def _load_one(path: Path) -> dict[str, Any]:
         if hashlib.file_digest(file, "sha256").hexdigest() != manifest.get("sha256"):
             raise ValueError("its content is torn or was altered (sha256 differs)")
         file.seek(0)
-        return torch.load(file, weights_only=True)
+        # On the CPU, where it can be read without the GPU that it may have been written on.
+        return torch.load(file, map_location="cpu", weights_only=True)
 
 
 def folders(folder: Path) -> list[Path]:
