@@ -131,6 +131,15 @@ def test_every_change_says_whether_it_changes_results():
         assert re.search(r"\(changes\s+results:\s+[^)]+\)\s*$", change), change
 
 
+def test_every_picture_is_shown_somewhere():
+    shown = {
+        (page.parent / link).resolve() for page in PAGES for link in LINK.findall(page.read_text())
+    }
+    assert {
+        path for path in (ROOT / "docs/images").iterdir() if path.resolve() not in shown
+    } == set()
+
+
 def test_the_commands_are_really_found():
     found = {command.split()[0] for _, command in commands()}
     assert {"train", "studio", "sweep", "runs", "reproduce", "demo", "doctor"} <= found

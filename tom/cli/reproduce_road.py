@@ -17,7 +17,10 @@ from tom.cli.study import (
     stoppable,
 )
 from tom.cli.tables import show
+from tom.config import RoadConfig
+from tom.envs.road_data import map_of
 from tom.reports import road as figures
+from tom.reports import road_map as maps
 from tom.reports.files import write_csv
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
@@ -41,6 +44,8 @@ CLAIM = (
     "On road-and-rocks TOM substantially outperforms offline MBPO, and does so because it gives "
     "the controllable region, the road, the higher weights (section 5.1)."
 )
+
+ENVIRONMENT = "The task: road (green), rocks, start and goal; arrows are what the action right does"
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -95,13 +100,16 @@ def _write(
         for step, value in s.returns
     )
     write_csv(out / "returns.csv", curves)
+    first = map_of(RoadConfig(learner="tom", seed=min(s.outcome.seed for s in stories)))
+    write_csv(out / "environment.csv", maps.environment_rows(first))
+    write_csv(out / "weights.csv", maps.weight_rows(stories))
     drawn = {
+        ENVIRONMENT: (maps.environment_figure(first), "environment"),
         "Return in the real task, single seeds faint": (figures.return_figure(stories), "returns"),
         "The planner's return as the rocks turn more": (figures.sweep_figure(sweep), "sweep"),
     }
-    told = [s for s in stories if s.places is not None]
-    if told:
-        drawn["Mean weight over the map"] = (figures.map_figure(told), "weights")
+    if any(s.weights is not None for s in stories):
+        drawn["Mean weight over the map"] = (maps.weight_figure(stories), "weights")
     pngs = [(caption, save(figure, out, name)[0]) for caption, (figure, name) in drawn.items()]
     rows = [asdict(c) for c in checks]
     outcomes = [("By seed", [asdict(s.outcome) for s in stories])]

@@ -20,7 +20,7 @@ from tom.reports.files import write_csv
 from tom.reports.origin import seeds as in_short
 from tom.reports.study import write_study
 from tom.reports.style import save
-from tom.reports.tabular import estimate_figure
+from tom.reports.tabular import estimate_figure, estimate_rows
 from tom.studies import verdicts
 from tom.studies.checks import Check
 from tom.studies.each import each
@@ -75,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
     rows = [e.row() for e in (*judged, *others)]
     write_csv(args.out / "estimates.csv", rows)
     write_csv(args.out / "summary.csv", summary(rows))
+    write_csv(args.out / "weights.csv", estimate_rows(judged))
     png, _ = save(estimate_figure(judged), args.out, "weights")
     drawn = [("Estimated against exact weights; the area is the replay's share", png)]
     tables = [("Ways to estimate: median and worst", summary(rows))]

@@ -121,10 +121,15 @@ class OfflineData:
     demonstrations: list[Episode]  # the expert's trajectories
 
 
+def map_of(config: RoadConfig) -> RoadMap:
+    """The rocks of a run's map."""
+    map_seed = config.seed if config.map_seed is None else config.map_seed
+    return road.draw_map(config.turn, config.spread, Streams(map_seed).torch("road map"))
+
+
 def collect(config: RoadConfig, streams: Streams) -> OfflineData:
     """The offline data of a run: random walks and a few expert trajectories."""
-    map_seed = config.seed if config.map_seed is None else config.map_seed
-    road_map = road.draw_map(config.turn, config.spread, Streams(map_seed).torch("road map"))
+    road_map = map_of(config)
     walks = random_walks(road_map, config.random_transitions, streams.torch("walks"))
     generator = streams.torch("demonstrations")
     shown = drive(road_map, noisy_expert(generator), config.expert_trajectories, generator)

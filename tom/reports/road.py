@@ -1,21 +1,18 @@
-"""Road-and-rocks: return curves, the weights over the map, the sweep over the rocks' turn."""
+"""Road-and-rocks: return curves, and the sweep over the rocks' turn."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tom.envs import road
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
 from tom.studies.road import Outcome, Story
 
 LEARNERS = {"mle": ("mle", "MLE"), "pmac, expert last": ("pmac", "PMAC"), "tom": ("tom", "TOM")}
-CELLS = 25  # of the weight map along each side
 
 
 def return_figure(stories: Sequence[Story]) -> Figure:
@@ -62,38 +59,3 @@ def sweep_figure(outcomes: Sequence[Outcome]) -> Figure:
         ax.set_ylabel("return of the planner")
         ax.legend()
     return figure
-
-
-def map_figure(stories: Sequence[Story]) -> Figure:
-    """Mean weight in each cell of the map, the first seed of each learner."""
-    chosen = [
-        (label, next(s for s in stories if s.outcome.name == name))
-        for name, (_, label) in LEARNERS.items()
-        if any(s.outcome.name == name for s in stories)
-    ]
-    with rc_context({**STYLE, "axes.grid": False}):
-        figure = new_figure(3.1 * len(chosen) + 0.6, 3.3)
-        axes = figure.subplots(1, len(chosen), squeeze=False)[0]
-        images = [_map(ax, story) for ax, (_, story) in zip(axes, chosen, strict=True)]
-        for ax, (label, story) in zip(axes, chosen, strict=True):
-            ax.set_title(f"{label}, seed {story.outcome.seed}")
-        figure.colorbar(images[0], ax=list(axes), label="mean weight", shrink=0.8)
-    return figure
-
-
-def _map(ax: Axes, story: Story):
-    assert story.places is not None
-    assert story.weights is not None
-    x, y = story.places.T
-    edges = np.linspace(0, 1, CELLS + 1)
-    total = np.histogram2d(x, y, [edges, edges], weights=story.weights)[0]
-    count = np.histogram2d(x, y, [edges, edges])[0]
-    mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-    shown = np.clip(mean.T, 0.02, 50)
-    image = ax.pcolormesh(edges, edges, shown, cmap="inferno", norm=LogNorm(0.02, 50))
-    line = np.array(road.CENTRE_LINE)
-    ax.plot(*line.T, color="white", linewidth=1, linestyle=":")
-    ax.set_aspect("equal")
-    ax.set_xticks([])
-    ax.set_yticks([])
-    return image

@@ -1,6 +1,6 @@
 """Estimated against exact weights of small MDPs, a panel for each divergence and discount."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib import rc_context
@@ -39,3 +39,15 @@ def estimate_figure(estimates: Sequence[Estimate]) -> Figure:
             ax.set_xlabel("exact weight")
         axes[0].set_ylabel("estimated weight")
     return figure
+
+
+def estimate_rows(estimates: Sequence[Estimate]) -> Iterator[dict[str, object]]:
+    """What is drawn: a row for each distinct transition that the replay holds."""
+    for e in estimates:
+        case = e.case
+        key = {"divergence": case.divergence, "discount": case.discount, "seed": case.seed}
+        key["successors"] = case.successors
+        points = zip(e.exact, e.estimated, e.replay, strict=True)
+        for exact, estimated, share in points:
+            if np.isfinite(estimated):
+                yield {**key, "exact": exact, "estimated": estimated, "replay's share": share}

@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+import pytest
 
 from tom.cli import reproduce_progression, reproduce_road
 from tom.reports.style import new_figure, save
@@ -29,11 +31,21 @@ def test_road_and_rocks(tmp_path: Path):
     assert "1 of 2 figures of our acceptance are met." in text
     assert "Not met: MLE&#x27;s." in text
     assert "<p>Agrees.</p>" in text
-    assert text.count("data:image/png") == 3
+    assert text.count("data:image/png") == 4
     assert "0-2" in text
-    assert {"returns.csv", "outcomes.csv", "checks.csv", "weights.svg"} <= {
-        path.name for path in tmp_path.iterdir()
-    }
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"outcomes.csv", "checks.csv"} <= names
+    for figure in ("environment", "returns", "sweep", "weights"):
+        assert {f"{figure}.png", f"{figure}.svg", f"{figure}.csv"} <= names
+    weights = pd.read_csv(tmp_path / "weights.csv")
+    assert weights.groupby("learner")["transitions"].sum().to_dict() == {"MLE": 500, "TOM": 500}
+    tom = weights[weights["learner"] == "TOM"]
+    mean = stories[3].weights
+    assert mean is not None
+    assert np.average(tom["mean weight"], weights=tom["transitions"]) == pytest.approx(mean.mean())
+    task = pd.read_csv(tmp_path / "environment.csv")
+    assert (task[task["road"]][["dx", "dy"]] == (1, 0)).all(axis=None)
+    assert (task[~task["road"]]["dx"] < 0).mean() > 0.9  # rocks turn by 180 +- 90 degrees
 
 
 def test_weight_progression_judges_its_first_preset(tmp_path: Path):
