@@ -9,8 +9,10 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
     found = dict(base)
     for name, value in changes.items():
         held = found.get(name)
-        groups = isinstance(held, Mapping) and isinstance(value, Mapping)
-        found[name] = merged(held, value) if groups else value
+        if isinstance(held, Mapping) and isinstance(value, Mapping):
+            found[name] = merged(held, value)
+        else:
+            found[name] = value
     return found
 
 
