@@ -104,11 +104,15 @@ def _cores() -> Finding:
 
 
 def _gpu() -> Finding:
+    fix = "install the CUDA build of the torch version above, and a driver as new as it asks for"
     if torch.cuda.is_available():
         card = torch.cuda.get_device_properties(0)
+        try:
+            float(torch.ones(8, 8, device="cuda").mm(torch.ones(8, 8, device="cuda")).sum())
+        except RuntimeError as error:  # this build has no code for the card
+            return Finding("gpu", "bad", f"{card.name}: {reason(error)}", fix)
         return Finding("gpu", "ok", f"{card.name}, {card.total_memory / 1e9:.0f} GB")
     if Path("/dev/nvidia0").exists():
-        fix = "install the CUDA build of the torch version above (https://pytorch.org)"
         return Finding("gpu", "bad", f"there is one, but torch {torch.__version__} sees none", fix)
     return Finding("gpu", "note", "none: trainings run on the CPU, one core each")
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
+import torch
 from pydantic import ValidationError
 
 from tom.cli.parser import one_line, overrides
@@ -20,6 +21,7 @@ from tom.run import Stop
 from tom.sweep.plan import Trial
 
 ENGINES = ("processes", "fleet")
+FEWER = "give fewer learners or --seeds at a time; each goes on from its last checkpoint"
 
 
 def trials_of(args: argparse.Namespace) -> list[Trial]:
@@ -94,6 +96,9 @@ def _train(
             )
         except KeyboardInterrupt:
             print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
+            return ()
+        except torch.OutOfMemoryError:
+            print(f"{label}: failed: they do not fit the GPU: {FEWER}", file=sys.stderr)
             return ()
 
 

@@ -10,6 +10,7 @@ from tom.config import VagramConfig
 from tom.data.columns import column_moments
 from tom.data.sampling import normalise
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
+from tom.nn import rows_at_once
 
 CHUNK = 4096  # rows differentiated at once; they stay in the processor's cache
 
@@ -24,7 +25,8 @@ def value_gradient_weights(
     much each reacts may not. `value_gradient` maps states (B, O) to dV_k/ds, (K, B, O). Rows whose
     s' is terminal count like others, though the value function was never trained there.
     """
-    parts = [value_gradient(rows).square().mean(0) for rows in next_obs.split(CHUNK)]
+    size = rows_at_once(next_obs.device, CHUNK)
+    parts = [value_gradient(rows).square().mean(0) for rows in next_obs.split(size)]
     return torch.cat(parts) * scale.square()
 
 
