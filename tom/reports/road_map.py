@@ -37,7 +37,8 @@ def environment_figure(road_map: RoadMap) -> Figure:
         ax.pcolormesh(EDGES, EDGES, ground, cmap=ListedColormap([ROCKS, ROAD]))
         ax.quiver(*places.T, *moved.T, color=TEXT, angles="xy", scale=CELLS, width=0.004)
         for place, radius in ((road.START, road.START_RADIUS), (road.GOAL, road.GOAL_RADIUS)):
-            ax.add_patch(Circle(place.tolist(), radius, fill=False, color=NEUTRAL, linewidth=1.5))
+            centre = (float(place[0]), float(place[1]))
+            ax.add_patch(Circle(centre, radius, fill=False, color=NEUTRAL, linewidth=1.5))
         _as_map(ax)
     return figure
 

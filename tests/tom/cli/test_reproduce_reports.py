@@ -38,14 +38,16 @@ def test_road_and_rocks(tmp_path: Path):
     for figure in ("environment", "returns", "sweep", "weights"):
         assert {f"{figure}.png", f"{figure}.svg", f"{figure}.csv"} <= names
     weights = pd.read_csv(tmp_path / "weights.csv")
-    assert weights.groupby("learner")["transitions"].sum().to_dict() == {"MLE": 500, "TOM": 500}
-    tom = weights[weights["learner"] == "TOM"]
-    mean = stories[3].weights
-    assert mean is not None
-    assert np.average(tom["mean weight"], weights=tom["transitions"]) == pytest.approx(mean.mean())
+    names, count, mean = (weights[c].to_numpy() for c in ("learner", "transitions", "mean weight"))
+    assert {name: count[names == name].sum() for name in ("MLE", "TOM")} == {"MLE": 500, "TOM": 500}
+    own = stories[3].weights
+    assert own is not None
+    found = np.average(mean[names == "TOM"], weights=count[names == "TOM"])
+    assert found == pytest.approx(own.mean())
     task = pd.read_csv(tmp_path / "environment.csv")
-    assert (task[task["road"]][["dx", "dy"]] == (1, 0)).all(axis=None)
-    assert (task[~task["road"]]["dx"] < 0).mean() > 0.9  # rocks turn by 180 +- 90 degrees
+    road, right, up = (task[column].to_numpy() for column in ("road", "dx", "dy"))
+    assert set(zip(right[road], up[road], strict=True)) == {(1.0, 0.0)}
+    assert (right[~road] < 0).mean() > 0.9  # rocks turn by 180 +- 90 degrees
 
 
 def test_weight_progression_judges_its_first_preset(tmp_path: Path):
