@@ -17,8 +17,8 @@ from torch import Tensor
 class Divergence:
     """D_f(d || q) = E_q[f(d/q)], its dual term and its weights.
 
-    `generator` is f itself, elementwise. `dual_term` maps y (N,), drawn from q, to the scalar that
-    stands for E_q[f*(y)]; `weights` maps the same y to the weights (N,).
+    `generator` is f itself, elementwise. `dual_term` maps y (..., N), drawn from q, to what stands
+    for E_q[f*(y)], (...,); `weights` maps y (N,) to the weights (N,).
     """
 
     generator: Callable[[Tensor], Tensor]
@@ -68,7 +68,7 @@ def kl_generator(x: Tensor) -> Tensor:
 
 def kl_dual_term(y: Tensor) -> Tensor:
     """log E exp(y): the supremum of E[xy - x log x] over x >= 0 with E[x] = 1."""
-    return torch.logsumexp(y, dim=0) - log(len(y))
+    return torch.logsumexp(y, dim=-1) - log(y.shape[-1])
 
 
 def kl_weights(y: Tensor) -> Tensor:
@@ -85,7 +85,7 @@ def divergence(
         return Divergence(kl_generator, kl_dual_term, kl_weights)
     if name == "full-chi2":
         return Divergence(
-            full_chi2_generator, lambda y: full_chi2_conjugate(y).mean(), full_chi2_weights
+            full_chi2_generator, lambda y: full_chi2_conjugate(y).mean(-1), full_chi2_weights
         )
     term = released_conjugate if conjugate == "released" else chi2_conjugate
-    return Divergence(chi2_generator, lambda y: term(y).mean(), chi2_weights)
+    return Divergence(chi2_generator, lambda y: term(y).mean(-1), chi2_weights)

@@ -144,6 +144,38 @@ def test_a_step_of_the_dual_and_its_minibatches(members: int):
     assert not waits(steps)
 
 
+class Calls(TorchDispatchMode):
+    """Counts what a GPU would have to launch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: Counter[str] = Counter()
+
+    def __torch_dispatch__(
+        self,
+        func: Any,
+        types: Any,
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
+    ) -> Any:
+        self.found[func.name()] += 1
+        return func(*args, **(kwargs or {}))
+
+
+def test_the_dual_of_many_members_takes_no_more_launches_than_that_of_one():
+    config = TomConfig(q_hidden=16, action_samples=2)
+    arithmetic = []
+    for members in (1, 3):
+        q = many(QFunction, [QFunction(q_net(O, A, config, generator()), config)] * members)
+        fields = (4 * B, O + A), (2, B), (1, B), (B,), (B,)
+        with Calls() as seen:
+            q.step(torch.ones(members), *(torch.rand(members, *shape) for shape in fields))
+        names = ("mul", "add", "sub", "mean", "sum", "clamp", "bmm", "baddbmm", "pow")
+        arithmetic.append({n: seen.found[n] for n in seen.found if n.split(".")[0][6:] in names})
+    assert arithmetic[0] == arithmetic[1]
+    assert sum(arithmetic[0].values()) > 20
+
+
 def test_a_minibatch_is_gathered():
     buffer = ReplayBuffer(200, O, A)
     buffer.extend(rows(150))

@@ -26,7 +26,7 @@ BLOCK, GPU_BLOCK = 8, 100  # minibatches gathered, and their actions drawn, at o
 
 @dataclass(frozen=True)
 class Batch:
-    """B transitions and B start states as Q reads them."""
+    """B transitions and B start states as Q reads them; many members' have an M in front."""
 
     inputs: Tensor  # (B + K B + L B, O + A): (s, a), every (s', a'), every (s0, a0)
     next_probs: Tensor  # (K, B) of the a'
@@ -56,15 +56,18 @@ def q_net(
 
 
 def dual_argument(values: Values, log_ratio: Tensor, terminated: Tensor, discount: float) -> Tensor:
-    """y = r + g (1 - terminated) E_{a'}[Q(s', a')] - Q(s, a), (B,). Truncation masks nothing."""
+    """y = r + g (1 - terminated) E_{a'}[Q(s', a')] - Q(s, a), (..., B).
+
+    Truncation masks nothing.
+    """
     return log_ratio + discount * (1 - terminated) * values.following - values.now
 
 
 def dual_loss(values: Values, batch: Batch, config: TomConfig) -> Tensor:
-    """(1-g) E_{mu0,pi}[Q(s0, a0)] + E_q[f*(y)] (paper, eq. 16), a scalar."""
+    """(1-g) E_{mu0,pi}[Q(s0, a0)] + E_q[f*(y)] (paper, eq. 16), (...,) of a batch (..., B)."""
     f = divergence(config.divergence, config.conjugate)
     y = dual_argument(values, batch.log_ratio, batch.terminated, config.discount)
-    return (1 - config.discount) * values.start.mean() + f.dual_term(y)
+    return (1 - config.discount) * values.start.mean(-1) + f.dual_term(y)
 
 
 def as_value(output: Tensor, config: TomConfig) -> Tensor:
@@ -73,11 +76,14 @@ def as_value(output: Tensor, config: TomConfig) -> Tensor:
 
 
 def values_of(q: Tensor, batch: Batch, config: TomConfig) -> Values:
-    """What the dual needs of Q at `batch.inputs`, (B + K B + L B,)."""
-    b, k = len(batch.log_ratio), batch.next_probs.numel()
-    following = (batch.next_probs * q[b : b + k].view_as(batch.next_probs)).sum(0)
-    start = (batch.start_probs * q[b + k :].view_as(batch.start_probs)).sum(0)
-    return Values(q[:b], following.detach() if config.semi_gradient else following, start)
+    """What the dual needs of Q at `batch.inputs`, (..., B + K B + L B)."""
+    probs = batch.next_probs, batch.start_probs
+    b = batch.log_ratio.shape[-1]
+    now, *others = q.split([b, *(p.shape[-2] * b for p in probs)], -1)
+    following, start = (
+        (p * of.unflatten(-1, p.shape[-2:])).sum(-2) for p, of in zip(probs, others, strict=True)
+    )
+    return Values(now, following.detach() if config.semi_gradient else following, start)
 
 
 class QFunction(Trained):
@@ -96,16 +102,14 @@ class QFunction(Trained):
         trace = forward_trace(self.net, batches[0])
         output = trace.output[..., 0].requires_grad_()
         with torch.enable_grad():
-            losses = [
-                dual_loss(values_of(as_value(q, self.config), one, self.config), one, self.config)
-                for q, one in zip(output, map(Batch, *batches), strict=True)
-            ]
-            (slope,) = torch.autograd.grad(torch.stack(losses).sum(), output)
+            batch, q = Batch(*batches), as_value(output, self.config)
+            losses = dual_loss(values_of(q, batch, self.config), batch, self.config)
+            (slope,) = torch.autograd.grad(losses.sum(), output)
         found = gradients(self.net, trace, slope.unsqueeze(-1))
         self.optimiser.step(found)
         if self.config.q_bias_step:
             self.net.layers[-1][1].sub_(bias_step[:, None, None] * found[-1])
-        return torch.stack(losses).detach()
+        return losses.detach()
 
 
 @dataclass
