@@ -41,9 +41,9 @@ def at_fit(run: RunInfo, step: int) -> None:
             f"**Every learner on the buffer of step {at:,}**, by the policy of that fit: "
             f"[Probe]({address}&weighed={quote(weighed[at].name)})",
             help=f"made by `tom weigh --step {at}`, TOM with "
-            f"{text.markdown(weighed[at].settings)}, its Q begun afresh where a run's goes on from fit "
-            "to fit; lines are medians over seeds, bands their range; the dotted line ends the "
-            "random data",
+            f"{text.markdown(weighed[at].settings)}, its Q begun afresh, where a run's goes on "
+            "from fit to fit; lines are medians over seeds, bands their range; the dotted line "
+            "ends the random data",
         )
         share = weighed[at].ordered_from / weighed[at].rows
         figure = probe_profiles(weighings.profiles(of), share, HEIGHT, log=False)
