@@ -175,7 +175,7 @@ def test_the_model_is_fitted_to_clipped_weights_and_the_record_keeps_them_whole(
     fits, recorded = [], []
     for item in unfolded(training):
         if isinstance(item, Fit):
-            fits.append(item.job.weights)
+            fits.append(item.weights)
         elif isinstance(item, Weights):
             recorded.append(torch.from_numpy(item.weight))
     assert recorded[1].max() > 1.01
