@@ -74,7 +74,7 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
         ((*SMOKE, "--only", "0", "--engine", "slurm"), "--only is given to each task"),
         (
             ("--env", "inverted-pendulum", "road-and-rocks", *SMOKE[2:6], "--engine", "fleet"),
-            "road-and-rocks cannot be trained as a fleet",
+            "road-and-rocks trains alone",
         ),
     ],
 )
