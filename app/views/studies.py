@@ -2,6 +2,7 @@
 
 from urllib.parse import quote
 
+import numpy as np
 import pandas as pd
 import streamlit as st
 
@@ -68,7 +69,8 @@ def _lines(study: Study, name: str, table: pd.DataFrame) -> None:
         column: st.column_config.NumberColumn(format="%.4g")
         for column in table.select_dtypes("floating").columns
     }
-    st.dataframe(table.head(LISTED), hide_index=True, column_config=numbers, placeholder="-")
+    shown = table.head(LISTED).replace(np.inf, np.nan)  # a level that was never reached
+    st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-")
     st.download_button(
         "CSV", table.to_csv(index=False), f"{study.name}-{name}", "text/csv",
         icon=":material/download:", on_click="ignore", key=f"download {study.name} {name}",

@@ -62,6 +62,12 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path) -> None:
     ]
 
 
+def test_a_level_that_was_never_reached_is_a_dash(reports: Path) -> None:
+    write_csv(reports / "focus" / "summary.csv", [{"steps": np.inf}, {"steps": 5.0}])
+    shown = draw("studies", study="focus").dataframe[0].value["steps"]
+    assert (np.isnan(shown[0]), shown[1]) == (True, 5)
+
+
 def test_a_damaged_table_is_named(reports: Path) -> None:
     (reports / "focus" / "summary.csv").write_bytes(b'"\xff')
     app = draw("studies", study="focus")
