@@ -43,7 +43,7 @@ def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[H
     config = recorded_config(reader)
     if steps is not None:
         config = _with_steps(config, steps)
-    require_device(config.device)
+    _require_own_device(reader, config)
     if reader.status.alive:
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
     writer = RunWriter(reader.path, config)  # from here on no other process writes the run
@@ -112,6 +112,17 @@ def _with_steps(config: AnyConfig, steps: int) -> AnyConfig:
             "a SAC recording cannot be given other --steps: its halves depend on them; record anew"
         )
     return config.but(steps=steps)
+
+
+def _require_own_device(reader: RunReader, config: AnyConfig) -> None:
+    """A run's random streams are of the device that it began on."""
+    try:
+        require_device(config.device)
+    except UserError:
+        raise UserError(
+            f"run '{reader.run_id}' trains on {config.device}, which torch does not find here: go "
+            "on where it is, or start the run again with --device cpu"
+        ) from None
 
 
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:

@@ -1,4 +1,4 @@
-"""What only a CUDA GPU can show of a step: `pytest -m gpu`, which fails where there is none."""
+"""Steps on a CUDA GPU: on one made of the CPU, and with `pytest -m gpu` on a real one."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from tom.record import checkpoint
 from tom.rng import Streams, normal
 from tom.sac import Sac
 
-pytestmark = pytest.mark.gpu
+pytestmark = pytest.mark.usefixtures("gpu")
 
 O, A, B, M, E = 11, 3, 64, 3, 2  # noqa: E741
 CALLS = WARM_UP + 4
@@ -163,9 +163,10 @@ def test_a_captured_step_looks_at_its_new_inputs_each_time():
     assert_it_adds("cuda")
 
 
-@pytest.mark.skipif(torch.cuda.device_count() < 2, reason="there is one GPU")
 def test_a_step_on_a_gpu_that_is_not_the_current_one_is_captured_there():
     """Elsewhere nothing would be recorded, and no error would say so."""
+    if torch.cuda.device_count() < 2:
+        pytest.skip("there is one GPU")
     assert_it_adds("cuda:1")
 
 

@@ -1,4 +1,4 @@
-"""Whole trainings on a CUDA GPU: `pytest -m gpu`, which fails where there is none."""
+"""Trainings on a CUDA GPU: on one made of the CPU, and with `pytest -m gpu` on a real one."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from tom.resume import resume
 from tom.run import Stop, train
 from tom.sweep.plan import Trial
 
-pytestmark = pytest.mark.gpu
+pytestmark = pytest.mark.usefixtures("gpu")
 
 
 def trial(learner: str, seed: int, **more: Any) -> Trial:

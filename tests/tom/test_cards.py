@@ -1,0 +1,201 @@
+"""GPUs made of the CPU: what they refuse, what they replay, and that a training there is right."""
+
+import io
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+import torch
+from cards import CardError, Cards, Graph, Stream, cards
+from torch import Tensor
+
+from tom.adam import Adam
+from tom.dynamics import fitting
+from tom.fleet import train_fleet
+from tom.learners import discriminator, dual
+from tom.record import RunReader, Store
+from tom.sweep.plan import Trial
+
+
+@pytest.fixture
+def gpus() -> Iterator[Cards]:
+    with cards() as made:
+        yield made
+
+
+def there(*values: float, index: int = 0) -> Tensor:
+    return torch.tensor(values, dtype=torch.float32, device=f"cuda:{index}")
+
+
+def new_graph() -> Graph:
+    return cast(Graph, torch.cuda.CUDAGraph())
+
+
+def capture(gpus: Cards, graph: Graph) -> AbstractContextManager[None]:
+    return gpus.graph(graph, Stream("cuda"))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda x: x + torch.ones(3),
+        lambda x: x + torch.ones(3, device="cuda:1"),
+        lambda x: torch.stack([x, torch.ones(3)]),
+        lambda x: torch.stack([x.sum(), torch.tensor(1.0)]),
+        lambda x: x.index_select(0, torch.tensor([1])),
+        lambda x: torch.rand(3, device="cuda", generator=torch.Generator()),
+        lambda x: torch.rand(3, device="cuda:1", generator=torch.Generator("cuda")),
+        lambda x: x.normal_(generator=torch.Generator()),
+        lambda x: Adam([x.clone()], lr=0.1).step([torch.ones(3)]),
+    ],
+)
+def test_two_devices_in_one_call_are_refused(gpus: Cards, call: Callable[[Tensor], object]):
+    with pytest.raises(CardError, match=r"same device|generator"):
+        call(there(1, 2, 3))
+
+
+@pytest.mark.parametrize("call", [Tensor.numpy, np.asarray])
+def test_numpy_takes_no_gpus_tensor(gpus: Cards, call: Callable[[Tensor], object]):
+    with pytest.raises(TypeError, match="numpy"):
+        call(there(1))
+
+
+def test_what_a_gpu_takes_from_the_host(gpus: Cards):
+    x = there(1, 2, 3)
+    assert (x * torch.tensor(2.0)).tolist() == [2, 4, 6]  # one value
+    assert x[torch.tensor([0, 2])].tolist() == [1, 3]
+    assert x.copy_(torch.ones(3)).tolist() == [1, 1, 1]
+    assert (
+        x.device == x.new_tensor([1.0]).device == torch.as_tensor(np.ones(2), device="cuda").device
+    )
+
+
+def test_gradients_are_the_cpus(gpus: Cards):
+    def gradient(device: str) -> Tensor:
+        net = torch.nn.Linear(3, 2)
+        for parameter in net.parameters():
+            torch.nn.init.constant_(parameter, 0.5)
+        net.to(device)(torch.ones(4, 3, device=device)).square().sum().backward()
+        assert net.weight.grad is not None
+        return net.weight.grad
+
+    assert gradient("cuda").device.type == "cuda"
+    assert torch.equal(gradient("cuda").cpu(), gradient("cpu"))
+
+
+@pytest.mark.parametrize(
+    ("call", "what"),
+    [
+        (lambda x: float(x.sum()), "_local_scalar_dense"),
+        (lambda x: bool((x > 0).all()), "_local_scalar_dense"),
+        (lambda x: x.tolist(), "tolist"),
+        (lambda x: x[x > 0.5], "index"),
+        (lambda x: x[torch.tensor([0])], "index"),
+        (lambda x: torch.nonzero(x), "nonzero"),
+        (lambda x: x.cpu(), "_to_copy"),
+        (lambda x: x.copy_(torch.ones(3)), "copy_"),
+        (lambda x: x.new_tensor(1.0), "_to_copy"),
+    ],
+)
+def test_what_waits_is_noticed_and_no_capture_allows_it(
+    gpus: Cards, call: Callable[[Tensor], object], what: str
+):
+    x = there(1, 2, 3)
+    before = gpus.waits.copy()
+    call(x)
+    assert gpus.waits - before == {what: 1}
+    with (
+        pytest.raises(CardError, match="capturing"),
+        capture(gpus, new_graph()),
+    ):
+        call(x)
+
+
+def test_what_does_not_wait_is_not_counted(gpus: Cards):
+    x = there(1, 2, 3)
+    before, launched = gpus.waits.copy(), gpus.launches.copy()
+    (x * 2)[1:].sum().expand(3)
+    torch.ones(3).copy_(x, non_blocking=True)
+    assert not gpus.waits - before
+    assert gpus.launches - launched == {"mul": 1, "sum": 1, "copy_": 1}  # views are none
+
+
+def test_a_graph_is_its_calls_on_its_own_memory(gpus: Cards):
+    x, total, factor = there(1, 2), there(0), 10.0
+    graph = new_graph()
+    with capture(gpus, graph):
+        y = x * factor
+        total.add_(y[1:].sum())
+    assert total.tolist() == [0]  # captured, and not run
+    factor = 20.0
+    for new in (there(3, 4), there(5, 6)):
+        x.copy_(new)
+        graph.replay()
+    assert y.tolist() == [50, 60]  # the factor is the captured one
+    assert total.tolist() == [100]
+    x = there(0, 0)
+    graph.replay()
+    assert y.tolist() == [50, 60]  # and so is the memory
+
+
+def test_a_graph_knows_no_generator(gpus: Cards):
+    graph = new_graph()
+    with (
+        pytest.raises(CardError, match="generator"),
+        capture(gpus, graph),
+    ):
+        torch.rand(3, generator=torch.Generator("cuda"), device="cuda")
+
+
+def test_another_thread_finds_them(gpus: Cards):
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(lambda x: (x + there(1)).cpu(), there(1)).result().tolist() == [2]
+
+
+def test_what_is_written_can_be_read_where_they_are_not():
+    file = io.BytesIO()
+    with cards():
+        torch.save({"x": there(1, 2), "drawn": torch.Generator("cuda").get_state()}, file)
+    file.seek(0)
+    assert torch.load(file, weights_only=True)["x"].tolist() == [1, 2]
+
+
+def rows(run: RunReader | Exception) -> np.ndarray:
+    assert isinstance(run, RunReader), run
+    assert run.status.state == "finished"
+    buffer = run.buffer()[0]
+    return np.column_stack([buffer.obs, buffer.action, buffer.reward, buffer.next_obs])
+
+
+def test_a_fleet_on_a_gpu_is_to_the_bit_the_trainings_on_the_cpu(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """All that is captured, joined and sent over: TOM's, each kind of model's, VaGram's, SAC's."""
+    for module in (dual, discriminator, fitting):  # draw as many minibatches at once
+        monkeypatch.setattr(module, "GPU_BLOCK", module.BLOCK)
+
+    def fleet(device: str) -> list[Trial]:
+        settings = {"steps": 225, "fit_every": 10, "tom": {"warmup": 5}, "device": device}
+        more = [
+            ("tom", {}),
+            ("tom", {}),
+            ("tom", {"tom": {"warmup": 5, "gradient_penalty": 10.0, "parameter_average": 0.9}}),
+            ("pmac", {"model": {"kind": "ensemble"}}),
+            ("vagram", {}),
+            ("mle", {"rollout": {"length": 2, "final_length": 2, "starts": 200}}),
+        ]
+        return [
+            Trial("inverted-pendulum", learner, seed, "smoke", settings | changed)
+            for seed, (learner, changed) in enumerate(more)
+        ]
+
+    with cards() as gpus:
+        on_gpus = train_fleet(fleet("cuda"), Store(tmp_path / "gpu"), rerun=False)
+    assert gpus.launches.total() > 10_000
+    on_cpu = train_fleet(fleet("cpu"), Store(tmp_path / "cpu"), rerun=False)
+    for one, other in zip(on_gpus, on_cpu, strict=True):
+        assert np.array_equal(rows(one), rows(other))
