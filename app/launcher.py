@@ -16,7 +16,7 @@ from app.links import Links
 from app.processes import Server, free_port, is_free, stop
 from app.theme import Mode
 from tom.errors import UserError
-from tom.record import hub
+from tom.record.rerun import hub
 
 DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0

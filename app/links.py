@@ -8,8 +8,8 @@ from typing import Self
 from urllib.parse import quote
 
 from app.theme import Mode
-from tom.record import hub
-from tom.record.address import in_url, local_host, names
+from tom.address import in_url, local_host, names
+from tom.record.rerun import hub
 
 VARIABLE = "TOM_STUDIO"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")

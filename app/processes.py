@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tom import address
 from tom.parent import end_with_parent
-from tom.record import address
 
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12

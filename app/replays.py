@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app.pictures import ENV as ROAD
 from app.readers import Stamp, stamp
 from app.roadmap import RoadMap
-from tom.envs import task
+from tom.envs import scene, task
 from tom.errors import UserError
 from tom.events import Episode
 from tom.imagine import (
@@ -21,9 +21,9 @@ from tom.imagine import (
     kept_model,
     kept_stamps,
 )
-from tom.record import layout, scene
+from tom.record import layout
 from tom.record.reader import RunReader
-from tom.record.rerun_episode import episode_recording
+from tom.record.rerun.episode import episode_recording
 
 ROAD_DT = 0.1
 """seconds that a step of road-and-rocks takes on the screen: the task itself has no clock"""

@@ -23,8 +23,8 @@ from app.plot import LIBRARY, LIBRARY_PATH
 from app.router import VIEWS
 from app.shell import page_routes
 from app.theme import streamlit_options
+from tom.address import allowed, in_url
 from tom.errors import UserError
-from tom.record.address import allowed, in_url
 from tom.record.reader import RunReader
 from tom.record.store import Store
 

@@ -19,10 +19,11 @@ import numpy as np
 import torch
 from packaging.requirements import Requirement
 
-from tom.envs import ENVS
+from tom.envs import ENVS, scene
 from tom.errors import UserError, reason
 from tom.matmul import choose_matmul, kept_in
-from tom.record import Store, hub, scene
+from tom.record import Store
+from tom.record.rerun import hub
 
 State = Literal["ok", "note", "bad"]
 

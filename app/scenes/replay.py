@@ -15,7 +15,7 @@ from app.scenes.robot import Robot
 from app.scenes.solids import Solids
 from app.scenes.stage import floor, sky, under
 from app.theme import Mode, learner_colour
-from tom.record import scene as geometry
+from tom.envs import scene as geometry
 
 REAL: dict[Mode, str] = {"light": "#5b6577", "dark": "#aeb7c8"}
 GHOST_OPACITY = 0.45

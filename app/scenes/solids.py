@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.scenes.arrays import unit_box
-from tom.record.scene import Geometry
+from tom.envs.scene import Geometry
 
 SEGMENTS = 20
 """corners of a circle round a solid"""

@@ -14,8 +14,8 @@ from app.scenes.stage import floor, sky
 from app.scenes.words import add_words
 from app.theme import Mode
 from tom.data.transitions import Transitions
+from tom.envs import scene as geometry
 from tom.envs import task
-from tom.record import scene as geometry
 
 ABREAST = 3
 """robots in a line"""

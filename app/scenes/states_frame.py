@@ -16,9 +16,9 @@ from app.scenes.frame import Frame
 from app.scenes.states import WINDOW, StatesScene
 from app.theme import COLUMNS
 from tom.data.transitions import Transitions
+from tom.envs import scene as geometry
 from tom.errors import UserError
 from tom.record import layout
-from tom.record import scene as geometry
 from tom.record.reader import RunReader
 from tom.record.store import Store
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from faults import wait_until
 
-from tom.record import hub
+from tom.record.rerun import hub
 
 
 @contextmanager

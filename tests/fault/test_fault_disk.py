@@ -12,7 +12,7 @@ from faults import assert_same_record, config, ended, one_line, stopped, tom, tr
 from tom.errors import UserError
 from tom.events import Event, Tick
 from tom.record import RunReader, RunWriter, Store, checkpoint
-from tom.record.feed import stream
+from tom.record.rerun.feed import stream
 from tom.resume import resume
 from tom.run import train
 

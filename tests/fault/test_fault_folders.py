@@ -13,8 +13,8 @@ from faults import assert_same_record, config, ended, stopped, tom
 
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint
-from tom.record.feed import stream
 from tom.record.manage import restore, trash
+from tom.record.rerun.feed import stream
 from tom.resume import resume
 from tom.run import train
 

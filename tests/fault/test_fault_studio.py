@@ -32,7 +32,8 @@ from app.router import VIEWS
 from app.server import recording_path
 from tom.errors import UserError
 from tom.presets import resolve
-from tom.record import Store, hub, manage
+from tom.record import Store, manage
+from tom.record.rerun import hub
 from tom.run import train
 
 pytestmark = pytest.mark.fault

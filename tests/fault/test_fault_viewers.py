@@ -16,10 +16,11 @@ from rerun.chunk import RrdReader
 from servers import answers, is_taken, live_hub
 
 from tom.events import Event, Tick
-from tom.record import RunReader, RunWriter, Store, hub
-from tom.record.feed import Feeder
-from tom.record.hub import binary, free_port, without_analytics
+from tom.record import RunReader, RunWriter, Store
 from tom.record.recorder import Recorder
+from tom.record.rerun import hub
+from tom.record.rerun.feed import Feeder
+from tom.record.rerun.hub import binary, free_port, without_analytics
 from tom.run import train
 
 pytestmark = pytest.mark.fault

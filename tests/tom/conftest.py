@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
-from cards import cards
+from gpus import emulated
 
 
 @pytest.fixture(params=["made of the CPU", pytest.param("real", marks=pytest.mark.gpu)])
@@ -12,5 +12,5 @@ def gpu(request: pytest.FixtureRequest) -> Iterator[None]:
     if request.param == "real":
         yield
         return
-    with cards():
+    with emulated():
         yield

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import torch
-from cards import Cards, cards
+from gpus import Gpus, emulated
 
 from tom import nn
 from tom.config import ModelConfig, RolloutConfig, SacConfig, TomConfig
@@ -28,12 +28,12 @@ GPU = "cuda"
 
 
 @pytest.fixture(autouse=True)
-def gpus() -> Iterator[Cards]:
-    with cards() as made:
+def gpus() -> Iterator[Gpus]:
+    with emulated() as made:
         yield made
 
 
-def waits(gpus: Cards, call: Callable[[], object]) -> Counter[str]:
+def waits(gpus: Gpus, call: Callable[[], object]) -> Counter[str]:
     before = gpus.waits.copy()
     call()
     return gpus.waits - before
@@ -60,7 +60,7 @@ def many(kind: Any, members: list[Any]) -> Any:
 
 
 @pytest.mark.parametrize("members", [1, 3])
-def test_sac_updates_and_actions(gpus: Cards, members: int):
+def test_sac_updates_and_actions(gpus: Gpus, members: int):
     sacs = [Sac(O, A, SacConfig(hidden=16, batch_size=B), [generator(m)]) for m in range(members)]
     joint = many(Sac, sacs)
     works = [SacUpdates(sac, rows(5 * B).packed().view(5, B, -1)) for sac in sacs]
@@ -71,7 +71,7 @@ def test_sac_updates_and_actions(gpus: Cards, members: int):
 
 @pytest.mark.parametrize("members", [1, 3])
 @pytest.mark.parametrize("kind", ["mdn", "ensemble", "mean-ensemble"])
-def test_a_step_of_a_models_fit(gpus: Cards, kind: str, members: int):
+def test_a_step_of_a_models_fit(gpus: Gpus, kind: str, members: int):
     config = ModelConfig.model_validate({"kind": kind, "hidden": 16, "layers": 2, "components": 3})
     models = [make_model(O, A, config, generator(m)) for m in range(members)]
     joint = many(type(models[0]), models)
@@ -84,7 +84,7 @@ def test_a_step_of_a_models_fit(gpus: Cards, kind: str, members: int):
 
 @pytest.mark.parametrize("members", [1, 3])
 @pytest.mark.parametrize("penalty", [0.0, 10.0])
-def test_a_step_of_the_discriminator(gpus: Cards, penalty: float, members: int):
+def test_a_step_of_the_discriminator(gpus: Gpus, penalty: float, members: int):
     config = TomConfig(discriminator_hidden=16, gradient_penalty=penalty)
     nets = [discriminator_net(O, A, config, generator()) for _ in range(members)]
     joint = many(Discriminator, [Discriminator(net, config) for net in nets])
@@ -94,7 +94,7 @@ def test_a_step_of_the_discriminator(gpus: Cards, penalty: float, members: int):
 
 
 @pytest.mark.parametrize("members", [1, 3])
-def test_a_step_of_the_dual_and_its_minibatches(gpus: Cards, members: int):
+def test_a_step_of_the_dual_and_its_minibatches(gpus: Gpus, members: int):
     config = TomConfig(q_hidden=16, q_batch=B, q_steps=9, action_samples=2, q_bias_step=0.1)
     replay = rows(100)
     scaling = Scaling.of((replay.obs, replay.action))
@@ -109,7 +109,7 @@ def test_a_step_of_the_dual_and_its_minibatches(gpus: Cards, members: int):
     assert not waits(gpus, steps)
 
 
-def test_the_dual_of_many_members_takes_no_more_launches_than_that_of_one(gpus: Cards):
+def test_the_dual_of_many_members_takes_no_more_launches_than_that_of_one(gpus: Gpus):
     config = TomConfig(q_hidden=16, action_samples=2)
     shapes = (4 * B, O + A), (2, B), (1, B), (B,), (B,)
     launches = []
@@ -124,7 +124,7 @@ def test_the_dual_of_many_members_takes_no_more_launches_than_that_of_one(gpus: 
     assert launches[0].total() > 30
 
 
-def test_a_minibatch_is_gathered(gpus: Cards):
+def test_a_minibatch_is_gathered(gpus: Gpus):
     buffer = ReplayBuffer(200, O, A, GPU)
     buffer.extend(rows(150))
     index = torch.arange(40, device=GPU)
@@ -132,7 +132,7 @@ def test_a_minibatch_is_gathered(gpus: Cards):
 
 
 def test_a_rollout_asks_once_a_chunk_and_fetches_its_counts_once(
-    gpus: Cards, monkeypatch: pytest.MonkeyPatch
+    gpus: Gpus, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(nn, "GPU_ROWS", 50)
     hopper = task("hopper")

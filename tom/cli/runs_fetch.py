@@ -5,8 +5,8 @@ import json
 
 from tom.errors import UserError
 from tom.record import Store
-from tom.record.bucket import Bucket
-from tom.record.fetching import fetch_run, run_ids
+from tom.record.bucket.fetching import fetch_run, run_ids
+from tom.record.bucket.objects import Bucket
 
 
 def add_verbs(verbs, add_verb) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tom.errors import UserError
 from tom.record import Store
-from tom.record.bucket import Bucket
+from tom.record.bucket.objects import Bucket
 from tom.sweep.bucket_home import BucketHome
 from tom.sweep.cluster import open_ray
 from tom.sweep.engine import Engine, LocalEngine

@@ -2,7 +2,7 @@
 
 from tom.record.reader import RunReader
 from tom.record.recorder import Recorder
-from tom.record.sink import Sink, open_sink
+from tom.record.rerun.sink import Sink, open_sink
 from tom.record.status import Status
 from tom.record.store import Store
 from tom.record.writer import RunWriter

@@ -18,7 +18,7 @@ from tom.events import Collected, Episode, Evaluation, Event, Metrics, Tick, Wei
 from tom.metrics import METRICS
 from tom.record.heartbeat import BEAT_S
 from tom.record.recorder import Recorder
-from tom.record.sink import open_sink
+from tom.record.rerun.sink import open_sink
 from tom.record.store import Store
 from tom.record.writer import RunWriter
 

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from datetime import datetime
 from math import isnan
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,9 +18,6 @@ from tom.errors import UserError
 from tom.record.files import replace, replace_json, whole_folder
 from tom.record.reader import RunReader
 from tom.record.thin import thin
-
-WRITTEN_S = 600.0
-"""what Rerun still holds of a recording is on the disk within this"""
 
 
 def export(reader: RunReader, kind: str, folder: Path) -> Path:
@@ -94,20 +91,9 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
 
 def _rrd(reader: RunReader, path: Path) -> None:
     # Imported here: Rerun takes half a second that the other formats need not wait for.
-    import rerun as rr
+    from tom.record.rerun.file import write
 
-    from tom.record.feed import Follower
-
-    def write(file: BinaryIO) -> None:
-        try:
-            follower = Follower(reader, rr.FileSink(file.name))  # its pieces are a file each
-            for _ in follower.follow():
-                pass
-            follower.close(WRITTEN_S)
-        except RuntimeError as error:  # all that Rerun says of a full disk
-            raise OSError(f"{error}: is the disk full?") from error
-
-    replace(path, write, sync=False)
+    write(reader, path)
 
 
 def _unix(created: str) -> float:

@@ -22,7 +22,7 @@ from tom.events import (
 )
 from tom.health import DivergedError
 from tom.record.heartbeat import Heartbeat
-from tom.record.sink import Sink
+from tom.record.rerun.sink import Sink
 from tom.record.writer import RunWriter
 
 State = Literal["finished", "stopped", "failed"]

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from tom.record import RunReader, Store, attempts, checkpoint, layout
-from tom.record.bucket import Bucket
+from tom.record import RunReader, Store, checkpoint, layout
+from tom.record.bucket import attempts
+from tom.record.bucket.objects import Bucket
 from tom.sweep.home import LOGS
 from tom.sweep.plan import Trial
 

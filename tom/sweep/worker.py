@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tom.errors import UserError
-from tom.record import attempts, layout
-from tom.record.attempts import Attempt
-from tom.record.bucket import Bucket
+from tom.record import layout
+from tom.record.bucket import attempts
+from tom.record.bucket.attempts import Attempt
+from tom.record.bucket.objects import Bucket
 from tom.record.lock import LostError
 from tom.sweep.engine import LocalProcess, lives, spawn
 

@@ -9,8 +9,8 @@ from sweeping import assert_same_runs, beyond_a_checkpoint, finish, plan, until
 
 from tom.cli import main
 from tom.record import Store
-from tom.record.bucket import Bucket
-from tom.record.fetching import FETCHED, fetch_run
+from tom.record.bucket.fetching import FETCHED, fetch_run
+from tom.record.bucket.objects import Bucket
 from tom.sweep.bucket_home import BucketHome
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine

@@ -1,7 +1,7 @@
 """The Rerun hub of a studio: one process that a launcher starts, watches and ends.
 
-`python -m tom.record.hub` runs Rerun's own hub (viewers and SDKs connect to `port`), serves the
-web viewer's page and every run's growing recording (`web_port`), and feeds the store's running
+`python -m tom.record.rerun.hub` runs Rerun's own hub (viewers and SDKs connect to `port`), serves
+the web viewer's page and every run's growing recording (`web_port`), and feeds the store's running
 runs to the hub. It listens on 127.0.0.1 unless told otherwise, and ends with its parent.
 """
 
@@ -19,9 +19,9 @@ from urllib.parse import quote
 
 import rerun_cli
 
+from tom.address import free_port, local_host
 from tom.parent import end_with_parent
-from tom.record import web
-from tom.record.address import free_port, local_host
+from tom.record.rerun import web
 
 MEMORY = "512MiB"
 """What the hub keeps for viewers that come late; then the oldest goes."""
@@ -33,7 +33,7 @@ def command(host: str, port: int, web_port: int, store: Path | str) -> list[str]
     """The command that runs the hub of `store`; it is up when GET / on `web_port` says 200."""
     options = {"--host": host, "--port": port, "--web-port": web_port, "--store": store}
     given = [str(part) for option in options.items() for part in option]
-    return [sys.executable, "-m", "tom.record.hub", *given]
+    return [sys.executable, "-m", "tom.record.rerun.hub", *given]
 
 
 def binary() -> Path:
@@ -59,7 +59,7 @@ def live_url(host: str, web_port: int, run_id: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the hub until SIGTERM or SIGINT (0), or until Rerun's process ends (1)."""
-    parser = argparse.ArgumentParser(prog="tom.record.hub", description=__doc__)
+    parser = argparse.ArgumentParser(prog="tom.record.rerun.hub", description=__doc__)
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--port", type=int, required=True)
     parser.add_argument("--web-port", type=int, required=True)
@@ -97,14 +97,14 @@ def _serve(args: argparse.Namespace, folder: Path, stopping: threading.Event) ->
 
 def _feed(store: Path, host: str, port: int, stopping: threading.Event) -> None:
     # Imported here: the viewer's page need not wait for it.
-    from tom.record.feed import Feeder
+    from tom.record.rerun.feed import Feeder
     from tom.record.store import Store
 
     Feeder(Store(store), host, port).run(stopping)
 
 
 def _live(store: Path, stopping: threading.Event, run_id: str) -> Iterator[bytes]:
-    from tom.record.feed import stream
+    from tom.record.rerun.feed import stream
     from tom.record.store import Store
 
     return stream(Store(store).run(run_id), stopping)

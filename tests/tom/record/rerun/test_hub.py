@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tom.record import hub, web
+from tom.record.rerun import hub, web
 
 
 def test_the_page_asks_no_other_host():

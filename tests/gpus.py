@@ -36,11 +36,11 @@ MAKING = (torch.tensor, torch.as_tensor, torch.asarray, Tensor.new_tensor)
 _SET_DATA = Tensor.data.__set__  # pyright: ignore[reportAttributeAccessIssue]
 
 
-class CardError(RuntimeError):
+class GpuError(RuntimeError):
     """What CUDA would have said."""
 
 
-class CardTensor(Tensor):
+class GpuTensor(Tensor):
     """A tensor of a GPU; `raw` is its memory.
 
     Torch's own code takes `cuda:N` for `meta:N`, a device that every build of it has.
@@ -49,7 +49,7 @@ class CardTensor(Tensor):
     raw: Tensor
 
     @staticmethod
-    def __new__(cls, raw: Tensor, index: int) -> "CardTensor":
+    def __new__(cls, raw: Tensor, index: int) -> "GpuTensor":
         made = Tensor._make_wrapper_subclass(  # pyright: ignore[reportAttributeAccessIssue]
             cls,
             raw.size(),
@@ -66,17 +66,17 @@ class CardTensor(Tensor):
 
     @classmethod
     def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        raise CardError(f"{func}: this tensor has outlived its GPU, or another thread has it")
+        raise GpuError(f"{func}: this tensor has outlived its GPU, or another thread has it")
 
     @property
-    def card(self) -> int:
+    def gpu(self) -> int:
         return Tensor.device.__get__(self).index  # pyright: ignore[reportAttributeAccessIssue]
 
     @property
     def device(self) -> torch.device:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return torch.device("cuda", self.card)
+        return torch.device("cuda", self.gpu)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> "CardTensor":
+    def __deepcopy__(self, memo: dict[int, Any]) -> "GpuTensor":
         made = self.detach().clone().requires_grad_(self.requires_grad)
         vars(made)["_is_param"] = vars(self).get("_is_param", False)  # as an nn.Parameter has it
         return memo.setdefault(id(self), made)
@@ -85,12 +85,12 @@ class CardTensor(Tensor):
         return self.raw.__reduce_ex__(protocol)
 
 
-class CardGenerator(torch.Generator):
+class GpuGenerator(torch.Generator):
     """A generator of any device, which draws what the CPU's would."""
 
     _device: torch.device
 
-    def __new__(cls, device: torch.device | str = "cpu") -> "CardGenerator":
+    def __new__(cls, device: torch.device | str = "cpu") -> "GpuGenerator":
         made = super().__new__(cls)
         made._device = torch.device(device)
         return made
@@ -143,7 +143,7 @@ class Graph:
                     own.copy_(new)
 
 
-class Cards:
+class Gpus:
     """The GPUs of a test, and what it made them do."""
 
     def __init__(self) -> None:
@@ -153,7 +153,7 @@ class Cards:
         """those for which the host waited"""
         self.waiting_is_an_error = False
         self._capturing: tuple[Graph, int] | None = None
-        self._alive: WeakSet[CardTensor] = WeakSet()
+        self._alive: WeakSet[GpuTensor] = WeakSet()
 
     def run(self, func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
         """A call of an operator, for the GPU that its operands are on or its result is to be on."""
@@ -162,8 +162,8 @@ class Cards:
         index = self._where(func, name, args, kwargs)
         if index is None:
             return func(*args, **kwargs)
-        own = {id(x.raw): x for x in tree_iter((args, kwargs)) if isinstance(x, CardTensor)}
-        args, kwargs = tree_map_only(CardTensor, lambda x: x.raw, (args, kwargs))
+        own = {id(x.raw): x for x in tree_iter((args, kwargs)) if isinstance(x, GpuTensor)}
+        args, kwargs = tree_map_only(GpuTensor, lambda x: x.raw, (args, kwargs))
         if device is not None:
             kwargs["device"] = torch.device("cpu")
         if self._capturing and self._capturing[1] == index:
@@ -174,7 +174,7 @@ class Cards:
         if device is not None and device.type == "cpu":
             return found
 
-        def given(x: Tensor) -> CardTensor:
+        def given(x: Tensor) -> GpuTensor:
             return own[id(x)] if id(x) in own else self._tensor(x, index)
 
         return tree_map_only(Tensor, given, found)
@@ -183,17 +183,17 @@ class Cards:
         """Told where the host waits for a GPU, which no capture allows, whoever it waits for."""
         self.waits[name] += 1
         if self._capturing:
-            raise CardError(f"{name}: operation not permitted when stream is capturing")
+            raise GpuError(f"{name}: operation not permitted when stream is capturing")
         if self.waiting_is_an_error:
-            raise CardError(f"{name}: called a synchronizing CUDA operation")
+            raise GpuError(f"{name}: called a synchronizing CUDA operation")
 
     def draw(self, func: Any, device: torch.device, generator: torch.Generator) -> None:
         """Told where random numbers are drawn on `device`."""
         wanted, has = _indexed(device), _indexed(generator.device)
         if wanted != has:
-            raise CardError(f"{func}: expected a '{wanted}' generator but found '{has}'")
+            raise GpuError(f"{func}: expected a '{wanted}' generator but found '{has}'")
         if self._capturing and wanted.type == "cuda":
-            raise CardError(f"{func}: the graph does not know its generator")
+            raise GpuError(f"{func}: the graph does not know its generator")
 
     @contextmanager
     def present(self) -> Iterator[None]:
@@ -217,56 +217,56 @@ class Cards:
     def set_sync_debug_mode(self, mode: str) -> None:
         self.waiting_is_an_error = mode == "error"
 
-    def _tensor(self, raw: Tensor, index: int) -> CardTensor:
-        made = CardTensor(raw, index)
+    def _tensor(self, raw: Tensor, index: int) -> GpuTensor:
+        made = GpuTensor(raw, index)
         self._alive.add(made)
         return made
 
     def _where(self, func: Any, name: str, args: Any, kwargs: dict[str, Any]) -> int | None:
-        """The GPU that a call is for, None for the CPU; CardError where it is for two devices."""
+        """The GPU that a call is for, None for the CPU; GpuError where it is for two devices."""
         operands = _tensors((args, kwargs))
-        cards = [x for x in operands if isinstance(x, CardTensor)]
+        theirs = [x for x in operands if isinstance(x, GpuTensor)]
         device = kwargs.get("device")
         if name in CROSSING:
-            ends = [_card(x) for x in operands] + ([_card_of(device)] if device else [])
+            ends = [_gpu(x) for x in operands] + ([_gpu_of(device)] if device else [])
             asynchronous = kwargs.get("non_blocking") or args[2:3] == (True,)
             if len(set(ends)) > 1 and not asynchronous:
                 self.wait(name)
             return next((end for end in ends if end is not None), None)
-        if cards and name in WAITING:
+        if theirs and name in WAITING:
             self.wait(name)
         number = torch.Tag.pointwise in func.tags  # takes one value from the host
-        hosts = [x for x in operands if _card(x) is None and not (number and not x.dim())]
-        if name in INDEXING and _card(args[0]) is not None:
-            if hosts or any(x.dtype == torch.bool for x in cards[1:]):
+        hosts = [x for x in operands if _gpu(x) is None and not (number and not x.dim())]
+        if name in INDEXING and _gpu(args[0]) is not None:
+            if hosts or any(x.dtype == torch.bool for x in theirs[1:]):
                 self.wait(name)  # to send them, or to know how many are meant
             hosts = []
-        places = {x.device for x in cards} | ({torch.device("cpu")} if hosts else set())
+        places = {x.device for x in theirs} | ({torch.device("cpu")} if hosts else set())
         if device is not None and device.type == "meta":
             places.add(torch.device("cuda", device.index or 0))
         if len(places) > 1:
             found = ", ".join(sorted(map(str, places)))
-            raise CardError(f"{name}: expected all tensors to be on the same device: {found}")
+            raise GpuError(f"{name}: expected all tensors to be on the same device: {found}")
         return next((place.index for place in places if place.type == "cuda"), None)
 
 
 class _Operators(TorchDispatchMode):
-    def __init__(self, cards: Cards) -> None:
+    def __init__(self, gpus: Gpus) -> None:
         super().__init__()
-        self._cards = cards
+        self._gpus = gpus
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
-        return self._cards.run(func, args, dict(kwargs or {}))
+        return self._gpus.run(func, args, dict(kwargs or {}))
 
 
 class _Functions(TorchFunctionMode):
     """What is decided before any operator is called."""
 
-    def __init__(self, cards: Cards) -> None:
+    def __init__(self, gpus: Gpus) -> None:
         super().__init__()
-        self._cards = cards
+        self._gpus = gpus
 
     def __torch_function__(
         self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
@@ -278,13 +278,13 @@ class _Functions(TorchFunctionMode):
             return _made(func, args, kwargs)
         if func is Tensor.cuda:
             return args[0].to(torch.device("meta", 0))
-        first = args[0] if args and isinstance(args[0], CardTensor) else None
+        first = args[0] if args and isinstance(args[0], GpuTensor) else None
         if kwargs.get("generator") is not None:
             device = kwargs.get("device") or (first.device if first is not None else "cpu")
-            self._cards.draw(func, torch.device(device), kwargs["generator"])
+            self._gpus.draw(func, torch.device(device), kwargs["generator"])
         if first is not None:
             if func is Tensor.tolist:
-                self._cards.wait("tolist")
+                self._gpus.wait("tolist")
                 return first.raw.tolist()
             if func in (Tensor.numpy, Tensor.__array__):
                 raise TypeError(f"can't convert {first.device} device type tensor to numpy")
@@ -298,7 +298,7 @@ def _made(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     """A tensor of Python's values: made on the host, and sent over."""
     device = kwargs.pop("device", None)
     like = args[0] if args and isinstance(args[0], Tensor) else None
-    if func is Tensor.new_tensor and isinstance(like, CardTensor):
+    if func is Tensor.new_tensor and isinstance(like, GpuTensor):
         device, args = device or like.device, (like.raw, *args[1:])
     elif like is not None:
         return like.to(device=_inside(device or like.device), **kwargs)
@@ -319,11 +319,11 @@ def _indexed(device: torch.device) -> torch.device:
     return torch.device(device.type, device.index or 0)
 
 
-def _card(x: Tensor) -> int | None:
-    return x.card if isinstance(x, CardTensor) else None
+def _gpu(x: Tensor) -> int | None:
+    return x.gpu if isinstance(x, GpuTensor) else None
 
 
-def _card_of(device: torch.device) -> int | None:
+def _gpu_of(device: torch.device) -> int | None:
     return (device.index or 0) if device.type == "meta" else None
 
 
@@ -350,9 +350,9 @@ def _moved(func: Any, args: Any, kwargs: Any) -> Any:
 
 
 @contextmanager
-def cards() -> Iterator[Cards]:
+def emulated() -> Iterator[Gpus]:
     """Let torch find GPUs that are made of the CPU."""
-    made = Cards()
+    made = Gpus()
 
     def submit(pool: ThreadPoolExecutor, call: Callable[..., Any], *args: Any) -> Any:
         return plain_submit(pool, made.present()(call), *args)
@@ -360,7 +360,7 @@ def cards() -> Iterator[Cards]:
     plain_submit = ThreadPoolExecutor.submit
     with pytest.MonkeyPatch.context() as patch, made.present():
         patch.setattr(ThreadPoolExecutor, "submit", submit)
-        patch.setattr(torch, "Generator", CardGenerator)
+        patch.setattr(torch, "Generator", GpuGenerator)
         for name, value in {
             "is_available": lambda: True,
             "device_count": lambda: COUNT,

@@ -2,8 +2,8 @@
 
 import rerun as rr
 
-from tom.record import scene
-from tom.record.blueprint import GROUND
+from tom.envs import scene
+from tom.record.rerun.blueprint import GROUND
 
 GREY = (150, 150, 150)
 GHOST = (230, 90, 90)

@@ -6,8 +6,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from tom.record.blueprint import MAP
-from tom.record.rerun_robot import GREY, Times
+from tom.record.rerun.blueprint import MAP
+from tom.record.rerun.robot import GREY, Times
 
 TARMAC = (120, 130, 145)
 EXPERT = (240, 180, 60)

@@ -3,9 +3,9 @@
 from numpy.typing import NDArray
 
 from tom.events import Episode, Field
-from tom.record.blueprint import episode_blueprint
 from tom.record.reader import RunReader
-from tom.record.rerun_view import RerunView
+from tom.record.rerun.blueprint import episode_blueprint
+from tom.record.rerun.view import RerunView
 
 FLUSH_S = 10.0
 

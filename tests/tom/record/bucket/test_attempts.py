@@ -10,10 +10,11 @@ from recorded import events
 
 from tom.cli import main
 from tom.errors import UserError
-from tom.record import Store, attempts, checkpoint, layout, manage
-from tom.record.attempts import Attempt
-from tom.record.bucket import Bucket
-from tom.record.fetching import AHEAD, FETCHED, SAME, fetch_run
+from tom.record import Store, checkpoint, layout, manage
+from tom.record.bucket import attempts
+from tom.record.bucket.attempts import Attempt
+from tom.record.bucket.fetching import AHEAD, FETCHED, SAME, fetch_run
+from tom.record.bucket.objects import Bucket
 from tom.record.lock import LostError
 
 

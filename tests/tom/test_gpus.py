@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 import torch
-from cards import CardError, Cards, Graph, Stream, cards
+from gpus import GpuError, Gpus, Graph, Stream, emulated
 from torch import Tensor
 
 from tom.adam import Adam
@@ -22,8 +22,8 @@ from tom.sweep.plan import Trial
 
 
 @pytest.fixture
-def gpus() -> Iterator[Cards]:
-    with cards() as made:
+def gpus() -> Iterator[Gpus]:
+    with emulated() as made:
         yield made
 
 
@@ -35,7 +35,7 @@ def new_graph() -> Graph:
     return cast(Graph, torch.cuda.CUDAGraph())
 
 
-def capture(gpus: Cards, graph: Graph) -> AbstractContextManager[None]:
+def capture(gpus: Gpus, graph: Graph) -> AbstractContextManager[None]:
     return gpus.graph(graph, Stream("cuda"))
 
 
@@ -53,18 +53,18 @@ def capture(gpus: Cards, graph: Graph) -> AbstractContextManager[None]:
         lambda x: Adam([x.clone()], lr=0.1).step([torch.ones(3)]),
     ],
 )
-def test_two_devices_in_one_call_are_refused(gpus: Cards, call: Callable[[Tensor], object]):
-    with pytest.raises(CardError, match=r"same device|generator"):
+def test_two_devices_in_one_call_are_refused(gpus: Gpus, call: Callable[[Tensor], object]):
+    with pytest.raises(GpuError, match=r"same device|generator"):
         call(there(1, 2, 3))
 
 
 @pytest.mark.parametrize("call", [Tensor.numpy, np.asarray])
-def test_numpy_takes_no_gpus_tensor(gpus: Cards, call: Callable[[Tensor], object]):
+def test_numpy_takes_no_gpus_tensor(gpus: Gpus, call: Callable[[Tensor], object]):
     with pytest.raises(TypeError, match="numpy"):
         call(there(1))
 
 
-def test_what_a_gpu_takes_from_the_host(gpus: Cards):
+def test_what_a_gpu_takes_from_the_host(gpus: Gpus):
     x = there(1, 2, 3)
     assert (x * torch.tensor(2.0)).tolist() == [2, 4, 6]  # one value
     assert x[torch.tensor([0, 2])].tolist() == [1, 3]
@@ -74,7 +74,7 @@ def test_what_a_gpu_takes_from_the_host(gpus: Cards):
     )
 
 
-def test_gradients_are_the_cpus(gpus: Cards):
+def test_gradients_are_the_cpus(gpus: Gpus):
     def gradient(device: str) -> Tensor:
         net = torch.nn.Linear(3, 2)
         for parameter in net.parameters():
@@ -102,20 +102,20 @@ def test_gradients_are_the_cpus(gpus: Cards):
     ],
 )
 def test_what_waits_is_noticed_and_no_capture_allows_it(
-    gpus: Cards, call: Callable[[Tensor], object], what: str
+    gpus: Gpus, call: Callable[[Tensor], object], what: str
 ):
     x = there(1, 2, 3)
     before = gpus.waits.copy()
     call(x)
     assert gpus.waits - before == {what: 1}
     with (
-        pytest.raises(CardError, match="capturing"),
+        pytest.raises(GpuError, match="capturing"),
         capture(gpus, new_graph()),
     ):
         call(x)
 
 
-def test_what_does_not_wait_is_not_counted(gpus: Cards):
+def test_what_does_not_wait_is_not_counted(gpus: Gpus):
     x = there(1, 2, 3)
     before, launched = gpus.waits.copy(), gpus.launches.copy()
     (x * 2)[1:].sum().expand(3)
@@ -124,7 +124,7 @@ def test_what_does_not_wait_is_not_counted(gpus: Cards):
     assert gpus.launches - launched == {"mul": 1, "sum": 1, "copy_": 1}  # views are none
 
 
-def test_a_graph_is_its_calls_on_its_own_memory(gpus: Cards):
+def test_a_graph_is_its_calls_on_its_own_memory(gpus: Gpus):
     x, total, factor = there(1, 2), there(0), 10.0
     graph = new_graph()
     with capture(gpus, graph):
@@ -142,23 +142,23 @@ def test_a_graph_is_its_calls_on_its_own_memory(gpus: Cards):
     assert y.tolist() == [50, 60]  # and so is the memory
 
 
-def test_a_graph_knows_no_generator(gpus: Cards):
+def test_a_graph_knows_no_generator(gpus: Gpus):
     graph = new_graph()
     with (
-        pytest.raises(CardError, match="generator"),
+        pytest.raises(GpuError, match="generator"),
         capture(gpus, graph),
     ):
         torch.rand(3, generator=torch.Generator("cuda"), device="cuda")
 
 
-def test_another_thread_finds_them(gpus: Cards):
+def test_another_thread_finds_them(gpus: Gpus):
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(lambda x: (x + there(1)).cpu(), there(1)).result().tolist() == [2]
 
 
 def test_what_is_written_can_be_read_where_they_are_not():
     file = io.BytesIO()
-    with cards():
+    with emulated():
         torch.save({"x": there(1, 2), "drawn": torch.Generator("cuda").get_state()}, file)
     file.seek(0)
     assert torch.load(file, weights_only=True)["x"].tolist() == [1, 2]
@@ -193,7 +193,7 @@ def test_a_fleet_on_a_gpu_is_to_the_bit_the_trainings_on_the_cpu(
             for seed, (learner, changed) in enumerate(more)
         ]
 
-    with cards() as gpus:
+    with emulated() as gpus:
         on_gpus = train_fleet(fleet("cuda"), Store(tmp_path / "gpu"), rerun=False)
     assert gpus.launches.total() > 10_000
     on_cpu = train_fleet(fleet("cpu"), Store(tmp_path / "cpu"), rerun=False)

@@ -12,10 +12,11 @@ import pytest
 from recorded import events
 
 from tom.errors import UserError
-from tom.record import RunReader, Store, fetching, manage
-from tom.record.attempts import Attempt
-from tom.record.bucket import Bucket
-from tom.record.fetching import FETCHED, SAME, fetch_run
+from tom.record import RunReader, Store, manage
+from tom.record.bucket import fetching
+from tom.record.bucket.attempts import Attempt
+from tom.record.bucket.fetching import FETCHED, SAME, fetch_run
+from tom.record.bucket.objects import Bucket
 
 STATES = {2: "stopped", 3: "finished"}  # of the older copy, of the newer one
 

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from tom.address import in_url
 from tom.envs import ENVS
 from tom.events import Evaluation, Field
 from tom.record import layout
-from tom.record.address import in_url
 from tom.record.files import parse_json_line
 from tom.record.reader import RunReader
-from tom.record.rerun_view import RerunView
+from tom.record.rerun.view import RerunView
 from tom.record.status import DEAD_AFTER_S
 from tom.record.store import Store
 

@@ -23,7 +23,7 @@ from tom.record import layout
 from tom.record.writer import RunWriter
 
 if TYPE_CHECKING:
-    from tom.record.rerun_view import RerunView
+    from tom.record.rerun.view import RerunView
 
 T = TypeVar("T")
 
@@ -138,7 +138,7 @@ def _view(path: Path, run_id: str, env: str, learner: str, every: int) -> "Rerun
     # Imported here: it takes half a second that a training need not wait for.
     import rerun as rr
 
-    from tom.record.rerun_view import RerunView
+    from tom.record.rerun.view import RerunView
 
     return RerunView(run_id, env, learner, every, rr.FileSink(path))
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tom.record import checkpoint, layout
-from tom.record.bucket import Bucket
+from tom.record.bucket.objects import Bucket
 from tom.record.files import files_in
 from tom.record.lock import LostError
 

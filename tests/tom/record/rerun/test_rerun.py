@@ -12,12 +12,14 @@ from recorded import Config, events, logged, transitions
 from rerun.chunk import RrdReader
 
 from tom.config import RoadConfig
+from tom.envs import scene
 from tom.events import Collected, Episode, Evaluation, Field, Metrics, Weights
-from tom.record import Recorder, RunReader, RunWriter, Store, open_sink, scene, sink
+from tom.record import Recorder, RunReader, RunWriter, Store, open_sink
 from tom.record.export import export
-from tom.record.feed import Follower
-from tom.record.rerun_episode import episode_recording
-from tom.record.rerun_road import heat
+from tom.record.rerun import sink
+from tom.record.rerun.episode import episode_recording
+from tom.record.rerun.feed import Follower
+from tom.record.rerun.road import heat
 
 mj = scene._mj
 

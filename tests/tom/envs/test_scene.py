@@ -2,9 +2,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from tom.envs import ENVS
+from tom.envs import ENVS, scene
 from tom.errors import UserError
-from tom.record import scene
 
 mj = scene._mj
 

@@ -13,9 +13,10 @@ from recorded import FIT, STEPS, Config, events, logged
 from rerun.chunk import RrdReader
 
 from tom.events import Metrics
-from tom.record import Recorder, RunWriter, Store, feed, layout
-from tom.record.feed import Feeder, Follower, Tail, stream
-from tom.record.hub import binary, free_port, without_analytics
+from tom.record import Recorder, RunWriter, Store, layout
+from tom.record.rerun import feed
+from tom.record.rerun.feed import Feeder, Follower, Tail, stream
+from tom.record.rerun.hub import binary, free_port, without_analytics
 
 
 @contextmanager

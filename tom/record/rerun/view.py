@@ -11,11 +11,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from tom.envs import ENVS
+from tom.envs import ENVS, scene
 from tom.events import Episode, Evaluation, Field
 from tom.metrics import describe
-from tom.record import rerun_road, rerun_robot, scene
-from tom.record.blueprint import (
+from tom.record.rerun import road as rerun_road
+from tom.record.rerun import robot as rerun_robot
+from tom.record.rerun.blueprint import (
     CAR,
     FIT,
     GHOST,

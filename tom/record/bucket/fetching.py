@@ -5,8 +5,9 @@ import shutil
 from pathlib import Path
 
 from tom.errors import UserError
-from tom.record import attempts, layout, lock, manage
-from tom.record.bucket import Bucket
+from tom.record import layout, lock, manage
+from tom.record.bucket import attempts
+from tom.record.bucket.objects import Bucket
 from tom.record.reader import RunReader
 from tom.record.store import Store
 

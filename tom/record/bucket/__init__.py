@@ -1,0 +1,1 @@
+"""Runs in an object store: attempts at them there, and how they come here."""
