@@ -153,7 +153,7 @@ class Gpus:
         """those for which the host waited"""
         self.waiting_is_an_error = False
         self._capturing: tuple[Graph, int] | None = None
-        self._alive: WeakSet[GpuTensor] = WeakSet()
+        self._alive: WeakSet[Tensor] = WeakSet()
 
     def run(self, func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
         """A call of an operator, for the GPU that its operands are on or its result is to be on."""
@@ -210,17 +210,16 @@ class Gpus:
             self._capturing = None
 
     def memory_allocated(self) -> int:
-        """Bytes of all tensors that are still there."""
-        memory = {_memory(x.raw): x.raw.untyped_storage().nbytes() for x in list(self._alive)}
+        """Bytes of all tensors that are still there, a graph's too."""
+        memory = {_memory(x): x.untyped_storage().nbytes() for x in list(self._alive)}
         return sum(memory.values())
 
     def set_sync_debug_mode(self, mode: str) -> None:
         self.waiting_is_an_error = mode == "error"
 
     def _tensor(self, raw: Tensor, index: int) -> GpuTensor:
-        made = GpuTensor(raw, index)
-        self._alive.add(made)
-        return made
+        self._alive.add(raw)
+        return GpuTensor(raw, index)
 
     def _where(self, func: Any, name: str, args: Any, kwargs: dict[str, Any]) -> int | None:
         """The GPU that a call is for, None for the CPU; GpuError where it is for two devices."""

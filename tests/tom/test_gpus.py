@@ -1,7 +1,8 @@
 """GPUs made of the CPU: what they refuse, what they replay, and that a training there is right."""
 
+import gc
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -14,10 +15,15 @@ from gpus import GpuError, Gpus, Graph, Stream, emulated
 from torch import Tensor
 
 from tom.adam import Adam
+from tom.config import SacConfig
 from tom.dynamics import fitting
 from tom.fleet import train_fleet
+from tom.graphs import WARM_UP
 from tom.learners import discriminator, dual
+from tom.lockstep import Lockstep, Work
 from tom.record import RunReader, Store
+from tom.sac import Sac
+from tom.sac_work import SacUpdates
 from tom.sweep.plan import Trial
 
 
@@ -162,6 +168,26 @@ def test_what_is_written_can_be_read_where_they_are_not():
         torch.save({"x": there(1, 2), "drawn": torch.Generator("cuda").get_state()}, file)
     file.seek(0)
     assert torch.load(file, weights_only=True)["x"].tolist() == [1, 2]
+
+
+def test_the_memory_of_a_capture_goes_when_its_members_part(gpus: Gpus):
+    """Without waiting for the garbage collector: nothing else of a GPU's is made meanwhile."""
+    held: dict[str, int] = {}
+
+    def training(number: int, updates: int) -> Generator[Work, None, None]:
+        sac = Sac(3, 1, SacConfig(hidden=16), [torch.Generator("cuda").manual_seed(number)])
+        batches = torch.rand(1, 32, 10).cuda()
+        for update in range(updates):
+            yield SacUpdates(sac, batches)
+            if number == 0:
+                held["captured" if update == WARM_UP else "parted"] = gpus.memory_allocated()
+
+    gc.disable()
+    try:
+        Lockstep().run([training(0, WARM_UP + 2), training(1, WARM_UP + 1)])
+    finally:
+        gc.enable()
+    assert held["parted"] < 0.5 * held["captured"]
 
 
 def rows(run: RunReader | Exception) -> np.ndarray:
