@@ -44,9 +44,9 @@ def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jo
 
 
 def longest(store: Store, planned: Sequence[Trial]) -> float | None:
-    """The hours of the longest run, where all can be judged by runs of the store."""
+    """The hours of the longest run from its start, where all can be judged."""
     runs = store.runs()
-    expected = [cost(trial, runs) for trial in planned]
+    expected = [_cost(trial, runs, None) for trial in planned]
     if any(one is None for one in expected):
         return None
     return max(one.hours for one in expected if one)

@@ -1,6 +1,7 @@
 """What a sweep is expected to take."""
 
 import json
+from math import ceil
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from tom.presets import resolve
 from tom.record import Recorder, RunWriter, Store, checkpoint
 from tom.sweep.plan import checked, trials
 from tom.sweep.projection import cost, makespan
+from tom.sweep.slurm import DEFAULT_HOURS, MARGIN
 
 PLAN = {"env": "hopper", "learner": ["tom", "mle"], "steps": 45_000}
 MS = dict.fromkeys(NEEDED, 1.0)
@@ -83,6 +85,20 @@ def test_without_runs_a_robot_is_judged_by_the_bench(tmp_path: Path, capsys):
         assert row["hours"] == pytest.approx(hours)
     assert rows["road-and-rocks", "tom"]["hours"] is None
     assert found["hours"] == pytest.approx(rows["hopper", "tom"]["hours"])  # beside the other
+
+
+def test_slurms_time_is_projected_as_well(tmp_path: Path, capsys):
+    words = ["--env", "humanoid", "--learner", "tom", "--store", str(tmp_path / "store")]
+    sweep = ["sweep", *words, "--engine", "slurm"]
+    assert main(sweep) == 0
+    assert f"--time={DEFAULT_HOURS}:00:00" in capsys.readouterr().out
+    kept.keep(MS)
+    (trial,) = trials(checked({"env": "humanoid", "learner": "tom"}))
+    assert isinstance(trial.config, OnlineConfig)
+    left = trial.config.steps - trial.config.exploration_steps
+    hours = per_step_ms(trial.config, ENVS["humanoid"], MS) * left / 3.6e6
+    assert main(sweep) == 0
+    assert f"--time={ceil(hours * MARGIN)}:00:00" in capsys.readouterr().out
 
 
 def test_only_toms_own_work_is_toms(tmp_path: Path):
