@@ -82,6 +82,11 @@ class Evaluation:
     env_step: int
     episodes: list[Episode]
 
+    @property
+    def mean_return(self) -> float:
+        """Undiscounted, over the episodes."""
+        return sum(e.undiscounted_return for e in self.episodes) / len(self.episodes)
+
 
 @dataclass(frozen=True)
 class Collected:

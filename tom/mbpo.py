@@ -63,7 +63,6 @@ class Mbpo:
         self.replay = ReplayBuffer(config.replay_capacity, *dims, device)  # D_env
         kept = config.rollout.kept_at(0, config.fit_every)
         self.model_buffer = ReplayBuffer(kept, *dims, device)  # D_model
-        self.policy_buffer = ReplayBuffer(config.policy_capacity, *dims, device)  # D_pol
         self.env = self.task.make()
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
         self.env_step = 0
@@ -140,17 +139,14 @@ class Mbpo:
         )
 
     def step_environment(self, explore: bool) -> Steps:
-        """Line 21: one step of pi in the environment, into D_env (and D_pol on policy)."""
+        """Line 21: one step of pi in the environment, into D_env (whose end is D_pol)."""
         obs = self._begin_episode() if self._obs is None else self._obs
         action = self._explore_action() if explore else (yield from self._policy_action(obs))
         stepped = Beside(partial(self.env.step, action))
         yield stepped
         next_obs, reward, terminated, truncated, _ = stepped.result()
         version = 0 if explore else self.policy_version
-        row = (obs, action, float(reward), next_obs, terminated, truncated)
-        self.replay.add(*row, policy_version=version)
-        if not explore:
-            self.policy_buffer.add(*row, policy_version=version)
+        self.replay.add(obs, action, float(reward), next_obs, terminated, truncated, version)
         self.env_step += 1
         self._episode_return += float(reward)
         self._episode_length += 1
@@ -205,7 +201,6 @@ class Mbpo:
             "learner": self.learner.state_dict(),
             "streams": self.streams.state_dict(),
             "model_buffer": self.model_buffer.state_dict(),
-            "policy_buffer": self.policy_buffer.state_dict(),
             "collected": self._flushed,
             "uncollected": self.replay.tail(self.replay.total_added - self._flushed),
             "env": capture(self.env),
@@ -222,7 +217,7 @@ class Mbpo:
         self.env_step, self.policy_version = state["env_step"], state["policy_version"]
         config = self.config
         self.model_buffer.resize(config.rollout.kept_at(self._on_policy_steps, config.fit_every))
-        for part in ("sac", "model", "learner", "streams", "model_buffer", "policy_buffer"):
+        for part in ("sac", "model", "learner", "streams", "model_buffer"):
             getattr(self, part).load_state_dict(state[part])
         self.replay.extend(collected.torch(), torch.from_numpy(policy_version))
         self._flushed = state["collected"]
@@ -236,6 +231,11 @@ class Mbpo:
         self._sac_metrics = state["sac_metrics"]
 
     # Parts
+
+    @property
+    def policy_buffer(self) -> TensorTransitions:
+        """D_pol: the last on-policy transitions, which are the newest of D_env."""
+        return self.replay.last(min(self._on_policy_steps, self.config.policy_capacity))
 
     @property
     def _on_policy_steps(self) -> int:
@@ -271,7 +271,7 @@ class Mbpo:
         return FitContext(
             replay=self.replay.transitions(),
             policy_version=self.replay.policy_version(),
-            policy_buffer=self.policy_buffer.transitions(),
+            policy_buffer=self.policy_buffer,
             on_policy_steps=self._on_policy_steps,
             initial_obs=torch.as_tensor(np.stack(self._initial_obs)).to(self.streams.device),
             policy=self.policy,

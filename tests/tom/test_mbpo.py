@@ -85,13 +85,19 @@ def test_consecutive_rows_of_an_episode_join(tom_run):
 
 def test_exploration_is_no_part_of_the_policy_buffer(tom_run):
     training = tom_run[0]
-    on_policy = training.policy_buffer.transitions()
+    on_policy = training.policy_buffer
     assert len(on_policy) == 300
     assert torch.equal(on_policy.obs, training.replay.transitions().obs[200:])
     versions = training.replay.policy_version()
     assert versions[:200].eq(0).all()
     assert versions[200] == 1
     assert versions[200:].diff().ge(0).all()
+
+
+def test_the_policy_buffer_holds_the_last_on_policy_transitions():
+    training = Mbpo(smoke(steps=90, exploration_steps=60, fit_every=10, policy_capacity=20))
+    list(training.events())
+    assert torch.equal(training.policy_buffer.packed(), training.replay.transitions().packed()[70:])
 
 
 def test_a_policy_that_does_not_fall_is_cut_off_as_truncated():

@@ -53,14 +53,12 @@ def _cost(env: str, train_s: float | None) -> CheckpointCost:
 
 
 def _full(config: OnlineConfig) -> Mbpo:
-    """A training whose model and policy buffers hold as much as they can."""
+    """A training whose model buffer holds as much as it can."""
     training = Mbpo(config)
     for _ in alone(training.step_environment(explore=True)):
         pass
     dims = (training.task.obs_dim, training.task.action_dim)
-    for buffer in (training.model_buffer, training.policy_buffer):
-        rows = _rows(buffer.capacity, *dims)
-        buffer.extend(rows)
+    training.model_buffer.extend(_rows(training.model_buffer.capacity, *dims))
     return training
 
 

@@ -11,10 +11,9 @@ from typing import Any, TextIO
 import torch
 from pydantic import ValidationError
 
+from tom.cli.fleet_progress import FleetReport
 from tom.cli.parser import one_line, overrides
-from tom.cli.progress import ProgressReport
 from tom.errors import UserError
-from tom.events import Evaluation, Event, Notice, Tick
 from tom.fleet import check, train_fleet
 from tom.record import RunReader, Store
 from tom.run import Stop
@@ -82,38 +81,22 @@ def _train(
     trials: Sequence[Trial], store: Store, stop: Stop, rerun: bool, stream: TextIO
 ) -> Sequence[RunReader | Exception]:
     """Train in lock-step; nothing where it is stopped at once."""
-    label = f"{trials[0].env}, {len(trials)} in a fleet"
-    with ProgressReport(label, trials[0].config.total_steps, stream) as progress:
-        shown = _Shown(progress)
+    with FleetReport(trials, stream) as report:
         try:
             return train_fleet(
                 trials,
                 store,
                 rerun=rerun,
-                watchers=[(shown.consume,) for _ in trials],
+                watchers=[(watcher,) for watcher in report.watchers()],
                 command=shlex.join(["tom", *sys.argv[1:]]),
                 stop=stop,
             )
         except KeyboardInterrupt:
-            print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
+            print(f"{report.label}: stopped at once, without a checkpoint", file=sys.stderr)
             return ()
         except torch.OutOfMemoryError:
-            print(f"{label}: failed: they do not fit the GPU: {FEWER}", file=sys.stderr)
+            print(f"{report.label}: failed: they do not fit the GPU: {FEWER}", file=sys.stderr)
             return ()
-
-
-class _Shown:
-    """Passes on what one report of a whole fleet can show."""
-
-    def __init__(self, progress: ProgressReport) -> None:
-        self._progress = progress
-        self._step = 0
-
-    def consume(self, event: Event) -> None:
-        newest = isinstance(event, Tick) and event.env_step > self._step
-        if newest or isinstance(event, Evaluation | Notice):
-            self._step = max(self._step, event.env_step)
-            self._progress.consume(event)
 
 
 def _say(rows: Sequence[dict[str, Any]], stream: TextIO) -> None:

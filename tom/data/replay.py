@@ -47,7 +47,9 @@ class ReplayBuffer:
         """Append one transition: obs and next_obs (O,), action (A,)."""
         row = np.concatenate((obs, action, (reward,), next_obs, (terminated, truncated)))
         self._rows[self._end] = torch.from_numpy(row.astype(np.float32))
-        self._versions[self._end] = policy_version
+        self._versions[self._end].fill_(
+            policy_version
+        )  # on a GPU an assignment makes a tensor first
         self._advance(1)
 
     def extend(self, rows: TensorTransitions, policy_version: Tensor | int = 0) -> None:
