@@ -1,15 +1,17 @@
 """Pictures of every page, as a reader sees them: headless Chromium on the studio itself."""
 
 import io
+import logging
 from pathlib import Path
 from threading import Event
+from types import ModuleType
 
 from PIL import Image
+from streamlit.logger import get_logger
 
 from app import moving
 from app.browser import chromium, settled_picture
 from app.launcher import Studio, servers
-from app.router import VIEWS
 from app.theme import Mode
 
 WIDTHS = (1280, 1920)
@@ -23,6 +25,7 @@ def take(store: Path, folder: Path) -> int:
 
     Raises UserError where the browser is missing, or where one that moves would be too large.
     """
+    views = _views()
     with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
         if running is None:
             return 1
@@ -32,7 +35,7 @@ def take(store: Path, folder: Path) -> int:
                 context = browser.new_context(
                     viewport={"width": width, "height": 900}, color_scheme=mode
                 )
-                for view in VIEWS:
+                for view in views:
                     page = context.new_page()
                     page.goto(f"{links.address}/{view.PATH}")
                     name = view.PATH or "live"
@@ -44,6 +47,14 @@ def take(store: Path, folder: Path) -> int:
         for story in moving.stories(store):
             moving.film(browser, links.address, story, folder / f"{story.view}.webp")
     return 0
+
+
+def _views() -> tuple[ModuleType, ...]:
+    """The pages, by name: none is drawn here, so what they cache needs no server around it."""
+    get_logger("streamlit.runtime.caching.cache_data_api").setLevel(logging.ERROR)
+    from app.router import VIEWS
+
+    return VIEWS
 
 
 def compact(picture: bytes) -> bytes:

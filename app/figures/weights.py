@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.figures.base import DASHES, across, note, styled, upright
+from app.figures.logs import left_out
 from app.figures.scales import linear_scale, octaves, relative_scale
 from app.theme import Mode, learner_colour, learner_label
 from tom.record.profiles import Profiles
@@ -68,7 +69,9 @@ def weight_profile(bins: NDArray[np.float64], learner: str, height: int) -> go.F
     return figure
 
 
-def profile_lines(profiles: Sequence[tuple[str, str, NDArray]], height: int) -> go.Figure:
+def profile_lines(
+    profiles: Sequence[tuple[str, str, NDArray]], height: int, *, log: bool
+) -> go.Figure:
     """The last profiles of several runs as stepped lines: (name, learner, bins)."""
     figure = go.Figure()
     learners = [learner for _, learner, _ in profiles]
@@ -89,7 +92,13 @@ def profile_lines(profiles: Sequence[tuple[str, str, NDArray]], height: int) -> 
                 "<br>weight %{y:.3g}<extra></extra>",
             )
         )
-    return _finish_profile(figure, height)
+    _finish_profile(figure, height)
+    if not log:
+        return figure
+    figure.update_yaxes(type="log", rangemode="normal")
+    lines = [(bin_centres(len(bins)), bins) for _, _, bins in profiles]
+    words = left_out(lines, log_x=False, log_y=True)
+    return note(figure, words[0]) if words else figure
 
 
 def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int) -> go.Figure:

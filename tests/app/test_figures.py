@@ -210,8 +210,14 @@ def test_a_profile_shows_the_bins(profiles: Profiles) -> None:
     assert bars.y.tolist() == profiles.bins[-1].tolist()
     assert bars.x.tolist() == bin_centres(100).tolist()
     assert bars.marker.color == learner_colour("pmac")
-    (line,) = traces(profile_lines([("a", "tom", profiles.bins[-1])], 300))
+    (line,) = traces(profile_lines([("a", "tom", profiles.bins[-1])], 300, log=False))
     assert line.y.tolist() == profiles.bins[-1].tolist()
+
+
+def test_on_a_log_axis_the_last_profiles_say_what_is_left_out() -> None:
+    figure = profile_lines([("a", "pmac", np.array([0.0, 0.5, 2.5]))], 300, log=True)
+    assert figure.to_dict()["layout"]["yaxis"]["type"] == "log"
+    assert notes(figure) == ["1 of 3 values at or below zero: not on a log axis"]
 
 
 def test_effective_sample_in_percent(profiles: Profiles) -> None:
