@@ -7,6 +7,7 @@ import streamlit as st
 from app import readers, text
 from app.aggregate import Curve, curve_points
 from app.readers import RunInfo
+from tom.record import RunReader
 
 
 def curve(run: RunInfo, metric: str) -> Curve:
@@ -31,16 +32,17 @@ def pick_run(runs: Sequence[RunInfo], label: str = "Run") -> RunInfo:
 def most_telling(runs: Sequence[RunInfo]) -> RunInfo:
     """The newest whose weights differ; of small copies, which nobody made just now, TOM's longest.
 
-    Small copies come after one's own runs.
+    Small copies come after one's own runs; of equally long ones the one that left out least.
     """
     order = sorted(runs, key=_rank)
     return next((run for run in order if differs(run)), order[0])
 
 
-def _rank(run: RunInfo) -> tuple[bool, bool, int]:
+def _rank(run: RunInfo) -> tuple[bool, bool, int, int]:
     if not run.small_copy:
-        return False, False, 0  # as they come: the newest first
-    return True, run.learner != "tom", -run.status.env_step
+        return False, False, 0, 0  # as they come: the newest first
+    lacking = len(RunReader(run.path).left_out)
+    return True, run.learner != "tom", -run.status.env_step, lacking
 
 
 def differs(run: RunInfo) -> bool:
