@@ -110,7 +110,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
         replay_link.show(shown)
     with right, st.container(border=True):
         head = st.columns([3, 1], vertical_alignment="center")
-        head[0].markdown("**Weights of the last fit**: dashed: all transitions count the same")
+        head[0].markdown("**Weights of the last fit**: dashed: uniform")
         _last_profiles(shown, log=head[1].toggle("Log axis", key="log", bind="query-params"))
     names = list(metrics) or usual(shown)
     for first in range(0, len(names), 3):
