@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import streamlit as st
+from numpy.typing import NDArray
+from streamlit.delta_generator import DeltaGenerator
 
 from app import readers, text
 from app.aggregate import Curve, curve_points
@@ -16,6 +19,8 @@ def curve(run: RunInfo, metric: str) -> Curve:
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
 
 
+TOWERS = 20.0
+"""times uniform: on a linear axis with this, one sees next to nothing of the others"""
 UNIFORM = {"mle", "sac"}
 """learners whose weights are all the same: no need to look"""
 
@@ -51,6 +56,12 @@ def differs(run: RunInfo) -> bool:
         return False
     profiles = readers.profiles(run)
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
+
+
+def pick_log(place: DeltaGenerator, profiles: Sequence[NDArray[np.float64]]) -> bool:
+    """Whether weights are on a log axis; until it is said here, where one towers over the rest."""
+    tall = any(bins.size and bins.max() > TOWERS for bins in profiles)
+    return place.toggle("Log axis", value=tall, key="log", bind="query-params")
 
 
 def pick_step(label: str, steps: Sequence[int]) -> int:

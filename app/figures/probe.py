@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from app import text
 from app.buffer import Floats
-from app.figures.base import DASHES, across, note, styled, upright
-from app.figures.logs import cut_bands, left_out
-from app.figures.weights import bin_centres
+from app.figures.base import DASHES, across, styled, upright
+from app.figures.weights import bin_centres, on_log_axis
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 
 AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
@@ -24,24 +23,23 @@ def probe_profiles(
     `random` is the share of the buffer, from the oldest on, that is random data.
     """
     figure = go.Figure()
-    lines = []
     for learner, values in profiles.items():
-        x = bin_centres(values.shape[1])
-        lines.append((x, np.median(values, 0)))
+        x, median = bin_centres(values.shape[1]), np.median(values, 0)
         name = text.plotly(learner_label(learner))
         if len(values) > 1:
             figure.add_trace(_range(x, values, learner))
         figure.add_trace(
             go.Scatter(
                 x=x,
-                y=lines[-1][1],
+                y=median,
+                customdata=median,
                 name=f"{name} ({len(values)} seed{'s' * (len(values) > 1)})",
                 meta=text.plotly(learner),
                 mode="lines",
                 line={"color": learner_colour(learner), "width": 2, "shape": "hvh"},
                 legendgroup=name,
                 hovertemplate=f"{name}<br>%{{x:.0f}} % of the buffer's age"
-                "<br>weight %{y:.3g}<extra></extra>",
+                "<br>weight %{customdata:.3g}<extra></extra>",
             )
         )
     marks = [across(1, 1.5, "dash")]
@@ -49,10 +47,8 @@ def probe_profiles(
         marks.append(upright(100 * random, 1, "dot"))
     styled(figure, "position in the buffer", height, keep="probe", marks=marks)
     figure.update_xaxes(**AGES)
-    figure.update_yaxes(title_text="mean weight", type="log" if log else "linear")
-    cut_bands(figure, log_x=False, log_y=log)
-    words = left_out(lines, log_x=False, log_y=log)
-    return note(figure, words[0]) if words else figure
+    figure.update_yaxes(title_text="mean weight", type="linear")
+    return on_log_axis(figure) if log else figure
 
 
 def _range(x: Floats, values: NDArray[np.float64], learner: str) -> go.Scatter:

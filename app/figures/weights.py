@@ -1,6 +1,7 @@
 """Weights over the buffer's age: the step x bin map, the profile at a step, and what is left."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -8,11 +9,12 @@ from numpy.typing import NDArray
 
 from app import text
 from app.figures.base import DASHES, across, note, styled, upright
-from app.figures.logs import left_out
 from app.figures.scales import linear_scale, octaves, relative_scale
 from app.theme import Mode, learner_colour, learner_label
 from tom.record.profiles import Profiles
 
+FLOOR = 0.01
+"""the least weight that a log axis tells from zero: a hundredth of uniform"""
 MAP_COLUMNS = 400
 """fits that a map shows at most; what is left out is said on the figure"""
 
@@ -80,6 +82,7 @@ def profile_lines(
             go.Scatter(
                 x=bin_centres(len(bins)),
                 y=bins,
+                customdata=bins,
                 name=text.plotly(name),
                 mode="lines",
                 line={
@@ -89,16 +92,30 @@ def profile_lines(
                     "dash": DASHES[learners[:i].count(learner) % len(DASHES)],
                 },
                 hovertemplate=f"{text.plotly(name)}<br>%{{x:.0f}} % of the buffer's age"
-                "<br>weight %{y:.3g}<extra></extra>",
+                "<br>weight %{customdata:.3g}<extra></extra>",
             )
         )
     _finish_profile(figure, height)
-    if not log:
-        return figure
-    figure.update_yaxes(type="log", rangemode="normal")
-    lines = [(bin_centres(len(bins)), bins) for _, _, bins in profiles]
-    words = left_out(lines, log_x=False, log_y=True)
-    return note(figure, words[0]) if words else figure
+    return on_log_axis(figure) if log else figure
+
+
+def on_log_axis(figure: go.Figure) -> go.Figure:
+    """Weights on a log axis that ends at FLOOR, where all below it, zero too, is drawn.
+
+    The numbers under the pointer (`customdata`) stay what they are.
+    """
+    traces: list[Any] = list(figure.data)
+    for trace in traces:
+        trace.update(y=np.maximum(np.asarray(trace.y, np.float64), FLOOR))
+    top = max((float(np.max(trace.y)) for trace in traces), default=1.0)
+    figure.update_yaxes(
+        type="log",
+        rangemode="normal",
+        range=[np.log10(FLOOR) - 0.1, np.log10(max(top, 1.0)) + 0.15],
+        tickvals=[FLOOR, 0.1, 1, 10, 100, 1000],
+        ticktext=[f"≤ {FLOOR:g}", "0.1", "1", "10", "100", "1,000"],
+    )
+    return figure
 
 
 def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int) -> go.Figure:

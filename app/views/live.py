@@ -109,9 +109,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
         )
         replay_link.show(shown)
     with right, st.container(border=True):
-        head = st.columns([3, 1], vertical_alignment="center")
-        head[0].markdown("**Weights of the last fit**: dashed: uniform")
-        _last_profiles(shown, log=head[1].toggle("Log axis", key="log", bind="query-params"))
+        _last_profiles(shown)
     names = list(metrics) or usual(shown)
     for first in range(0, len(names), 3):
         for column, name in zip(st.columns(3), names[first : first + 3], strict=False):
@@ -132,13 +130,16 @@ def _headline(alive: int, shown: Sequence[RunInfo]) -> str:
     return f"Nothing is training now: the last runs of {text.markdown(shown[0].env)}"
 
 
-def _last_profiles(runs: Sequence[RunInfo], *, log: bool) -> None:
+def _last_profiles(runs: Sequence[RunInfo]) -> None:
     lines = []
     for run in runs:
         profiles = readers.profiles(run)
         if len(profiles.env_step):
             name = f"{learner_label(run.learner)} s{run.seed}, step {profiles.env_step[-1]:,}"
             lines.append((name, run.learner, profiles.bins[-1]))
+    head = st.columns([3, 1], vertical_alignment="center")
+    head[0].markdown("**Weights of the last fit**: dashed: uniform")
+    log = widgets.pick_log(head[1], [bins for _, _, bins in lines])
     figure = profile_lines(lines, 330, log=log)
     chart(figure, "last profile", "mean weight, oldest to newest transitions")
 

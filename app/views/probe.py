@@ -90,8 +90,9 @@ def _weighed(weighing: Weighing, rows: int) -> None:
             f"**By the policy of {text.markdown(weighing.policy)}**: the dotted line ends the "
             "random data"
         )
-        log = head[1].toggle("Log axis", key="log", bind="query-params")
-        figure = probe_profiles(weighings.profiles(of), weighing.ordered_from / count, 400, log=log)
+        profiles = weighings.profiles(of)
+        log = widgets.pick_log(head[1], list(profiles.values()))
+        figure = probe_profiles(profiles, weighing.ordered_from / count, 400, log=log)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with right, st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")

@@ -135,12 +135,14 @@ def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None
     assert not notes(run_curves(curves, "x", 300, legend=False))
 
 
-def test_profiles_on_a_log_axis_say_what_is_left_out() -> None:
+def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
     values = np.array([[0.0, 0.0, 2.0, 1.0], [0.0, 1.0, 4.0, 1.0]])
-    band, _ = traces(figure := probe_profiles({"tom": values}, 0, 300, log=True))
-    assert band.y.tolist() == [0.5, 1, 4, 1, 1, 2, 0.5, 0.5]
-    assert notes(figure) == ["1 of 4 values at or below zero: not on a log axis"]
-    assert not notes(probe_profiles({"tom": values}, 0, 300, log=False))
+    band, line = traces(probe_profiles({"tom": values}, 0, 300, log=True))
+    assert band.y.tolist() == [0.01, 1, 4, 1, 1, 2, 0.01, 0.01]
+    assert line.y.tolist() == [0.01, 0.5, 3, 1]
+    assert line.customdata.tolist() == [0, 0.5, 3, 1]
+    band, _ = traces(probe_profiles({"tom": values}, 0, 300, log=False))
+    assert band.y.min() == 0
 
 
 def test_where_runs_are_missing_the_mean_is_dotted() -> None:
@@ -214,10 +216,14 @@ def test_a_profile_shows_the_bins(profiles: Profiles) -> None:
     assert line.y.tolist() == profiles.bins[-1].tolist()
 
 
-def test_on_a_log_axis_the_last_profiles_say_what_is_left_out() -> None:
-    figure = profile_lines([("a", "pmac", np.array([0.0, 0.5, 2.5]))], 300, log=True)
-    assert figure.to_dict()["layout"]["yaxis"]["type"] == "log"
-    assert notes(figure) == ["1 of 3 values at or below zero: not on a log axis"]
+def test_on_a_log_axis_the_last_profiles_end_at_a_hundredth_of_uniform() -> None:
+    figure = profile_lines([("a", "pmac", np.array([0.0, 1e-30, 0.5, 2.5]))], 300, log=True)
+    (line,) = traces(figure)
+    assert line.y.tolist() == [0.01, 0.01, 0.5, 2.5]
+    assert line.customdata.tolist() == [0, 1e-30, 0.5, 2.5]  # what the pointer reads
+    axis = figure.to_dict()["layout"]["yaxis"]
+    assert (axis["type"], axis["ticktext"][0]) == ("log", "≤ 0.01")
+    assert 10 ** axis["range"][0] < 0.01 < 2.5 < 10 ** axis["range"][1]
 
 
 def test_effective_sample_in_percent(profiles: Profiles) -> None:

@@ -11,7 +11,7 @@ import pytest
 from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, info
 
-from app import buffer_reader, weighings
+from app import buffer_reader, weighings, widgets
 from app.links import Links
 from app.views.model_error import focus_values, in_turn
 from tom.cli import main
@@ -47,6 +47,15 @@ def weighed(
     for name, value in Links(store=str(there)).environment().items():
         monkeypatch.setenv(name, value)
     return there / "weighings" / "made"
+
+
+@pytest.mark.parametrize(("towers", "axis"), [(0.5, "log"), (1e9, "linear")])
+def test_where_one_learners_weights_tower_they_are_on_a_log_axis(
+    towers: float, axis: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(widgets, "TOWERS", towers)
+    app = draw("probe", run=PENDULUM_TOM)
+    assert figures(app)[0]["layout"]["yaxis"]["type"] == axis
 
 
 def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
