@@ -366,6 +366,7 @@ def emulated() -> Iterator[Gpus]:
             "current_stream": Stream,
             "stream": lambda stream: stream,
             "Stream": Stream,
+            "synchronize": lambda device=None: None,
             "CUDAGraph": lambda: Graph(made.launches),
             "graph": made.graph,
             "memory_allocated": made.memory_allocated,

@@ -14,6 +14,6 @@ def require_device(device: str) -> None:
     if kind not in ("cpu", "cuda"):
         raise UserError(f"--device {device}: must be cpu or cuda")
     if kind == "cuda" and not torch.cuda.is_available():
-        raise UserError(f"--device {device}: torch finds no CUDA GPU here: train on the CPU")
+        raise UserError(f"--device {device}: torch finds no CUDA GPU here: give --device cpu")
     if kind == "cuda" and index is not None and index >= torch.cuda.device_count():
         raise UserError(f"--device {device}: the last one here is {torch.cuda.device_count() - 1}")
