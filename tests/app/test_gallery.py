@@ -156,4 +156,4 @@ def test_probe_finds_its_weighings(path: Path) -> None:
     for learner in table["learner"].unique():
         line = trace(figures(app)[0], meta=learner)
         of = table[table["learner"] == learner].groupby("bin")["mean_weight"]
-        assert array(line["y"]) == pytest.approx(np.array(of.median()), rel=1e-2, abs=1e-3)
+        assert array(line["customdata"]) == pytest.approx(np.array(of.median()), rel=1e-2, abs=1e-3)
