@@ -70,3 +70,13 @@ def test_the_command_prints_one_document(monkeypatch: pytest.MonkeyPatch, capsys
 def test_a_fleet_of_none_is_refused(capsys):
     assert main(["bench", "fleet", "--device", "cpu", "--members", "0"]) == 2
     assert "--members must be at least 1" in capsys.readouterr().err
+
+
+def test_large_times_are_written_out(monkeypatch: pytest.MonkeyPatch, capsys):
+    rows = [Measured(part, 2, 32_960.4, 1.0, 1.0, 0.03034, 1.0, None) for part in PARTS]
+    monkeypatch.setattr(fleet, "measure", lambda *_: rows)
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["bench", "fleet", "--device", "cpu", "--members", "2"]) == 0
+    said = capsys.readouterr().out
+    assert "32,960" in said
+    assert "0.03034" in said
