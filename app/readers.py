@@ -44,6 +44,8 @@ class RunInfo:
     settings: Settings
     """the whole configuration: path to words"""
     small_copy: bool
+    left_out: tuple[str, ...]
+    """what a small copy has not, of what its run had"""
 
     @property
     def shown(self) -> str:
@@ -192,6 +194,7 @@ def _read_info(store: str, name: str) -> RunInfo:
         labels=reader.labels,
         settings=in_words(reader.config.get("config")),
         small_copy=reader.small_copy,
+        left_out=reader.left_out,
         problems=tuple(reader.problems),
     )
 

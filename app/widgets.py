@@ -10,7 +10,6 @@ from streamlit.delta_generator import DeltaGenerator
 from app import readers, text
 from app.aggregate import Curve, curve_points
 from app.readers import RunInfo
-from tom.record import RunReader
 
 
 def curve(run: RunInfo, metric: str) -> Curve:
@@ -46,8 +45,7 @@ def most_telling(runs: Sequence[RunInfo]) -> RunInfo:
 def _rank(run: RunInfo) -> tuple[bool, bool, int, int]:
     if not run.small_copy:
         return False, False, 0, 0  # as they come: the newest first
-    lacking = len(RunReader(run.path).left_out)
-    return True, run.learner != "tom", -run.status.env_step, lacking
+    return True, run.learner != "tom", -run.status.env_step, len(run.left_out)
 
 
 def differs(run: RunInfo) -> bool:

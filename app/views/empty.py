@@ -7,7 +7,6 @@ import streamlit as st
 
 from app import readers, session, widgets
 from app.readers import RunInfo
-from tom.record.reader import RunReader
 
 
 def page() -> None:
@@ -28,8 +27,7 @@ def page() -> None:
 
 def left_out(run: RunInfo, *parts: str) -> bool:
     """Say which of these parts a small copy lacks; False where it lacks none, or is a whole run."""
-    known = RunReader(run.path).left_out
-    lacking = [part for part in parts if part in known]
+    lacking = [part for part in parts if part in run.left_out]
     if lacking:
         st.caption(f"Left out of this small copy: {', '.join(lacking)}.")
     return bool(lacking)
@@ -37,7 +35,7 @@ def left_out(run: RunInfo, *parts: str) -> bool:
 
 def left_out_of_all(runs: Sequence[RunInfo], part: str) -> bool:
     """Say of how many small copies a part was left out; False where it is of none."""
-    lacking = sum(part in RunReader(run.path).left_out for run in runs)
+    lacking = sum(part in run.left_out for run in runs)
     if lacking:
         copies = "the small copy" if lacking == 1 else f"the {lacking} small copies"
         st.info(f"Left out of {copies} in this store: {part}.", icon=":material/content_cut:")

@@ -83,7 +83,7 @@ def test_pages_open_with_ones_own_newest_run_and_else_with_toms_longest_copy(sto
     copies = readers.listing(str(GALLERY)).runs
     first = most_telling(copies)
     assert (first.env, first.learner) == ("hopper", "tom")
-    assert "buffer" not in RunReader(first.path).left_out  # as its twin of another seed's is
+    assert "buffer" not in first.left_out  # as its twin of another seed's is
     own = readers.listing(str(store)).runs
     mixed = [*copies, *own]
     newest = next(run for run in own if differs(run))

@@ -2,6 +2,8 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,12 +18,16 @@ from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import task
+from tom.events import Event, Tick
+from tom.fleet import train_fleet
 from tom.learners.base import Policy
 from tom.learners.discriminator import Discriminator, discriminator_net
 from tom.learners.dual import DualProblem, QFunction, q_net
+from tom.record import Store
 from tom.rollout import roll_out
 from tom.sac import Sac
 from tom.sac_work import SacUpdates
+from tom.sweep.plan import Trial
 
 O, A, B = 4, 2, 32  # noqa: E741
 GPU = "cuda"
@@ -146,3 +152,22 @@ def test_a_rollout_asks_once_a_chunk_and_fetches_its_counts_once(
         roll_out(model, actor, hopper.terminated, starts, 1, config, buffer, generator())
 
     assert waits(gpus, play) == {"_local_scalar_dense": 200 // 50, "tolist": 1}
+
+
+@pytest.mark.parametrize("members", [2, 5])
+def test_launches_and_waits_of_an_env_step(gpus: Gpus, members: int, tmp_path: Path):
+    """What docs/speed.md says of it; each step, once its graphs are captured."""
+    seen: list[tuple[int, int]] = []
+
+    def watch(event: Event) -> None:
+        if isinstance(event, Tick) and event.phase == "optimise":
+            seen.append((gpus.launches.total(), gpus.waits.total()))
+
+    settings = {"steps": 220, "exploration_steps": 200, "fit_every": 40, "updates_per_step": 5}
+    fleet = [
+        Trial("inverted-pendulum", "mle", seed, "smoke", {**settings, "device": GPU})
+        for seed in range(members)
+    ]
+    train_fleet(fleet, Store(tmp_path), False, [(watch,), *[()] * (members - 1)])
+    steps = {(b - a, d - c) for (a, c), (b, d) in pairwise(seen[:-1])}  # the last one evaluates
+    assert steps == {(9 * members + 38, members + 2)}
