@@ -49,3 +49,115 @@ class ReplayBuffer:
         self._rows[self._end] = torch.from_numpy(row.astype(np.float32))
         # Filled, not assigned: a number that is assigned on a GPU becomes a tensor first.
         self._versions[self._end].fill_(policy_version)
+        self._advance(1)
+
+    def extend(self, rows: TensorTransitions, policy_version: Tensor | int = 0) -> None:
+        """Append N transitions in order; `policy_version` is (N,) or one for all."""
+        if not len(rows):
+            return  # a run folder without rows yet does not know their width
+        if isinstance(policy_version, int):  # made where the buffer is, not sent there
+            policy_version = self._versions.new_full((len(rows),), policy_version)
+        self._extend(rows.packed(), policy_version)
+
+    def transitions(self) -> TensorTransitions:
+        """Everything, oldest first; views while the buffer has not wrapped, a copy afterwards."""
+        return self._unpack(self._ordered(self._rows))
+
+    def policy_version(self) -> Tensor:
+        """The policy version of every row, oldest first, (N,) int64."""
+        return self._ordered(self._versions)
+
+    def gather(self, index: Tensor) -> TensorTransitions:
+        """The rows at `index` (n,), counted from the oldest."""
+        return self._unpack(self.packed(index))
+
+    def packed(self, index: Tensor) -> Tensor:
+        """The same rows as they are stored, (n, R)."""
+        return self._rows.index_select(0, self._physical(index))
+
+    def last(self, n: int) -> TensorTransitions:
+        """The newest n rows (all, where there are fewer), oldest of them first."""
+        n = min(n, self._size)
+        if n <= self._end:
+            return self._unpack(self._rows[self._end - n : self._end])
+        return self.gather(torch.arange(self._size - n, self._size, device=self._rows.device))
+
+    def since(self, total: int) -> TensorTransitions:
+        """The rows added after the `total`-th ever added that are still held.
+
+        Their policy versions are the last entries of `policy_version()`.
+        """
+        return self.last(max(self.total_added - total, 0))
+
+    def tail(self, n: int) -> dict[str, Tensor]:
+        """The newest n rows and their policy versions, as `restore_tail` takes them."""
+        rows, versions = self._ordered(self._rows), self.policy_version()
+        start = len(rows) - n
+        return {"rows": rows[start:].clone(), "policy_version": versions[start:].clone()}
+
+    def restore_tail(self, tail: dict[str, Tensor]) -> None:
+        """Append the rows of `tail`."""
+        self._extend(tail["rows"], tail["policy_version"])
+
+    def clear(self) -> None:
+        """Forget every row; `total_added` goes on counting."""
+        self._size = self._end = 0
+
+    def resize(self, capacity: int) -> None:
+        """Hold `capacity` rows from now on; the newest stay."""
+        if capacity == self.capacity:
+            return
+        kept = self.tail(min(self._size, capacity))
+        total = self.total_added
+        self.capacity = capacity
+        self._rows = self._rows.new_empty(capacity, self._rows.shape[1])
+        self._versions = self._versions.new_empty(capacity)
+        self.clear()
+        self.restore_tail(kept)
+        self.total_added = total
+
+    def state_dict(self) -> dict[str, Any]:
+        """Tensors and integers only: the held rows, oldest first."""
+        return {
+            "rows": self._ordered(self._rows).clone(),
+            "policy_version": self.policy_version().clone(),
+            "total_added": self.total_added,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Become the buffer that `state_dict` was taken from (the capacity must hold it)."""
+        rows: Tensor = state["rows"]
+        if rows.shape[1] != self._rows.shape[1] or len(rows) > self.capacity:
+            raise ValueError(f"rows {tuple(rows.shape)} do not fit {tuple(self._rows.shape)}")
+        self.clear()
+        self._extend(rows, state["policy_version"])
+        self.total_added = state["total_added"]
+
+    def _extend(self, rows: Tensor, versions: Tensor) -> None:
+        skipped = max(len(rows) - self.capacity, 0)
+        self.total_added += skipped
+        rows, versions = rows[skipped:], versions[skipped:]
+        head = min(len(rows), self.capacity - self._end)
+        for part in (slice(0, head), slice(head, len(rows))):
+            n = part.stop - part.start
+            self._rows[self._end : self._end + n] = rows[part]
+            self._versions[self._end : self._end + n] = versions[part]
+            self._advance(n)
+
+    def _advance(self, n: int) -> None:
+        self._end = (self._end + n) % self.capacity
+        self._size = min(self._size + n, self.capacity)
+        self.total_added += n
+
+    def _ordered(self, stored: Tensor) -> Tensor:
+        if self._size == self.capacity and self._end:
+            return torch.cat((stored[self._end :], stored[: self._end]))
+        return stored[: self._size]
+
+    def _physical(self, index: Tensor) -> Tensor:
+        if self._size < self.capacity:
+            return index
+        return (index + self._end) % self.capacity
+
+    def _unpack(self, rows: Tensor) -> TensorTransitions:
+        return TensorTransitions.unpack(rows, *self._dims)
