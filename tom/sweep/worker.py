@@ -1,23 +1,25 @@
 """One training whose run lies in an object store: `python -m tom.sweep.worker URL RUN_ID WORDS...`.
 
 Trains in a folder of this machine and puts the run folder into the store as it goes. A run that is
-to go on is fetched first. Ends with the exit code of `tom train`.
+to go on is fetched first, unless this machine holds more of it. Nothing is deleted here before the
+store has all of it. Ends with the exit code of `tom train`.
 """
 
+import shutil
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tom.errors import UserError
-from tom.record import layout
+from tom.record import RunReader, checkpoint, layout
 from tom.record.bucket import attempts
 from tom.record.bucket.attempts import Attempt
 from tom.record.bucket.objects import Bucket
 from tom.record.lock import LostError
+from tom.sweep import scratch
 from tom.sweep.engine import LocalProcess, lives, spawn
 
 PUT_S = 10.0  # the heartbeat in the store is at most so much older than the run's
@@ -27,20 +29,56 @@ LAST_PUTS, AGAIN_S = 30, 20.0  # the end of a run is put so often before that is
 def main(url: str, run_id: str, words: Sequence[str]) -> int:
     """The exit code: that of `tom train`, or 1 where the store failed."""
     try:
-        bucket = Bucket.open(url)
-        with tempfile.TemporaryDirectory(prefix="tom-") as scratch:
-            return _work(bucket, run_id, words, Path(scratch))
-    except (UserError, OSError) as error:  # the sweep has reached it: worth another attempt
+        with scratch.place(url, run_id) as store:
+            try:
+                return _work(Bucket.open(url), run_id, words, store)
+            except (UserError, OSError) as error:  # the sweep has reached it: worth another attempt
+                raise OSError(f"{error}{_stays(store / run_id)}") from error
+    except OSError as error:
         print(f"{run_id}: {error}", file=sys.stderr)
         return 1
+
+
+def _stays(folder: Path) -> str:
+    """Where the run folder is that the store has not all of."""
+    if not (folder / layout.STATUS).exists():
+        return ""
+    return f"; all of it stays in {folder} on this machine, and the same command puts it there"
 
 
 def _work(bucket: Bucket, run_id: str, words: Sequence[str], store: Path) -> int:
     """Train in the folder `store` and keep the bucket's copy up to date; the exit code."""
     keeper = Keeper(Attempt.claim(bucket, run_id), store / run_id)
+    try:
+        code = _train(_begin(keeper, words), keeper)
+        keeper.put_the_end()
+    except LostError:  # the run is the other attempt's
+        shutil.rmtree(keeper.folder, ignore_errors=True)
+        raise
+    shutil.rmtree(keeper.folder, ignore_errors=True)
+    return code
+
+
+def _begin(keeper: "Keeper", words: Sequence[str]) -> Sequence[str] | None:
+    """Bring the run folder to where it goes on; the words for that, None where it has finished."""
+    bucket, run_id = keeper.attempt.bucket, keeper.attempt.run_id
+    names = bucket.names(run_id)
+    here = checkpoint.newest(keeper.folder / checkpoint.FOLDER)
+    finished = RunReader(keeper.folder).status.state == "finished"
+    if finished or (here is not None and here > attempts.newest_checkpoint(names)):
+        keeper.earlier = attempts.newest(names)
+        return None if finished else [f"--resume={run_id}"]
+    shutil.rmtree(keeper.folder, ignore_errors=True)
     if any(word.startswith("--resume=") for word in words):
         keeper.earlier = attempts.fetch(bucket, run_id, keeper.folder)
-    own = ("tom", "train", *words, "--no-rerun", f"--store={store}")
+    return words
+
+
+def _train(words: Sequence[str] | None, keeper: "Keeper") -> int:
+    """`tom train` with `words`, put into the store as it goes; the exit code."""
+    if words is None:
+        return 0
+    own = ("tom", "train", *words, "--no-rerun", f"--store={keeper.folder.parent}")
     process = LocalProcess(spawn(own, sys.stdout.buffer))
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, lambda *_: process.signal(signal.SIGTERM))
@@ -51,7 +89,6 @@ def _work(bucket: Bucket, run_id: str, words: Sequence[str], store: Path) -> int
             wait_s = min(2 * wait_s, PUT_S)
     finally:
         process.end()  # also where the run was taken over
-    keeper.put_the_end()
     ended = process.poll()
     return ended.code if ended and ended.code is not None and ended.code >= 0 else 1
 

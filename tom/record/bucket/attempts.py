@@ -30,6 +30,14 @@ def newest(names: Sequence[str]) -> str | None:
     return max((name for name in whole if NAME.fullmatch(name)), default=None)
 
 
+def newest_checkpoint(names: Sequence[str]) -> int:
+    """The step of the newest checkpoint of the run, from the names of its objects; -1: none."""
+    start = f"/{newest(names)}/{checkpoint.FOLDER}/"
+    inside = [name.partition(start)[2] for name in names if name.endswith(checkpoint.MANIFEST)]
+    steps = [name.split("/")[0] for name in inside]
+    return max((int(step) for step in steps if step.isdecimal()), default=-1)
+
+
 def fetch(bucket: Bucket, run_id: str, target: Path) -> str | None:
     """Copy a run into the folder `target`; the attempt that it was, None where there is no run.
 

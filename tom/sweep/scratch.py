@@ -1,0 +1,74 @@
+"""Where a run lies on this machine until its object store has all of it.
+
+The folder's name follows from the store and the run, so what a store would not take is found again
+by the same command.
+"""
+
+import fcntl
+import hashlib
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from tom.record import lock
+
+WAIT_S = 60.0  # a training whose worker was killed has written its checkpoint within this
+
+
+@contextmanager
+def place(url: str, run_id: str) -> Iterator[Path]:
+    """A run store for `run_id` on its way to `url`: always the same, with what was left there.
+
+    It stays for as long as there is something in it. Where another process of this machine uses
+    it, a new one is made. Raises OSError where none can be.
+    """
+    path, handle = _held(url, run_id)
+    try:
+        yield path
+    finally:
+        with suppress(OSError):
+            path.rmdir()  # holds a run: it stays
+        if handle is not None:
+            os.close(handle)
+
+
+def _held(url: str, run_id: str) -> tuple[Path, int | None]:
+    """The folder, and what holds it for this process."""
+    path = _root() / f"{hashlib.sha256(url.encode()).hexdigest()[:12]}-{run_id}"
+    path.mkdir(exist_ok=True)
+    handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(handle), path.stat()) and _ended(path / run_id):
+            return path, handle
+    except OSError:  # another process has it, or has just removed it
+        pass
+    os.close(handle)
+    return _new(), None
+
+
+def _ended(run: Path) -> bool:
+    """Nothing writes the run, also not the training of a worker that was killed a moment ago."""
+    until = time.monotonic() + WAIT_S
+    while lock.held(run):
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.1)
+    return True
+
+
+def _root() -> Path:
+    """The user's own folder among the temporary ones; a new one where somebody else made that."""
+    path = Path(tempfile.gettempdir(), f"tom-runs-{os.getuid()}")
+    with suppress(FileExistsError):
+        path.mkdir(mode=0o700)
+    found = path.lstat()
+    own = found.st_uid == os.getuid() and not found.st_mode & 0o022
+    return path if own and path.is_dir() and not path.is_symlink() else _new()
+
+
+def _new() -> Path:
+    return Path(tempfile.mkdtemp(prefix="tom-"))
