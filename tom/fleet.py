@@ -25,18 +25,20 @@ def train_fleet(
     watchers: Sequence[Sequence[Consumer]] = (),
     command: str = "",
     stop: Stop | None = None,
+    accept_versions: bool = False,
 ) -> list[RunReader | Exception]:
     """Train all of them, those of the store that are not finished from their checkpoints.
 
-    Returns each one's run, or the error that ended it; `watchers` are each one's own. Raises
-    UserError where they cannot be a fleet.
+    Returns each one's run, or the error that ended it; `watchers` are each one's own;
+    `accept_versions` as for `resume`. Raises UserError where they cannot be a fleet.
     """
     check(trials)
     watching = watchers or [()] * len(trials)
     runs = store.runs()
+    hows = [How(rerun=rerun, watchers=own, command=command, stop=stop) for own in watching]
     members = [
-        _member(trial, runs, store, rerun=rerun, watchers=own, command=command, stop=stop)
-        for trial, own in zip(trials, watching, strict=True)
+        _member(trial, runs, store, accept_versions, **how)
+        for trial, how in zip(trials, hows, strict=True)
     ]
     return Lockstep().run(members)
 
@@ -53,14 +55,20 @@ def check(trials: Sequence[Trial]) -> None:
         require_device(trial.config.device)
 
 
-def _member(trial: Trial, runs: Sequence[RunReader], store: Store, **how: Unpack[How]) -> Recorded:
+def _member(
+    trial: Trial,
+    runs: Sequence[RunReader],
+    store: Store,
+    accept_versions: bool,
+    **how: Unpack[How],
+) -> Recorded:
     """The training of one member: new, from its checkpoint, or nothing where it is finished."""
     found = same_run(trial, runs)
     if found is not None and found.status.state == "finished":
         return _finished(found)
     begun = unfinished(store, trial.config)
     if begun is not None:
-        return resumed(store, begun, **how)
+        return resumed(store, begun, accept_versions=accept_versions, **how)
     return recorded(trial.config, store, None if found else trial.run_id, **how)
 
 

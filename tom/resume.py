@@ -19,19 +19,35 @@ from tom.presets import config_type
 from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, open_sink
 from tom.record.checkpoint import Checkpoint
 from tom.record.heartbeat import BEAT_S
+from tom.resume_checks import check_training, check_versions
 from tom.run import AnyConfig, How, Recorded, Training, make_training, record
 
 
-def resume(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> RunReader:
+def resume(
+    store: Store,
+    run_id: str,
+    steps: int | None = None,
+    *,
+    accept_versions: bool = False,
+    **how: Unpack[How],
+) -> RunReader:
     """Go on with a run from its newest whole checkpoint, to `steps` where given.
 
     On the same machine with the same versions the result is bit for bit that of a run never
-    interrupted. Raises UserError where the run cannot go on.
+    interrupted; other versions of what decides it are refused unless `accept_versions`. Raises
+    UserError where the run cannot go on.
     """
-    return finished(resumed(store, run_id, steps, **how))
+    return finished(resumed(store, run_id, steps, accept_versions=accept_versions, **how))
 
 
-def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> Recorded:
+def resumed(
+    store: Store,
+    run_id: str,
+    steps: int | None = None,
+    *,
+    accept_versions: bool = False,
+    **how: Unpack[How],
+) -> Recorded:
     """`resume` as a member of a fleet runs it: its heavy work is handed out."""
     keep_freed_memory()
     reader = store.run(run_id)
@@ -44,6 +60,7 @@ def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[H
     if steps is not None:
         config = _with_steps(config, steps)
     _require_own_device(reader, config)
+    said = [("versions", check_versions(reader, accept_versions))]
     if reader.status.alive:
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
     writer = RunWriter(reader.path, config)  # from here on no other process writes the run
@@ -52,6 +69,7 @@ def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[H
         torch.set_num_threads(config.threads)
         choose_matmul(reader.config.get("matmul", {}).get("chosen", config.matmul))
         training, watch = make_training(config), Watch(config)
+        said.append(("settings", check_training(reader, held, config, training)))
         mark = _go_on(reader, held, training, watch)
     except BaseException:
         writer.close()
@@ -60,9 +78,9 @@ def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[H
     sink = open_sink(writer) if how.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
         writer.resumed(config, how.get("command", ""))
-        for problem in held.problems:
-            recorder.consume(Notice(held.env_step, "checkpoint", problem))
-        yield from record(training, watch, recorder, writer, how)
+        said += [("checkpoint", text) for text in held.problems]
+        before = [Notice(held.env_step, kind, text) for kind, text in said if text]
+        yield from record(training, watch, recorder, writer, how, before)
     return RunReader(writer.path)
 
 

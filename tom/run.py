@@ -1,6 +1,7 @@
 """One training, from its configuration to a finished run folder."""
 
 from collections.abc import Callable, Generator, Iterator, Sequence
+from itertools import chain
 from time import perf_counter
 from typing import Any, Protocol, TypedDict, Unpack
 
@@ -111,13 +112,21 @@ def _new_writer(store: Store, run_id: str | None, config: AnyConfig, **how: Any)
 
 
 def record(
-    training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, how: How
+    training: Training,
+    watch: Watch,
+    recorder: Recorder,
+    writer: RunWriter,
+    how: How,
+    before: Sequence[Notice] = (),
 ) -> Generator[Work, None, None]:
-    """Take a training to its end, or to where `stop` asks: every event into the record."""
+    """Take a training to its end, or to where `stop` asks: every event into the record.
+
+    `before` is what is to be said first.
+    """
     every, total = writer.config.checkpoint_every, writer.config.total_steps
     listening, stop = list(how.get("watchers", ())), how.get("stop")
     steps = training.algorithm() if isinstance(training, Mbpo) else training.events()
-    for event in watch.over(steps):
+    for event in chain(before, watch.over(steps)):
         if isinstance(event, Work):
             yield event
             continue
@@ -155,6 +164,7 @@ def _save(
             "training": training.state_dict(),
             "watch": watch.state_dict(),
             "record": recorder.mark(),
+            "config": writer.config.model_dump(mode="json"),
         }
         checkpoint.save(writer.path / checkpoint.FOLDER, env_step, state)
     except OSError as error:

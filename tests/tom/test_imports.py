@@ -14,7 +14,7 @@ LEVELS = [
     | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_model"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
-    {"run", "bench", "ordered_data"},
+    {"run", "bench", "ordered_data", "resume_checks"},
     {"weighing"},
     {"resume"},
     {"fleet"},

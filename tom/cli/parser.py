@@ -53,9 +53,19 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     """The options every command that trains shares."""
     group = parser.add_argument_group("where and how")
     group.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
+    add_accept_versions(group)
     group.add_argument("--no-rerun", action="store_true", help="write files only, no recording")
     group.add_argument("--headless", action="store_true", help="no server, no browser")
     group.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_accept_versions(parser: argparse._ActionsContainer) -> None:
+    """The option of every command that goes on with runs."""
+    parser.add_argument(
+        "--accept-versions",
+        action="store_true",
+        help="go on with runs of other versions of torch, gymnasium or mujoco: other numbers",
+    )
 
 
 def add_config_options(

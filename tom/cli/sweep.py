@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tom.cli.parser import add_config_options, overrides
+from tom.cli.parser import add_accept_versions, add_config_options, overrides
 from tom.cli.signals import on_stopping
 from tom.cli.sweep_dry import dry_run, longest
 from tom.cli.sweep_places import open_engine, open_home, place, refuse_mismatch
@@ -63,6 +63,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         metavar="HOST:PORT",
         help="the Ray cluster to train on [one of this machine, which ends with the sweep]",
     )
+    add_accept_versions(parser)
     parser.add_argument("--only", type=int, metavar="I", help="only the I-th run of the plan")
     parser.add_argument("--dry-run", action="store_true", help="what would run, hours and disk")
     parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
@@ -85,10 +86,11 @@ def run(args: argparse.Namespace) -> int:
         if args.engine == "fleet" or on_gpu:
             stop = Stop()
             on_stopping(stop)
-            return run_fleets(args.store, _by_env(planned), stop, rerun=False, as_json=args.json)
+            return run_fleets(args, _by_env(planned), stop, rerun=False)
         with open_engine(args.engine, args.address, args.jobs) as engine:
             home.store.ensure_writable()
-            return drive(args, Driver(home, planned, engine))
+            driver = Driver(home, planned, engine, accept_versions=args.accept_versions)
+            return drive(args, driver)
 
 
 def _planned(args: argparse.Namespace) -> list[Trial]:

@@ -103,10 +103,11 @@ def _train_many(args: argparse.Namespace) -> int:
     trials, store = train_many.trials_of(args), Store(args.store)
     if train_many.wants_fleet(args, trials):
         stop, rerun = _stop_on_signals(), not args.no_rerun
-        return train_many.run_fleets(args.store, [trials], stop, rerun=rerun, as_json=args.json)
+        return train_many.run_fleets(args, [trials], stop, rerun=rerun)
     store.ensure_writable()
     engine = LocalEngine(len(os.sched_getaffinity(0)))
-    return drive(args, Driver(FolderHome(store), trials, engine))
+    home = FolderHome(store)
+    return drive(args, Driver(home, trials, engine, accept_versions=args.accept_versions))
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
@@ -120,7 +121,10 @@ def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> 
     config = recorded_config(store.run(run_id))
     if steps is not None:
         config = config.but(steps=steps)
-    return _watched(args, config, lambda **how: resume(store, run_id, steps, **how))
+    accepted = args.accept_versions
+    return _watched(
+        args, config, lambda **how: resume(store, run_id, steps, accept_versions=accepted, **how)
+    )
 
 
 def _watched(

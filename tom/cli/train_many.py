@@ -5,7 +5,6 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, TextIO
 
 import torch
@@ -56,40 +55,43 @@ def wants_fleet(args: argparse.Namespace, trials: Sequence[Trial]) -> bool:
 
 
 def run_fleets(
-    store: Path, fleets: Sequence[Sequence[Trial]], stop: Stop, *, rerun: bool, as_json: bool
+    args: argparse.Namespace, fleets: Sequence[Sequence[Trial]], stop: Stop, *, rerun: bool
 ) -> int:
     """Train fleet after fleet, each with one report of progress; the exit code.
+
+    Of `args` count the options that all commands share which train.
 
     Raises UserError, before anything is trained, where one of them cannot be a fleet.
     """
     for trials in fleets:
         check(trials)
-    stream = sys.stderr if as_json else sys.stdout
+    stream = sys.stderr if args.json else sys.stdout
     rows: list[dict[str, Any]] = []
     for trials in fleets:
-        results = () if stop.asked else _train(trials, Store(store), stop, rerun, stream)
+        results = () if stop.asked else _train(trials, args, stop, rerun, stream)
         done = [_row(trial, found) for trial, found in zip(trials, results, strict=False)]
         _say(done, stream)
         rows += done
-    if as_json:
+    if args.json:
         print(json.dumps(rows))
     whole = len(rows) == sum(map(len, fleets))
     return 0 if whole and all(row["state"] == "finished" for row in rows) else 1
 
 
 def _train(
-    trials: Sequence[Trial], store: Store, stop: Stop, rerun: bool, stream: TextIO
+    trials: Sequence[Trial], args: argparse.Namespace, stop: Stop, rerun: bool, stream: TextIO
 ) -> Sequence[RunReader | Exception]:
     """Train in lock-step; nothing where it is stopped at once."""
     with FleetReport(trials, stream) as report:
         try:
             return train_fleet(
                 trials,
-                store,
+                Store(args.store),
                 rerun=rerun,
                 watchers=[(watcher,) for watcher in report.watchers()],
                 command=shlex.join(["tom", *sys.argv[1:]]),
                 stop=stop,
+                accept_versions=args.accept_versions,
             )
         except KeyboardInterrupt:
             print(f"{report.label}: stopped at once, without a checkpoint", file=sys.stderr)

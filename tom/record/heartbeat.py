@@ -4,7 +4,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from tom.record.status import Status
 from tom.record.writer import RunWriter
@@ -19,11 +19,26 @@ WINDOW_S = 120.0
 """Speed and time left are judged by the last so many seconds."""
 
 
+@dataclass(frozen=True)
+class Begun:
+    """Where a run stands when its heart begins to beat: what a resumed one has behind it."""
+
+    env_step: int = 0
+    last_return: float | None = None
+    best_return: float | None = None
+    wall_s: float = 0.0
+
+
 class Heartbeat:
     """The living status of one run."""
 
     def __init__(
-        self, writer: RunWriter, total: int, clock: Callable[[], float], timer: Callable[[], float]
+        self,
+        writer: RunWriter,
+        total: int,
+        clock: Callable[[], float],
+        timer: Callable[[], float],
+        begun: Begun,
     ) -> None:
         """`clock` gives unix seconds, `timer` seconds that never go back."""
         self._writer = writer
@@ -31,10 +46,20 @@ class Heartbeat:
         self._timer = timer
         self._lock = threading.Lock()
         now = clock()
-        self.status = Status("running", "start", 0, total, now, now, os.getpid())
-        self._begun = timer()
+        self.status = Status(
+            state="running",
+            phase="start",
+            env_step=begun.env_step,
+            total=total,
+            heartbeat=now,
+            started=now,
+            pid=os.getpid(),
+            last_return=begun.last_return,
+            best_return=begun.best_return,
+        )
+        self._begun = timer() - begun.wall_s
         self._warnings: dict[str, str] = {}  # by kind, the newest last
-        self._samples: deque[tuple[float, int]] = deque([(self._begun, 0)])
+        self._samples: deque[tuple[float, int]] = deque([(timer(), begun.env_step)])
         self._stop = threading.Event()
         self.beat()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
@@ -68,15 +93,6 @@ class Heartbeat:
     def returns(self) -> tuple[float | None, float | None]:
         """The last and the best return."""
         return self.status.last_return, self.status.best_return
-
-    def go_on(self, env_step: int, last: float | None, best: float | None, wall_s: float) -> None:
-        """The run was resumed at `env_step` with these returns and so many seconds behind it."""
-        with self._lock:
-            self._begun = self._timer() - wall_s
-            self._samples = deque([(self._timer(), env_step)])
-            self.status = replace(
-                self.status, env_step=env_step, last_return=last, best_return=best
-            )
 
     def beat(self) -> None:
         """Write the status with a fresh heartbeat, speed and time left."""

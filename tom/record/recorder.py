@@ -21,7 +21,7 @@ from tom.events import (
     Weights,
 )
 from tom.health import DivergedError
-from tom.record.heartbeat import Heartbeat
+from tom.record.heartbeat import Begun, Heartbeat
 from tom.record.rerun.sink import Sink
 from tom.record.writer import RunWriter
 
@@ -62,7 +62,8 @@ class Recorder:
         self._checkpoint_s = 0.0
         self._next_snapshot = 0.0 if config.snapshots else np.inf
         self._finished = False
-        self._heartbeat = Heartbeat(writer, config.total_steps, clock, timer)
+        begun = _begun(mark) if mark else Begun()
+        self._heartbeat = Heartbeat(writer, config.total_steps, clock, timer, begun)
         if mark:
             try:
                 self._go_on(mark)
@@ -90,8 +91,6 @@ class Recorder:
         self._record_s = mark["record_s"]
         self._checkpoint_s = mark.get("checkpoint_s", 0.0)
         self._next_snapshot = mark["next_snapshot"]
-        last, best = mark["returns"]
-        self._heartbeat.go_on(mark["env_step"], last, best, mark["wall_s"])
 
     def checkpoint_took(self, seconds: float) -> None:
         """A checkpoint took so long; `time/checkpoint_s` adds them up."""
@@ -235,6 +234,12 @@ class Recorder:
             self._merge(evaluation.env_step, {**values, "eval/return_max": best})
         if self._sink:
             self._sink.evaluation(evaluation)
+
+
+def _begun(mark: Mapping[str, Any]) -> Begun:
+    """Where the run of `mark` stands; a mark that lacks it is refused when it is gone back to."""
+    last, best = mark.get("returns", (None, None))
+    return Begun(mark.get("env_step", 0), last, best, mark.get("wall_s", 0.0))
 
 
 def evaluation_metrics(evaluation: Evaluation) -> dict[str, float]:

@@ -7,12 +7,25 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+DECISIVE = {"torch": 3, "gymnasium": 3, "mujoco": 3, "numpy": 2}
+"""How many parts of a package's version decide results: numpy's random streams may change with a
+feature release, the others' numbers with any (pyproject.toml pins them)."""
+
+ACCEPT = "--accept-versions"
+"""what lets a run go on with other versions"""
+
 PACKAGES = ("torch", "numpy", "gymnasium", "mujoco", "tom-studio")
 
 
 def versions() -> dict[str, str]:
     """The versions that results depend on; `missing` where a package is not installed."""
     return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
+
+
+def decides(name: str, before: str, now: str) -> bool:
+    """Results change silently between these two versions of the package `name`."""
+    parts = DECISIVE.get(name, 0)
+    return before.split(".")[:parts] != now.split(".")[:parts]
 
 
 def git_commit() -> str | None:

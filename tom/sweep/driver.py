@@ -17,6 +17,7 @@ from typing import Literal
 
 from tom.errors import UserError
 from tom.record import RunReader, checkpoint
+from tom.record.versions import ACCEPT
 from tom.sweep.engine import Engine, Exit, Process, lives
 from tom.sweep.home import LOGS, Home
 from tom.sweep.plan import Trial, same_run
@@ -59,12 +60,15 @@ class Driver:
         engine: Engine,
         low_bytes: float = LOW_BYTES,
         back_off_s: float = BACK_OFF_S,
+        accept_versions: bool = False,
     ) -> None:
+        """`accept_versions`: runs of other versions go on, with other numbers."""
         self.home = home
         self.store = home.store
         self.engine = engine
         self.low_bytes = low_bytes
         self.back_off_s = back_off_s
+        self._accepted = [ACCEPT] if accept_versions else []
         runs = self.store.runs()
         logs = self.store.path / LOGS
         self.seats: list[Seat] = []
@@ -177,12 +181,12 @@ class Driver:
     def _words(self, seat: Seat, at: int | None) -> list[str]:
         """The words of `tom train` that take a training up, or begin it."""
         if at is not None and not seat.anew:
-            return [f"--resume={seat.run_id}"]
+            return [f"--resume={seat.run_id}", *self._accepted]
         seat.run_id, seat.anew = seat.trial.run_id, False
         if (self.store.path / seat.run_id).is_dir():  # nothing in it to go on from
             where = self.home.begin_anew(seat.run_id)
             seat.note = f"began anew; what was there is in {where}"
-        return [*seat.trial.options(), f"--run-id={seat.run_id}"]
+        return [*seat.trial.options(), f"--run-id={seat.run_id}", *self._accepted]
 
     def _spawn(self, words: Sequence[str], log: Path) -> Process:
         log.parent.mkdir(parents=True, exist_ok=True)
@@ -198,9 +202,11 @@ class Driver:
             seat.state, seat.note = "elsewhere", "another process is writing it"
         else:
             why = ended.why or run.status.reason or f"exit code {ended.code}"
-            seat.anew = ended.code == 2 and seat.step >= 0
+            said = _tail(seat.log)
+            # What only waits for a word is not begun anew: it may be hours of training.
+            seat.anew = ended.code == 2 and seat.step >= 0 and ACCEPT not in said
             refused = ended.code == 2 and not seat.anew
-            self._judge(seat, f"{why}\n{_tail(seat.log)}", refused)
+            self._judge(seat, f"{why}\n{said}", refused)
 
     def _judge(self, seat: Seat, why: str, hopeless: bool) -> None:
         """It ended before its time: once more, later, or never again."""

@@ -19,6 +19,7 @@ from tom.record.bucket import attempts
 from tom.record.bucket.attempts import Attempt
 from tom.record.bucket.objects import Bucket
 from tom.record.lock import LostError
+from tom.record.versions import ACCEPT
 from tom.sweep import scratch
 from tom.sweep.engine import LocalProcess, lives, spawn
 
@@ -67,7 +68,8 @@ def _begin(keeper: "Keeper", words: Sequence[str]) -> Sequence[str] | None:
     finished = RunReader(keeper.folder).status.state == "finished"
     if finished or (here is not None and here > attempts.newest_checkpoint(names)):
         keeper.earlier = attempts.newest(names)
-        return None if finished else [f"--resume={run_id}"]
+        accepted = [word for word in words if word == ACCEPT]
+        return None if finished else [f"--resume={run_id}", *accepted]
     shutil.rmtree(keeper.folder, ignore_errors=True)
     if any(word.startswith("--resume=") for word in words):
         keeper.earlier = attempts.fetch(bucket, run_id, keeper.folder)

@@ -1,6 +1,7 @@
 """`tom train` with several learners and seeds."""
 
 import json
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,7 @@ def test_fleets_that_never_began_are_not_finished(capsys, tmp_path: Path):
     fleets = [[Trial(env, "mle", 0, "smoke", {})] for env in ("hopper", "inverted-pendulum")]
     stop = Stop()
     stop()
-    assert run_fleets(tmp_path, fleets, stop, rerun=False, as_json=True) == 1
+    args = Namespace(store=tmp_path, json=True, accept_versions=False)
+    assert run_fleets(args, fleets, stop, rerun=False) == 1
     assert json.loads(capsys.readouterr().out) == []
     assert list(tmp_path.iterdir()) == []

@@ -1,5 +1,6 @@
 """Sweeps of real trainings that are killed, interrupted, starved of disk, or that always fail."""
 
+import json
 import os
 import signal
 import subprocess
@@ -126,6 +127,26 @@ def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one
     finish(second)
     assert second.seats[0].state == "finished"
     assert (tmp_path / ".trash" / trial.run_id / "config.json").exists()
+
+
+def test_a_stopped_run_and_another_torch_now__is_reported_and_nothing_begins_anew(tmp_path: Path):
+    (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
+    first = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
+    until(lambda: beyond_a_checkpoint(first.store), first.poll)
+    first.stop()
+    path = tmp_path / trial.run_id / "config.json"
+    content = json.loads(path.read_text())
+    content["versions"]["torch"] = "1.13.1"
+    path.write_text(json.dumps(content))
+    second = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
+    finish(second)
+    assert (second.seats[0].state, second.seats[0].attempts) == ("failed", 1)
+    assert "torch 1.13.1 then" in second.seats[0].note
+    assert "--accept-versions" in second.seats[0].note
+    assert not (tmp_path / ".trash").exists()
+    third = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1), accept_versions=True)
+    finish(third)
+    assert third.seats[0].state == "finished"
 
 
 def fill(path: Path) -> None:

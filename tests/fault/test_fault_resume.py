@@ -1,0 +1,133 @@
+"""Runs that are taken up with other versions, other settings, or another learner."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from faults import assert_same_record, config, stopped
+
+from tom.cli import main
+from tom.errors import UserError
+from tom.record import RunReader, Store, checkpoint
+from tom.record.writer import RunWriter
+from tom.resume import resume
+from tom.run import train
+
+pytestmark = [pytest.mark.fault, pytest.mark.quick]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("made") / "store"
+    stopped(Store(path), 130, learner="tom")
+    train(config("tom"), Store(path), "whole", rerun=False)
+    return path
+
+
+@pytest.fixture
+def store(made: Path, tmp_path: Path) -> Store:
+    return Store(shutil.copytree(made, tmp_path / "store"))
+
+
+def change(run: Path, changed: Callable[[dict[str, Any]], object]) -> None:
+    """Edit the run's config.json."""
+    content = json.loads((run / "config.json").read_text())
+    changed(content)
+    (run / "config.json").write_text(json.dumps(content))
+
+
+def without_settings(run: Path) -> None:
+    """Make the checkpoints those of an earlier version, which do not hold the settings."""
+    for path in (run / checkpoint.FOLDER).iterdir():
+        state = torch.load(path / "state.pt", weights_only=True)
+        del state["config"]
+        checkpoint.save(run / checkpoint.FOLDER, int(path.name), state)
+
+
+@pytest.mark.parametrize(
+    ("package", "version"),
+    [("torch", "1.13.1"), ("torch", "2.12.9"), ("mujoco", "3.3.0"), ("numpy", "1.26.4")],
+)
+def test_another_version_of_what_decides_the_results__is_refused_until_it_is_accepted(
+    store: Store, package: str, version: str, capsys: pytest.CaptureFixture[str]
+):
+    change(store.path / "a", lambda content: content["versions"].update({package: version}))
+    before = {path: path.read_bytes() for path in store.path.rglob("*") if path.is_file()}
+    words = ["train", "--resume", "a", "--no-rerun", "--store", str(store.path)]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert f"{package} {version} then" in error
+    assert "--accept-versions" in error
+    assert error.count("\n") == 1
+    assert {p: p.read_bytes() for p in store.path.rglob("*") if p.is_file()} == before
+    assert main([*words, "--accept-versions"]) == 0
+    assert f"{package} {version} then" in capsys.readouterr().out
+    done = store.run("a")
+    assert any(f"{package} {version} then" in text for text in done.status.warnings)
+    assert_same_record(store.run("whole"), done)
+    resume(store, "a", steps=250, rerun=False)  # the versions of the last resume count
+
+
+@pytest.mark.parametrize("package", ["python", "numpy", "tom-studio"])
+def test_another_version_of_what_should_not_matter__is_a_warning(store: Store, package: str):
+    def patched(content: dict[str, Any]) -> None:
+        major, minor, *_ = content["versions"][package].split(".")
+        content["versions"][package] = f"{major}.{minor}.99"
+
+    change(store.path / "a", patched)
+    done = resume(store, "a", rerun=False)
+    assert any(f"until here: {package}" in text for text in done.status.warnings)
+    assert_same_record(store.run("whole"), done)
+
+
+@pytest.mark.parametrize("version", ["this one's", "an earlier one's"])
+def test_a_learner_changed_by_hand__the_checkpoint_of_the_other_is_refused(
+    store: Store, version: str
+):
+    if version != "this one's":
+        without_settings(store.path / "a")
+
+    def changed(content: dict[str, Any]) -> None:
+        content["learner"] = content["config"]["learner"] = "mle"
+
+    change(store.path / "a", changed)
+    with pytest.raises(UserError, match=r"(learner tom, not mle|another learner than mle)"):
+        resume(store, "a", rerun=False)
+    assert store.run("a").status.state == "stopped"
+
+
+def test_threads_changed_by_hand__are_a_warning(store: Store):
+    change(store.path / "a", lambda content: content["config"].update(threads=2))
+    done = resume(store, "a", rerun=False)
+    assert any("threads (1, now 2)" in text for text in done.status.warnings)
+
+
+def test_a_checkpoint_of_an_earlier_version_without_settings__goes_on_to_the_same_end(store: Store):
+    without_settings(store.path / "a")
+    assert_same_record(store.run("whole"), resume(store, "a", rerun=False))
+
+
+def test_killed_right_after_a_resume_begins__the_status_says_the_step_and_the_return(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
+    """What is on the disk when the record is about to be rewound."""
+    before, seen = store.run("a").status, []
+
+    def killed(self: RunWriter, mark: object) -> None:
+        seen.append(RunReader(self.path).status)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RunWriter, "rewind", killed)
+    with pytest.raises(KeyboardInterrupt):
+        resume(store, "a", rerun=False)
+    [status] = seen
+    assert (status.state, status.env_step, status.last_return) == (
+        "running",
+        before.env_step,
+        before.last_return,
+    )
+    assert isinstance(before.last_return, float)
