@@ -1,6 +1,5 @@
 """Replay buffers for the pages: read once, read again when their files have changed."""
 
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -108,12 +107,9 @@ def _recorded(path: str, changed: Stamp) -> _Recorded:
 @st.cache_data(show_spinner=False, max_entries=512)
 def _length(path: str, changed: Stamp) -> int:
     folder = Path(path) / "buffer"
-    last = layout.numbers(folder, ".npz")[-1:]
-    try:
-        with np.load(Path(path) / layout.segment(last[0]), allow_pickle=False) as file:
-            return last[0] + len(file["reward"])
-    except (IndexError, OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return 0
+    first = max(layout.numbers(folder, ".npz"), default=0)
+    found = RunReader(path).arrays(layout.segment(first), lambda name: name == "reward") or {}
+    return first + len(found["reward"]) if "reward" in found else 0
 
 
 @st.cache_data(show_spinner=False, max_entries=128)

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from app.readers import RunInfo
 from tom.data.sampling import bin_means
+from tom.data.unpack import DAMAGE
 from tom.progression import Progression, progression
+from tom.record.array_files import read_table
 from tom.record.files import read_json
 from tom.reports import weighing_files
 from tom.reports.weighing_files import REPORT, WEIGHTS
@@ -74,8 +74,8 @@ def of_run(run: RunInfo, rows: int) -> list[Weighing]:
 def weights(weighing: Weighing) -> dict[tuple[str, int], NDArray[np.float32]]:
     """The weights (N,) by learner and seed; empty when the file cannot be read."""
     try:
-        table = pq.ParquetFile(Path(weighing.path) / WEIGHTS).read().to_pandas()
-    except (OSError, ValueError, pa.ArrowException):
+        table = read_table(Path(weighing.path) / WEIGHTS)
+    except DAMAGE:
         return {}
     found = {}
     for column in table.columns:

@@ -80,7 +80,7 @@ def kept_model(run: RunReader) -> KeptModel:
         raise UserError(f"run '{run.run_id}' kept no dynamics model: {why}")
     try:
         return KeptModel(held.env_step, _predictor(run, held.state["training"]))
-    except (KeyError, RuntimeError, ValueError) as error:  # ValidationError is a ValueError
+    except (LookupError, RuntimeError, ValueError, TypeError, AttributeError) as error:
         raise UserError(
             f"the model in the checkpoint of run '{run.run_id}' is another version's: "
             f"{reason(error)}"

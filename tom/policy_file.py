@@ -7,7 +7,6 @@ log standard deviation of a Gaussian that tanh squashes (see `tom.sac`). `critic
 versions have none.
 """
 
-import zipfile
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import relu
 
+from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import UserError, reason
 from tom.nn import StackedMLP
 from tom.sac import GaussianPolicy, MemberPolicy, Sac
@@ -86,13 +86,12 @@ class UniformPolicy:
 def read_policy(path: Path) -> StoredPolicy:
     """The policy in the file `path`. Raises UserError when there is none or it is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return StoredPolicy({name: file[name] for name in file.files})
+        return StoredPolicy(read_arrays(path))
     except FileNotFoundError:
         raise UserError(
             f"no policy at {path}: name a run folder, its policy.npz or 'random'"
         ) from None
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except (*DAMAGE, AttributeError) as error:
         raise UserError(f"{path} is no stored policy ({reason(error)}): name another") from error
 
 

@@ -22,6 +22,9 @@ from tom.record.heartbeat import BEAT_S
 from tom.resume_checks import check_training, check_versions
 from tom.run import AnyConfig, How, Recorded, Training, make_training, record
 
+UNFIT = (LookupError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError)
+"""what taking up a checkpoint of something else may raise"""
+
 
 def resume(
     store: Store,
@@ -162,7 +165,7 @@ def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch
         if "watch" in held.state:
             watch.load_state_dict(held.state["watch"])
         return held.state["record"]
-    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+    except UNFIT as error:
         raise UserError(
             f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is another "
             f"version's ({type(error).__name__}: {reason(error)}): start it again"

@@ -3,6 +3,9 @@
 import json
 import os
 import shutil
+import signal
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from threading import Event as Flag
 
@@ -11,6 +14,7 @@ import pandas as pd
 import pytest
 from faults import assert_same_record, config, ended, stopped, tom
 
+from tom.cli import main
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint
 from tom.record.manage import restore, trash
@@ -281,3 +285,53 @@ def test_a_large_metrics_file__is_the_same_table_as_row_by_row(
     odd = RunReader(run.path)
     assert odd.metrics()["env_step"].tolist() == [*by_row["env_step"], 999]
     assert "is damaged and was skipped" in odd.problems[0]
+
+
+@pytest.fixture
+def hurry() -> Iterator[None]:
+    """Whoever opens a pipe that nobody writes is interrupted."""
+
+    def late(*_: object) -> None:
+        raise AssertionError("held up by a pipe")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    "name",
+    [
+        "config.json",
+        "status.json",
+        "labels.json",
+        "metrics.jsonl",
+        "metrics.parquet",
+        "notices.jsonl",
+        "weights/profiles.jsonl",
+        "buffer/000000000.npz",
+        "checkpoint/000000130/manifest.json",
+        "checkpoint/000000130/state.pt",
+        ".writer",
+    ],
+)
+def test_a_pipe_in_place_of_a_file__holds_nobody_up_and_is_named(
+    store: Store, name: str, hurry: None, capsys: pytest.CaptureFixture[str]
+):
+    path = store.path / "stopped" / name
+    path.unlink(missing_ok=True)
+    os.mkfifo(path)
+    where = ["--store", str(store.path)]
+    assert main(["runs", "list", *where]) == 0
+    assert "whole" in capsys.readouterr().out
+    assert main(["runs", "verify", *where]) == (name != ".writer")
+    said = capsys.readouterr().out
+    assert (path.parent.name if "checkpoint" in name else name) in said or name == ".writer"
+    with suppress(UserError):
+        resume(store, "stopped", rerun=False)
+    if path.suffix == ".jsonl" or name == ".writer":
+        with pytest.raises(UserError, match="is no file"):
+            resume(store, "stopped", rerun=False)

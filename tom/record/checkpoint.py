@@ -17,6 +17,7 @@ from typing import Any, BinaryIO, cast
 
 import torch
 
+from tom.data.unpack import DAMAGE, check_tensors, check_views, open_file
 from tom.errors import reason
 from tom.record.files import read_json, sync
 
@@ -24,6 +25,8 @@ SCHEMA = 1
 FOLDER = "checkpoint"
 KEPT = 2
 STATE, MANIFEST = "state.pt", "manifest.json"
+UNUSABLE = (*DAMAGE, AttributeError, AssertionError, pickle.UnpicklingError)
+"""what loading a damaged checkpoint may raise"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ def load(folder: Path) -> Checkpoint | None:
     for path in folders(folder):
         try:
             state = _load_one(path)
-        except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        except UNUSABLE as error:
             problems.append(f"checkpoint {path.name} cannot be used: {reason(error)}")
             unusable.append(path)
             continue
@@ -140,12 +143,16 @@ def _load_one(path: Path) -> dict[str, Any]:
     manifest = read_json(path / MANIFEST)
     if manifest.get("schema") != SCHEMA:
         raise ValueError(f"schema {manifest.get('schema')} is not {SCHEMA}")
-    with (path / STATE).open("rb") as file:
+    with open_file(path / STATE) as file:
         if hashlib.file_digest(file, "sha256").hexdigest() != manifest.get("sha256"):
             raise ValueError("its content is torn or was altered (sha256 differs)")
-        file.seek(0)
+        check_tensors(file)
         # On the CPU, where it can be read without the GPU that it may have been written on.
-        return torch.load(file, map_location="cpu", weights_only=True)
+        state = torch.load(file, map_location="cpu", weights_only=True)
+    check_views(state)
+    if not isinstance(state, dict):
+        raise ValueError("it is no training's")
+    return state
 
 
 def folders(folder: Path) -> list[Path]:

@@ -13,6 +13,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from tom.data.unpack import read_bytes
+
 
 def replace(path: Path, write: Callable[[BinaryIO], object], *, sync: bool) -> None:
     """Replace `path` whole: a reader sees the old file or the new one, never a part.
@@ -155,7 +157,7 @@ def modified(path: Path) -> int:
 def read_json(path: Path) -> dict[str, Any]:
     """The JSON object in `path`. Raises OSError, or ValueError when it is something else."""
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_bytes(path))
     except RecursionError:
         raise ValueError("nested too deeply") from None
     if not isinstance(content, dict):
@@ -165,7 +167,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
     """The rows of a JSON lines file, and what was wrong with the lines that were skipped."""
-    lines = path.read_bytes().split(b"\n")
+    lines = read_bytes(path).split(b"\n")
     rows: list[dict[str, Any]] = []
     problems: list[str] = []
     for number, line in enumerate(lines, start=1):

@@ -12,9 +12,10 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import reason
 from tom.record import checkpoint, layout
-from tom.record.array_files import DAMAGE, read_arrays
+from tom.record.array_files import read_table
 from tom.record.files import modified, parse_json_line, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import unwritten
@@ -36,7 +37,7 @@ def verify(reader: RunReader) -> list[str]:
     fresh.buffer()
     problems = list(fresh.problems)
     for path in _arrays(fresh.path):
-        error = _unreadable(path)
+        error = _unreadable(path, fresh.most_bytes)
         name = str(path.relative_to(fresh.path))
         if error and not any(name in problem for problem in problems):
             problems.append(f"{name} cannot be read: {error}")
@@ -70,7 +71,7 @@ def repair(reader: RunReader) -> list[str]:
             done.append(f"{_name(reader, path)}: removed, it was never whole")
         done += [text for name in LINES if (text := _mend_lines(reader, name))]
         for path in _arrays(reader.path):
-            if _unreadable(path):
+            if _unreadable(path, reader.most_bytes):
                 done.append(f"{_name(reader, path)}: {_set_aside(reader, path)}")
         done += [text for text in (_mend_status(reader), _mend_table(reader)) if text]
     return done
@@ -83,15 +84,15 @@ def _arrays(path: Path) -> Iterator[Path]:
                 yield file
 
 
-def _unreadable(path: Path) -> str | None:
-    """Why an array file cannot be read to its end; None where it can."""
+def _unreadable(path: Path, most: int) -> str | None:
+    """Why an array file cannot be read to its end; None where it can, to at most `most` bytes."""
     try:
         if path.is_symlink():
             raise ValueError("a link is not followed")
         if path.suffix == ".parquet":
-            pq.ParquetFile(path).read()
+            read_table(path, most)
         else:
-            read_arrays(path)
+            read_arrays(path, most)
     except DAMAGE as error:
         return reason(error)
     return None

@@ -8,12 +8,14 @@ was thought dead finds another one's name in the file and writes no more.
 import fcntl
 import os
 import secrets
+import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from tom.data.unpack import read_bytes
 from tom.errors import UserError
 from tom.record import layout
 
@@ -64,7 +66,12 @@ def hold(path: Path) -> Hold:
             f"cannot write into run '{path.name}' ({error.strerror}): make its folder writable"
         ) from error
     try:
+        if not stat.S_ISREG(os.fstat(lock).st_mode):
+            raise UserError(f"{layout.LOCK} of run '{path.name}' is no file: remove it")
         _lock(lock)
+    except UserError:
+        os.close(lock)
+        raise
     except OSError as error:
         os.close(lock)
         raise UserError(
@@ -95,7 +102,7 @@ def _lock(file: int) -> None:
 def held(path: Path) -> bool:
     """A process on this machine holds the run folder `path`."""
     try:
-        lock = os.open(path / layout.LOCK, os.O_RDONLY | os.O_NOFOLLOW)
+        lock = os.open(path / layout.LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:
         return False
     try:
@@ -124,8 +131,8 @@ def alone_in(folder: Path) -> Iterator[None]:
 def written_here(path: Path) -> bool | None:
     """This machine, since it was started, wrote the run folder last; None where nobody knows."""
     try:
-        return (path / layout.LOCK).read_bytes().startswith(_boot())
-    except OSError:
+        return read_bytes(path / layout.LOCK).startswith(_boot())
+    except (OSError, ValueError):
         return None
 
 

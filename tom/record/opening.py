@@ -34,8 +34,11 @@ def renew(path: Path) -> None:
 
 
 def refuse_links(path: Path) -> None:
-    """Raises UserError where a part of the run folder leads elsewhere: nothing is written there."""
+    """Raises UserError where a part of the run folder leads elsewhere or is no file of its own."""
     names = [*layout.FOLDERS, "checkpoint", layout.METRICS, layout.PROFILES, layout.NOTICES]
     for name in (*names, layout.DAMAGED, layout.LOCK):
         if (path / name).is_symlink():
             raise UserError(f"{name} of run '{path.name}' is a link: not followed; remove it")
+    for name in (layout.METRICS, layout.PROFILES, layout.NOTICES, layout.LOCK):
+        if (path / name).exists() and not (path / name).is_file():
+            raise UserError(f"{name} of run '{path.name}' is no file: remove it")

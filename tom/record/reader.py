@@ -13,10 +13,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
+from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import reason
 from tom.events import Episode
-from tom.record import decode, labels, layout, small_copy, status
-from tom.record.array_files import DAMAGE, read_arrays, read_table
+from tom.record import bounds, decode, labels, layout, small_copy, status
+from tom.record.array_files import read_table
 from tom.record.decode import Arrays
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
@@ -30,6 +31,13 @@ T = TypeVar("T")
 def at_or_before(steps: Sequence[int], step: int) -> int:
     """The last of recorded `steps` that is not after `step`, else the first of them."""
     return max((at for at in steps if at <= step), default=steps[0])
+
+
+def _widths(part: tuple[tuple[Transitions, NDArray[np.int64]], Arrays]) -> list[tuple[int, ...]]:
+    """The shape of a row in each of a segment's arrays."""
+    (rows, _), state = part
+    arrays = [rows.obs, rows.action, rows.reward, rows.next_obs, rows.terminated, rows.truncated]
+    return [np.shape(array)[1:] for array in (*arrays, *state.values())]
 
 
 class RunReader:
@@ -81,6 +89,11 @@ class RunReader:
         """When the run was created, ISO 8601; empty when unknown."""
         return str(self.config.get("created", ""))
 
+    @cached_property
+    def most_bytes(self) -> int:
+        """Bytes that no array file of this run unpacks to: one that would is not read."""
+        return bounds.most_bytes(self.config)
+
     @property
     def small_copy(self) -> bool:
         """It is a small copy of a run (`tom runs export --small`): it cannot go on."""
@@ -114,7 +127,7 @@ class RunReader:
         """
         rows, table = self.path / layout.METRICS, self.path / layout.METRICS_TABLE
         if modified(table) >= modified(rows) > 0:
-            read = self._read(layout.METRICS_TABLE, read_table)
+            read = self._read(layout.METRICS_TABLE, self._table)
             if read is not None and "env_step" in read:
                 return read
         read = self._read(layout.METRICS, read_metrics)
@@ -141,7 +154,7 @@ class RunReader:
 
     def snapshot(self, step: int) -> pd.DataFrame:
         """A row a transition, oldest first: `weight`, and `log_ratio`, `dim_i` where kept."""
-        read = self._read(layout.snapshot(step), read_table, needed=True)
+        read = self._read(layout.snapshot(step), self._table, needed=True)
         return pd.DataFrame({"weight": np.zeros(0, np.float32)}) if read is None else read
 
     def policy_steps(self) -> list[int]:
@@ -153,8 +166,11 @@ class RunReader:
 
     def episodes(self, step: int) -> list[Episode]:
         """The evaluation episodes at `step`."""
-        name = layout.episodes(step)
-        return self._read(name, lambda p: decode.episodes_of(read_arrays(p)), needed=True) or []
+
+        def episodes(path: Path) -> list[Episode]:
+            return decode.episodes_of(read_arrays(path, self.most_bytes))
+
+        return self._read(layout.episodes(step), episodes, needed=True) or []
 
     def buffer(self) -> tuple[Transitions, NDArray[np.int64]]:
         """The replay buffer in order of collection, and which policy collected each row.
@@ -186,7 +202,13 @@ class RunReader:
 
     def field(self, name: str, step: int) -> dict[str, NDArray]:
         """The arrays of the task's own picture `name` at `step`."""
-        return self._read(layout.field(name, step), read_arrays, needed=True) or {}
+        return self.arrays(layout.field(name, step)) or {}
+
+    def arrays(
+        self, name: str, wanted: Callable[[str], bool] = lambda name: True
+    ) -> dict[str, NDArray] | None:
+        """The `wanted` arrays of the file `name` of the run; None where it cannot be read."""
+        return self._read(name, lambda p: read_arrays(p, self.most_bytes, wanted), needed=True)
 
     def rrd_files(self) -> list[Path]:
         """The Rerun recordings, in the order they were written."""
@@ -196,10 +218,10 @@ class RunReader:
         """Rows with their policy versions, and states, of every segment up to the first gap."""
 
         def segment(path: Path) -> tuple[tuple[Transitions, NDArray[np.int64]], Arrays]:
-            arrays = read_arrays(path)
+            arrays = read_arrays(path, self.most_bytes)
             return decode.transitions_of(arrays), decode.state_of(arrays)
 
-        row = 0
+        row, widths = 0, None
         for first in layout.numbers(self.path / "buffer", ".npz"):
             name = layout.segment(first)
             if first != row:
@@ -208,8 +230,17 @@ class RunReader:
             part = self._read(name, segment)
             if part is None:
                 return
+            widths = widths or _widths(part)
+            if _widths(part) != widths:
+                self._problem(
+                    f"{name}: its rows are of another width; it and later rows are left out"
+                )
+                return
             yield part
             row += len(part[0][0])
+
+    def _table(self, path: Path) -> pd.DataFrame:
+        return read_table(path, self.most_bytes)
 
     def _lines(self, name: str) -> list[dict[str, Any]]:
         rows, problems = self._read(name, read_json_lines) or ([], [])

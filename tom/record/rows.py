@@ -6,6 +6,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.json
 
+from tom.data.unpack import read_bytes
 from tom.record import decode
 from tom.record.files import parse_json_line, read_json_lines
 
@@ -35,7 +36,7 @@ def _by_row(path: Path) -> tuple[pd.DataFrame, list[str]]:
 
 
 def _columns(path: Path) -> tuple[pd.DataFrame, list[str]]:
-    content = path.read_bytes()
+    content = read_bytes(path)
     whole = content[: content.rfind(b"\n") + 1]
     lines = whole.count(b"\n")
     flat = b"[" not in whole and whole.count(b"{") == lines

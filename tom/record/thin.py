@@ -70,10 +70,10 @@ def _copy(reader: RunReader, to: Path) -> None:
     for step in snapshots:
         _snapshot(reader, step, to)
     for step in _spread(reader.evaluation_steps(), EVALUATIONS):
-        _arrays(reader.path, to, layout.episodes(step), first_episode=True)
+        _arrays(reader, to, layout.episodes(step), first_episode=True)
     for name in reader.field_names():
         for step in _beside(reader.field_steps(name), snapshots):
-            _arrays(reader.path, to, layout.field(name, step))
+            _arrays(reader, to, layout.field(name, step))
 
 
 def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
@@ -170,13 +170,13 @@ def _model(reader: RunReader, to: Path) -> None:
 
 
 def _policy(reader: RunReader, to: Path) -> None:
-    _arrays(reader.path, to, layout.POLICY)
+    _arrays(reader, to, layout.POLICY)
 
 
 def _policies(reader: RunReader, to: Path) -> None:
     """Those of the fits whose single weights are kept."""
     for step in sorted({*reader.policy_steps()} & {*RunReader(to).snapshot_steps()}):
-        _arrays(reader.path, to, layout.policy(step))
+        _arrays(reader, to, layout.policy(step))
 
 
 PARTS: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
@@ -205,16 +205,15 @@ def _bytes(path: Path) -> int:
     return path.stat().st_size if path.is_file() else size_of(path)
 
 
-def _arrays(source: Path, to: Path, name: str, *, first_episode: bool = False) -> None:
+def _arrays(reader: RunReader, to: Path, name: str, *, first_episode: bool = False) -> None:
     """Copy the arrays of a file, or those of its first episode alone."""
-    try:
-        with np.load(source / name, allow_pickle=False) as file:
-            named = {n: n.partition(".")[0] for n in file.files}  # info_0.success: info_0
-            chosen = [n for n in named if not first_episode or named[n].endswith("_0")]
-            arrays = {n: file[n] for n in chosen}
-    except (OSError, ValueError):
-        return  # missing or damaged: `tom runs verify` names it
-    _save(to / name, arrays, coarse)
+
+    def wanted(array: str) -> bool:
+        return not first_episode or array.partition(".")[0].endswith("_0")  # info_0.success: info_0
+
+    arrays = reader.arrays(name, wanted)
+    if arrays is not None:  # else missing or damaged: `tom runs verify` names it
+        _save(to / name, arrays, coarse)
 
 
 def _save(path: Path, arrays: Mapping[str, NDArray], rounded: Callable[[NDArray], NDArray]) -> None:

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from tom.config import RunConfig
 from tom.data.transitions import Transitions
+from tom.data.unpack import read_arrays
 from tom.events import Episode, Weights
 from tom.record import decode, layout, lock, opening
 from tom.record.creating import make_folder
 from tom.record.files import JsonLines, read_json, replace, replace_json, sync
 from tom.record.profiles import effective_share, profile, zero_share
+from tom.record.reader import RunReader
 from tom.record.rows import read_metrics
 from tom.record.status import Status
 from tom.record.store import Store
@@ -95,8 +97,9 @@ class RunWriter:
             if first > self._tail_first:
                 (self.path / layout.segment(first)).unlink()
         if mark["segment_rows"]:
-            with np.load(self.path / layout.segment(self._tail_first), allow_pickle=False) as held:
-                self._tail = [{name: held[name][: mark["segment_rows"]] for name in held.files}]
+            path = self.path / layout.segment(self._tail_first)
+            held = read_arrays(path, RunReader(self.path).most_bytes)
+            self._tail = [{name: held[name][: mark["segment_rows"]] for name in held}]
 
     def sync(self) -> None:
         """Wait until the rows that a checkpoint counts on are on the disk."""

@@ -14,11 +14,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.data.sampling import bin_means
+from tom.data.unpack import DAMAGE
 from tom.errors import UserError
 from tom.learners import LEARNERS
 from tom.ordered_data import OrderedData
 from tom.progression import medians, progression
 from tom.record import layout
+from tom.record.array_files import read_table
 from tom.record.files import read_json, replace_json, whole_folder
 from tom.record.thin import write_columns
 from tom.reports.progression import Panel, profile_figure
@@ -145,10 +147,10 @@ def _data(path: Path) -> str | None:
 def _read_weights(path: Path) -> dict[str, NDArray[np.float32]]:
     """The weights of a weighing by learner and seed, without log ratios."""
     try:
-        table = pq.ParquetFile(path / WEIGHTS).read()
-    except (OSError, pa.ArrowException) as error:
+        table = read_table(path / WEIGHTS)
+    except DAMAGE as error:
         raise UserError(f"weighing {path} cannot be read ({error}): move it away") from error
-    kept = [name for name in table.column_names if not name.endswith(LOG_RATIO)]
+    kept = [name for name in table if not name.endswith(LOG_RATIO)]
     return {name: table[name].to_numpy() for name in kept}
 
 

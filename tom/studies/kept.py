@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.dtypes import Float32DType, Float64DType, Int64DType
 
+from tom.data.unpack import DAMAGE, check_tensors, open_file
 from tom.record.files import replace
 
 # What an array is made of; all else that is loaded is a primitive or one of the outcome's classes.
@@ -34,9 +35,10 @@ def keep(outcome: object, path: Path) -> None:
 def kept(path: Path, kind: type) -> Any:
     """The outcome of type `kind` at `path`; None where there is none that can be read."""
     try:
-        with torch.serialization.safe_globals([*ARRAYS, *classes(kind)]):
-            return torch.load(path, weights_only=True)
-    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError):
+        with open_file(path) as file, torch.serialization.safe_globals([*ARRAYS, *classes(kind)]):
+            check_tensors(file)
+            return torch.load(file, weights_only=True)
+    except (*DAMAGE, pickle.UnpicklingError):
         return None
 
 
