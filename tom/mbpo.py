@@ -106,8 +106,7 @@ class Mbpo:
         yield weighting.event(self.env_step, policy)
         report = yield from self.model.fitting(
             context.replay,
-            weighting.fit_weights(self.config.model.weight_clip),
-            weighting.per_dim,
+            *weighting.for_fit(self.config.model),
             self.streams.torch("fit"),
         )
         rollout_metrics = self.roll_out_model(context.replay, weighting)
@@ -123,10 +122,7 @@ class Mbpo:
         """Lines 22-25: k-step rollouts from states drawn by weight, into D_model."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
         self.model_buffer.resize(config.kept_at(self._on_policy_steps, self.config.fit_every))
-        weighted = config.weighted_starts and weighting.ready
-        starts = start_states(
-            replay, weighting.row_weights if weighted else None, config.starts, generator
-        )
+        starts = start_states(replay, weighting.for_starts(config), config.starts, generator)
         return roll_out(
             self.model,
             self.policy,
