@@ -96,6 +96,10 @@ class Weighting:
         """The rows' weights for a fit of the model, (N,): at most `clip` where they are clipped."""
         return self.row_weights.clamp(max=clip) if self.clipped else self.row_weights
 
+    def examined_weights(self, clip: float) -> Tensor:
+        """How much each row counted in that fit, (N,), on average over its dimensions."""
+        return self.fit_weights(clip) if self.per_dim is None else self.weights
+
     def event(self, env_step: int, policy: Mapping[str, NDArray] | None = None) -> Weights:
         """What a training tells of a fit by these weights; `policy` as in `Weights`."""
 
