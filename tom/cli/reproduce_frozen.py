@@ -73,8 +73,8 @@ CAPACITY = Study(
     "varies the model's capacity nowhere; its linear model of road-and-rocks is the small end.",
     "Error on new steps of the policy over the error under uniform weights, median over moments; "
     "bars hold their middle half.",
-    ("uniform", "recency", "half recency", "ratio", "tom discounted", "tom mended",
-     "half tom mended"),
+    ("uniform", "recency", "half-recency", "ratio", "tom-discounted", "tom-mended",
+     "half-tom-mended"),
     tuple(MODELS),
     capacity_figure,
     capacity.summary,

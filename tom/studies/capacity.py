@@ -50,13 +50,14 @@ def verdict(found: Sequence[Outcome]) -> list[str]:
     rows, said = summary(found), []
     for model in dict.fromkeys(row["model"] for row in rows):
         here = sorted((r for r in rows if r["model"] == model), key=lambda row: row["one step"])
-        best = here[0]
+        best, most = here[0], here[-1]
+        middle = f"{best['one step, low']:.2f} to {best['one step, high']:.2f}"
+        less = f"less in {best['one step, below 1']:.0%} of {best['n']}"
         said.append(
             f"Model {model}: {best['way']} errs least, {best['one step']:.2f} of the error under "
-            f"uniform weights one step ahead (middle half of the moments {best['one step, low']:.2f}"
-            f" to {best['one step, high']:.2f}, less in {best['one step, below 1']:.0%} of "
-            f"{best['n']}), {best['five steps']:.2f} five steps ahead; most under {here[-1]['way']}, "
-            f"{here[-1]['one step']:.2f}."
+            f"uniform weights one step ahead (middle half of the moments {middle}, {less}), "
+            f"{best['five steps']:.2f} five steps ahead; most under {most['way']}, "
+            f"{most['one step']:.2f}."
         )
     return said
 
