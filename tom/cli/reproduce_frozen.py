@@ -99,6 +99,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         parser.add_argument(
             "--ways", nargs="+", default=list(study.ways), metavar="WAY", help=", ".join(WAYS)
         )
+        parser.add_argument("--rows", type=int, default=6000, help="new transitions [6000]")
+        if study.models:
+            known = ", ".join(f"'{name}'" for name in MODELS)
+            parser.add_argument("--models", nargs="+", default=study.models, help=f"[{known}]")
         add_store(parser)
         add_jobs(parser)
         add_output(parser, study.name)
@@ -106,17 +110,24 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 
 def _command(study: Study) -> Callable[[argparse.Namespace], int]:
-    return lambda args: _run(replace(study, ways=tuple(_ways(args.ways))), args)
+    def run(args: argparse.Namespace) -> int:
+        models = getattr(args, "models", study.models)
+        for name in models:
+            if name not in MODELS:
+                raise unknown("model", name, MODELS)
+        return _run(replace(study, ways=tuple(_ways(args.ways)), models=tuple(models)), args)
+
+    return run
 
 
 def _run(study: Study, args: argparse.Namespace) -> int:
     check_seeds(args.jobs, args.seeds)
-    if args.moments < 1:
-        raise UserError("--moments must be at least 1")
+    if args.moments < 1 or args.rows < 100:
+        raise UserError("--moments must be at least 1 and --rows at least 100")
     runs = _runs(args)
     out_folder(args.out)
     found: list[Outcome] = []
-    asked = cases(runs, study.ways, args.seeds, args.moments, study.models)
+    asked = cases(runs, study.ways, args.seeds, args.moments, study.models, args.rows)
     for one in each(examined, asked, args.jobs, args.out):
         found.append(one)
         say(f"{len(found)} of {len(asked)}: {one.recording} at {one.step}: {one.way}")

@@ -32,7 +32,6 @@ from tom.record import RunReader, layout
 from tom.rng import Streams
 
 NEWEST = 1000  # rows of the policy buffer
-TESTED = 6000  # transitions that the policy makes anew
 
 
 @dataclass(frozen=True)
@@ -90,6 +89,7 @@ class Case:
     way: str
     seed: int = 0
     models: tuple[str, ...] = ()
+    rows: int = 6000  # transitions that the policy makes anew
     made: str = ""  # when the run was: another one in the same place is another case
 
 
@@ -135,10 +135,11 @@ def cases(
     seeds: Sequence[int],
     most: int,
     models: Sequence[str] = (),
+    rows: int = 6000,
 ) -> list[Case]:
     """Every way under every seed at every moment of every run."""
     return [
-        Case(run.path, step, way, seed, tuple(models), run.created)
+        Case(run.path, step, way, seed, tuple(models), rows, run.created)
         for run in runs
         for step in moments(run, most)
         for seed in seeds
@@ -154,7 +155,7 @@ def examined(case: Case) -> Outcome:
     weighting = _weighting(data, policy, config, newest=way.learner is None)
     rows, streams = data.transitions, Streams(case.seed)
     start, generator = streams.integer("test env"), streams.torch("test")
-    anew = footprint(task(run.env), policy, TESTED, start, generator).transitions.torch()
+    anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
     weights = weighting.counted(config.model)
     match = footprint_match(rows, weights, anew, step_scaling(rows), generator)
     return Outcome(
