@@ -87,10 +87,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         parser = subparsers.add_parser(
             study.name,
             help=study.help,
-            description="Take the replay buffers of runs as they stood at fits whose policy was "
-            "kept, weigh each by every way, and judge the result by episodes that the policy of "
-            f"that fit makes anew: {study.help}. Runs must be whole, or small copies made with "
-            "--keep buffer policies.",
+            description="Take the replay buffers of runs and of recordings of SAC as they stood "
+            "at steps whose policy was kept, weigh each by every way, and judge the result by "
+            f"episodes that the policy of that step makes anew: {study.help}. Runs must be whole, "
+            "or small copies made with --keep buffer policies.",
         )
         parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
         parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
@@ -184,16 +184,15 @@ def _runs(args: argparse.Namespace) -> list[RunReader]:
     runs = named or [run for run in store.runs() if run.env in envs and _usable(run)]
     if not runs:
         raise UserError(
-            f"{args.store}/ has no run with a buffer and policies of its fits: tom sweep --env "
-            "hopper --learner mle --steps 20000 makes one"
+            f"{args.store}/ has no run with a buffer and policies of its fits: "
+            "tom record-sac --env hopper --steps 20000 makes one"
         )
     return sorted(runs, key=lambda run: (list(ENVS).index(run.env), run.run_id))
 
 
 def _usable(run: RunReader) -> bool:
     has_both = not {"buffer", "policies"} & set(run.left_out)
-    online = run.env in ENVS and run.learner != "sac"
-    return run.is_run and online and has_both and bool(moments(run, 1))
+    return run.is_run and run.env in ENVS and has_both and bool(moments(run, 1))
 
 
 def _cell(value: object) -> str:

@@ -7,7 +7,7 @@ moved on since; it is judged by episodes that the policy of that fit makes anew.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from tom.collect import footprint
 from tom.config import OnlineConfig
+from tom.data.datasets import initial_obs
 from tom.data.sampling import ess
 from tom.data.transitions import TensorTransitions
 from tom.diagnostics import one_step_error, rollout_error, unbroken
@@ -32,6 +33,7 @@ from tom.record import RunReader, layout
 from tom.rng import Streams
 
 NEWEST = 1000  # rows of the policy buffer
+RANDOM = 5000  # random rows before those of a recording of SAC, as many as a training explores
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,10 @@ class Outcome:
 
 def moments(run: RunReader, most: int) -> list[int]:
     """The fits, `most` at most and evenly spread, at which a run kept its policy on policy."""
-    first = int(run.config["config"]["exploration_steps"]) + NEWEST
+    settings = run.config["config"]
+    first = int(settings["exploration_steps"]) + NEWEST
+    if run.learner == "sac":
+        first += int(settings["steps"])
     steps = [step for step in run.policy_steps() if step >= first]
     if len(steps) <= most:
         return steps
@@ -150,7 +155,7 @@ def cases(
 def examined(case: Case) -> Outcome:
     """Weigh the moment's buffer, and judge the weights and the models fitted by them."""
     run, way = RunReader(case.run), WAYS[case.way]
-    data, policy = of_run(run, case.step), read_policy(case.run / layout.policy(case.step))
+    data, policy = _buffer(run, case.step), read_policy(case.run / layout.policy(case.step))
     config = _config(run, way, case.seed)
     weighting = _weighting(data, policy, config, newest=way.learner is None)
     rows, streams = data.transitions, Streams(case.seed)
@@ -171,6 +176,22 @@ def examined(case: Case) -> Outcome:
         footprint_uniform=match.get("footprint_uniform", np.nan),
         footprint_noise=match.get("footprint_noise", np.nan),
         errors=tuple(_error(name, rows, weighting, anew, config) for name in case.models),
+    )
+
+
+def _buffer(run: RunReader, step: int) -> OrderedData:
+    """The replay buffer of a training at `step`, or what stands for one in a recording of SAC."""
+    if run.learner != "sac":
+        return of_run(run, step)
+    data = of_run(run)
+    first = max(data.ordered_from - RANDOM, 0)
+    rows = data.transitions[first:step]
+    return replace(
+        data,
+        transitions=rows,
+        policy_version=data.policy_version[first:step],
+        initial_obs=torch.as_tensor(initial_obs(rows)),
+        ordered_from=data.ordered_from - first,
     )
 
 

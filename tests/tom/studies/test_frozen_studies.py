@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from tom.cli import main
+from tom.config import SacRecordingConfig
 from tom.presets import resolve
 from tom.record import RunReader, Store
 from tom.run import train
@@ -160,3 +161,18 @@ def test_every_way_is_a_learner_of_the_registry_or_the_newest_rows():
         assert (way.learner is None) == (name == "newest")
         if way.learner:
             resolve("hopper", way.learner, way.preset, dict(way.settings))
+
+
+def test_a_recording_of_sac_stands_for_a_replay_buffer(tmp_path: Path):
+    config = SacRecordingConfig(env="hopper").but(
+        steps=1500,
+        exploration_steps=200,
+        snapshots=5,
+        sac={"hidden": 16, "batch_size": 32},
+        evaluation={"every": 1500, "episodes": 1},
+    )
+    recording = train(config, Store(tmp_path), "recorded", rerun=False)
+    assert recording.policy_steps() == [1800, 2100, 2400, 2700, 3000]
+    assert moments(recording, 10) == [2700, 3000]  # a policy buffer of on-policy rows before each
+    newest = examined(Case(recording.path, 2700, "newest", rows=300))
+    assert newest.ess == pytest.approx(1000 / 2700)
