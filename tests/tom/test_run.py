@@ -79,7 +79,8 @@ def test_a_finished_run_that_goes_on_has_its_last_fit_examined_anew(undisturbed,
     early = train(config(steps=STOP), store, "a", rerun=False)
 
     def exams(run: RunReader) -> dict[int, float]:
-        return dict(run.metrics().set_index("env_step")["exam/error"].dropna())
+        table = run.metrics().dropna(subset="exam/error")
+        return dict(zip(table["env_step"], table["exam/error"], strict=True))
 
     first, whole = exams(early), exams(undisturbed)
     assert list(first) == [200, 300]  # the second over 33 steps so far
