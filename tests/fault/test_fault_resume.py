@@ -14,8 +14,8 @@ from tom.cli import main
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint
 from tom.record.writer import RunWriter
-from tom.resume import resume
-from tom.run import train
+from tom.training.resume import resume
+from tom.training.run import train
 
 pytestmark = [pytest.mark.fault, pytest.mark.quick]
 

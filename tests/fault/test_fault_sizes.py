@@ -19,12 +19,12 @@ from torch import _utils
 
 from tom.cli import main
 from tom.errors import UserError
-from tom.policy_file import read_policy
+from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint
 from tom.record.export import export_small
 from tom.record.health import repair, verify
-from tom.resume import resume
-from tom.run import train
+from tom.training.resume import resume
+from tom.training.run import train
 
 pytestmark = [pytest.mark.fault, pytest.mark.quick]
 

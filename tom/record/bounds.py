@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tom.data.unpack import MOST
-from tom.memory import available
+from tom.machine.memory import available
 
 ROW_BYTES = 16_000
 """More than a step of any task takes: Humanoid's, its simulator's state too, is 6 kB in doubles."""

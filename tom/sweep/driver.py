@@ -20,8 +20,8 @@ from tom.record import RunReader, checkpoint
 from tom.record.versions import ACCEPT
 from tom.sweep.engine import Engine, Exit, Process, lives
 from tom.sweep.home import LOGS, Home
-from tom.sweep.plan import Trial, same_run
 from tom.sweep.silence import lost
+from tom.training.plan import Trial, same_run
 
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
 
