@@ -22,7 +22,7 @@ from tom.errors import UserError
 from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint
 from tom.record.export import export_small
-from tom.record.health import repair, verify
+from tom.record.integrity import repair, verify
 from tom.training.resume import resume
 from tom.training.run import train
 

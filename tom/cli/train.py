@@ -21,9 +21,9 @@ from tom.errors import DivergedError, UserError
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store, checkpoint
 from tom.record.files import size_of
+from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
-from tom.sweep.home import FolderHome
 from tom.training.presets import PRESETS, config_type, resolve
 from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import AnyConfig, Stop, train
@@ -105,14 +105,14 @@ def _train_many(args: argparse.Namespace) -> int:
         return train_many.run_fleets(args, [trials], stop, rerun=rerun)
     store.ensure_writable()
     engine = LocalEngine(len(os.sched_getaffinity(0)))
-    home = FolderHome(store)
+    home = FolderBackend(store)
     return drive(args, Driver(home, trials, engine, accept_versions=args.accept_versions))
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
     """Run `config` under the options that every recorded run shares; the exit code."""
     store = Store(args.store)
-    return _watched(args, config, lambda **how: train(config, store, args.run_id, **how))
+    return _watched(args, config, lambda **options: train(config, store, args.run_id, **options))
 
 
 def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> int:
@@ -122,7 +122,9 @@ def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> 
         config = config.but(steps=steps)
     accepted = args.accept_versions
     return _watched(
-        args, config, lambda **how: resume(store, run_id, steps, accept_versions=accepted, **how)
+        args,
+        config,
+        lambda **options: resume(store, run_id, steps, accept_versions=accepted, **options),
     )
 
 

@@ -15,7 +15,7 @@ from tom.nn.lockstep import Lockstep
 from tom.record import RunReader, Store
 from tom.training.plan import Trial, same_run
 from tom.training.resume import resumed, unfinished
-from tom.training.run import Consumer, How, Recorded, Stop, recorded
+from tom.training.run import Consumer, Recorded, RecordingOptions, Stop, recorded
 
 
 def train_fleet(
@@ -37,8 +37,8 @@ def train_fleet(
     runs = store.runs()
     hows = [How(rerun=rerun, watchers=own, command=command, stop=stop) for own in watching]
     members = [
-        _member(trial, runs, store, accept_versions, **how)
-        for trial, how in zip(trials, hows, strict=True)
+        _member(trial, runs, store, accept_versions, **options)
+        for trial, options in zip(trials, hows, strict=True)
     ]
     return Lockstep().run(members)
 
@@ -60,7 +60,7 @@ def _member(
     runs: Sequence[RunReader],
     store: Store,
     accept_versions: bool,
-    **how: Unpack[How],
+    **options: Unpack[RecordingOptions],
 ) -> Recorded:
     """The training of one member: new, from its checkpoint, or nothing where it is finished."""
     found = same_run(trial, runs)
@@ -68,8 +68,8 @@ def _member(
         return _finished(found)
     begun = unfinished(store, trial.config)
     if begun is not None:
-        return resumed(store, begun, accept_versions=accept_versions, **how)
-    return recorded(trial.config, store, None if found else trial.run_id, **how)
+        return resumed(store, begun, accept_versions=accept_versions, **options)
+    return recorded(trial.config, store, None if found else trial.run_id, **options)
 
 
 def _finished(run: RunReader) -> Recorded:

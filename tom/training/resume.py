@@ -19,7 +19,7 @@ from tom.record.checkpoint import Checkpoint
 from tom.record.heartbeat import BEAT_S
 from tom.training.presets import config_type
 from tom.training.resume_checks import check_training, check_versions
-from tom.training.run import AnyConfig, How, Recorded, Training, make_training, record
+from tom.training.run import AnyConfig, Recorded, RecordingOptions, Training, make_training, record
 from tom.training.watch import Watch
 
 UNFIT = (LookupError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError)
@@ -32,7 +32,7 @@ def resume(
     steps: int | None = None,
     *,
     accept_versions: bool = False,
-    **how: Unpack[How],
+    **options: Unpack[RecordingOptions],
 ) -> RunReader:
     """Go on with a run from its newest whole checkpoint, to `steps` where given.
 
@@ -40,7 +40,7 @@ def resume(
     interrupted; other versions of what decides it are refused unless `accept_versions`. Raises
     UserError where the run cannot go on.
     """
-    return finished(resumed(store, run_id, steps, accept_versions=accept_versions, **how))
+    return finished(resumed(store, run_id, steps, accept_versions=accept_versions, **options))
 
 
 def resumed(
@@ -49,7 +49,7 @@ def resumed(
     steps: int | None = None,
     *,
     accept_versions: bool = False,
-    **how: Unpack[How],
+    **options: Unpack[RecordingOptions],
 ) -> Recorded:
     """`resume` as a member of a fleet runs it: its heavy work is handed out."""
     keep_freed_memory()
@@ -78,12 +78,12 @@ def resumed(
         writer.close()
         raise
     held.drop_unusable()
-    sink = open_sink(writer) if how.get("rerun", True) else None
+    sink = open_sink(writer) if options.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
-        writer.resumed(config, how.get("command", ""))
+        writer.resumed(config, options.get("command", ""))
         said += [("checkpoint", text) for text in held.problems]
         before = [Notice(held.env_step, kind, text) for kind, text in said if text]
-        yield from record(training, watch, recorder, writer, how, before)
+        yield from record(training, watch, recorder, writer, options, before)
     return RunReader(writer.path)
 
 
