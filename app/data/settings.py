@@ -32,7 +32,7 @@ class Made(Protocol):
 
 
 def in_words(config: object) -> dict[str, str]:
-    """A configuration as path: words (`sac.lr`: `0.0003`); empty for what is none."""
+    """A configuration as path: words (`sac.lr`: `0.0003`); empty where it is no mapping."""
     values = flat(config) if isinstance(config, dict) else {}
     return {path: str(value).lower() for path, value in values.items()}
 

@@ -9,7 +9,7 @@ import viser
 from websockets.http11 import Request
 
 from app.links import Links
-from app.scenes.control import Choice, Replay, Road, Selection, States, listen
+from app.scenes.control import Choice, ReplayChoice, RoadChoice, Selection, StatesChoice, listen
 from app.scenes.frame import Frame
 from app.scenes.replay_frame import ReplayFrame
 from app.scenes.road_frame import RoadFrame
@@ -18,9 +18,9 @@ from tom.errors import UserError
 
 TICK_S = 1 / 30
 FRAMES: dict[type[Choice], type[Frame]] = {
-    Road: RoadFrame,
-    Replay: ReplayFrame,
-    States: StatesFrame,
+    RoadChoice: RoadFrame,
+    ReplayChoice: ReplayFrame,
+    StatesChoice: StatesFrame,
 }
 """which frame shows what a page can choose"""
 
@@ -63,7 +63,7 @@ class SceneServer:
 
         So a page's wish waits for its first frame, and a frame that comes back does not begin anew.
         """
-        asked = choice.played if isinstance(choice, Replay) else 0
+        asked = choice.played if isinstance(choice, ReplayChoice) else 0
         begun, self.begun[name] = self.begun.get(name, 0), asked
         return asked > begun
 
@@ -85,7 +85,7 @@ class SceneServer:
         if request is None or not trusted(request.headers, self.links.allowed_hosts):
             return  # an empty scene: nothing of the store goes to a foreign page
         name = request.path.strip("/")
-        selection = self.chosen.get(name, Selection(Road(), self.links.theme or "light"))
+        selection = self.chosen.get(name, Selection(RoadChoice(), self.links.theme or "light"))
         frame = self._frame(client, selection)
         if not self._insert(client.client_id, name, frame):
             return

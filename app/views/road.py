@@ -12,7 +12,7 @@ from app.figures.road import road_map
 from app.parts import empty, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
-from app.scenes.control import Road
+from app.scenes.control import RoadChoice
 from app.scenes.export import as_html
 from app.theme import learner_label
 from tom.metrics import describe
@@ -88,14 +88,14 @@ def _pictures(together: list[RunInfo], step: int) -> None:
     """The 3D scene, and the map of each run: below it, or beside it where there is one run."""
     ids = tuple(each.run_id for each in together)
     if len(together) > 1:
-        stage(Road(ids, step), HEIGHT)
+        stage(RoadChoice(ids, step), HEIGHT)
         for column, each in zip(st.columns(len(together)), together, strict=True):
             with column, st.container(border=True):
                 _flat_map(each, step, SMALL)
         return
     left, right = st.columns([5, 4])
     with left:
-        stage(Road(ids, step), HEIGHT)
+        stage(RoadChoice(ids, step), HEIGHT)
     with right:
         _flat_map(together[0], step, HEIGHT)
 

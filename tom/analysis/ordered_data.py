@@ -144,7 +144,7 @@ def to_unit_range(action: NDArray, known: MujocoTask) -> NDArray[np.float32]:
 
 
 def find_run(name: str, store: Store) -> RunReader | None:
-    """The run called `name`, an id in the store or a folder; None where it is none."""
+    """The run called `name`, an id in the store or a folder; None where there is no such run."""
     path = Path(name)
     if (path / "config.json").is_file():
         return Store(path.absolute().parent).run(path.absolute().name)

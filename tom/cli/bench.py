@@ -20,7 +20,7 @@ from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store
-from tom.sweep import Job, run_jobs
+from tom.sweep import Command, run_commands
 
 LEARN_ENV = "inverted-pendulum"
 LEARN_STEPS = 6000
@@ -86,7 +86,7 @@ NOT_MEASURED = (
 
 
 def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
-    from tom.bench import kept, parts, peers, projection, report, targets, timing
+    from tom.bench import last, parts, peers, projection, report, targets, timing
 
     if into is not None:
         report.require_place(into)
@@ -101,7 +101,7 @@ def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
         wanted, met = targets.target(timed) or (None, None)
         rows.append({**asdict(timed), "target": wanted, "met": met})
     ms = {timed.part: timed.ms for timed in timings}
-    kept.keep(ms)
+    last.save(ms)
     hours = projection.hours(ms)
     missing = [*NOT_MEASURED, *peers.missing()]
     found = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
@@ -198,17 +198,19 @@ def learn(
     with tempfile.TemporaryDirectory() as scratch:
         path = store or Path(scratch)
         before = {run.run_id for run in Store(path).runs()}
-        run_jobs(list(_learn_jobs(learners, seeds, steps, path)))
+        run_commands(list(_learn_commands(learners, seeds, steps, path)))
         rows = [_learn_row(r) for r in Store(path).runs() if r.run_id not in before]
     return sorted(rows, key=lambda row: (row["learner"], row["seed"]))
 
 
-def _learn_jobs(learners: list[str], seeds: list[int], steps: int, store: Path) -> Iterator[Job]:
+def _learn_commands(
+    learners: list[str], seeds: list[int], steps: int, store: Path
+) -> Iterator[Command]:
     for learner in learners:
         for seed in seeds:
             shared = ("--store", str(store), "--no-rerun", "--steps", str(steps))
             which = ("--env", LEARN_ENV, "--learner", learner, "--seed", str(seed))
-            yield Job(f"{learner} {seed}", (*which, *shared))
+            yield Command(f"{learner} {seed}", (*which, *shared))
 
 
 def _learn_row(run: RunReader) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from tom.cli.parser import folder
 from tom.cli.tables import show
 from tom.cli.train import number, summary
 from tom.record import RunReader, Store
-from tom.sweep import Job, run_jobs
+from tom.sweep import Command, run_commands
 
 ROAD_LEARNERS = ("mle", "pmac", "tom")
 ONLINE_LEARNERS = ("mle", "tom")
@@ -51,21 +51,21 @@ def run(args: argparse.Namespace) -> int:
         return 0
 
 
-def jobs(store: Path, seed: int, headless: bool) -> list[Job]:
+def jobs(store: Path, seed: int, headless: bool) -> list[Command]:
     """The five trainings of the demo."""
     road = [("road-and-rocks", learner, ()) for learner in ROAD_LEARNERS]
     online = [(ONLINE_ENV, name, ("--steps", str(ONLINE_STEPS))) for name in ONLINE_LEARNERS]
     shared = ("--store", str(store), "--seed", str(seed))
     quiet = ("--no-rerun",) if headless else ()
     return [
-        Job(f"{env} {learner}", ("--env", env, "--learner", learner, *extra, *shared, *quiet))
+        Command(f"{env} {learner}", ("--env", env, "--learner", learner, *extra, *shared, *quiet))
         for env, learner, extra in [*road, *online]
     ]
 
 
 def _train_all(store: Store, args: argparse.Namespace) -> int:
     before = {r.run_id for r in store.runs()}
-    codes = run_jobs(jobs(store.path, args.seed, args.headless))
+    codes = run_commands(jobs(store.path, args.seed, args.headless))
     done = [r for r in store.runs() if r.run_id not in before]
     _print_table(sorted(done, key=lambda r: (r.env, r.learner)))
     failed = [name for name, code in codes.items() if code]

@@ -14,7 +14,7 @@ GRACE_S = 20.0  # a training stops within this once it is asked to
 
 
 @dataclass(frozen=True)
-class Job:
+class Command:
     """One `tom train` and where its output goes."""
 
     name: str
@@ -23,10 +23,10 @@ class Job:
     environment: dict[str, str] = field(default_factory=dict)
 
 
-def run_jobs(
-    jobs: Sequence[Job],
+def run_commands(
+    jobs: Sequence[Command],
     workers: int | None = None,
-    finished: Callable[[Job, int], None] = lambda job, code: None,
+    finished: Callable[[Command, int], None] = lambda job, code: None,
 ) -> dict[str, int]:
     """Run all jobs, `workers` at a time (default: one a core); exit codes by job name.
 
@@ -52,7 +52,7 @@ def run_jobs(
     return codes
 
 
-def _start(job: Job) -> subprocess.Popen[bytes]:
+def _start(job: Command) -> subprocess.Popen[bytes]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", **job.environment}
     command = [sys.executable, "-m", "tom", "train", *job.arguments]
     if job.log is None:
