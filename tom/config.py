@@ -133,8 +133,8 @@ class TomConfig(Config):
     discriminator: bool = True
     """off: r is 1 on the policy buffer and 0 elsewhere (the paper's ablation)"""
     discriminator_input: Literal["transitions", "state-actions"] = "transitions"
-    """what r is a ratio of: (s, a, s') as in the paper, or (s, a): the same r, with less noise, where
-    one environment made both buffers"""
+    """what r is a ratio of: (s, a, s') as in the paper, or (s, a), which is the same r with less
+    noise where one environment made both buffers"""
     discriminator_steps: Whole = 100
     discriminator_batch: Count = 256
     discriminator_lr: Positive = 3e-4
