@@ -8,8 +8,8 @@ episodes end, both are streams in order, as training collects them, whatever the
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -221,6 +221,44 @@ def model_bias(case: Case) -> float:
     distance = np.abs(model - mdp.transition).sum(2) / 2
     seen = np.isfinite(distance)
     return float(np.average(distance[seen], weights=occupancy(mdp, target)[seen]))
+
+
+def exact_flows(seeds: Sequence[int]) -> list[dict[str, Any]]:
+    """What each flow asks for under chi-square where both buffers are streams that end.
+
+    A row a flow over the MDPs of `ending_cases`: the weight on ends over the policy's own share
+    (median, least and most), the mass of the weights, and where the policy made the replay itself,
+    so that weights should be one, the weight on ends over their share and the L1 distance from one.
+    """
+    return [_exact_flow(ending_cases(seeds, flow), flow) for flow in get_args(FlowName)]
+
+
+def _exact_flow(asked: Sequence[Case], flow: FlowName) -> dict[str, Any]:
+    solved = [_solved(case) for case in asked if case.divergence == "chi2"]
+    own = [_solved(replace(case, same_policy=True)) for case in asked if case.divergence == "chi2"]
+    ends, mass, _ = np.array(solved).T
+    own_ends, _, own_l1 = np.median(own, axis=0)
+    return {
+        "flow": flow,
+        "problems": len(solved),
+        "ends": float(np.median(ends)),
+        "ends_least": float(ends.min()),
+        "ends_most": float(ends.max()),
+        "mass": float(np.median(mass)),
+        "own_ends": float(own_ends),
+        "own_l1": float(own_l1),
+    }
+
+
+def _solved(case: Case) -> tuple[float, float, float]:
+    """Exactly: weight on ends over the policy's share, mass, and L1 from the streams' p/q."""
+    mdp, target, behaviour = draw(case, np.random.default_rng(case.seed))
+    problem = problem_of(case, mdp, target, behaviour)
+    weights = solve(problem, case.divergence).weights
+    mass, ratio = float(problem.replay @ weights), np.exp(problem.log_ratio)
+    weights, ends = weights / mass, mdp.terminal[problem.index[2]]
+    share = _on(ends, problem.replay * weights) / _on(ends, problem.replay * ratio)
+    return share, mass, float(problem.replay @ np.abs(weights - ratio))
 
 
 def estimate(case: Case, variant: Variant) -> Estimate:

@@ -19,6 +19,7 @@ from tom.studies.tabular import (
     draw,
     ending_cases,
     estimate,
+    exact_flows,
     model_bias,
     problem_of,
     summary,
@@ -55,6 +56,17 @@ def test_forty_eight_problems_have_ends_in_every_flow_that_keeps_its_mass():
             share = (problem.replay * np.exp(problem.log_ratio))[last].sum()
             assert 0.004 < share < 0.02
             solve(problem, case.divergence)
+
+
+def test_exactly_the_stationary_flow_alone_weighs_the_policys_own_stream_one():
+    discounted, restart, stationary = exact_flows([0, 1])
+    assert [row["problems"] for row in (discounted, restart, stationary)] == [8, 8, 8]
+    assert discounted["ends"] < 0.6 < restart["ends"] < 1.1
+    assert stationary["ends"] == pytest.approx(1.0, abs=0.1)
+    assert discounted["mass"] < 0.9
+    assert restart["mass"] == pytest.approx(1.0)
+    assert stationary["own_l1"] < 1e-8 < restart["own_l1"] < discounted["own_l1"]
+    assert discounted["own_ends"] < 0.05
 
 
 def test_dense_cases_lead_everywhere_and_their_weights_are_known():
