@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from typing import Any, get_args
 
 from tom.cli.study import (
     add_jobs,
@@ -30,9 +31,11 @@ from tom.studies.tabular import (
     VARIANTS,
     Case,
     Estimate,
+    Inputs,
     Variant,
     acceptance,
     cases,
+    counted,
     dense_cases,
     ending_cases,
     estimate,
@@ -80,7 +83,8 @@ def run(args: argparse.Namespace) -> int:
     check_seeds(args.jobs, [*args.seeds, *args.variant_seeds])
     out_folder(args.out)
     found = _estimates(args)
-    judged, rows = _of(found, JUDGED), [e.row() for e in found if not e.case.same_policy]
+    rows = [e.row() for e in found if not e.case.same_policy] + _counted(args)
+    judged = _of(found, JUDGED)
     checks = acceptance(
         [e.row() for e in judged],
         [e.row() for e in found if e.case.same_policy],
@@ -134,6 +138,20 @@ def _asked(seeds: Sequence[int], fewer: Sequence[int]) -> list[tuple[Case, Varia
 
 def _of(found: Sequence[Estimate], way: Variant) -> list[Estimate]:
     return [e for e in found if e.variant == way.label and not e.case.same_policy]
+
+
+def _counted(args: argparse.Namespace) -> list[dict[str, Any]]:
+    """What sampling alone leaves of every family, by counts of (s, a) and of (s, a, s')."""
+    families = cases(args.seeds), dense_cases(args.variant_seeds)
+    every = [*families, ending_cases(args.seeds, "stationary")]
+    asked: list[tuple[Case, Inputs]] = [
+        (case, of) for family in every for of in get_args(Inputs) for case in family
+    ]
+    return [found.row() for found in each(_count, asked, args.jobs, args.out)]
+
+
+def _count(asked: tuple[Case, Inputs]) -> Estimate:
+    return counted(*asked)
 
 
 def _estimate(asked: tuple[Case, Variant]) -> Estimate:

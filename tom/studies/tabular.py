@@ -61,6 +61,13 @@ class Case:
     same_policy: bool = False  # pi = pi_D
 
     @property
+    def family(self) -> str:
+        """Of which problems it is one, as the labels of ways to estimate begin."""
+        if self.ends:
+            return f"{self.flow} flow: "
+        return "dense MDPs: " if self.successors == self.states else ""
+
+    @property
     def made_by(self) -> FlowName:
         """Which occupancy the samples are drawn from: where episodes end, the stream's."""
         return "stationary" if self.ends else "discounted"
@@ -263,29 +270,80 @@ def _solved(case: Case) -> tuple[float, float, float]:
 
 def estimate(case: Case, variant: Variant) -> Estimate:
     """Draw the case's buffers, estimate their weights and hold them against the exact ones."""
-    rng = np.random.default_rng(case.seed)
-    mdp, target, behaviour = draw(case, rng)
-    problem = problem_of(case, mdp, target, behaviour)
-    buffer, index = _sample(case, mdp, behaviour, case.replay, rng)
-    lately, _ = _sample(case, mdp, target, case.policy_buffer, rng)
+    drawn = _draw(case)
     found = occupancy_weights(
-        buffer,
-        lately,
-        _policy(target, variant.support),
-        torch.from_numpy(sample_starts(mdp, case.starts, rng)),
+        drawn.buffer,
+        drawn.lately,
+        _policy(drawn.target, variant.support),
+        torch.from_numpy(drawn.starts),
         variant.config(case),
         torch.Generator().manual_seed(case.seed),
     )
     return _compare(
         case,
-        variant,
-        problem,
-        _rows_of(problem, mdp, index),
-        mdp.terminal[index[:, 2]],
+        variant.label,
+        drawn,
         np.asarray(found.weights, np.float64),
         np.asarray(found.log_ratio, np.float64),
         found.metrics["weights/raw_mean"],
     )
+
+
+Inputs = Literal["transitions", "state-actions"]
+
+
+def counted(case: Case, inputs: Inputs) -> Estimate:
+    """The exact weights of the case's problem with r from the counts of its buffers.
+
+    What no estimate of r from these inputs can be asked to better by much: the sampling's error.
+    """
+    drawn = _draw(case)
+    problem, rows = drawn.problem, tuple(drawn.index.T)
+    q, p = _counts(drawn, drawn.index), _counts(drawn, drawn.recent)
+    if inputs == "state-actions":
+        q, p = (np.broadcast_to(x.sum(2, keepdims=True), x.shape) for x in (q, p))
+    # Half a transition of the policy's more, and as many of the replay's as go with it: finite,
+    # and nothing is said of what neither holds.
+    share = len(drawn.recent) / len(drawn.index)
+    ratio = np.log((p + 0.5) / (q * share + 0.5))
+    weights = np.zeros(q.shape)
+    noisy = replace(problem, log_ratio=ratio[problem.index])
+    weights[problem.index] = solve(noisy, case.divergence).weights
+    mean = float(weights[rows].mean())
+    read = "(s, a)" if inputs == "state-actions" else "(s, a, s')"
+    label = f"{case.family}counts of {read}"
+    return _compare(case, label, drawn, weights[rows] / mean, ratio[rows], mean)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A case's problem and the buffers drawn for it."""
+
+    mdp: Mdp
+    target: Array  # the policy (S, A)
+    problem: OccupancyProblem
+    buffer: Transitions  # the replay, (N,)
+    index: NDArray[np.intp]  # (N, 3)
+    lately: Transitions  # the policy's
+    recent: NDArray[np.intp]  # (P, 3)
+    starts: NDArray[np.float32]
+
+
+def _draw(case: Case) -> Drawn:
+    rng = np.random.default_rng(case.seed)
+    mdp, target, behaviour = draw(case, rng)
+    buffer, index = _sample(case, mdp, behaviour, case.replay, rng)
+    lately, recent = _sample(case, mdp, target, case.policy_buffer, rng)
+    starts = sample_starts(mdp, case.starts, rng)
+    problem = problem_of(case, mdp, target, behaviour)
+    return Drawn(mdp, target, problem, buffer, index, lately, recent, starts)
+
+
+def _counts(drawn: Drawn, index: NDArray[np.intp]) -> Array:
+    """How often each (s, a, s') stands in a buffer, (S, A, S)."""
+    counts = np.zeros(drawn.mdp.transition.shape)
+    np.add.at(counts, tuple(index.T), 1)
+    return counts
 
 
 def _sample(
@@ -346,15 +404,11 @@ def _rows_of(problem: OccupancyProblem, mdp: Mdp, index: NDArray[np.intp]) -> ND
 
 
 def _compare(
-    case: Case,
-    variant: Variant,
-    problem: OccupancyProblem,
-    rows: NDArray[np.intp],
-    ends: NDArray[np.bool_],
-    weights: Array,
-    log_ratio: Array,
-    raw_mean: float,
+    case: Case, label: str, drawn: Drawn, weights: Array, log_ratio: Array, raw_mean: float
 ) -> Estimate:
+    problem = drawn.problem
+    rows = _rows_of(problem, drawn.mdp, drawn.index)
+    ends = drawn.mdp.terminal[drawn.index[:, 2]]
     exact = solve(problem, case.divergence).weights
     flow_mass = float(problem.replay @ exact)  # below 1 where the flow loses what ends
     exact = exact / flow_mass
@@ -371,7 +425,7 @@ def _compare(
     )
     with np.errstate(invalid="ignore"):
         estimated = mass * len(rows) / count
-    return Estimate(case, variant.label, score, problem.replay, exact, estimated)
+    return Estimate(case, label, score, problem.replay, exact, estimated)
 
 
 def _on(chosen: NDArray[np.bool_], weights: Array) -> float:

@@ -15,6 +15,7 @@ from tom.studies.tabular import (
     Variant,
     acceptance,
     cases,
+    counted,
     dense_cases,
     draw,
     ending_cases,
@@ -97,6 +98,26 @@ def test_where_episodes_end_the_estimate_is_of_streams_and_scores_the_ends():
     discounted = estimate(replace(case, flow="discounted"), Variant("quick", changes=QUICK))
     assert discounted.exact.shape == found.exact.shape
     assert not np.allclose(discounted.exact, found.exact, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(0, 10, 0.99, "chi2"),
+        Case(1, 1, 0.9, "kl"),
+        Case(2, 10, 0.99, "chi2", flow="stationary", ends=0.01),
+    ],
+)
+def test_counts_of_state_actions_leave_less_error_than_counts_of_transitions(case: Case):
+    """Sampling alone: both are solved exactly, and p(s'|s, a) is q(s'|s, a)."""
+    pairs, triples = (counted(case, of) for of in ("state-actions", "transitions"))
+    assert pairs.score.l1 < 0.06
+    assert pairs.score.spearman > 0.97
+    assert pairs.score.raw_mean == pytest.approx(1.0, abs=0.02)
+    if case.successors == 10:
+        assert 2 * pairs.score.l1 < triples.score.l1 < 0.3
+    assert (pairs.exact == triples.exact).all()
+    assert pairs.variant == f"{case.family}counts of (s, a)"
 
 
 def test_an_estimate_carries_the_points_behind_its_score():
