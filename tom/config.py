@@ -261,7 +261,8 @@ class RunConfig(Config):
     bins: Count = 100
     """bins of a weight profile, oldest to newest"""
     snapshots: Whole = 12
-    """fits over a run whose every single weight is kept (0: none but the last)"""
+    """fits over a run whose every single weight and policy is kept (0: none but the last); a
+    recording of SAC keeps its policy as often"""
     tom: TomConfig = TomConfig()
     pmac: PmacConfig = PmacConfig()
     vagram: VagramConfig = VagramConfig()

@@ -9,10 +9,10 @@ ROOT = Path(__file__).parents[2]
 LEVELS = [
     {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
     | {"adam", "graphs", "nested", "parent", "lockstep", "memory", "divergences", "statistics"}
-    | {"health", "device", "address"},
+    | {"health", "device", "address", "energy"},
     {"learners", "sac", "sac_work", "dynamics", "evaluate", "tabular", "planner", "cloning"}
     | {"collect", "policy_file", "road_policy"},
-    {"rollout", "diagnostics", "presets", "road_measure", "road_model"},
+    {"rollout", "diagnostics", "exam", "presets", "road_measure", "road_model"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
     {"run", "bench", "ordered_data"},
     {"weighing"},

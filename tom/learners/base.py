@@ -103,6 +103,11 @@ class Weighting:
         per_dim = None if self.per_dim is None else mixed_with_uniform(self.per_dim, share)
         return mixed_with_uniform(rows, share), per_dim
 
+    def counted(self, config: ModelConfig) -> Tensor:
+        """How much each row counts in that fit, (N,), on average over its dimensions."""
+        rows, per_dim = self.for_fit(config)
+        return rows if per_dim is None else per_dim.mean(1)
+
     def for_starts(self, config: RolloutConfig) -> Tensor | None:
         """The weights (N,) by which start states of rollouts are drawn; None: uniformly."""
         if not config.weighted_starts or not self.ready:
