@@ -16,13 +16,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from tom.config import TomConfig
-from tom.data.transitions import Transitions
-from tom.learners.base import Policy
-from tom.learners.tom import occupancy_weights
-from tom.presets import PRESETS
-from tom.studies.checks import Check, at_least, at_most
-from tom.tabular import (
+from tom.analysis.tabular import (
     Array,
     FlowName,
     Mdp,
@@ -39,6 +33,12 @@ from tom.tabular import (
     transition_occupancy,
     with_endings,
 )
+from tom.config import TomConfig
+from tom.data.transitions import Transitions
+from tom.learners.base import Policy
+from tom.learners.tom import occupancy_weights
+from tom.studies.checks import Check, at_least, at_most
+from tom.training.presets import PRESETS
 
 
 @dataclass(frozen=True)

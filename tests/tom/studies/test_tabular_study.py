@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tom.analysis.tabular import FlowName, solve
 from tom.config import TomConfig
-from tom.presets import resolve
 from tom.studies.tabular import (
     DENSE,
     ENDING,
@@ -25,7 +25,7 @@ from tom.studies.tabular import (
     problem_of,
     summary,
 )
-from tom.tabular import FlowName, solve
+from tom.training.presets import resolve
 
 QUICK = {
     "q_hidden": 32,
