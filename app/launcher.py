@@ -1,6 +1,7 @@
 """Starts Streamlit, the Rerun hub and the viser server, links them, and ends them together."""
 
 import os
+import secrets
 import signal
 import sys
 import tempfile
@@ -46,9 +47,9 @@ def run(studio: Studio, *, browser: bool) -> int:
             return 0
         if running is None:
             return 1
-        print(f"tom studio: {links.address}  (store {studio.store}; Ctrl-C stops it)", flush=True)
+        print(f"tom studio: {links.opened()}  (store {studio.store}; Ctrl-C stops it)", flush=True)
         if browser and _has_display():
-            webbrowser.open(links.address)
+            webbrowser.open(_leading_to(links).as_uri())
         return watch(running, stopping, time.monotonic)
 
 
@@ -91,6 +92,7 @@ def plan(studio: Studio, folder: Path) -> Links:
         viser_port=others[2],
         control=str(folder / "control"),
         theme=studio.theme,
+        key=secrets.token_urlsafe(),
     )
 
 
@@ -167,6 +169,13 @@ def watch(running: Sequence[Server], stopping: Event, clock: Callable[[], float]
                 file=sys.stderr,
             )
     return 0
+
+
+def _leading_to(links: Links) -> Path:
+    """A file that leads a browser to the studio: everybody sees the words a browser starts with."""
+    path = Path(links.control).with_name("studio.html")
+    path.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
+    return path
 
 
 def _has_display() -> bool:

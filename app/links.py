@@ -3,12 +3,12 @@
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Self
 from urllib.parse import quote
 
 from app.theme import Mode
-from tom.address import in_url, local_host, names
+from tom.address import in_url, local_host
 from tom.record.rerun import hub
 
 VARIABLE = "TOM_STUDIO"
@@ -30,6 +30,8 @@ class Links:
     control: str = ""
     """the socket where the pages tell the viser server what to show"""
     theme: Mode | None = None
+    key: str = field(default="", repr=False)
+    """whose pages may act; made anew by each launch, and without one none may"""
 
     @classmethod
     def from_environment(cls) -> Self:
@@ -51,14 +53,14 @@ class Links:
         return self.host in LOOPBACK
 
     @property
-    def allowed_hosts(self) -> list[str]:
-        """The names that a browser may use for this host; empty means any."""
-        return names(self.host)
-
-    @property
     def address(self) -> str:
-        """What a user opens."""
+        """Where the pages are."""
         return f"http://{in_url(self.local_host)}:{self.port}"
+
+    def opened(self, path: str = "") -> str:
+        """What a user opens: a page's address, with the key where its holder may act."""
+        fragment = f"#key={self.key}" if self.local_only else ""
+        return f"{self.address}/{path}{fragment}"
 
     def rerun_live(self, host: str, mode: Mode) -> str:
         """The web viewer, following what trains now."""

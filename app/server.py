@@ -2,11 +2,11 @@
 
 import logging
 import re
-from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 
 import streamlit as st
+from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import (
     FileResponse,
@@ -18,12 +18,13 @@ from starlette.responses import (
 from starlette.routing import Route
 
 from app import readers, replays, shortlinks, studies
+from app.guard import Guard
 from app.links import Links
 from app.plot import LIBRARY, LIBRARY_PATH
 from app.router import VIEWS
 from app.shell import page_routes
 from app.theme import streamlit_options
-from tom.address import allowed, in_url
+from tom.address import in_url
 from tom.errors import UserError
 from tom.record.reader import RunReader
 from tom.record.store import Store
@@ -31,8 +32,6 @@ from tom.record.store import Store
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """an evaluation episode on its own: step, number from 0, steps after which the ghost starts anew"""
-
-Answer = Callable[[Request], Response]
 
 ENTRY = Path(__file__).with_name("main.py")
 
@@ -75,29 +74,19 @@ def routes(links: Links) -> list[Route]:
         return RedirectResponse(found, status_code=302)
 
     return [
-        Route("/v/{code}", under_own_names(short, links)),
-        Route("/reports/{study}", under_own_names(report, links)),
-        Route("/rrd/{run}/{name}", under_own_names(recording, links)),
-        Route("/api/health", under_own_names(health, links)),
+        Route("/v/{code}", short),
+        Route("/reports/{study}", report),
+        Route("/rrd/{run}/{name}", recording),
+        Route("/api/health", health),
         Route(LIBRARY_PATH, library),
         *page_routes([view.PATH for view in VIEWS]),
     ]
 
 
-def under_own_names(answer: Answer, links: Links) -> Answer:
-    """`answer`, but only to a request for this host under a name that it goes by.
-
-    Else a page whose name was made to point here could read the store.
-    """
-
-    def checked(request: Request) -> Response:
-        if not allowed(request.headers.get("host", ""), links.allowed_hosts):
-            return PlainTextResponse(
-                "this address is served under its own name only", status_code=403
-            )
-        return answer(request)
-
-    return checked
+def app(links: Links) -> st.App:
+    """What this process serves, to those who may ask."""
+    guard = Middleware(Guard, links=links)
+    return st.App(ENTRY.resolve(), routes=routes(links), middleware=[guard])
 
 
 def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
@@ -131,7 +120,6 @@ def options(links: Links) -> dict:
         "server.port": links.port,
         "server.headless": True,
         "server.fileWatcherType": "none",
-        "server.allowedHosts": links.allowed_hosts,
         "server.showEmailPrompt": False,
         "browser.gatherUsageStats": False,
         "client.toolbarMode": "minimal",
@@ -152,7 +140,7 @@ def main() -> None:
     logging.getLogger("streamlit").setLevel(logging.WARNING)
     links = Links.from_environment()
     Thread(target=warm, args=(links.store,), daemon=True).start()
-    st.App(ENTRY.resolve(), routes=routes(links)).run(config=options(links))
+    app(links).run(config=options(links))
 
 
 if __name__ == "__main__":

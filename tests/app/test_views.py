@@ -87,13 +87,25 @@ def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
 def test_live_changes_nothing_where_others_can_open_it(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in Links(store=str(store), host="0.0.0.0").environment().items():
+    looks_on(Links(store=str(store), host="0.0.0.0", key="key"), monkeypatch, "change nothing")
+
+
+@pytest.mark.parametrize("key", ["", "another"])
+def test_live_changes_nothing_where_the_browser_did_not_give_the_key(
+    key: str, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks_on(Links(store=str(store), key=key), monkeypatch, "open the address")
+
+
+def looks_on(links: Links, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
+    """The form of a studio at these links is not drawn, and it says why."""
+    for name, value in links.environment().items():
         monkeypatch.setenv(name, value)
     app = draw("live")
     app.session_state[start.FOLD] = True
     app.run()
     assert not app.button
-    assert any("change nothing" in caption.value for caption in app.caption)
+    assert any(why in caption.value for caption in app.caption)
 
 
 def test_compare_shows_the_mean_over_seeds(store: Path) -> None:

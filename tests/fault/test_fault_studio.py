@@ -22,10 +22,12 @@ from servers import (
     is_taken,
     studio,
 )
+from streamlit.runtime.context import ContextProxy
 from streamlit.testing.v1 import AppTest
 
 from app import text
 from app.__main__ import main
+from app.guard import KEY
 from app.launcher import DEFAULT_PORT
 from app.links import Links
 from app.router import VIEWS
@@ -58,8 +60,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def store(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A copy of it that the pages of this process show."""
     path = shutil.copytree(made, tmp_path / "store")
-    for name, value in Links(store=str(path)).environment().items():
+    for name, value in Links(store=str(path), key="key").environment().items():
         monkeypatch.setenv(name, value)
+    monkeypatch.setattr(ContextProxy, "headers", {KEY: "key"})  # AppTest sends no request
     yield path
     st.cache_data.clear()
     st.cache_resource.clear()

@@ -9,12 +9,13 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from http import HTTPStatus
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.metadata import version
 from urllib.parse import unquote
 
-from tom.address import allowed, family, names
+from tom.address import family, refusal
 from tom.errors import UserError
 
 FONTS = re.compile(rb"<link[^>]*fonts\.(?:googleapis|gstatic)\.com[^>]*>")
@@ -67,8 +68,7 @@ class Server(ThreadingHTTPServer):
         self.upstream = upstream
         self.live = live
         self.assets: dict[str, Asset] = {}
-        # A page on another name for this address could otherwise read what is recorded here.
-        self.names = names(host)
+        self.host = host
         self.address_family = family(host)
         super().__init__((host, port), Handler)
 
@@ -84,8 +84,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         path = self.path.partition("?")[0]
-        if not allowed(self.headers.get("Host", ""), self.server.names):
-            self.send_error(403, "this address is served under its own name only")
+        if why := refusal(self.headers.get, self.server.host, self.server.server_port):
+            self._say(403, why)
         elif run := LIVE.fullmatch(path):
             self._stream(unquote(run[1]))
         elif self.headers.get("If-None-Match") == ETAG:
@@ -99,7 +99,7 @@ class Handler(BaseHTTPRequestHandler):
         try:
             asset = assets.get(path) or assets.setdefault(path, _fetch(self.server.upstream, path))
         except OSError:
-            self.send_error(502, "the Rerun hub does not answer")
+            self._say(502, "the Rerun hub does not answer")
             return
         self.send_response(200)
         for name, value in asset.headers.items():
@@ -110,8 +110,8 @@ class Handler(BaseHTTPRequestHandler):
     def _stream(self, run_id: str) -> None:
         try:
             parts = self.server.live(run_id)
-        except UserError as error:
-            self.send_error(404, str(error)[:200])
+        except UserError:
+            self._say(404, "no such run")
             return
         self.send_response(200)
         self.send_header("Content-Type", "application/octet-stream")
@@ -121,6 +121,20 @@ class Handler(BaseHTTPRequestHandler):
             for part in parts:
                 self.wfile.write(part)
                 self.wfile.flush()
+
+    def _say(self, code: int, words: str) -> None:
+        """Answer with a sentence of ours: nothing of the request, which may be anybody's words."""
+        self.send_response(code)
+        self.send_header("Content-Type", "text/plain; charset=utf-8")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Content-Length", str(len(words.encode())))
+        self.end_headers()
+        self.wfile.write(words.encode())
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """What the base class refuses, without its words: they quote the request."""
+        self.close_connection = True
+        self._say(code, self.responses[HTTPStatus(code)][0])
 
     def log_message(self, format: str, *args: object) -> None:
         """Requests are not worth a line each."""
