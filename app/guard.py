@@ -38,7 +38,7 @@ class Guard:
     def _refusal(self, scope: Scope) -> str | None:
         # The Rerun viewer's page comes from another port, and reads recordings alone.
         reads = scope["type"] == "http" and scope["path"].startswith("/rrd/")
-        pages = (self._links.rerun_web_port,) if reads else ()
+        pages = (self._links.rerun_port,) if reads else ()
         return refusal(Headers(scope=scope).get, self._links.host, self._links.port, pages)
 
     def _framed(self, send: Send) -> Send:

@@ -73,7 +73,7 @@ def plan(studio: Studio, folder: Path) -> Links:
         port = _studio_port(studio.host, studio.port)
         taken = {port}
         others = []
-        while len(others) < 3:
+        while len(others) < 2:
             candidate = free_port(studio.host)
             if candidate not in taken:
                 taken.add(candidate)
@@ -88,8 +88,7 @@ def plan(studio: Studio, folder: Path) -> Links:
         host=studio.host,
         port=port,
         rerun_port=others[0],
-        rerun_web_port=others[1],
-        viser_port=others[2],
+        viser_port=others[1],
         control=str(folder / "control"),
         theme=studio.theme,
         key=secrets.token_urlsafe(),
@@ -105,9 +104,9 @@ def build(links: Links, folder: Path) -> list[Server]:
         log = folder / f"{name}.log"
         return Server(name, command, environment, links.local_host, port, health, log)
 
-    hub_command = hub.command(links.host, links.rerun_port, links.rerun_web_port, links.store)
+    hub_command = hub.command(links.host, links.rerun_port, links.store, links.port)
     return [
-        server("rerun", hub_command, links.rerun_web_port, "/"),
+        server("rerun", hub_command, links.rerun_port, "/"),
         server("viser", [*python, "app.scenes.server"], links.viser_port, "/"),
         server("streamlit", [*python, "app.server"], links.port, "/_stcore/health"),
     ]

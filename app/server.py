@@ -110,7 +110,7 @@ def recording_path(store: str, run_id: str, name: str) -> Path | None:
 
 def viewer_origin(request: Request, links: Links) -> str:
     """The one origin that may read recordings: the Rerun viewer on the host that was asked."""
-    return f"http://{in_url(request.url.hostname or '')}:{links.rerun_web_port}"
+    return f"http://{in_url(request.url.hostname or '')}:{links.rerun_port}"
 
 
 def options(links: Links) -> dict:

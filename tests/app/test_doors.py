@@ -28,6 +28,13 @@ SOCKET = """address => new Promise(done => {
 })"""
 READ = """address => fetch(address).then(answer => answer.text(), () => "refused")"""
 
+FRAME = """address => new Promise(done => {
+    const frame = document.createElement("iframe");
+    frame.onload = () => done();
+    frame.src = address;
+    document.body.append(frame);
+})"""
+
 
 class Elsewhere(BaseHTTPRequestHandler):
     """A page of somebody else on this machine, who notes what browsers send along."""
@@ -125,8 +132,17 @@ def test_another_port_opens_no_socket(opened: tuple[Links, "Browser"], foreign: 
 
 def test_another_port_reads_nothing(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
     links, _ = opened
-    for port in (links.port, links.rerun_web_port, links.viser_port):
+    for port in (links.port, links.rerun_port, links.viser_port):
         assert foreign.evaluate(READ, f"http://127.0.0.1:{port}/") == "refused"
+
+
+def test_another_port_shows_no_page_in_a_frame(
+    opened: tuple[Links, "Browser"], foreign: "Page"
+) -> None:
+    links, _ = opened
+    for port in (links.port, links.rerun_port, links.viser_port):
+        foreign.evaluate(FRAME, f"http://127.0.0.1:{port}/")
+        assert foreign.frames[-1].url == "chrome-error://chromewebdata/", port
 
 
 def test_a_recordings_address_with_line_breaks_runs_no_script(
@@ -137,7 +153,7 @@ def test_a_recordings_address_with_line_breaks_runs_no_script(
     path = f"/live/x%0d%0aContent-Type:%20text%2Fhtml%0d%0a%0d%0a{script}.rrd"
     with browser.new_context() as context:
         page = context.new_page()
-        answer = page.goto(f"http://127.0.0.1:{links.rerun_web_port}{path}")
+        answer = page.goto(f"http://127.0.0.1:{links.rerun_port}{path}")
         assert answer is not None
         assert answer.status == 404
         assert page.title() == ""

@@ -14,9 +14,7 @@ from app.guard import Guard
 from app.links import Links
 from app.server import EPISODE, options, recording_path, routes, viewer_origin
 
-LINKS = Links(
-    store="/runs", port=8600, rerun_port=9876, rerun_web_port=9090, viser_port=8080, control="/c"
-)
+LINKS = Links(store="/runs", port=8600, rerun_port=9090, viser_port=8080, control="/c", key="k")
 
 
 def test_links_survive_the_environment(monkeypatch) -> None:
@@ -25,11 +23,11 @@ def test_links_survive_the_environment(monkeypatch) -> None:
     assert Links.from_environment() == LINKS
 
 
-def test_the_live_viewer_listens_to_the_hub() -> None:
+def test_the_live_viewer_reads_what_trains_from_the_hub() -> None:
     address = urlsplit(LINKS.rerun_live("studio.local", "dark"))
     assert address.netloc == "studio.local:9090"
     query = parse_qs(address.query)
-    assert query["url"] == ["rerun+http://studio.local:9876/proxy"]
+    assert query["url"] == ["http://studio.local:9090/live.rrd"]
     assert query["theme"] == ["dark"]
 
 

@@ -36,7 +36,7 @@ def no_run(run_id: str) -> Iterator[bytes]:
 @pytest.fixture
 def viewer() -> Iterator[int]:
     """The port of the Rerun viewer's page, with no run to show."""
-    server = web.Server("127.0.0.1", free_port("127.0.0.1"), ("127.0.0.1", 0), no_run)
+    server = web.Server("127.0.0.1", free_port("127.0.0.1"), {}, no_run)
     server.start()
     yield server.server_port
     server.shutdown()
@@ -97,7 +97,7 @@ foreign = pytest.mark.parametrize(
 
 @foreign
 def test_a_page_of_another_origin__opens_no_socket_of_the_studio(origin: str | None, studio: Links):
-    asked = origin and origin.format(port=studio.port, other=studio.rerun_web_port)
+    asked = origin and origin.format(port=studio.port, other=studio.rerun_port)
     with pytest.raises(InvalidStatus) as refused:
         stream(studio, asked, studio.key)
     assert refused.value.response.status_code == 403
@@ -126,7 +126,7 @@ def test_a_name_that_was_made_to_point_here__is_told_nothing_by_the_studio(
         assert code(studio.port, path, Host=host) == 403
 
 
-@pytest.mark.parametrize("server", ["rerun_web_port", "viser_port"])
+@pytest.mark.parametrize("server", ["rerun_port", "viser_port"])
 def test_a_name_that_was_made_to_point_here__is_told_nothing_by_the_viewers(
     server: str, studio: Links
 ):
@@ -136,7 +136,7 @@ def test_a_name_that_was_made_to_point_here__is_told_nothing_by_the_viewers(
         assert code(port, "/", Host=host) == 403
 
 
-@pytest.mark.parametrize("server", ["port", "rerun_web_port", "viser_port"])
+@pytest.mark.parametrize("server", ["port", "rerun_port", "viser_port"])
 def test_a_page_that_loads_what_is_served_here_as_its_own_part__is_refused(
     server: str, studio: Links
 ):
