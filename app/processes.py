@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tom import address
+from tom.harmless import terminal
 from tom.parent import end_with_parent
 
 STOP_GRACE_S = 3.0
@@ -71,7 +72,7 @@ class Server:
     def tail(self) -> str:
         """The last lines of what it printed."""
         lines = self.log.read_text(errors="replace").splitlines() if self.log.exists() else []
-        return "\n".join(lines[-LOG_TAIL:])
+        return "\n".join(map(terminal, lines[-LOG_TAIL:]))
 
 
 def stop(servers: Sequence[Server]) -> None:

@@ -122,6 +122,13 @@ def options(links: Links) -> dict:
         "server.fileWatcherType": "none",
         "server.showEmailPrompt": False,
         "browser.gatherUsageStats": False,
+        # Streamlit's cloud may else send messages to a page that it has opened.
+        "client.allowedOrigins": [],
+        # Whatever a user's own settings of Streamlit open:
+        "server.enableAgentApi": False,
+        "server.enableCORS": True,
+        "server.enableStaticServing": False,
+        "server.enableXsrfProtection": True,
         "client.toolbarMode": "minimal",
         "client.showErrorDetails": "full",
         "client.showErrorLinks": False,

@@ -14,6 +14,7 @@ from app.figures.curves import group_curves, metric_title, run_curves
 from app.plot import chart
 from app.readers import RunInfo
 from tom import statistics
+from tom.harmless import as_csv
 
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
@@ -137,7 +138,7 @@ def downloads(files: Mapping[str, tuple[Callable[[], pd.DataFrame], str]], name:
         for label, (make, suffix) in files.items():
             st.download_button(
                 label,
-                lambda make=make: make().to_csv(index=False),
+                lambda make=make: as_csv(make()),
                 f"{name.replace('/', '-')}-{suffix}.csv",
                 "text/csv",
                 icon=":material/download:",

@@ -46,14 +46,18 @@ def packages_are_looked_through_once() -> None:
     manifest_scanner.scan_component_manifests = cache(manifest_scanner.scan_component_manifests)
 
 
+@pytest.fixture(autouse=True)
+def pages_are_asked_for_with_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    """AppTest draws a page for no request, so it has no headers of its own."""
+    monkeypatch.setattr(ContextProxy, "headers", {KEY: "key"})
+
+
 @pytest.fixture
 def studio(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Links]:
     """Pages of this process show the store to a browser with the key; no other server is there."""
     links = Links(store=str(store), key="key")
     for name, value in links.environment().items():
         monkeypatch.setenv(name, value)
-    # AppTest draws a page for no request, so it has no headers of its own.
-    monkeypatch.setattr(ContextProxy, "headers", {KEY: links.key})
     yield links
     st.cache_data.clear()
     st.cache_resource.clear()

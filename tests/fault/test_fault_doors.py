@@ -1,14 +1,19 @@
 """Doors of the studio: foreign pages and programs, replies that quote, frames, other names."""
 
+import json
 import os
 import socket
+import stat
+import subprocess
+import sys
+import urllib.request
 from collections.abc import Iterator
 from http.client import HTTPConnection
 from pathlib import Path
 from threading import Event
 
 import pytest
-from faults import config
+from faults import config, wait_until
 from kernel import descendants
 from servers import command_of
 from tabs import Tab, buttons, folds, stream
@@ -145,6 +150,49 @@ def test_a_page_that_loads_what_is_served_here_as_its_own_part__is_refused(
     assert code(port, "/", **parts) == 403
     assert code(port, "/", **(parts | {"Sec-Fetch-Mode": "navigate"})) == 200
     assert code(port, "/", Origin="http://127.0.0.1:1") == 403
+
+
+def test_streamlits_cloud__may_send_no_message_to_a_page_that_it_opened(studio: Links):
+    asked = f"http://127.0.0.1:{studio.port}/_stcore/host-config"
+    with urllib.request.urlopen(asked, timeout=20) as answer:
+        assert json.load(answer)["allowedOrigins"] == []
+
+
+def test_another_user_of_this_machine__cannot_open_the_socket_between_page_and_3d_server(
+    studio: Links,
+):
+    folder = Path(studio.control).parent
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    kept = [path for path in folder.iterdir() if path.is_file()]
+    assert not [path for path in kept if studio.key in path.read_text(errors="replace")]
+
+
+def test_the_key__stands_in_no_command_line(studio: Links):
+    for pid in {os.getpid(), *descendants(os.getpid())}:
+        assert studio.key not in command_of(pid)
+
+
+def test_the_browser_that_the_studio_opens__gets_the_key_from_a_file_and_not_in_its_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    told, browser = tmp_path / "told", tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\ncat "${{1#file://}}" > {told}.page; echo "$@" > {told}\n')
+    browser.chmod(0o755)
+    (tmp_path / "store").mkdir()
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    command = [sys.executable, "-m", "app", "--store", str(tmp_path / "store")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        opened = process.stdout.readline().split()[2]
+        wait_until(told.exists)
+        assert "#key=" in opened
+        assert opened in Path(f"{told}.page").read_text()
+        assert "key" not in told.read_text()
+    finally:
+        process.terminate()
+        process.wait(60)
 
 
 def code(port: int, path: str, **headers: str) -> int:

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 LEVELS = [
     {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
     | {"adam", "graphs", "nested", "parent", "lockstep", "memory", "divergences", "statistics"}
-    | {"health", "device", "address"},
+    | {"health", "device", "address", "harmless"},
     {"learners", "sac", "sac_work", "dynamics", "evaluate", "tabular", "planner", "cloning"}
     | {"collect", "policy_file", "road_policy"},
     {"rollout", "diagnostics", "presets", "road_measure", "road_model"},
