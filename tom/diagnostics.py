@@ -39,22 +39,36 @@ def weight_metrics(weights: Tensor) -> dict[str, float]:
 def one_step_error(model: DynamicsModel, rows: TensorTransitions, scale: Tensor) -> float:
     """Root mean square error of the predicted next_obs, each dimension in units of `scale` (O,)."""
     _, predicted = model.predict(rows.obs, rows.action)
-    return float(((predicted - rows.next_obs) / scale).square().mean().sqrt())
+    return rms(predicted - rows.next_obs, scale)
 
 
-@torch.no_grad()
+def rms(error: Tensor, scale: Tensor) -> float:
+    """Root mean square of errors (N, O) or (N,), each dimension in units of `scale`."""
+    return float((error / scale).square().mean().sqrt())
+
+
 def rollout_error(
     model: DynamicsModel, rows: TensorTransitions, starts: Tensor, scale: Tensor
 ) -> float:
-    """Error of next_obs after `HORIZON` steps of the model's mean under the recorded actions.
+    """Error of next_obs after `HORIZON` steps of the model (`rolled_out`)."""
+    _, obs = rolled_out(model, rows, starts, HORIZON)
+    return rms(obs - rows.next_obs[starts + HORIZON - 1], scale)
 
-    `rows` are in order of collection and `starts` (K,) are rows from which as many more follow in
-    the same episode, so the recording is what the real environment did from the same state.
+
+@torch.no_grad()
+def rolled_out(
+    model: DynamicsModel, rows: TensorTransitions, starts: Tensor, steps: int
+) -> tuple[Tensor, Tensor]:
+    """The last (reward (K,), next_obs (K, O)) of `steps` (1 or more) of the model's mean.
+
+    Under the recorded actions: `rows` are in order of collection and `starts` (K,) are rows from
+    which as many more follow in the same episode, so the recording is what the real environment
+    did from the same state.
     """
-    obs = rows.obs[starts]
-    for step in range(HORIZON):
-        _, obs = model.predict(obs, rows.action[starts + step])
-    return float(((obs - rows.next_obs[starts + HORIZON - 1]) / scale).square().mean().sqrt())
+    obs, reward = rows.obs[starts], rows.reward[starts]
+    for step in range(steps):
+        reward, obs = model.predict(obs, rows.action[starts + step])
+    return reward, obs
 
 
 def ending_metrics(

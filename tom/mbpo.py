@@ -30,6 +30,7 @@ from tom.events import (
     Tick,
     TrainedPolicy,
 )
+from tom.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
 from tom.health import require_finite
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting, weighing
@@ -67,6 +68,7 @@ class Mbpo:
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
         self.env_step = 0
         self.policy_version = 1  # 0 is exploration
+        self._fitted: Fitted | None = None  # the fit that has yet to sit its exam
         self._obs: np.ndarray | None = None
         self._initial_obs: list[np.ndarray] = []
         self._episode_return = 0.0
@@ -93,6 +95,7 @@ class Mbpo:
                 yield from self.evaluate()
             yield Tick(self.env_step, "optimise")
         yield from self._flush_collected()
+        yield from self.examine()
         yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac))
 
     def fit_and_roll_out(self) -> Steps:
@@ -100,16 +103,17 @@ class Mbpo:
         yield Tick(self.env_step, "fit")
         self._sac_losses()  # a policy that has diverged ends the run here
         yield from self._flush_collected()
+        yield from self.examine()
         context = self._fit_context()
         weighting = yield from weighing(self.learner, context)
         policy = policy_arrays(self.config.env, self.sac)
         yield weighting.event(self.env_step, policy)
         report = yield from self.model.fitting(
             context.replay,
-            weighting.fit_weights(self.config.model.weight_clip),
-            weighting.per_dim,
+            *weighting.for_fit(self.config.model),
             self.streams.torch("fit"),
         )
+        self._fitted = Fitted(self.env_step, weighting.counted(self.config.model))
         rollout_metrics = self.roll_out_model(context.replay, weighting)
         for kind, message in (*weighting.notices, *report.notices):
             yield Notice(self.env_step, kind, message)
@@ -119,14 +123,27 @@ class Mbpo:
             {**weighting.metrics, **report.metrics, **rollout_metrics, **diagnostics},
         )
 
+    def examine(self) -> Iterator[Event]:
+        """The last fit's exam: the steps that it served, which are not in its buffer."""
+        if self._fitted is None:
+            return
+        at, generator = self._fitted.env_step, self.streams.torch("exam")
+        exam = Exam.of(self._fitted, self.replay.transitions(), self.env_step - at)
+        temperature, discount = self.sac.log_temperature.exp(), self.config.sac.discount
+        yield Metrics(
+            at,
+            {
+                **weight_metrics(exam, generator),
+                **model_metrics(self.model, exam, self.task.terminated, generator),
+                **critic_metrics(self.policy, exam.rows, temperature, discount, generator),
+            },
+        )
+
     def roll_out_model(self, replay: TensorTransitions, weighting: Weighting) -> dict[str, float]:
         """Lines 22-25: k-step rollouts from states drawn by weight, into D_model."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
         self.model_buffer.resize(config.kept_at(self._on_policy_steps, self.config.fit_every))
-        weighted = config.weighted_starts and weighting.ready
-        starts = start_states(
-            replay, weighting.row_weights if weighted else None, config.starts, generator
-        )
+        starts = start_states(replay, weighting.for_starts(config), config.starts, generator)
         return roll_out(
             self.model,
             self.policy,
@@ -208,6 +225,7 @@ class Mbpo:
             "initial_obs": torch.from_numpy(np.stack(self._initial_obs)),
             "episode": [self._episode_return, float(self._episode_length)],
             "sac_metrics": self._sac_metrics,
+            "fitted": None if self._fitted is None else vars(self._fitted),
         }
 
     def load_state_dict(
@@ -229,6 +247,9 @@ class Mbpo:
         self._episode_return, length = state["episode"]
         self._episode_length = int(length)
         self._sac_metrics = state["sac_metrics"]
+        if fitted := state.get("fitted"):  # checkpoints from before exams have none
+            weights = fitted["weights"].to(self.streams.device)
+            self._fitted = Fitted(fitted["env_step"], weights)
 
     # Parts
 

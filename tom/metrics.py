@@ -1,11 +1,13 @@
 """The metric paths and what they mean: one table for tooltips, docs and `--help`."""
 
-NLL = (
+NLL_UNITS = (
     "mean over the target dimensions, z-scored (linear model: raw); the kind ensemble leaves the "
-    "constant out and doubles it, mean-ensemble has the squared error in its place"
+    "constant out and doubles it"
 )
+NLL = f"{NLL_UNITS}, mean-ensemble has the squared error in its place"
 HELD_OUT = "held-out rows are drawn anew at every fit of a network that goes on, so most were trained on before"
 IN_SAMPLE = "rows the model was just fitted to"
+EXAM = "the exam: the real steps between this fit and the next, which are not in its buffer"
 
 METRICS: dict[str, str] = {
     "eval/return": "mean undiscounted return of the evaluation episodes",
@@ -33,6 +35,20 @@ METRICS: dict[str, str] = {
     "model/error_expert": "one-step error on expert data, in full steps (road-and-rocks)",
     "model/error_road": "one-step error on the road under random actions, in full steps",
     "model/error_rocks": "one-step error on the rocks under random actions, in full steps",
+    "exam/footprint": "energy distance of (s, a, s' - s) between the weighted buffer and the exam, over exam/footprint_uniform "
+    f"(1: no better than no weights, 0: like the policy itself; noise where exam/footprint_noise is not far below 1); {EXAM}",
+    "exam/footprint_uniform": "energy distance (z-scored, unbiased) between the buffer without weights and the exam",
+    "exam/footprint_noise": "energy distance between two halves of the exam (by episode, else by time), over exam/footprint_uniform: "
+    "differences of that size say nothing",
+    "exam/error": f"one-step error of the predicted next state, in standard deviations of a step's change in the buffer; {EXAM}",
+    "exam/reward_error": f"one-step error of the predicted reward, in standard deviations of the buffer's reward; {EXAM}",
+    "exam/nll": f"negative log-likelihood, unweighted, {NLL_UNITS}; mean-ensemble has none; {EXAM}",
+    "exam/rollout_error": "error after 5 modelled steps under the recorded actions, in the units of exam/error",
+    "exam/rollout_reward_error": "error of the fifth reward under the recorded actions, in the units of exam/reward_error",
+    "exam/falls_caught": "share of the exam's terminations that the model's draws foretell",
+    "exam/false_falls": "share of the model's draws that terminate where the real step did not",
+    "exam/critic_bias": "discounted return to go (with SAC's entropy) of the exam's finished episodes minus the critic's value; by the "
+    "critics at the next fit, which have trained meanwhile",
     "weights/ess": "effective sample size (sum w)^2 / sum w^2, as a share of the buffer",
     "weights/zeros": "share of transitions with weight zero",
     "weights/max": "largest weight (mean weight is 1)",
@@ -48,6 +64,8 @@ METRICS: dict[str, str] = {
     "discriminator/calibration": "expected calibration error of the discriminator, last steps (0: its odds are true, or .5 for every "
     "row); on the rows it is trained on, and without the averaging of its parameters",
     "dual/loss": "TOM's dual objective, last steps",
+    "dual/holdout_loss": "TOM's dual objective on held-out episodes, of the Q that was kept (with tom.q_holdout)",
+    "dual/steps": "gradient steps after which the Q that was kept had its least held-out loss (with tom.q_holdout)",
     "dual/q_mean": "mean of TOM's dual Q over the buffer",
     "dual/start_gap": "how far TOM's dual Q at start states lies below its range on the buffer, in "
     "units of 1 + the width of that range (above 1: it runs away)",

@@ -255,6 +255,19 @@ class MemberPolicy(GaussianPolicy):
         super().__init__(actor, index)
         self._critic = critic
 
+    @torch.no_grad()
+    def draw(self, obs: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """A sampled action (B, A) for each of obs (B, O), and its log_prob (B,)."""
+        mean, log_std = self._gaussian(obs)
+        noise = torch.randn(*mean.shape, generator=generator, device=generator.device)
+        action, log_prob = squashed_gaussian(mean, log_std, noise)
+        return action, log_prob.squeeze(-1)
+
+    @torch.no_grad()
+    def value(self, obs: Tensor, action: Tensor) -> Tensor:
+        """The lower of both critics' Q_k(s, a) for obs (B, O) and action (B, A): (B,)."""
+        return self._heads(obs, action).amin(0)
+
     def value_gradient(self, obs: Tensor) -> Tensor:
         """dV_k/ds of both critics' V_k(s) = Q_k(s, mean action(s)) at obs (B, O): (2, B, O)."""
         state = obs.detach().clone().requires_grad_(True)
@@ -263,7 +276,9 @@ class MemberPolicy(GaussianPolicy):
         return torch.stack(heads)
 
     def _values(self, obs: Tensor) -> Tensor:
-        action = torch.tanh(self._gaussian(obs)[0])
+        return self._heads(obs, torch.tanh(self._gaussian(obs)[0]))
+
+    def _heads(self, obs: Tensor, action: Tensor) -> Tensor:
         x = torch.cat([obs, action], -1)
         heads = [self._critic.member(2 * self._index + k, x).squeeze(-1) for k in (0, 1)]
         return torch.stack(heads)

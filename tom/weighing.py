@@ -5,7 +5,7 @@ random. The policy's footprint is made in the real environment.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tom.collect import Footprint, footprint
 from tom.config import RunConfig
+from tom.energy import footprint_match, step_scaling
 from tom.envs import MujocoTask
 from tom.errors import UserError, unknown
 from tom.learners import FOLLOW_THE_VALUE, LEARNERS, make_learner
@@ -29,7 +30,10 @@ PolicyOfInterest = StoredPolicy | UniformPolicy
 
 @dataclass(frozen=True)
 class Weighed:
-    """One learner's weights (N,) under one seed, mean 1."""
+    """One learner's weights (N,) under one seed, mean 1.
+
+    `match` says how near the data so weighted is to fresh episodes of the policy (`tom.energy`).
+    """
 
     learner: str
     seed: int
@@ -38,6 +42,7 @@ class Weighed:
     metrics: dict[str, float]
     notices: tuple[tuple[str, str], ...]
     footprint_return: float | None  # mean return of the footprint's whole episodes
+    match: dict[str, float] = field(default_factory=dict)
 
     def in_order(self, order: NDArray[np.int64]) -> "Weighed":
         """Back to the rows' own order, where row i of these weights is of row order[i]."""
@@ -88,8 +93,9 @@ def weigh(
 ) -> Iterator[Weighed]:
     """Every learner's weights under every seed, as they are found.
 
-    A seed fixes the footprint (the policy's sampled actions in the real environment) and all that
-    a learner draws. Raises UserError for a learner that needs more than the policy has.
+    A seed fixes the footprint (the policy's sampled actions in the real environment), all that a
+    learner draws, and as many fresh transitions that judge the weights: no learner has seen them.
+    Raises UserError for a learner that needs more than the policy has.
     """
     for name in learners:
         if name not in LEARNERS:
@@ -101,14 +107,22 @@ def weigh(
             )
     for seed in seeds:
         streams = Streams(seed)
-        start = streams.integer("footprint env")
-        made = footprint(known, policy, footprint_rows, start, streams.torch("footprint"))
+        made, fresh = (
+            footprint(
+                known, policy, footprint_rows, streams.integer(f"{use} env"), streams.torch(use)
+            )
+            for use in ("footprint", "fresh episodes")
+        )
         for name in learners:
-            yield _weigh(data, policy, made, config.but(learner=name, seed=seed))
+            yield _weigh(data, policy, made, fresh, config.but(learner=name, seed=seed))
 
 
 def _weigh(
-    data: OrderedData, policy: PolicyOfInterest, made: Footprint, config: RunConfig
+    data: OrderedData,
+    policy: PolicyOfInterest,
+    made: Footprint,
+    fresh: Footprint,
+    config: RunConfig,
 ) -> Weighed:
     rows, streams = data.transitions, Streams(config.seed)
     dims = rows.obs.shape[1], rows.action.shape[1]
@@ -124,6 +138,8 @@ def _weigh(
         value_gradient=policy.value_gradient,
     )
     found = learner.weigh(context)
+    judges, generator = fresh.transitions.torch(), streams.torch("exam")
+    match = footprint_match(rows, found.weights, judges, step_scaling(rows), generator)
     ratio = None if found.log_ratio is None else found.log_ratio.to(torch.float32).numpy()
     return Weighed(
         learner=config.learner,
@@ -133,6 +149,7 @@ def _weigh(
         metrics=dict(found.metrics),
         notices=tuple(found.notices),
         footprint_return=float(np.mean(made.returns)) if made.returns else None,
+        match=match,
     )
 
 

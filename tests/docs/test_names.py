@@ -22,7 +22,7 @@ COMMAND = re.compile(r"(?:^|[\s/&(])tom ((?:[a-z][\w-]*)(?:[^\n`;|&)]*))")
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
 PLACE = re.compile(r"(?:tom|app|tests|docs|\.ci)/[\w./-]*[\w/]")
 SETTING = re.compile(r"(?:tom|pmac|vagram|sac|model|rollout|evaluation)\.[a-z_]+(?==|$)")
-METRIC = re.compile(r"(?:weights|dual|discriminator|model|eval|planner)/[a-z_]+")
+METRIC = re.compile(r"(?:weights|dual|discriminator|model|exam|eval|planner)/[a-z_]+")
 OF_THE_SYSTEM = {"No space left on device"}
 EXAMPLES = {"docs/extend.md"}  # names files that do not exist yet: test_extend makes them
 

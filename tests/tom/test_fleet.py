@@ -62,7 +62,8 @@ def assert_close(first: RunReader, second: RunReader, rtol: float) -> None:
             np.testing.assert_allclose(x, of[1][name], rtol=10 * rtol, atol=10 * rtol)
     ours, theirs = first.metrics(), second.metrics()
     assert ours["env_step"].tolist() == theirs["env_step"].tolist()
-    for name in ("model/holdout_nll", "weights/ess", "critic/loss", "rollout/reward"):
+    compared = ("model/holdout_nll", "weights/ess", "critic/loss", "rollout/reward")
+    for name in (*compared, "exam/error", "exam/footprint_uniform", "exam/critic_bias"):
         x, y = (table[name].to_numpy(float) for table in (ours, theirs))
         np.testing.assert_allclose(x, y, rtol=10 * rtol, atol=10 * rtol, err_msg=name)
 

@@ -10,9 +10,10 @@ LEVELS = [
     {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
     | {"adam", "graphs", "nested", "parent", "lockstep", "memory", "divergences", "statistics"}
     | {"health", "device", "address", "harmless"},
+    | {"health", "device", "address", "energy"},
     {"learners", "sac", "sac_work", "dynamics", "evaluate", "tabular", "planner", "cloning"}
     | {"collect", "policy_file", "road_policy"},
-    {"rollout", "diagnostics", "presets", "road_measure", "road_model"},
+    {"rollout", "diagnostics", "exam", "presets", "road_measure", "road_model"},
     {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
     {"run", "bench", "ordered_data"},
     {"weighing"},
@@ -23,7 +24,7 @@ LEVELS = [
     {"reports"},
     {"doctor", "cli", "__main__"},
 ]
-LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}
+LEARNERS = {"mle", "pmac", "ratio", "tom", "vagram", "baselines"}
 
 
 def modules(package: str) -> list[Path]:

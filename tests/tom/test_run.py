@@ -74,6 +74,22 @@ def test_stopped_and_resumed_is_the_run_that_was_never_interrupted(undisturbed, 
     assert_same_record(undisturbed, resumed)
 
 
+def test_a_finished_run_that_goes_on_has_its_last_fit_examined_anew(undisturbed, tmp_path: Path):
+    store = Store(tmp_path)
+    early = train(config(steps=STOP), store, "a", rerun=False)
+
+    def exams(run: RunReader) -> dict[int, float]:
+        table = run.metrics().dropna(subset="exam/error")
+        return dict(zip(table["env_step"], table["exam/error"], strict=True))
+
+    first, whole = exams(early), exams(undisturbed)
+    assert list(first) == [200, 300]  # the second over 33 steps so far
+    assert list(whole) == [200, 300, 400]
+    assert first[200] == whole[200]
+    assert first[300] != whole[300]
+    assert exams(resume(store, "a", STEPS, rerun=False)) == whole
+
+
 def test_a_run_whose_last_checkpoint_is_damaged_goes_on_from_the_one_before(
     undisturbed, tmp_path: Path
 ):

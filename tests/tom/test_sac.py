@@ -206,3 +206,15 @@ def test_learns_a_one_step_bandit():
         reward = -10 * (action.squeeze(-1) - 0.5).square()
         sac.update(TensorTransitions(zeros, action, reward, zeros, ones, 0 * ones))
     assert abs(float(sac.act_mean(torch.zeros(1, 1, 1))) - 0.5) < 0.1
+
+
+def test_a_members_draws_and_values_are_those_that_its_critics_are_trained_on():
+    """Q's target at a truncated row, by the online critics: r + g (Q(s', a') - alpha log pi)."""
+    sac = make(3, discount=0.9)
+    sac.log_temperature.fill_(-0.7)
+    one, member = batch(truncated=1.0), sac.member()
+    noise = torch.randn(BATCH, ACTION, generator=torch.Generator().manual_seed(5))
+    target = sac.critic_target(one, noise[None])[0]
+    action, log_prob = member.draw(one.next_obs[0], torch.Generator().manual_seed(5))
+    soft = member.value(one.next_obs[0], action) - sac.log_temperature.exp() * log_prob
+    torch.testing.assert_close(one.reward[0] + 0.9 * soft, target)

@@ -15,6 +15,7 @@ from tom.data.sampling import WeightedSampler
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.envs import task
+from tom.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
 from tom.learners.base import FitContext
 from tom.learners.tom import TomLearner
 from tom.record import Store
@@ -27,6 +28,8 @@ ROLLED = 20_000
 """start states of a rollout; their cost is printed for a thousand"""
 WEIGHED = 100_000
 """rows that are weighed: beside so many the one step of each network is nothing"""
+EXAMINED = 250
+"""rows of a fit's exam; of its buffer there are `WEIGHED`"""
 
 
 def parts() -> Iterator[Part]:
@@ -36,6 +39,7 @@ def parts() -> Iterator[Part]:
     yield _model_step("ensemble")
     yield from _tom_steps()
     yield _rollout()
+    yield _exam()
     yield _sampling()
     yield _environment()
     yield _recording()
@@ -155,6 +159,22 @@ def _rollout() -> Part:
         ROLLED // 1000,
         rollout_flops(ModelConfig(), SacConfig()) * 1000,
     )
+
+
+def _exam() -> Part:
+    model = make_model(OBS, ACTION, ModelConfig(), torch.Generator().manual_seed(0))
+    critic = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
+    generator, hopper, replay = torch.Generator(), task("hopper"), transitions(WEIGHED)
+    replay.terminated[99::100] = 1.0
+    fitted = Fitted(0, torch.rand(WEIGHED - EXAMINED, generator=generator))
+
+    def sit() -> None:
+        exam = Exam.of(fitted, replay, EXAMINED)
+        weight_metrics(exam, generator)
+        model_metrics(model, exam, hopper.terminated, generator)
+        critic_metrics(critic, exam.rows, 0.2, 0.99, generator)
+
+    return Part("exam of 250 steps", sit)
 
 
 def rollout_flops(

@@ -35,6 +35,11 @@ from tom.weighing import (
 
 OWN = "own"
 PRESETS = ("exact", "paper", OWN)
+COLUMNS = ("footprint", "footprint_noise")
+FOOTPRINT = (
+    "footprint: distance to fresh episodes of the policy, 1 without weights, 0 for its own; "
+    "differences of the size of the noise say nothing"
+)
 SETTINGS = ("tom.", "pmac.", "vagram.", "threads", "matmul")
 
 
@@ -168,7 +173,7 @@ def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
     if as_json:
         print(json.dumps(plain({**report, "out": str(out)}), allow_nan=False))
         return
-    columns = ("random_mean", "last_two", "spearman", "first_rise", "ess")
+    columns = ("random_mean", "last_two", "spearman", "first_rise", "ess", *COLUMNS)
     rows = [
         [row["learner"], str(row["seed"]), *(_number(row[c]) for c in columns)]
         for row in report["results"]
@@ -176,6 +181,7 @@ def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
     at = "" if report["step"] is None else f" at step {report['step']}"
     title = f"{report['data']}, weighed by {report['policy']}{at}"
     show(title, ("learner", "seed", *(c.replace("_", " ") for c in columns)), rows)
+    print(FOOTPRINT)
     print(out)
 
 

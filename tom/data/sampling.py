@@ -33,7 +33,10 @@ class WeightedSampler:
     def draw(self, n: int) -> Tensor:
         """n row numbers, (n,) int64."""
         g = self._generator
-        u = torch.rand(n, dtype=torch.float64, generator=g, device=g.device)
+        return self.at(torch.rand(n, dtype=torch.float64, generator=g, device=g.device))
+
+    def at(self, u: Tensor) -> Tensor:
+        """The row numbers (n,) that uniform draws on [0, 1), (n,) float64, come to."""
         u = u.to(self._cumulative.device) * self._cumulative[-1]
         found = torch.searchsorted(self._cumulative, u, right=True)
         return self._rows[found.clamp_(max=len(self._rows) - 1)]

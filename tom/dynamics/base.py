@@ -52,6 +52,13 @@ class DynamicsModel(Protocol):
         """The mean (reward (B,), next_obs (B, O))."""
         ...
 
+    def nll(self, rows: TensorTransitions) -> Tensor | None:
+        """Negative log-likelihood of each target dimension of N transitions, (N, 1 + O).
+
+        In the units of `model/train_nll`; None for a model that has no likelihood.
+        """
+        ...
+
     def state_dict(self) -> dict[str, Any]: ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None: ...

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from tom.config import ModelConfig
+from tom.data.transitions import TensorTransitions
 from tom.dynamics.neural import NeuralDynamics, soft_bound
 from tom.nn import share
 
@@ -84,6 +85,9 @@ class MeanEnsemble(_Ensemble):
 
     def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
         return (output - target).square()
+
+    def nll(self, rows: TensorTransitions) -> None:
+        """It predicts no distribution."""
 
     def uses_dim_weights(self, first_round: bool) -> bool:
         return not first_round

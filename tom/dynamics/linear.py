@@ -68,8 +68,7 @@ class LinearDynamics:
         generator: torch.Generator,
     ) -> FitReport:
         """Weighted maximum likelihood in closed form; `per_dim` scales the columns of s'."""
-        inputs = affine_inputs(data.obs, data.action)
-        targets = torch.cat([data.reward.unsqueeze(-1), data.next_obs], -1)
+        inputs, targets = affine_inputs(data.obs, data.action), _targets(data)
         by_column = weights[:, None].expand_as(targets)
         if per_dim is not None:
             by_column = by_column * torch.cat([torch.ones_like(per_dim[:, :1]), per_dim], -1)
@@ -96,6 +95,12 @@ class LinearDynamics:
         mean = affine_inputs(obs, action) @ self.coefficients.T
         return mean[:, 0], mean[:, 1:]
 
+    def nll(self, rows: TensorTransitions) -> Tensor:
+        """-log N(target; mean, std^2) of each column of (reward, next_obs), (N, 1 + O)."""
+        mean = affine_inputs(rows.obs, rows.action) @ self.coefficients.T
+        square = ((_targets(rows) - mean) / self.std).square()
+        return 0.5 * (log(2 * pi) + square) + self.std.log()
+
     def sample(
         self, obs: Tensor, action: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
@@ -114,6 +119,11 @@ class LinearDynamics:
     def load_parameters(self, state: dict[str, Any]) -> None:
         device = self.std.device
         self.coefficients, self.std = (state[n].to(device) for n in ("coefficients", "std"))
+
+
+def _targets(rows: TensorTransitions) -> Tensor:
+    """[r, s'], (N, 1 + O)."""
+    return torch.cat([rows.reward.unsqueeze(-1), rows.next_obs], -1)
 
 
 def affine_inputs(obs: Tensor, action: Tensor) -> Tensor:

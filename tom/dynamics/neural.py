@@ -198,6 +198,12 @@ class NeuralDynamics:
         x = self.input_scaling(torch.cat([obs, action], -1))
         return self._unscale(obs, self.mean(self.outputs(x)[self.elites]).mean(0))
 
+    @torch.no_grad()
+    def nll(self, rows: TensorTransitions) -> Tensor | None:
+        """The elites' mean loss of each target dimension, (N, 1 + O); None without a likelihood."""
+        losses = self.loss_per_dim(self.outputs(self.inputs(rows)), self.scaled_targets(rows))
+        return losses[self.elites].mean(0)
+
     def _unscale(self, obs: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         y = self.target_scaling.inverse(z)
         return y[:, 0], obs + y[:, 1:]

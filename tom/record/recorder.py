@@ -14,6 +14,7 @@ from tom.events import (
     Evaluation,
     Event,
     Field,
+    KeptPolicy,
     Metrics,
     Notice,
     Tick,
@@ -122,6 +123,8 @@ class Recorder:
             case Notice():
                 self._heartbeat.warn(event.kind, f"step {event.env_step}: {event.message}")
                 self._writer.notice(event.env_step, event.kind, event.message)
+            case KeptPolicy():
+                self._writer.kept_policy(event.env_step, event.arrays)
             case TrainedPolicy():
                 self._writer.policy(event.arrays)
         self._record_s += time.perf_counter() - begun
@@ -196,7 +199,17 @@ class Recorder:
     def _flush(self) -> None:
         if not self._pending:
             return
-        step, now = self._pending_step, self._timer()
+        step = self._pending_step
+        # What is told of an earlier step (a fit's exam) says nothing of when that was.
+        late = step < self._heartbeat.status.env_step
+        values = self._pending | ({} if late else self._times(step))
+        self._pending = {}
+        self._writer.metrics({"env_step": step, **values})
+        if self._sink:
+            self._sink.metrics(step, values)
+
+    def _times(self, step: int) -> dict[str, float]:
+        now = self._timer()
         then, step_then = self._last_row
         times = {
             "time/wall_s": now - self._started,
@@ -206,11 +219,7 @@ class Recorder:
         if now > then and step > step_then:
             times["time/env_steps_per_s"] = (step - step_then) / (now - then)
             self._last_row = (now, step)
-        values = {**self._pending, **times}
-        self._pending = {}
-        self._writer.metrics({"env_step": step, **values})
-        if self._sink:
-            self._sink.metrics(step, values)
+        return times
 
     def _weights(self, weights: Weights) -> None:
         bins = self._writer.profile(weights, self._config.bins)

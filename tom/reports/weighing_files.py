@@ -28,6 +28,8 @@ from tom.weighing import Weighed
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 LOG_RATIO = "-log_ratio"
 """ends the name of a column that holds the discriminator's output beside the weights"""
+MATCH = ("footprint", "footprint_noise", "footprint_uniform")
+"""how near the weighted data is to fresh episodes of the policy; null where it cannot be said"""
 NEEDED = {"data", "policy", "rows", "results"}
 """without these a report is none"""
 
@@ -74,6 +76,7 @@ def summary(data: OrderedData, found: Sequence[Weighed]) -> dict[str, Any]:
             "learner": one.learner,
             "seed": one.seed,
             **progression(one.weights, data.ordered_from).row(),
+            **{name: one.match.get(name) for name in MATCH},
             "footprint_return": one.footprint_return,
             "metrics": one.metrics,
             "notices": [message for _, message in one.notices],

@@ -11,13 +11,17 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
+from tom import weighing
 from tom.cli import main
-from tom.config import RoadConfig
+from tom.collect import Footprint, footprint
+from tom.config import PmacConfig, RoadConfig, RunConfig
 from tom.data.sampling import bin_means
+from tom.energy import footprint_match, step_scaling
 from tom.envs import task
 from tom.errors import UserError
 from tom.learners.pmac import recency_probabilities
 from tom.ordered_data import after_random, load_data, of_run, to_unit_range
+from tom.policy_file import UniformPolicy
 from tom.record import RunReader, RunWriter, Store
 
 QUICK = [
@@ -75,6 +79,51 @@ def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
     assert report["medians"]["mle"]["random_mean"] == pytest.approx(1)
     assert report["medians"]["pmac"]["last_two"] > report["medians"]["pmac"]["random_mean"]
     assert set(report["made"]) == {"command", "git_commit", "versions", "hours"}
+
+
+def test_a_weighing_says_how_near_it_is_to_the_policy(store: Path, tmp_path: Path, capsys):
+    out = tmp_path / "out"
+    words = ("--seeds", "3", "--learner", "mle", "pmac", "--out", str(out))
+    assert weigh(store, "sac", "--policy", "sac", *words) == 0
+    assert "footprint noise" in capsys.readouterr().out
+    results = json.loads((out / "report.json").read_text())["results"]
+    for row in results:
+        assert {"footprint", "footprint_noise", "footprint_uniform"} <= row.keys()
+        assert row["footprint_uniform"] == results[0]["footprint_uniform"]
+
+
+def test_weights_are_judged_by_episodes_that_no_learner_has_seen(store: Path, monkeypatch):
+    data, known = of_run(RunReader(store / "sac")), task("inverted-pendulum")
+    rows, seen = data.transitions, []
+    far = torch.arange(len(data))[:, None] < STEPS  # the random half is somewhere else
+    moved = replace(
+        rows, obs=torch.where(far, 5.0, rows.obs), next_obs=torch.where(far, 5.0, rows.next_obs)
+    )
+
+    def watched(*given) -> Footprint:
+        seen.append(footprint(*given))
+        return seen[-1]
+
+    monkeypatch.setattr(weighing, "footprint", watched)
+    config = RunConfig(env=known.name, learner="pmac", pmac=PmacConfig(decay=0.97))
+    judged, policy = replace(data, transitions=moved), UniformPolicy(4, 1)
+    mle, pmac = weighing.weigh(judged, policy, known, config, ["mle", "pmac"], [0], 200)
+    learnt, fresh = (made.transitions.obs for made in seen)
+    assert len(learnt) == len(fresh) == 200
+    assert not np.isin(np.asarray(learnt)[:, 0], np.asarray(fresh)[:, 0]).any()
+    assert mle.match["footprint"] == 1.0
+    assert mle.match["footprint_uniform"] == pmac.match["footprint_uniform"]
+    kept = torch.from_numpy(pmac.weights) * ~far[:, 0]
+    assert float(kept.sum()) == pytest.approx(len(data), rel=0.03)  # recency: all in the other
+    assert pmac.match["footprint"] < 0.3
+    again = footprint_match(
+        moved,
+        torch.from_numpy(pmac.weights),
+        seen[1].transitions.torch(),
+        step_scaling(moved),
+        torch.Generator(),
+    )
+    assert pmac.match["footprint"] == pytest.approx(again["footprint"], abs=0.02)
 
 
 def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(
@@ -205,16 +254,12 @@ def test_humanoids_control_range():
 
 def test_shuffled_rows_come_back_in_order(store: Path):
     """PMAC follows the storage; a row's own weight comes back to its place."""
-    from tom.config import RunConfig
-    from tom.policy_file import UniformPolicy
-    from tom.weighing import weigh
-
     data, known = of_run(RunReader(store / "sac")), task("inverted-pendulum")
     order = np.random.default_rng(0).permutation(len(data))
     shuffled = data.in_order(order)
     np.testing.assert_array_equal(shuffled.transitions.obs, data.transitions.obs[order])
     config = RunConfig(env=known.name, learner="pmac")
-    (one,) = weigh(shuffled, UniformPolicy(4, 1), known, config, ["pmac"], [0], 10)
+    (one,) = weighing.weigh(shuffled, UniformPolicy(4, 1), known, config, ["pmac"], [0], 10)
     back = one.in_order(order)
     np.testing.assert_array_equal(back.weights[order], one.weights)
     assert back.weights[order[-1]] == one.weights.max()  # the last one stored counts most

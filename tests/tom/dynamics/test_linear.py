@@ -90,3 +90,12 @@ def test_the_state_of_a_dynamics_model_comes_back():
         m.sample(data.obs, data.action, torch.Generator().manual_seed(5)) for m in (model, other)
     )
     assert torch.equal(a[1], b[1])
+
+
+def test_the_likelihood_of_the_rows_it_was_fitted_to_is_the_fits():
+    data = rows(60)
+    model = LinearDynamics(2, 3, ModelConfig(kind="linear"), torch.Generator())
+    report = model.fit(data, torch.ones(60), None, torch.Generator())
+    nll = model.nll(data)
+    assert nll.shape == (60, 3)
+    assert float(nll.mean()) == pytest.approx(report.metrics["model/train_nll"], rel=1e-4)

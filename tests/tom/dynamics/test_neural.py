@@ -281,3 +281,22 @@ def test_gaussian_loss_is_the_likelihood_up_to_its_constant():
     std = (0.5 * model._log_var(raw)).exp()
     nll = -Normal(mean, std).log_prob(target)
     torch.testing.assert_close(model.loss_per_dim(output, target), 2 * nll - log(2 * torch.pi))
+
+
+@pytest.mark.parametrize("kind", ["mdn", "ensemble"])
+def test_the_likelihood_of_held_out_rows_is_the_reports(kind: str):
+    """In the units of `model/holdout_nll_uniform`, also where all networks are elites."""
+    data = rows(300)
+    for elites in (2, 3):
+        model = make_model(2, 1, SMALL.but(kind=kind, elites=elites), generator())
+        assert isinstance(model, NeuralDynamics)
+        model.fit(data, torch.ones(300), None, generator(1))
+        nll = model.nll(data)
+        assert nll is not None
+        assert nll.shape == (300, 3)
+        output = model.net(model.inputs(data)[None].expand(model.ensemble, -1, -1))
+        by_network = model.loss_per_dim(output, model.scaled_targets(data))
+        torch.testing.assert_close(
+            nll, sum(by_network[k] for k in model.elites) / len(model.elites)
+        )
+    assert make_model(2, 1, SMALL.but(kind="mean-ensemble"), generator()).nll(data) is None

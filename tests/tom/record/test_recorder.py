@@ -36,6 +36,31 @@ def test_metrics_are_one_row_a_step(record):
     assert (table["time/record_s"] >= 0).all()
 
 
+def test_what_is_told_of_an_earlier_step_is_in_its_row_and_changes_no_time(store: Store):
+    now = [0.0]
+    writer = RunWriter.create(store, "run", Config)
+    with Recorder(writer, timer=lambda: now[0]) as recorder:
+        for step in range(1, 301):
+            now[0] += 1.0
+            if step % 100 == 0:
+                recorder.consume(Tick(step, "fit"))
+                if step > 100:
+                    recorder.consume(Metrics(step - 100, {"exam/error": step / 100}))
+                recorder.consume(Metrics(step, {"model/rounds": float(step)}))
+            recorder.consume(Tick(step, "optimise"))
+        assert recorder._heartbeat.status.env_step == 300
+    run = store.run("run")
+    (run.path / "metrics.parquet").replace(run.path / "copy")
+    table = run.metrics().set_index("env_step")
+    assert table.index.tolist() == [100, 200, 300]
+    assert table["model/rounds"].tolist() == [100, 200, 300]
+    assert table["exam/error"].dropna().tolist() == [2, 3]
+    assert table["time/wall_s"].tolist() == [100, 200, 300]
+    assert table["time/env_steps_per_s"].dropna().tolist() == [1, 1, 1]
+    (run.path / "copy").replace(run.path / "metrics.parquet")
+    assert run.metrics().set_index("env_step").equals(table)
+
+
 def test_evaluations_become_metrics_with_a_running_maximum(record):
     table = record().metrics().set_index("env_step").loc[[EVALUATE, STEPS]]
     # Episodes of 4 and 6 steps with a reward of 500, later of -1000, each step.
