@@ -6,7 +6,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
 from app.links import Links
-from tom.address import framing, refusal
+from tom.machine.address import framing, refusal
 
 KEY = "Tom-Studio-Key"
 """the header in which a page finds the key that its browser gave"""

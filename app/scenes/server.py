@@ -19,8 +19,8 @@ from app.scenes.frame import Frame
 from app.scenes.replay_frame import ReplayFrame
 from app.scenes.road_frame import RoadFrame
 from app.scenes.states_frame import StatesFrame
-from tom.address import framing, refusal
 from tom.errors import UserError
+from tom.machine.address import framing, refusal
 
 Answer = Callable[[ServerConnection, Request], Response | None]
 

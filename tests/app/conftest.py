@@ -14,9 +14,9 @@ from studio_runs import RUNS
 
 from app.guard import KEY
 from app.links import Links
-from tom.presets import resolve
 from tom.record.store import Store
-from tom.run import train
+from tom.training.presets import resolve
+from tom.training.run import train
 
 
 @pytest.fixture(scope="session")

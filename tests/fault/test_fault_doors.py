@@ -21,12 +21,12 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from app.launcher import Studio, servers
 from app.links import Links
-from tom.address import free_port
+from app.servers.launcher import Studio, servers
+from tom.machine.address import free_port
 from tom.record import Store
 from tom.record.rerun import web
-from tom.run import train
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 

@@ -19,11 +19,11 @@ from faults import stopped
 from tom.cli import main
 from tom.data.hdf5 import column, open_hdf5
 from tom.errors import UserError
-from tom.policy_file import read_policy
+from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint
 from tom.record.export import export
 from tom.reports.index import index
-from tom.resume import resume
+from tom.training.resume import resume
 
 pytestmark = pytest.mark.fault
 

@@ -16,7 +16,7 @@ from tom.events import Event, Tick
 from tom.record import RunReader, RunWriter, Store
 from tom.record.recorder import Recorder
 from tom.record.rerun import hub
-from tom.run import train
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 

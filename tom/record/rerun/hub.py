@@ -23,8 +23,8 @@ from urllib.parse import quote
 
 import rerun_cli
 
-from tom.address import free_port
-from tom.parent import end_with_parent
+from tom.machine.address import free_port
+from tom.machine.parent import end_with_parent
 from tom.record.rerun import web
 
 START_S = 30.0

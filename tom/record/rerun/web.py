@@ -17,8 +17,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.metadata import version
 from urllib.parse import unquote
 
-from tom.address import family, framing, refusal
 from tom.errors import UserError
+from tom.machine.address import family, framing, refusal
 
 FONTS = re.compile(rb"<link[^>]*fonts\.(?:googleapis|gstatic)\.com[^>]*>")
 
