@@ -11,12 +11,11 @@ Mode = Literal["light", "dark"]
 BASELINE_COLOURS: dict[str, str] = {
     "expert-only": "#6d7686",
     "footprint-only": "#98815f",
-    "discriminator-only": "#8c6d9e",
     "sac": "#7d6f66",
 }
 _OTHER_LABELS = {"sac": "SAC"}
 _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
-_SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down")
+_SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "pentagon")
 NEUTRAL = "#8a92a3"
 BACKGROUND: dict[Mode, str] = {"light": "#ffffff", "dark": "#12151c"}
 SURFACE: dict[Mode, str] = {"light": "#f4f6fa", "dark": "#1b202b"}

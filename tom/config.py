@@ -3,6 +3,7 @@
 The docstring below a field is its help text on the command line.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -60,7 +61,9 @@ class ModelConfig(Config):
     weights: Literal["sample", "scale"] = "sample"
     """draw minibatches by weight, or draw uniformly and scale the loss (never both)"""
     weight_clip: Positive = 10.0
-    """TOM's weights (mean 1) are clipped here before the fit; no other learner's are"""
+    """weights of TOM and ratio (mean 1) are clipped here before the fit; no other learner's are"""
+    uniform_share: Fraction = 0.0
+    """share of uniform weights mixed into the fit's, which bounds how far they starve a row"""
 
 
 class SacConfig(Config):
@@ -95,6 +98,8 @@ class RolloutConfig(Config):
     """epochs (1 000 env steps) whose rollouts stay in the model buffer; one fit's at the least"""
     weighted_starts: bool = True
     """draw start states by weight (uniformly until the learner has weights)"""
+    uniform_share: Fraction = 0.0
+    """share of uniform weights mixed into those of the start states"""
     chunk: Count = 2000
     """rows predicted at once (they stay in the processor's cache)"""
 
@@ -120,7 +125,11 @@ class TomConfig(Config):
     """f: (x-1)^2/2, (x-1)^2, or KL with normalised weights"""
     conjugate: Literal["clamped", "released"] = "clamped"
     """chi2's conjugate over x >= 0, or the unclamped parabola of the released code"""
+    flow: Literal["discounted", "restart", "stationary"] = "discounted"
+    """constraint on the weights: the paper's, an end followed by a new start, or that at discount 1
+    with mean weight 1"""
     discount: Discount = 0.99
+    """of the flow (a stationary one has none)"""
     discriminator: bool = True
     """off: r is 1 on the policy buffer and 0 elsewhere (the paper's ablation)"""
     discriminator_steps: Whole = 100
@@ -140,6 +149,13 @@ class TomConfig(Config):
     q_weight_decay: NonNegative = 1e-4
     q_reset: bool = False
     """start Q afresh at every fit (default: go on from the last)"""
+    q_holdout: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """share of episodes held out from the dual: Q starts afresh at every fit and stops at their
+    least loss (0: Q trains for all q_steps)"""
+    q_check_every: Count = 100
+    """steps between two looks at the held-out loss"""
+    q_patience: Count = 5
+    """looks without a new least loss that end the training of a validated Q"""
     q_bias_step: Annotated[float, Field(ge=0, le=1)] = 0.0
     """damped Newton step of Q's output bias, which carries the weights' mean (0: Adam alone)"""
     q_non_negative: bool = False
@@ -173,6 +189,11 @@ class TomConfig(Config):
         """`paper`: table 1 of the paper; `exact`: what matches exact weights best."""
         return cls.model_validate(cls._presets[name])
 
+    @property
+    def starts_afresh(self) -> bool:
+        """Whether every fit begins with a new Q: one that has seen held-out rows is no judge."""
+        return self.q_reset or self.q_holdout > 0
+
 
 class PmacConfig(Config):
     """PMAC's recency weights (paper, appendix C.2)."""
@@ -196,6 +217,20 @@ class EvaluationConfig(Config):
     episodes: Count = 10
 
 
+ADDED: dict[str, dict[str, Any]] = {
+    "tom": {"flow": "discounted", "q_holdout": 0.0, "q_check_every": 100, "q_patience": 5},
+    "model": {"uniform_share": 0.0},
+    "rollout": {"uniform_share": 0.0},
+}
+"""settings that came later, by group, with what was done before there was a choice"""
+
+
+def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Recorded settings with those added since, so that old runs and new ones compare."""
+    known = {group: added for group, added in ADDED.items() if group in settings}
+    return merged(known, settings)
+
+
 class RunConfig(Config):
     """What every run has."""
 
@@ -216,7 +251,8 @@ class RunConfig(Config):
     bins: Count = 100
     """bins of a weight profile, oldest to newest"""
     snapshots: Whole = 12
-    """fits over a run whose every single weight is kept (0: none but the last)"""
+    """fits over a run whose every single weight and policy is kept (0: none but the last); a
+    recording of SAC keeps its policy as often"""
     tom: TomConfig = TomConfig()
     pmac: PmacConfig = PmacConfig()
     vagram: VagramConfig = VagramConfig()

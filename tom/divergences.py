@@ -18,12 +18,14 @@ class Divergence:
     """D_f(d || q) = E_q[f(d/q)], its dual term and its weights.
 
     `generator` is f itself, elementwise. `dual_term` maps y (..., N), drawn from q, to what stands
-    for E_q[f*(y)], (...,); `weights` maps y (N,) to the weights (N,).
+    for E_q[f*(y)], (...,); `weights` maps y (N,) to the weights (N,). `multiplier` maps y (..., N)
+    to the lambda (...,) that minimises lambda + E_q[f*(y - lambda)]: the weights have mean 1 there.
     """
 
     generator: Callable[[Tensor], Tensor]
     dual_term: Callable[[Tensor], Tensor]
     weights: Callable[[Tensor], Tensor]
+    multiplier: Callable[[Tensor], Tensor]
 
 
 def chi2_generator(x: Tensor) -> Tensor:
@@ -39,6 +41,19 @@ def chi2_conjugate(y: Tensor) -> Tensor:
 def chi2_weights(y: Tensor) -> Tensor:
     """f*'(y) = max(0, 1 + y)."""
     return (1 + y).clamp(min=0)
+
+
+def chi2_multiplier(y: Tensor) -> Tensor:
+    """lambda (...,) with E max(0, 1 + y - lambda) = 1 over the last axis of y (..., N), exactly.
+
+    With z = y sorted downwards and the k largest active, lambda_k = (z_1 + ... + z_k + k - N) / k;
+    the right k is the largest one whose smallest weight, 1 + z_k - lambda_k, is positive.
+    """
+    z = y.sort(dim=-1, descending=True).values.to(torch.float64)
+    k = torch.arange(1, z.shape[-1] + 1, dtype=z.dtype, device=z.device)
+    candidates = (z.cumsum(-1) + k - z.shape[-1]) / k
+    active = (1 + z - candidates > 0).sum(-1, keepdim=True)
+    return candidates.gather(-1, active - 1).squeeze(-1).to(y.dtype)
 
 
 def released_conjugate(y: Tensor) -> Tensor:
@@ -59,6 +74,11 @@ def full_chi2_conjugate(y: Tensor) -> Tensor:
 def full_chi2_weights(y: Tensor) -> Tensor:
     """f*'(y) = max(0, 1 + y/2)."""
     return (1 + y / 2).clamp(min=0)
+
+
+def full_chi2_multiplier(y: Tensor) -> Tensor:
+    """lambda (...,) with E max(0, 1 + (y - lambda)/2) = 1 over the last axis of y (..., N)."""
+    return 2 * chi2_multiplier(y / 2)
 
 
 def kl_generator(x: Tensor) -> Tensor:
@@ -82,10 +102,21 @@ def divergence(
 ) -> Divergence:
     """The divergence called `name`; `conjugate="released"` is an option of chi2 alone."""
     if name == "kl":
-        return Divergence(kl_generator, kl_dual_term, kl_weights)
+        return Divergence(kl_generator, kl_dual_term, kl_weights, kl_dual_term)
     if name == "full-chi2":
         return Divergence(
-            full_chi2_generator, lambda y: full_chi2_conjugate(y).mean(-1), full_chi2_weights
+            full_chi2_generator,
+            lambda y: full_chi2_conjugate(y).mean(-1),
+            full_chi2_weights,
+            full_chi2_multiplier,
         )
-    term = released_conjugate if conjugate == "released" else chi2_conjugate
-    return Divergence(chi2_generator, lambda y: term(y).mean(-1), chi2_weights)
+    if conjugate == "released":  # the parabola's slope is 1 + y: its mean is 1 where y's is 0
+        return Divergence(
+            chi2_generator,
+            lambda y: released_conjugate(y).mean(-1),
+            chi2_weights,
+            lambda y: y.mean(-1),
+        )
+    return Divergence(
+        chi2_generator, lambda y: chi2_conjugate(y).mean(-1), chi2_weights, chi2_multiplier
+    )

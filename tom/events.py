@@ -124,4 +124,14 @@ class TrainedPolicy:
     arrays: Mapping[str, NDArray]
 
 
-Event = Tick | Metrics | Weights | Evaluation | Collected | Field | Notice | TrainedPolicy
+@dataclass(frozen=True)
+class KeptPolicy:
+    """The policy as it stood at `env_step`, worth keeping; the arrays of `tom.policy_file`."""
+
+    env_step: int
+    arrays: Mapping[str, NDArray]
+
+
+Event = (
+    Tick | Metrics | Weights | Evaluation | Collected | Field | Notice | KeptPolicy | TrainedPolicy
+)

@@ -108,14 +108,12 @@ class Mbpo:
         weighting = yield from weighing(self.learner, context)
         policy = policy_arrays(self.config.env, self.sac)
         yield weighting.event(self.env_step, policy)
-        clip = self.config.model.weight_clip
         report = yield from self.model.fitting(
             context.replay,
-            weighting.fit_weights(clip),
-            weighting.per_dim,
+            *weighting.for_fit(self.config.model),
             self.streams.torch("fit"),
         )
-        self._fitted = Fitted(self.env_step, weighting.examined_weights(clip))
+        self._fitted = Fitted(self.env_step, weighting.counted(self.config.model))
         rollout_metrics = self.roll_out_model(context.replay, weighting)
         for kind, message in (*weighting.notices, *report.notices):
             yield Notice(self.env_step, kind, message)
@@ -145,10 +143,7 @@ class Mbpo:
         """Lines 22-25: k-step rollouts from states drawn by weight, into D_model."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
         self.model_buffer.resize(config.kept_at(self._on_policy_steps, self.config.fit_every))
-        weighted = config.weighted_starts and weighting.ready
-        starts = start_states(
-            replay, weighting.row_weights if weighted else None, config.starts, generator
-        )
+        starts = start_states(replay, weighting.for_starts(config), config.starts, generator)
         return roll_out(
             self.model,
             self.policy,

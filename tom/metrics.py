@@ -65,6 +65,8 @@ METRICS: dict[str, str] = {
     "discriminator/calibration": "expected calibration error of the discriminator, last steps (0: its odds are true, or .5 for every "
     "row); on the rows it is trained on, and without the averaging of its parameters",
     "dual/loss": "TOM's dual objective, last steps",
+    "dual/holdout_loss": "TOM's dual objective on held-out episodes, of the Q that was kept (with tom.q_holdout)",
+    "dual/steps": "gradient steps after which the Q that was kept had its least held-out loss (with tom.q_holdout)",
     "dual/q_mean": "mean of TOM's dual Q over the buffer",
     "dual/start_gap": "how far TOM's dual Q at start states lies below its range on the buffer, in "
     "units of 1 + the width of that range (above 1: it runs away)",

@@ -161,7 +161,7 @@ class Offline:
     def roll_out_model(self) -> dict[str, float]:
         """Rollouts of the policy in the model from weighted states of the data."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
-        weights = self.weighting.row_weights if config.weighted_starts else None
+        weights = self.weighting.for_starts(config)
         return roll_out(
             RoadModel(self.model),
             self.policy,

@@ -67,3 +67,9 @@ def normal(generators: Generators, shape: Sequence[int]) -> Tensor:
 def uniform(generators: Generators, shape: Sequence[int]) -> Tensor:
     """Uniform draws on [0, 1), (M, *shape): member m from its own generator."""
     return torch.stack([torch.rand(*shape, generator=g, device=g.device) for g in generators])
+
+
+def fork(generator: torch.Generator) -> torch.Generator:
+    """A generator of its own whose seed `generator` draws: what it gives, no other draw changes."""
+    seed = torch.randint(2**62, (), generator=generator, device=generator.device)
+    return torch.Generator(generator.device).manual_seed(int(seed))

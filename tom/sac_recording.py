@@ -19,7 +19,15 @@ from tom.data.sampling import uniform_indices
 from tom.data.transitions import Transitions
 from tom.envs import MujocoTask, task
 from tom.evaluate import Evaluator
-from tom.events import Collected, Evaluation, Event, Metrics, Tick, TrainedPolicy
+from tom.events import (
+    Collected,
+    Evaluation,
+    Event,
+    KeptPolicy,
+    Metrics,
+    Tick,
+    TrainedPolicy,
+)
 from tom.health import require_finite
 from tom.policy_file import policy_arrays
 from tom.rng import Streams
@@ -74,6 +82,8 @@ class SacRecording:
             yield Metrics(self.env_step, _episode(step))
         if taken >= config.exploration_steps:
             self.optimise()
+        if config.snapshots and taken % max(config.steps // config.snapshots, 1) == 0:
+            yield KeptPolicy(self.env_step, policy_arrays(config.env, self.sac))
         if taken % config.evaluation.every == 0 or taken == config.steps:
             yield from self.evaluate()
 

@@ -3,7 +3,7 @@ import pytest
 from gymnasium.spaces import Box
 from pydantic import ValidationError
 
-from tom.config import OnlineConfig, RolloutConfig, TomConfig
+from tom.config import ADDED, OnlineConfig, RolloutConfig, TomConfig, completed
 from tom.envs import task
 from tom.presets import resolve
 
@@ -59,3 +59,15 @@ def test_the_model_buffer_holds_what_janners_pool_holds():
     assert hopper.rollout.kept_at(150_000, hopper.fit_every) == 15 * 400_000
     assert humanoid.rollout.kept_at(0, humanoid.fit_every) == 5 * 100_000
     assert RolloutConfig(starts=10).kept_at(0, 5000) == 10  # one fit's at the least
+
+
+def test_settings_that_came_later_are_what_was_done_before():
+    now = resolve("hopper", "tom").model_dump(mode="json")
+    then = {k: dict(v) if isinstance(v, dict) else v for k, v in now.items()}
+    for group, added in ADDED.items():
+        for name in added:
+            del then[group][name]
+    assert completed(then) == now
+    mended = resolve("hopper", "tom", "mended").model_dump(mode="json")
+    assert completed(mended) == mended
+    assert completed({"steps": 5}) == {"steps": 5}  # a group that is not there stays away

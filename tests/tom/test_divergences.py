@@ -98,3 +98,29 @@ def test_each_divergence_is_zero_at_equal_distributions(name):
     assert f.generator(torch.ones(3)).abs().max() == 0
     torch.testing.assert_close(f.weights(torch.zeros(5)), torch.ones(5))
     assert float(f.dual_term(torch.zeros(5))) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["chi2", "full-chi2", "kl"])
+def test_the_multiplier_gives_mean_weight_one_and_the_least_dual(name):
+    f = divergence(name)
+    y = 4 * torch.randn(3, 500, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    best = f.multiplier(y)
+    for row, value in zip(y, best, strict=True):
+        assert float(f.weights(row - value).mean()) == pytest.approx(1.0, abs=1e-9)
+
+    def dual(shift: float) -> Tensor:
+        return best + shift + f.dual_term(y - best[:, None] - shift)
+
+    for shift in (-0.3, -1e-3, 1e-3, 0.3):
+        assert (dual(shift) >= dual(0.0) - 1e-12).all()
+
+
+def test_the_multiplier_of_a_batch_with_one_active_row():
+    y = torch.tensor([100.0, 0.0, 0.0, 0.0])
+    assert float(divergence("chi2").multiplier(y)) == pytest.approx(97.0)  # its weight is 4
+
+
+def test_the_released_parabola_has_mean_slope_one():
+    y = torch.tensor([1.0, -5.0, 2.0])
+    shifted = y - divergence("chi2", "released").multiplier(y)
+    assert float((1 + shifted).mean()) == pytest.approx(1.0, abs=1e-6)

@@ -23,7 +23,7 @@ LEVELS = [
     {"reports"},
     {"doctor", "cli", "__main__"},
 ]
-LEARNERS = {"mle", "pmac", "tom", "vagram", "baselines"}
+LEARNERS = {"mle", "pmac", "ratio", "tom", "vagram", "baselines"}
 
 
 def modules(package: str) -> list[Path]:

@@ -10,7 +10,7 @@ from tom.config import SacRecordingConfig
 from tom.envs import ENVS, task
 
 OWN_OPTIONS = ("env", "learner", "preset")
-WITHOUT_MEANING = ("tom.", "pmac.", "vagram.", "bins", "snapshots", "device")
+WITHOUT_MEANING = ("tom.", "pmac.", "vagram.", "bins", "device")
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:

@@ -2,6 +2,7 @@
 
 from tom.cli import (
     reproduce_focus,
+    reproduce_frozen,
     reproduce_online,
     reproduce_progression,
     reproduce_returns,
@@ -13,6 +14,7 @@ STUDIES = (
     reproduce_road,
     reproduce_progression,
     reproduce_focus,
+    reproduce_frozen,
     reproduce_online,
     reproduce_returns,
     reproduce_tabular,

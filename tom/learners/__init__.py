@@ -11,6 +11,7 @@ from tom.errors import unknown
 from tom.learners.base import Learner
 from tom.learners.mle import MleLearner
 from tom.learners.pmac import PmacLearner
+from tom.learners.ratio import RatioLearner
 from tom.learners.tom import TomLearner
 from tom.learners.vagram import VagramLearner
 
@@ -39,6 +40,7 @@ LEARNERS: dict[str, LearnerEntry] = {
     "mle": LearnerEntry("MLE", lambda c, o, a, g: MleLearner(), "#2b6fe0"),
     "pmac": LearnerEntry("PMAC", lambda c, o, a, g: PmacLearner(c.pmac), "#0c8577"),
     "tom": LearnerEntry("TOM", lambda c, o, a, g: TomLearner(c.tom, o, a, g), "#c8441c"),
+    "ratio": LearnerEntry("Ratio", lambda c, o, a, g: RatioLearner(c.tom, o, a, g), "#849060"),
     "vagram": LearnerEntry(
         "VaGram (MDN)",
         lambda c, o, a, g: VagramLearner(c.vagram),

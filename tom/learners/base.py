@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from tom.config import ModelConfig, RolloutConfig
 from tom.data.transitions import TensorTransitions
 from tom.events import FloatArray, Weights
 from tom.lockstep import Work
@@ -92,13 +93,26 @@ class Weighting:
         """
         return self.weights if self.per_dim is None else torch.ones_like(self.weights)
 
-    def fit_weights(self, clip: float) -> Tensor:
-        """The rows' weights for a fit of the model, (N,): at most `clip` where they are clipped."""
-        return self.row_weights.clamp(max=clip) if self.clipped else self.row_weights
+    def for_fit(self, config: ModelConfig) -> tuple[Tensor, Tensor | None]:
+        """The rows' weights (N,) and the dimensions' (N, O) for a fit of the model.
 
-    def examined_weights(self, clip: float) -> Tensor:
-        """How much each row counted in that fit, (N,), on average over its dimensions."""
-        return self.fit_weights(clip) if self.per_dim is None else self.weights
+        Clipped where they are to be, then mixed with the uniform share.
+        """
+        rows, share = self.row_weights, config.uniform_share
+        rows = rows.clamp(max=config.weight_clip) if self.clipped else rows
+        per_dim = None if self.per_dim is None else mixed_with_uniform(self.per_dim, share)
+        return mixed_with_uniform(rows, share), per_dim
+
+    def counted(self, config: ModelConfig) -> Tensor:
+        """How much each row counts in that fit, (N,), on average over its dimensions."""
+        rows, per_dim = self.for_fit(config)
+        return rows if per_dim is None else per_dim.mean(1)
+
+    def for_starts(self, config: RolloutConfig) -> Tensor | None:
+        """The weights (N,) by which start states of rollouts are drawn; None: uniformly."""
+        if not config.weighted_starts or not self.ready:
+            return None
+        return mixed_with_uniform(self.row_weights, config.uniform_share)
 
     def event(self, env_step: int, policy: Mapping[str, NDArray] | None = None) -> Weights:
         """What a training tells of a fit by these weights; `policy` as in `Weights`."""
@@ -113,6 +127,14 @@ class Weighting:
             log_ratio=None if self.log_ratio is None else array(self.log_ratio),
             policy=policy,
         )
+
+
+def mixed_with_uniform(weights: Tensor, share: float) -> Tensor:
+    """The defensive mixture share + (1 - share) w of weights with mean 1: none is below `share`.
+
+    With w = p/q a uniform share bounds by how much a row of p may be starved (Hesterberg 1995).
+    """
+    return share + (1 - share) * weights if share else weights
 
 
 def uniform(replay: TensorTransitions, ready: bool) -> Weighting:

@@ -25,13 +25,6 @@ def footprint_only(data: OfflineData, context: FitContext, config: TomConfig) ->
     return _among(data.footprint)
 
 
-def discriminator_only(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
-    """TOM without its dual Q: w = p/q as the discriminator says it, exp(logit)."""
-    log_ratio, metrics = discriminate(context, config)
-    weights, _ = normalise((log_ratio - log_ratio.max()).exp())
-    return Weighting(weights, log_ratio=log_ratio, metrics=metrics)
-
-
 def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
     """A control, not a rival: TOM with the discriminator's labels swapped, which negates r."""
     log_ratio, metrics = discriminate(context, config)
@@ -65,6 +58,5 @@ def _among(chosen: Tensor) -> Weighting:
 BASELINES: dict[str, Baseline] = {
     "expert-only": expert_only,
     "footprint-only": footprint_only,
-    "discriminator-only": discriminator_only,
     "labels-swapped": labels_swapped,
 }

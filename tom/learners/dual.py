@@ -1,7 +1,7 @@
 """The dual problem of TOM (paper, eq. 16) over a network Q, and the weights at its Q (eq. 17)."""
 
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import torch
@@ -10,17 +10,22 @@ from torch.nn.functional import relu, softplus
 
 from tom.backprop import forward_trace, gradients
 from tom.config import TomConfig
+from tom.data.episodes import held_out_rows
 from tom.data.sampling import block_size, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.divergences import divergence
 from tom.learners.averaging import Average
 from tom.learners.base import Policy, policy_actions
+from tom.learners.flows import Flow
 from tom.learners.training import Trained
+from tom.learners.validation import Validation
 from tom.lockstep import Work
 from tom.nn import StackedMLP, rows_at_once
+from tom.rng import fork
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
+HELD_OUT = 4096  # draws of held-out rows that judge Q
 BLOCK, GPU_BLOCK = 8, 100  # minibatches gathered, and their actions drawn, at once
 
 
@@ -32,10 +37,10 @@ class Batch:
     next_probs: Tensor  # (K, B) of the a'
     start_probs: Tensor  # (L, B) of the a0
     log_ratio: Tensor  # (B,)
-    terminated: Tensor  # (B,)
+    ends: Tensor  # (B,), as the flow counts them
 
     def fields(self) -> tuple[Tensor, ...]:
-        return self.inputs, self.next_probs, self.start_probs, self.log_ratio, self.terminated
+        return self.inputs, self.next_probs, self.start_probs, self.log_ratio, self.ends
 
 
 @dataclass(frozen=True)
@@ -55,19 +60,25 @@ def q_net(
     return StackedMLP(1, sizes, relu, [generator])
 
 
-def dual_argument(values: Values, log_ratio: Tensor, terminated: Tensor, discount: float) -> Tensor:
-    """y = r + g (1 - terminated) E_{a'}[Q(s', a')] - Q(s, a), (..., B).
-
-    Truncation masks nothing.
-    """
-    return log_ratio + discount * (1 - terminated) * values.following - values.now
+def dual_argument(values: Values, log_ratio: Tensor, ends: Tensor, flow: Flow) -> Tensor:
+    """y = r + F Q, (..., B): r + g E_{a'~pi}[Q(s', a')] - Q(s, a) away from ends."""
+    start = values.start.mean(-1, keepdim=True)
+    return log_ratio + flow.after(values.following, start, ends) - values.now
 
 
 def dual_loss(values: Values, batch: Batch, config: TomConfig) -> Tensor:
-    """(1-g) E_{mu0,pi}[Q(s0, a0)] + E_q[f*(y)] (paper, eq. 16), (...,) of a batch (..., B)."""
-    f = divergence(config.divergence, config.conjugate)
-    y = dual_argument(values, batch.log_ratio, batch.terminated, config.discount)
-    return (1 - config.discount) * values.start.mean(-1) + f.dual_term(y)
+    """The dual's value on a batch (..., B), (...,).
+
+    (1-g) E_{mu0,pi}[Q(s0, a0)] + E_q[f*(y)] (paper, eq. 16); under a stationary flow
+    lambda + E_q[f*(y - lambda)] at the least lambda, which is a constant for Q's gradient (the
+    envelope theorem).
+    """
+    f, flow = divergence(config.divergence, config.conjugate), Flow.of(config)
+    y = dual_argument(values, batch.log_ratio, batch.ends, flow)
+    if flow.normalised:
+        multiplier = f.multiplier(y.detach())
+        return multiplier + f.dual_term(y - multiplier[..., None])
+    return (1 - flow.discount) * values.start.mean(-1) + f.dual_term(y)
 
 
 def as_value(output: Tensor, config: TomConfig) -> Tensor:
@@ -114,7 +125,10 @@ class QFunction(Trained):
 
 @dataclass
 class Minimise(Work):
-    """Work: gradient steps on the dual; then `net` is Q's (average) network."""
+    """Work: gradient steps on the dual; then `net` is the (average) network that counts.
+
+    It is the last one, or the one of the least held-out loss where episodes are held out.
+    """
 
     rank: ClassVar[int] = 3
     problem: "DualProblem"
@@ -122,6 +136,7 @@ class Minimise(Work):
     generator: torch.Generator
     net: StackedMLP = field(init=False)
     loss: float = field(init=False)  # mean of the last tenth
+    metrics: dict[str, float] = field(default_factory=dict)
 
     @property
     def kind(self) -> Hashable:
@@ -131,23 +146,45 @@ class Minimise(Work):
     def do(cls, works: "Sequence[Minimise]", subject: QFunction) -> None:
         config = subject.config
         averages = [Average(w.subject.net, config.parameter_average) for w in works]
+        judges = [w._judged(average.net) for w, average in zip(works, averages, strict=True)]
         bias_step = works[0].problem.log_ratio.new_tensor([w.problem.bias_step() for w in works])
         losses = []
-        for batches in zip(*(w.problem.batches(w.generator) for w in works), strict=True):
+        for step, batches in enumerate(zip(*(w._batches() for w in works), strict=True), 1):
             stacked = [
                 torch.stack(parts) for parts in zip(*(one.fields() for one in batches), strict=True)
             ]
             losses.append(subject.step(bias_step, *stacked).clone())
             for average in averages:
                 average.update()
-        tail = torch.stack(losses[-max(len(losses) // 10, 1) :])
-        for work, average, loss in zip(works, averages, tail.unbind(1), strict=True):
-            work.net, work.loss = average.net, float(loss.mean())
+            over = [judge.look(step) for judge in judges if judge]
+            if over and all(over):
+                break
+        for m, (work, average, judge) in enumerate(zip(works, averages, judges, strict=True)):
+            own = [loss[m] for loss in losses[: judge.steps if judge else None]]
+            work.loss = float(torch.stack(own[-max(len(own) // 10, 1) :]).mean())
+            work.net = judge.best() if judge else average.net
+            work.metrics = judge.metrics if judge else {}
+
+    def _judged(self, net: StackedMLP) -> "Validation | None":
+        """Hold episodes out, where the settings say so, and judge `net` by them from now on."""
+        if not self.problem.config.q_holdout:
+            return None
+        self.problem, held_out = self.problem.split(self.generator)
+        return Validation(net, held_out.loss_of(HELD_OUT, self.generator), self.problem.config)
+
+    def _batches(self) -> Iterator[Batch]:
+        # A member of a fleet that has stopped goes on beside the others: their number must not
+        # show in what it draws next.
+        validated = self.problem.config.q_holdout > 0
+        return self.problem.batches(fork(self.generator) if validated else self.generator)
 
 
 @dataclass(frozen=True)
 class DualProblem:
-    """A replay buffer with its r, a policy and a start distribution: what Q is fitted to."""
+    """A replay buffer with its r, a policy and a start distribution: what Q is fitted to.
+
+    Batches are drawn from the rows numbered in `drawn_from`, or from all.
+    """
 
     replay: TensorTransitions
     log_ratio: Tensor  # (N,)
@@ -155,18 +192,44 @@ class DualProblem:
     policy: Policy
     config: TomConfig
     scaling: Scaling  # of (s, a)
+    drawn_from: Tensor | None = None  # (n,) int64
+
+    @property
+    def flow(self) -> Flow:
+        return Flow.of(self.config)
 
     def minimise(self, q: QFunction, generator: torch.Generator) -> tuple[StackedMLP, float]:
-        """Gradient steps on the dual: Q's (average) network, and the last tenth's mean loss."""
+        """Gradient steps on the dual: Q's network that counts, and the last tenth's mean loss."""
         work = Minimise(self, q, generator)
         Minimise.do([work], q)
         return work.net, work.loss
+
+    def split(self, generator: torch.Generator) -> "tuple[DualProblem, DualProblem]":
+        """The same problem on the episodes to train on, and on those held out."""
+        held_out = held_out_rows(self.replay, self.config.q_holdout, generator)
+        parts = (~held_out).nonzero().squeeze(1), held_out.nonzero().squeeze(1)
+        return replace(self, drawn_from=parts[0]), replace(self, drawn_from=parts[1])
+
+    def loss_of(self, rows: int, generator: torch.Generator) -> Callable[[StackedMLP], float]:
+        """The dual of a network on one and the same `rows` draws."""
+        config = self.config.but(q_batch=rows, q_steps=1)
+        (batch,) = replace(self, config=config).batches(generator)
+
+        @torch.no_grad()
+        def loss(net: StackedMLP) -> float:
+            q = self._q(net, batch.inputs)
+            return float(dual_loss(values_of(q, batch, self.config), batch, self.config))
+
+        return loss
 
     @torch.no_grad()
     def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Weights f*'(y), not normalised, and Q(s, a) of every replay row, (N,) each."""
         samples, size = self.config.action_samples, rows_at_once(self.log_ratio.device, CHUNK)
         y, now = torch.empty_like(self.log_ratio), torch.empty_like(self.log_ratio)
+        flow = self.flow
+        start = self.start_values(net, samples, generator) if flow.restarts else y.new_zeros(1)
+        ends = flow.ends(self.replay)
         for i in range(0, len(y), size):
             part = slice(i, i + size)
             rows = self.replay[part]
@@ -174,13 +237,17 @@ class DualProblem:
             every = torch.cat((self._inputs(rows.obs, rows.action), inputs.flatten(0, 1)))
             q = torch.cat([self._q(net, block) for block in every.split(size)])
             following = (probs * q[len(rows) :].view_as(probs)).sum(0)
-            values = Values(q[: len(rows)], following, following)
-            y[part] = dual_argument(
-                values, self.log_ratio[part], rows.terminated, self.config.discount
-            )
+            values = Values(q[: len(rows)], following, start)
+            y[part] = dual_argument(values, self.log_ratio[part], ends[part], flow)
             now[part] = values.now
         f = divergence(self.config.divergence, self.config.conjugate)
-        return f.weights(y), now
+        return f.weights(y - f.multiplier(y) if flow.normalised else y), now
+
+    @torch.no_grad()
+    def start_values(self, net: StackedMLP, n: int, generator: torch.Generator) -> Tensor:
+        """E_{a~pi}[Q(s0, a)] by n actions, of the first start states, (B,)."""
+        inputs, probs = self._policy_inputs(self.initial_obs[:CHUNK], n, generator)
+        return (probs * self._q(net, inputs.flatten(0, 1)).view_as(probs)).sum(0)
 
     @torch.no_grad()
     def start_gap(self, net: StackedMLP, q: Tensor, generator: torch.Generator) -> float:
@@ -189,22 +256,21 @@ class DualProblem:
         Near zero where the replay covers the policy's starts. Where it does not, nothing holds Q
         there, the dual is unbounded below and this grows from fit to fit.
         """
-        starts = self.initial_obs[:CHUNK]
-        inputs, probs = self._policy_inputs(starts, 1, generator)
-        q_start = (probs * self._q(net, inputs.flatten(0, 1)).view_as(probs)).sum(0)
+        q_start = self.start_values(net, 1, generator)
         low, high = torch.quantile(q, q.new_tensor([0.001, 0.999]))
         return float((low - q_start).clamp(min=0).mean() / (1 + high - low))
 
     def bias_step(self) -> float:
         """The step of plain gradient descent on Q's output bias, in units of Q.
 
-        A shift of Q by c moves y by (g (1 - terminated) - 1) c, the next to nothing that makes
-        gradient descent slow and the curvature E[(1 - g (1 - terminated))^2] known. Under KL the
-        weights do not depend on it.
+        A shift of Q by c moves y by -c times the flow's `shift`: next to nothing, which makes
+        gradient descent slow, and a known curvature, E[shift^2]. Under KL and under a stationary
+        flow the weights do not depend on it.
         """
-        if self.config.divergence == "kl" or self.config.q_bias_step == 0:
+        free = self.config.divergence == "kl" or self.flow.normalised
+        if free or self.config.q_bias_step == 0:
             return 0.0
-        shift = 1 - self.config.discount * (1 - self.replay.terminated)
+        shift = self.flow.shift(self.flow.ends(self.replay))
         return self.config.q_bias_step / float(shift.square().mean())
 
     def batches(self, generator: torch.Generator) -> Iterator[Batch]:
@@ -213,7 +279,7 @@ class DualProblem:
         block = block_size(self.replay.obs.device, BLOCK, GPU_BLOCK)
         for first in range(0, self.config.q_steps, block):
             n = min(block, self.config.q_steps - first)
-            index = self._draw(len(self.replay), n * size, generator)
+            index = self._draw_rows(n * size, generator)
             start = self._draw(len(self.initial_obs), n * size, generator)
             rows = self.replay[index]
             following, next_probs = self._policy_inputs(rows.next_obs, samples, generator)
@@ -227,7 +293,7 @@ class DualProblem:
                 next_probs.split(size, dim=1),
                 start_probs.split(size, dim=1),
                 self.log_ratio[index].split(size),
-                rows.terminated.split(size),
+                self.flow.ends(rows).split(size),
             )
 
     def _q(self, net: StackedMLP, inputs: Tensor) -> Tensor:
@@ -242,6 +308,11 @@ class DualProblem:
         """(s, a ~ pi) as Q reads them, (K, B, O + A), and the probability of each a, (K, B)."""
         actions, probs = policy_actions(self.policy, obs, n, generator)
         return self._inputs(obs.expand(len(actions), *obs.shape), actions), probs
+
+    def _draw_rows(self, n: int, generator: torch.Generator) -> Tensor:
+        if self.drawn_from is None:
+            return self._draw(len(self.replay), n, generator)
+        return self.drawn_from[self._draw(len(self.drawn_from), n, generator)]
 
     def _draw(self, high: int, n: int, generator: torch.Generator) -> Tensor:
         return uniform_indices(high, n, generator).to(self.replay.obs.device)

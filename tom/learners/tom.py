@@ -40,7 +40,7 @@ RUNAWAY = (
 ENDS_UNDER_KL = (
     "kl-drops-terminations",
     "KL with normalised weights drives the weight of terminated transitions to zero: use chi2 "
-    "where episodes terminate",
+    "or the stationary flow where episodes terminate",
 )
 """The notice of a fit under KL on a buffer with terminated transitions."""
 
@@ -107,7 +107,7 @@ def estimate(
     raw, q = problem.solution(dual.net, generator)
     weights, degenerate = normalise(raw)
     start_gap = problem.start_gap(dual.net, q, generator)
-    metrics |= {
+    metrics |= dual.metrics | {
         "dual/loss": dual.loss,
         "dual/q_mean": float(q.mean()),
         "dual/start_gap": start_gap,
@@ -116,10 +116,15 @@ def estimate(
     found = (
         (DEGENERATE, degenerate),
         (RUNAWAY, start_gap > MAX_START_GAP),
-        (ENDS_UNDER_KL, config.divergence == "kl" and bool(replay.terminated.any())),
+        (ENDS_UNDER_KL, _kl_drops_ends(config) and bool(replay.terminated.any())),
     )
     notices = tuple(notice for notice, holds in found if holds)
     return Occupancy(weights, log_ratio, metrics, notices)
+
+
+def _kl_drops_ends(config: TomConfig) -> bool:
+    """Whether mass is lost at ends while KL's weights keep their sum."""
+    return config.divergence == "kl" and config.flow == "discounted"
 
 
 def occupancy_weights(
@@ -173,7 +178,7 @@ class TomLearner:
             return uniform(context.replay, ready=False)
         if config.discriminator_reset:
             networks.restart_discriminator(context.generator)
-        if config.q_reset:
+        if config.starts_afresh:
             networks.restart_q(context.generator)
         found = yield from estimate(
             networks,

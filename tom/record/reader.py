@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tom.config import completed
 from tom.data.transitions import Transitions
 from tom.errors import reason
 from tom.events import Episode
@@ -45,7 +46,7 @@ class RunReader:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """The whole of `config.json`; empty when it cannot be read."""
+        """The whole of `config.json`, its settings `completed`; empty when it cannot be read."""
         content = self._read(layout.CONFIG, read_json, needed=True)
         if content is None:
             return {}
@@ -55,7 +56,8 @@ class RunReader:
                 f"written by a newer version (schema {schema}, this one knows {layout.SCHEMA}): "
                 "parts may be missing; update tom-studio"
             )
-        return content
+        settings = content.get("config")
+        return content | {"config": completed(settings)} if isinstance(settings, dict) else content
 
     @property
     def is_run(self) -> bool:

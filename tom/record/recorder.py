@@ -14,6 +14,7 @@ from tom.events import (
     Evaluation,
     Event,
     Field,
+    KeptPolicy,
     Metrics,
     Notice,
     Tick,
@@ -122,6 +123,8 @@ class Recorder:
             case Notice():
                 self._heartbeat.warn(event.kind, f"step {event.env_step}: {event.message}")
                 self._writer.notice(event.env_step, event.kind, event.message)
+            case KeptPolicy():
+                self._writer.kept_policy(event.env_step, event.arrays)
             case TrainedPolicy():
                 self._writer.policy(event.arrays)
         self._record_s += time.perf_counter() - begun

@@ -172,7 +172,7 @@ class RunWriter:
         arrays = {name: np.asarray(column, np.float32) for name, column in columns.items()}
         self._table(layout.snapshot(weights.env_step), pa.table(arrays))
         if weights.policy is not None:
-            self._arrays(layout.policy(weights.env_step), weights.policy)
+            self.kept_policy(weights.env_step, weights.policy)
         previous, self._latest_snapshot = self._latest_snapshot, weights.env_step
         if previous is not None and previous != weights.env_step:
             for name in (layout.snapshot(previous), layout.policy(previous)):
@@ -199,6 +199,10 @@ class RunWriter:
             self._tail, self._tail_first = [], self._tail_first + length
         else:
             self._tail = [joined]
+
+    def kept_policy(self, env_step: int, arrays: Mapping[str, NDArray]) -> None:
+        """Write the policy as it stood at `env_step`."""
+        self._arrays(layout.policy(env_step), arrays)
 
     def policy(self, arrays: Mapping[str, NDArray]) -> None:
         """Write the policy that the training ended with."""

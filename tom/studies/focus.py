@@ -178,8 +178,7 @@ def _fitted(data: OrderedData, found: Weighed, config: OnlineConfig) -> Dynamics
     dims = rows.obs.shape[1], rows.action.shape[1]
     model = make_model(*dims, config.model, streams.torch("model"))
     weighting = Weighting(torch.from_numpy(found.weights), clipped=config.learner == "tom")
-    fitted = weighting.fit_weights(config.model.weight_clip)
-    model.fit(rows, fitted, None, streams.torch("fit"))
+    model.fit(rows, *weighting.for_fit(config.model), streams.torch("fit"))
     return model
 
 

@@ -159,7 +159,7 @@ def baseline_cases(seeds: Sequence[int]) -> list[Case]:
         for case in (
             *(
                 _case(name, name, seed)
-                for name in ("vagram", "expert-only", "footprint-only", "discriminator-only")
+                for name in ("vagram", "expert-only", "footprint-only", "ratio")
             ),
             _case("tom, uniform starts", "tom", seed, **uniform_starts),
         )

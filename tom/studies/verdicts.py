@@ -8,7 +8,7 @@ from tom.progression import DECILES, LATE
 from tom.studies.progression import RISE, Finding
 from tom.studies.road import TOM_SUCCESS_MIN, Outcome
 
-SIMPLER = ("expert-only", "footprint-only", "discriminator-only", "pmac, expert last")
+SIMPLER = ("expert-only", "footprint-only", "ratio", "pmac, expert last")
 """weightings of road-and-rocks that have no dual, or know nothing of the road"""
 PAPER = "paper, 1 sampled a'"
 """the paper's networks and steps among the ways to estimate"""

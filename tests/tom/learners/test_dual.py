@@ -12,6 +12,7 @@ from tom.learners.base import policy_actions
 from tom.learners.dual import (
     Batch,
     DualProblem,
+    Minimise,
     QFunction,
     Values,
     dual_argument,
@@ -19,6 +20,7 @@ from tom.learners.dual import (
     q_net,
     values_of,
 )
+from tom.learners.flows import Flow
 from tom.nn import StackedMLP
 
 
@@ -37,6 +39,13 @@ def problem(replay: TensorTransitions, config: TomConfig = QUICK, policy=uniform
     scaling = Scaling.of((replay.obs, replay.action))
     r = torch.linspace(-1, 1, len(replay))
     return DualProblem(replay, r, replay.obs[:20], policy, config, scaling)
+
+
+FLOWS = ("discounted", "restart", "stationary")
+
+
+def flow(name) -> Flow:
+    return Flow.of(TomConfig(flow=name, discount=0.9))
 
 
 def net(config: TomConfig = QUICK) -> StackedMLP:
@@ -64,8 +73,66 @@ def test_dual_loss_by_hand():
 
 
 def test_termination_masks_the_next_value():
-    y = dual_argument(VALUES, torch.zeros(2), torch.tensor([0.0, 1.0]), 0.9)
+    y = dual_argument(VALUES, torch.zeros(2), torch.tensor([0.0, 1.0]), flow("discounted"))
     torch.testing.assert_close(y, torch.tensor([0.9 * 3 - 1, -2.0]))
+
+
+def test_a_restart_puts_a_new_start_after_an_end():
+    y = dual_argument(VALUES, torch.zeros(2), torch.tensor([0.0, 1.0]), flow("restart"))
+    torch.testing.assert_close(y, torch.tensor([0.9 * 3 - 1, 0.9 * 5 - 2]))
+    y = dual_argument(VALUES, torch.zeros(2), torch.tensor([0.0, 1.0]), flow("stationary"))
+    torch.testing.assert_close(y, torch.tensor([3.0 - 1, 5.0 - 2]))
+
+
+def test_a_time_limit_ends_a_stationary_flow_alone():
+    late = ended(rows(4), "truncated")
+    assert [flow(name).ends(late).sum() for name in FLOWS] == [0, 0, late.truncated.sum()]
+
+
+def test_the_dual_of_a_stationary_flow_by_hand():
+    # y = 2.5 and -1.5 as values of a batch without ends: lambda = 1.5 and weights 2 and 0
+    config = TomConfig(flow="stationary")
+    values = replace(VALUES, following=torch.tensor([3.0, 1.0]))
+    expected = 1.5 + ((2.0**2 - 1) / 2 - 0.5) / 2
+    assert float(dual_loss(values, batch(), config)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_level_of_q_moves_nothing_in_a_stationary_flow():
+    replay, config = ended(rows(64), "terminated"), QUICK.but(flow="stationary")
+    q = net()
+    raised = net()
+    with torch.no_grad():
+        raised.layers[-1][1].add_(3.0)
+    found = problem(replay, config, TwoActions())
+    weights, level = (found.solution(one, generator())[0] for one in (q, raised))
+    torch.testing.assert_close(weights, level, atol=1e-4, rtol=1e-4)
+    assert float(weights.mean()) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_validated_q_is_the_best_on_episodes_that_it_never_saw():
+    config = QUICK.but(q_steps=600, q_lr=1e-2, q_holdout=0.25, q_check_every=20, flow="stationary")
+    found, q = problem(ended(rows(600), "terminated"), config), net(config)
+    work = Minimise(found, QFunction(q, config), generator())
+    Minimise.do([work], work.subject)
+    trained_on, held_out = replace(found).split(generator())
+    drawn, expected = work.problem.drawn_from, trained_on.drawn_from
+    assert drawn is not None
+    assert expected is not None
+    assert torch.equal(drawn, expected)
+    # The overfitted last network is worse on the held-out rows than the one that was kept.
+    assert 0 < work.metrics["dual/steps"] < 600
+    loss = held_out.loss_of(2000, generator(5))
+    assert loss(work.net) < loss(q)
+
+
+def test_what_a_validated_q_draws_does_not_depend_on_when_it_stops():
+    ends = []
+    for patience in (1, 30):
+        config = QUICK.but(q_steps=60, q_holdout=0.25, q_check_every=2, q_patience=patience)
+        source = generator(3)
+        problem(rows(600), config).minimise(QFunction(net(config), config), source)
+        ends.append(torch.rand(1, generator=source))
+    assert torch.equal(*ends)
 
 
 def test_truncation_masks_nothing_and_termination_does():

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from made import context, rows
 from torch import Tensor
 
-from tom.config import PmacConfig
+from tom.config import ModelConfig, PmacConfig
 from tom.learners.pmac import PmacLearner, recency_probabilities
 
 
@@ -65,6 +65,6 @@ def test_no_fit_clips_its_weights():
     """As the released code, which clips probabilities at ten; TOM's weights it does clip."""
     found = PmacLearner(PmacConfig()).weigh(context(rows(4000), policy_version=torch.arange(4000)))
     assert float(found.weights.max()) > 15
-    assert torch.equal(found.fit_weights(10.0), found.weights)
+    assert torch.equal(found.for_fit(ModelConfig())[0], found.weights)
     clipped = replace(found, clipped=True)
-    assert torch.equal(clipped.fit_weights(10.0), found.weights.clamp(max=10.0))
+    assert torch.equal(clipped.for_fit(ModelConfig())[0], found.weights.clamp(max=10.0))

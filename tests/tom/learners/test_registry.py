@@ -2,9 +2,10 @@ import pytest
 import torch
 from made import ACTION, OBS, QUICK, context, generator, rows
 
-from tom.config import OnlineConfig
+from tom.config import ModelConfig, OnlineConfig, RolloutConfig
 from tom.errors import UserError
 from tom.learners import LEARNER_NAMES, LEARNERS, make_learner
+from tom.learners.base import Weighting
 from tom.presets import resolve
 
 
@@ -13,9 +14,9 @@ def config(name: str) -> OnlineConfig:
 
 
 def test_names_and_labels():
-    assert LEARNER_NAMES == ("mle", "pmac", "tom", "vagram", "vagram-ensemble")
+    assert LEARNER_NAMES == ("mle", "pmac", "tom", "ratio", "vagram", "vagram-ensemble")
     labels = [entry.label for entry in LEARNERS.values()]
-    assert labels == ["MLE", "PMAC", "TOM", "VaGram (MDN)", "VaGram (Ensemble)"]
+    assert labels == ["MLE", "PMAC", "TOM", "Ratio", "VaGram (MDN)", "VaGram (Ensemble)"]
 
 
 @pytest.mark.parametrize("name", LEARNER_NAMES)
@@ -56,3 +57,21 @@ def test_vagrams_ensemble_is_another_model_unless_the_user_wants_one():
 def test_an_unknown_learner_offers_the_nearest():
     with pytest.raises(UserError, match="did you mean 'pmac'"):
         make_learner("pmacs", config("pmac"), OBS, ACTION, generator())
+
+
+def test_a_defensive_mixture_leaves_no_row_below_its_share():
+    weighting = Weighting(torch.tensor([0.0, 0.5, 2.5]))
+    rows, _ = weighting.for_fit(ModelConfig(uniform_share=0.5))
+    assert rows.tolist() == [0.5, 0.75, 1.75]
+    starts = weighting.for_starts(RolloutConfig(uniform_share=0.2))
+    assert starts is not None
+    assert starts.tolist() == pytest.approx([0.2, 0.6, 2.2])
+    assert weighting.for_starts(RolloutConfig(weighted_starts=False)) is None
+
+
+def test_a_defensive_mixture_reaches_the_dimensions_and_draws_no_rows():
+    weighting = Weighting(torch.ones(2), per_dim=torch.tensor([[0.0, 2.0], [1.0, 1.0]]))
+    rows, per_dim = weighting.for_fit(ModelConfig(uniform_share=0.5))
+    assert rows.tolist() == [1.0, 1.0]
+    assert per_dim is not None
+    assert per_dim.tolist() == [[0.5, 1.5], [1.0, 1.0]]

@@ -1,0 +1,178 @@
+"""Every way of weighing on the same frozen buffers: footprint and capacity."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tom.cli import main
+from tom.config import SacRecordingConfig
+from tom.presets import resolve
+from tom.record import RunReader, Store
+from tom.run import train
+from tom.studies import capacity, footprint
+from tom.studies.frozen import WAYS, Case, ModelError, Outcome, cases, examined, moments
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
+    config = resolve("hopper", "mle", "smoke", {"steps": 1500, "snapshots": 10})
+    return train(config, Store(tmp_path_factory.mktemp("store")), "frozen", rerun=False)
+
+
+BASE = Outcome("a", "hopper", 100, "uniform", 0, 1.0, 0.02, 0.01, 1.0, 0.4, 0.1, ())
+
+
+def test_moments_are_fits_on_policy_whose_policy_was_kept(run: RunReader):
+    steps = moments(run, 100)
+    assert min(steps) >= 1200
+    assert set(steps) <= set(run.policy_steps())
+    assert moments(run, 2) == [steps[0], steps[-1]]
+
+
+def test_what_a_way_makes_of_a_moment(run: RunReader):
+    at = moments(run, 1)[0]
+    uniform = examined(Case(run.path, at, "uniform", models=("linear",), rows=300))
+    assert uniform.footprint == pytest.approx(1.0)
+    assert uniform.ess == pytest.approx(1.0)
+    newest = examined(Case(run.path, at, "newest", models=("linear",), rows=300))
+    assert newest.ess == pytest.approx(1000 / at)
+    assert newest.footprint != pytest.approx(1.0)
+    assert newest.footprint_uniform == uniform.footprint_uniform  # judged by the same episodes
+    for one in (uniform, newest):
+        (error,) = one.errors
+        assert error.model == "linear"
+        assert 0 < error.error < 10
+    assert uniform.errors != newest.errors
+
+
+@pytest.mark.parametrize("way", ["half-recency", "half-ratio"])
+def test_a_half_leaves_no_row_below_a_half(run: RunReader, way: str):
+    at = moments(run, 1)[0]
+    half, whole = (
+        examined(Case(run.path, at, name, rows=300)) for name in (way, way.removeprefix("half-"))
+    )
+    assert half.ess > whole.ess
+
+
+def test_every_way_is_asked_at_every_moment(run: RunReader):
+    asked = cases([run], ["uniform", "ratio"], [0, 1], 2)
+    assert len(asked) == 8
+    assert {case.made for case in asked} == {run.created}
+
+
+def test_a_footprints_summary_by_hand():
+    found = [
+        BASE,
+        replace(BASE, way="ratio", footprint=0.5, ess=0.2),
+        replace(BASE, way="ratio", step=200, footprint=0.7, ends=0.04),
+        replace(BASE, way="ratio", recording="b", footprint=1.2),
+        replace(BASE, way="ratio", recording="c", env="walker2d", footprint=2.0),
+        replace(BASE, way="ratio", recording="d", env="walker2d", footprint=np.nan),
+    ]
+    uniform, ratio = footprint.summary(found)
+    assert uniform["distance"] == 1
+    # Hopper: medians .6 and 1.2 of its two runs, .9 on average; Walker: 2.
+    assert ratio["distance"] == pytest.approx((0.9 + 2.0) / 2)
+    assert ratio["hopper"] == 0.7
+    assert ratio["below uniform"] == 0.5
+    assert ratio["n"] == 4
+    assert ratio["ends over policy's"] == pytest.approx(0.10 / 0.04)
+    said = " ".join(footprint.verdict(found))
+    assert "Further from the policy than no weights at all: ratio 1.45" in said
+
+
+def test_ways_are_paired_at_the_moments_that_both_have():
+    found = [
+        replace(BASE, way="ratio", footprint=0.5),
+        replace(BASE, way="ratio", step=200, footprint=0.5),
+        replace(BASE, way="recency", footprint=0.6),
+        replace(BASE, way="recency", step=300, footprint=0.1),
+    ]
+    assert footprint.paired(found, "ratio", "recency") == (1, 1)
+
+
+def test_a_capacitys_summary_by_hand():
+    def errors(*values: float) -> tuple[ModelError, ...]:
+        return tuple(
+            ModelError(name, value, 2 * value)
+            for name, value in zip(("linear", "8 x 2"), values, strict=True)
+        )
+
+    found = [
+        replace(BASE, errors=errors(1.0, 0.5)),
+        replace(BASE, step=200, errors=errors(2.0, 0.5)),
+        replace(BASE, way="ratio", errors=errors(0.5, 0.6)),
+        replace(BASE, way="ratio", step=200, errors=errors(1.5, 0.6)),
+    ]
+    linear, small = capacity.summary(found)
+    assert (linear["model"], small["model"]) == ("linear", "8 x 2")
+    assert linear["one step"] == pytest.approx((0.5 + 0.75) / 2)
+    assert linear["five steps"] == linear["one step"]
+    assert linear["one step, below 1"] == 1
+    assert small["one step"] == pytest.approx(1.2)
+    assert small["one step, below 1"] == 0
+    first, second = capacity.verdict(found)
+    assert "Model linear: ratio errs least, 0.62" in first
+    assert "1.20" in second
+
+
+def test_the_commands_write_their_reports(
+    run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    store = str(run.path.parent)
+    common = ("--moments", "2", "--rows", "300", "--jobs", "1", "--store", store, "--json")
+    for name, extra in (("footprint", ()), ("capacity", ("frozen", "--models", "linear", "8 x 2"))):
+        out = tmp_path / name
+        words = ["reproduce", name, *extra, "--ways", "newest", "--out", str(out), *common]
+        assert main(words) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["verdict"]
+        assert {path.name for path in out.glob("*.*")} == {
+            "report.html", "summary.csv", "moments.csv", f"{name}.png", f"{name}.svg"
+        }  # fmt: skip
+        assert len(pd.read_csv(out / "moments.csv")) == 2 * 2
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--ways", "tom-stationery"], "did you mean 'tom-stationary'"),
+        (["--moments", "0"], "--moments must be at least 1"),
+        (["--env", "walker2d"], "no run with a buffer and policies"),
+        (["nothing"], "no run 'nothing'"),
+    ],
+)
+def test_bad_input_is_one_line(
+    run: RunReader, words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "report"
+    asked = [*words, "--store", str(run.path.parent), "--out", str(out)]
+    assert main(["reproduce", "footprint", *asked]) == 2
+    assert says in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_every_way_is_a_learner_of_the_registry_or_the_newest_rows():
+    for name, way in WAYS.items():
+        assert (way.learner is None) == (name == "newest")
+        if way.learner:
+            resolve("hopper", way.learner, way.preset, dict(way.settings))
+
+
+def test_a_recording_of_sac_stands_for_a_replay_buffer(tmp_path: Path):
+    config = SacRecordingConfig(env="hopper").but(
+        steps=1500,
+        exploration_steps=200,
+        snapshots=5,
+        sac={"hidden": 16, "batch_size": 32},
+        evaluation={"every": 1500, "episodes": 1},
+    )
+    recording = train(config, Store(tmp_path), "recorded", rerun=False)
+    assert recording.policy_steps() == [1800, 2100, 2400, 2700, 3000]
+    assert moments(recording, 10) == [2700, 3000]  # a policy buffer of on-policy rows before each
+    newest = examined(Case(recording.path, 2700, "newest", rows=300))
+    assert newest.ess == pytest.approx(1000 / 2700)

@@ -1,0 +1,38 @@
+"""How far each way of weighing is from the policy, a point a moment."""
+
+from collections.abc import Sequence
+from statistics import median
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
+
+from tom.reports.colours import NEUTRAL, TEXT, learner_colour
+from tom.reports.style import STYLE, new_figure
+from tom.studies.footprint import UNIFORM
+from tom.studies.frozen import WAYS, Outcome
+
+
+def footprint_figure(found: Sequence[Outcome]) -> Figure:
+    """A panel for each task: distance to the policy over that of uniform weights, log axis."""
+    envs = list(dict.fromkeys(one.env for one in found))
+    ways = [way for way in WAYS if way != UNIFORM and any(one.way == way for one in found)]
+    with rc_context(STYLE):
+        figure = new_figure(2.2 + 2.6 * len(envs), 0.7 + 0.24 * len(ways))
+        axes = figure.subplots(1, len(envs), squeeze=False, sharey=True)[0]
+        for ax, env in zip(axes, envs, strict=True):
+            ax.axvline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
+            for row, way in enumerate(reversed(ways)):
+                of = [max(o.footprint, 0.03) for o in found if (o.env, o.way) == (env, way)]
+                colour = learner_colour(WAYS[way].learner or "")
+                ax.scatter(of, [row] * len(of), s=14, color=colour, alpha=0.55, linewidths=0)
+                if of:
+                    ax.plot([median(of)] * 2, [row - 0.35, row + 0.35], color=TEXT, linewidth=1.6)
+            ax.set_xscale("log")
+            ax.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1, 2, 4]))
+            ax.xaxis.set_minor_locator(NullLocator())
+            ax.xaxis.set_major_formatter("{x:g}")
+            ax.set_title(env)
+        axes[0].set_yticks(range(len(ways)), list(reversed(ways)))
+        figure.supxlabel("distance to the policy's footprint over that of uniform weights", size=9)
+    return figure

@@ -1,0 +1,249 @@
+"""Frozen buffers: what each way of weighing makes of a buffer as it stood at a fit of a run.
+
+A moment is the replay buffer of a run at a fit, and the policy of that fit, which the run kept.
+Online, learners differ in policy, data and model at once; at a moment they differ in their weights
+alone. The learner is told what it is told online, the newest transitions of a policy that has
+moved on since; it is judged by episodes that the policy of that fit makes anew.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tom.collect import footprint
+from tom.config import OnlineConfig
+from tom.data.datasets import initial_obs
+from tom.data.sampling import ess
+from tom.data.transitions import TensorTransitions
+from tom.diagnostics import one_step_error, rollout_error, unbroken
+from tom.dynamics import make_model
+from tom.energy import footprint_match, step_scaling
+from tom.envs import task
+from tom.learners import make_learner
+from tom.learners.base import FitContext, Weighting
+from tom.ordered_data import OrderedData, of_run
+from tom.policy_file import StoredPolicy, read_policy
+from tom.presets import resolve
+from tom.record import RunReader, layout
+from tom.rng import Streams
+
+NEWEST = 1000  # rows of the policy buffer
+RANDOM = 5000  # random rows before those of a recording of SAC, as many as a training explores
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way of weighing: a learner with settings on top of a preset; None: the newest rows."""
+
+    learner: str | None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    preset: str = "paper"
+
+
+def _tom(**settings: Any) -> Way:
+    return Way("tom", {"tom": settings})
+
+
+VALIDATED: Mapping[str, Any] = {"q_holdout": 0.2, "q_steps": 2000, "q_check_every": 25}
+HALF: Mapping[str, Any] = {"model": {"uniform_share": 0.5}}
+
+WAYS: dict[str, Way] = {
+    "uniform": Way("mle"),
+    "newest": Way(None),
+    "recency": Way("pmac"),
+    "half-recency": Way("pmac", HALF),
+    "vagram": Way("vagram"),
+    "ratio": Way("ratio"),
+    "half-ratio": Way("ratio", HALF),
+    "tom-released": Way("tom", preset="released"),
+    "tom-discounted": _tom(q_reset=True),
+    "tom-discounted-validated": _tom(**VALIDATED),
+    "tom-restart": _tom(q_reset=True, flow="restart"),
+    "tom-restart-validated": _tom(flow="restart", **VALIDATED),
+    "tom-stationary": _tom(q_reset=True, flow="stationary"),
+    "tom-stationary-validated": _tom(flow="stationary", **VALIDATED),
+    "tom-stationary-kl": _tom(q_reset=True, flow="stationary", divergence="kl"),
+    "tom-mended": Way("tom", preset="mended"),
+    "half-tom-mended": Way("tom", HALF, preset="mended"),
+}
+"""Half: mixed half and half with uniform weights. Q starts afresh in all but the recorded run."""
+
+MODELS: dict[str, Mapping[str, Any]] = {
+    "linear": {"kind": "linear"},
+    "8 x 2": {"hidden": 8, "layers": 2},
+    "32 x 2": {"hidden": 32, "layers": 2},
+    "200 x 4": {"hidden": 200, "layers": 4},
+}
+"""Models of growing capacity, the last one the paper's; networks are mixture density networks."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way of weighing at one moment, under one seed; `models` are fitted by those weights."""
+
+    run: Path
+    step: int
+    way: str
+    seed: int = 0
+    models: tuple[str, ...] = ()
+    rows: int = 6000  # transitions that the policy makes anew
+    made: str = ""  # when the run was: another one in the same place is another case
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """How a model errs on the policy's new steps, in standard deviations of a step's change."""
+
+    model: str
+    error: float  # one step ahead
+    rollout_error: float  # five
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a case. Footprints as in `tom.energy.footprint_match`, of the fit's weights."""
+
+    recording: str
+    env: str
+    step: int
+    way: str
+    seed: int
+    ess: float
+    ends: float  # share of the weight on transitions that end an episode in a terminal state
+    ends_policy: float  # their share of what the policy does
+    footprint: float
+    footprint_uniform: float
+    footprint_noise: float
+    errors: tuple[ModelError, ...]
+
+
+def moments(run: RunReader, most: int) -> list[int]:
+    """The fits, `most` at most and evenly spread, at which a run kept its policy on policy."""
+    settings = run.config["config"]
+    first = int(settings["exploration_steps"]) + NEWEST
+    if run.learner == "sac":
+        first += int(settings["steps"])
+    steps = [step for step in run.policy_steps() if step >= first]
+    if len(steps) <= most:
+        return steps
+    return [steps[round(i)] for i in np.linspace(0, len(steps) - 1, most)]
+
+
+def cases(
+    runs: Sequence[RunReader],
+    ways: Sequence[str],
+    seeds: Sequence[int],
+    most: int,
+    models: Sequence[str] = (),
+    rows: int = 6000,
+) -> list[Case]:
+    """Every way under every seed at every moment of every run."""
+    return [
+        Case(run.path, step, way, seed, tuple(models), rows, run.created)
+        for run in runs
+        for step in moments(run, most)
+        for seed in seeds
+        for way in ways
+    ]
+
+
+def examined(case: Case) -> Outcome:
+    """Weigh the moment's buffer, and judge the weights and the models fitted by them."""
+    run, way = RunReader(case.run), WAYS[case.way]
+    data, policy = _buffer(run, case.step), read_policy(case.run / layout.policy(case.step))
+    config = _config(run, way, case.seed)
+    weighting = _weighting(data, policy, config, newest=way.learner is None)
+    rows, streams = data.transitions, Streams(case.seed)
+    start, generator = streams.integer("test env"), streams.torch("test")
+    anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
+    weights = weighting.counted(config.model)
+    match = footprint_match(rows, weights, anew, step_scaling(rows), generator)
+    return Outcome(
+        recording=run.run_id,
+        env=run.env,
+        step=case.step,
+        way=case.way,
+        seed=case.seed,
+        ess=ess(weights),
+        ends=float((weights * rows.terminated).sum() / weights.sum()),
+        ends_policy=float(anew.terminated.mean()),
+        footprint=match.get("footprint", np.nan),
+        footprint_uniform=match.get("footprint_uniform", np.nan),
+        footprint_noise=match.get("footprint_noise", np.nan),
+        errors=tuple(_error(name, rows, weighting, anew, config) for name in case.models),
+    )
+
+
+def _buffer(run: RunReader, step: int) -> OrderedData:
+    """The replay buffer of a training at `step`, or what stands for one in a recording of SAC."""
+    if run.learner != "sac":
+        return of_run(run, step)
+    data = of_run(run)
+    first = max(data.ordered_from - RANDOM, 0)
+    rows = data.transitions[first:step]
+    return replace(
+        data,
+        transitions=rows,
+        policy_version=data.policy_version[first:step],
+        initial_obs=torch.as_tensor(initial_obs(rows)),
+        ordered_from=data.ordered_from - first,
+    )
+
+
+def _config(run: RunReader, way: Way, seed: int) -> OnlineConfig:
+    config = resolve(run.env, way.learner or "mle", way.preset, {**way.settings, "seed": seed})
+    assert isinstance(config, OnlineConfig)
+    return config
+
+
+def _weighting(
+    data: OrderedData, policy: StoredPolicy, config: OnlineConfig, newest: bool
+) -> Weighting:
+    """The weights as a fit online would have them, all networks started afresh."""
+    rows, streams = data.transitions, Streams(config.seed)
+    if newest:
+        weights = torch.zeros(len(rows))
+        weights[-NEWEST:] = len(rows) / NEWEST
+        return Weighting(weights)
+    dims = rows.obs.shape[1], rows.action.shape[1]
+    learner = make_learner(config.learner, config, *dims, streams.torch("learner"))
+    return learner.weigh(
+        FitContext(
+            replay=rows,
+            policy_version=data.policy_version,
+            policy_buffer=rows[-NEWEST:],
+            on_policy_steps=len(rows) - data.ordered_from,
+            initial_obs=data.initial_obs,
+            policy=policy,
+            generator=streams.torch("weigh"),
+            value_gradient=policy.value_gradient,
+        )
+    )
+
+
+def _error(
+    name: str,
+    rows: TensorTransitions,
+    weighting: Weighting,
+    anew: TensorTransitions,
+    config: OnlineConfig,
+) -> ModelError:
+    streams, settings = Streams(config.seed), config.model.but(**MODELS[name])
+    model = make_model(rows.obs.shape[1], rows.action.shape[1], settings, streams.torch("model"))
+    model.fit(rows, *weighting.for_fit(settings), streams.torch("fit"))
+    scale = _step_scale(rows)
+    return ModelError(
+        name,
+        one_step_error(model, anew, scale),
+        rollout_error(model, anew, unbroken(anew), scale),
+    )
+
+
+def _step_scale(rows: TensorTransitions) -> Tensor:
+    """Standard deviation of a step's change in each dimension over the buffer, (O,)."""
+    return (rows.next_obs - rows.obs).std(0, correction=0).clamp(min=1e-6)
