@@ -5,8 +5,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from app.launcher import Studio, run
 from app.links import LOOPBACK
+from app.servers.launcher import Studio, run
 from tom.cli.parser import Parser, folder
 from tom.errors import UserError
 from tom.record.store import Store
@@ -18,7 +18,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = _parser().parse_args(argv)
         store = _readable(args.store)
         if args.screenshots:
-            from app.screenshots import take  # needs playwright, which only the test extra has
+            from app.servers.screenshots import (
+                take,  # needs playwright, which only the test extra has
+            )
 
             return take(store, args.screenshots)
         if args.host not in LOOPBACK:

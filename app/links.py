@@ -8,7 +8,7 @@ from typing import Self
 from urllib.parse import quote
 
 from app.theme import Mode
-from tom.address import in_url, local_host, names
+from tom.machine.address import in_url, local_host, names
 from tom.record.rerun import hub
 
 VARIABLE = "TOM_STUDIO"

@@ -6,10 +6,12 @@ import numpy as np
 import streamlit as st
 from PIL import Image
 
-from app import readers, session
-from app.colours import rgb
+from app import session
+from app.data import readers
+from app.parts import empty
+from app.scenes.colours import rgb
 from app.theme import LEARNER_COLOURS, NEUTRAL
-from app.views import compare, empty, live, probe, regions, replays, road, studies, weights
+from app.views import compare, live, probe, regions, replays, road, studies, weights
 
 VIEWS = (live, compare, weights, regions, probe, replays, road, studies)
 BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS["tom"]))

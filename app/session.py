@@ -8,7 +8,7 @@ import streamlit as st
 
 from app.links import Links
 from app.theme import Mode
-from tom.address import in_url
+from tom.machine.address import in_url
 
 
 def links() -> Links:

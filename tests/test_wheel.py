@@ -32,7 +32,7 @@ def test_it_holds_every_file_of_both_packages_and_nothing_else(wheel: Path):
     files = [path for package in ("app", "tom") for path in (ROOT / package).rglob("*")]
     kept = {str(path.relative_to(ROOT)) for path in files if path.is_file()}
     assert names == {name for name in kept if "__pycache__" not in name}
-    assert "app/plot/plot.js" in names
+    assert "app/parts/plot/plot.js" in names
 
 
 @pytest.mark.slow

@@ -8,8 +8,6 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from tom.nested import merged
-
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Discount = Annotated[float, Field(ge=0, lt=1)]
 Positive = Annotated[float, Field(gt=0)]
@@ -336,3 +334,24 @@ class RoadConfig(RunConfig):
     rollout: RolloutConfig = RolloutConfig(starts=1000, length=5, final_length=5, retain=60)
     """model rollouts; `retain` counts rollouts, not fits: the model stays, so all may stay"""
     evaluation: EvaluationConfig = EvaluationConfig(every=100, episodes=20)
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `changes` on top, group by group."""
+    found = dict(base)
+    for name, value in changes.items():
+        held = found.get(name)
+        if isinstance(held, Mapping) and isinstance(value, Mapping):
+            found[name] = merged(held, value)
+        else:
+            found[name] = value
+    return found
+
+
+def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Every value by its dotted path, in order; a group without values has none."""
+    found: dict[str, Any] = {}
+    for name, value in nested.items():
+        inner = isinstance(value, Mapping)
+        found |= flat(value, f"{above}{name}.") if inner else {f"{above}{name}": value}
+    return found

@@ -1,4 +1,4 @@
-"""Errors that are the user's to mend: one line, naming the fix; and any error in one line."""
+"""Errors in one line: the user's to mend, naming the fix; what ends a training; any other."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -24,3 +24,7 @@ def reason(error: BaseException) -> str:
     """Why something failed: the first line of an error, its kind where it says nothing."""
     lines = str(error).strip().splitlines() or [type(error).__name__]
     return lines[0][:200]
+
+
+class DivergedError(Exception):
+    """The training cannot go on: what was found, at which step, and what to try."""

@@ -43,7 +43,7 @@ class Weights:
     `weight` is (N,) and has mean 1 unless every weight is zero; `per_dim` is (N, O) for learners
     that weigh each dimension (then `weight` is its mean over dimensions). `log_ratio` (N,) is the
     r that was fed to the dual Q, where the learner has one. `policy` is the policy of interest at
-    this fit, as the arrays of `tom.policy_file`.
+    this fit, as the arrays of `tom.policy.stored`.
     """
 
     env_step: int
@@ -118,7 +118,7 @@ class Notice:
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """The policy that a training ended with, as the arrays of `tom.policy_file`."""
+    """The policy that a training ended with, as the arrays of `tom.policy.stored`."""
 
     env_step: int
     arrays: Mapping[str, NDArray]
@@ -126,7 +126,7 @@ class TrainedPolicy:
 
 @dataclass(frozen=True)
 class KeptPolicy:
-    """The policy as it stood at `env_step`, worth keeping; the arrays of `tom.policy_file`."""
+    """The policy as it stood at `env_step`, worth keeping; the arrays of `tom.policy.stored`."""
 
     env_step: int
     arrays: Mapping[str, NDArray]

@@ -16,11 +16,9 @@ from tom.config import OnlineConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import TensorTransitions, Transitions
-from tom.diagnostics import fit_metrics
 from tom.dynamics import make_model
 from tom.envs import MujocoTask, task
 from tom.envs.state import capture, restore
-from tom.evaluate import Evaluator
 from tom.events import (
     Collected,
     Evaluation,
@@ -30,16 +28,18 @@ from tom.events import (
     Tick,
     TrainedPolicy,
 )
-from tom.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
-from tom.health import require_finite
+from tom.exams.diagnostics import fit_metrics
+from tom.exams.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting, weighing
-from tom.lockstep import Beside, Work, alone
-from tom.policy_file import policy_arrays
+from tom.metrics import require_finite
+from tom.nn.lockstep import Beside, Work, alone
+from tom.policy.evaluate import Evaluator
+from tom.policy.rollout import roll_out, start_states
+from tom.policy.sac import Sac
+from tom.policy.sac_work import Act, SacUpdates
+from tom.policy.stored import policy_arrays
 from tom.rng import Streams
-from tom.rollout import roll_out, start_states
-from tom.sac import Sac
-from tom.sac_work import Act, SacUpdates
 
 Steps = Generator[Event | Work, None, None]
 """Part of a run: what it tells, and the work that it wants done before it goes on."""

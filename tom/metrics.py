@@ -1,4 +1,11 @@
-"""The metric paths and what they mean: one table for tooltips, docs and `--help`."""
+"""The metric paths: what they mean, for tooltips, docs and `--help`; which must be finite."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from torch import Tensor
+
+from tom.errors import DivergedError
 
 NLL_UNITS = (
     "mean over the target dimensions, z-scored (linear model: raw); the kind ensemble leaves the "
@@ -93,3 +100,23 @@ METRICS: dict[str, str] = {
 def describe(path: str) -> str:
     """The meaning of a metric path; the path itself where the table has none."""
     return METRICS.get(path, path)
+
+
+POLICY = "try a lower --sac.lr, and a shorter --rollout.length if the rollouts exploded before"
+MODEL = "try a lower --model.lr"
+DUAL = "try a lower --tom.q-lr or --tom.discriminator-lr"
+FATAL: dict[str, str] = {
+    **dict.fromkeys(("critic/loss", "critic/q", "actor/loss", "actor/entropy"), POLICY),
+    "temperature/value": POLICY,
+    **dict.fromkeys(("model/train_nll", "model/holdout_nll"), MODEL),
+    "discriminator/loss": "try a lower --tom.discriminator-lr",
+    **dict.fromkeys(("dual/loss", "dual/q_mean"), DUAL),
+}
+"""The metrics that must be finite, and what to try where one is not."""
+
+
+def require_finite(values: Mapping[str, float | Tensor], env_step: int) -> None:
+    """Raises DivergedError where one of the metrics that must be finite is not."""
+    for name, advice in FATAL.items():
+        if name in values and not np.isfinite(float(values[name])):
+            raise DivergedError(f"step {env_step}: {name} is {float(values[name])}: {advice}")

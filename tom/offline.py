@@ -12,20 +12,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tom.cloning import clone
 from tom.config import RoadConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import Transitions
 from tom.dynamics.linear import LinearModel
-from tom.envs import road, road_data
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick
-from tom.health import require_finite
 from tom.learners import FOLLOW_THE_VALUE, make_learner
 from tom.learners.base import FitContext, Weighting
-from tom.learners.baselines import BASELINES
+from tom.metrics import require_finite
+from tom.policy.cloning import clone
+from tom.policy.rollout import roll_out, start_states
 from tom.rng import Streams
-from tom.road_measure import (
+from tom.road import offline_data, task
+from tom.road.baselines import BASELINES
+from tom.road.measure import (
     held_out,
     map_field,
     model_errors,
@@ -36,9 +37,8 @@ from tom.road_measure import (
     trajectory_field,
     weight_shares,
 )
-from tom.road_model import RoadModel, fit_linear
-from tom.road_policy import RoadSac
-from tom.rollout import roll_out, start_states
+from tom.road.model import RoadModel, fit_linear
+from tom.road.policy import RoadSac
 
 START_DRAWS = 1000
 """draws of the start distribution mu_0 for the dual"""
@@ -50,14 +50,14 @@ class Offline:
     def __init__(self, config: RoadConfig) -> None:
         self.config = config
         self.streams = Streams(config.seed)
-        self.data = road_data.collect(config, self.streams)
+        self.data = offline_data.collect(config, self.streams)
         self.test = held_out(self.data.road_map, self.streams.torch("held out"))
         self.policy = RoadSac(config.sac, self.streams.torch("sac"))
         self.env_step = 0
         rollout = config.rollout
         longest = max(rollout.length, rollout.final_length)
         self.model_buffer = ReplayBuffer(
-            rollout.starts * rollout.retain * longest, road.OBS_DIM, road.ACTION_DIM
+            rollout.starts * rollout.retain * longest, task.OBS_DIM, task.ACTION_DIM
         )
         self._sac_metrics: dict[str, Tensor] = {}
 
@@ -140,7 +140,7 @@ class Offline:
         if config.learner in BASELINES:
             return BASELINES[config.learner](self.data, context, config.tom)
         learner = make_learner(
-            config.learner, config, road.OBS_DIM, road.ACTION_DIM, self.streams.torch("learner")
+            config.learner, config, task.OBS_DIM, task.ACTION_DIM, self.streams.torch("learner")
         )
         return learner.weigh(context)
 
@@ -152,7 +152,7 @@ class Offline:
             policy_version=storage_order(len(self.data.rows)),
             policy_buffer=footprint,
             on_policy_steps=len(footprint),
-            initial_obs=road.start_states(START_DRAWS, self.streams.torch("starts")),
+            initial_obs=task.start_states(START_DRAWS, self.streams.torch("starts")),
             policy=clone(footprint, self.streams.torch("clone")),
             generator=self.streams.torch("weigh"),
             value_gradient=self.policy.value_gradient if value_gradient else None,
@@ -165,7 +165,7 @@ class Offline:
         return roll_out(
             RoadModel(self.model),
             self.policy,
-            road.at_goal,
+            task.at_goal,
             start_states(self.data.rows, weights, config.starts, generator),
             config.length_at(self.env_step),
             config,
@@ -184,7 +184,7 @@ class Offline:
     def evaluate(self) -> Iterator[Event]:
         """Episodes of the mean policy in the real task."""
         yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
-        self.episodes = road_data.drive(
+        self.episodes = offline_data.drive(
             self.data.road_map,
             self.policy.mean,
             self.config.evaluation.episodes,
@@ -194,7 +194,7 @@ class Offline:
 
     def drive_plan(self) -> Iterator[Event]:
         """What the model is worth to a planner, driven in the real task."""
-        driven = road_data.drive(
+        driven = offline_data.drive(
             self.data.road_map,
             plan(self.model, self.config.sac.discount),
             self.config.evaluation.episodes,

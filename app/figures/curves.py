@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.aggregate import GRID, Curve, Group, decimate, smoothed
+from app.data.aggregate import GRID, Curve, Group, decimate, smoothed
 from app.figures.base import DASHES, note, styled
 from app.figures.logs import cut_bands, left_out
 from app.theme import faded, learner_colour, learner_label, learner_symbol

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.buffer import Floats
+from app.data.buffer import Floats
 from app.figures.base import DASHES, across, styled, upright
 from app.figures.weights import bin_centres, on_log_axis
 from app.theme import faded, learner_colour, learner_label, learner_symbol

@@ -7,10 +7,10 @@ import numpy as np
 import plotly.graph_objects as go
 
 from app import text
-from app.buffer import Against
+from app.data.buffer import Against
+from app.data.regions import Floats, Plane, spread
 from app.figures.base import across, note, styled, upright
 from app.figures.scales import octaves, relative_scale
-from app.regions import Floats, Plane, spread
 from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour
 
 POINTS = 8000

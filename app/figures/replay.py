@@ -5,9 +5,9 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.aggregate import Curve, decimate
+from app.data.aggregate import Curve, decimate
+from app.data.replays import Replay
 from app.figures.base import note, styled, upright
-from app.replays import Replay
 from app.theme import NEUTRAL, learner_colour, learner_label, learner_symbol
 
 POINTS = 2000

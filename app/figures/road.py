@@ -6,10 +6,10 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from app.data.pictures import Picture
+from app.data.roadmap import cell_centres, circle, outline
 from app.figures.base import styled
 from app.figures.scales import octaves, relative_scale
-from app.pictures import Picture
-from app.roadmap import cell_centres, circle, outline
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 
 NO_DATA: dict[Mode, str] = {"light": "#c4c9d3", "dark": "#414858"}

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from app import text
-from app.aggregate import Curve, decimate
+from app.data.aggregate import Curve, decimate
 from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note
 from app.figures.curves import POINTS
 from app.figures.scales import octaves, relative_scale

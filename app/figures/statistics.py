@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app import text
 from app.figures.base import styled, upright
 from app.theme import NEUTRAL, faded, learner_colour
-from tom.statistics import Interval
+from tom.analysis.statistics import Interval
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from app.colours import on_scale
+from app.data.roadmap import CELLS, RoadMap, cell_centres, on_road
 from app.figures.scales import OCTAVES, octaves
-from app.roadmap import CELLS, RoadMap, cell_centres, on_road
+from app.scenes.colours import on_scale
 from app.theme import COLUMNS, Mode
 
 GROUND_PIXELS = 400

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import viser
 from viser.infra import StateSerializer
 
-from app.pictures import Picture
-from app.processes import free_port
+from app.data.pictures import Picture
 from app.scenes import road
 from app.scenes.frame import FRONT, GLOW
 from app.scenes.road import RoadScene
 from app.scenes.road_frame import LAYERS
 from app.scenes.stage import sky
 from app.theme import Mode
+from tom.machine.address import free_port
 
 HERE = "127.0.0.1"
 FRAME_S = 0.1

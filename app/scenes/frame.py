@@ -4,7 +4,7 @@ import threading
 
 import viser
 
-from app.colours import rgb
+from app.scenes.colours import rgb
 from app.scenes.control import Selection
 from app.theme import ACCENT, Mode
 

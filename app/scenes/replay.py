@@ -6,10 +6,10 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.colours import rgb
-from app.pictures import ENV as ROAD
-from app.replays import Replay
+from app.data.pictures import ENV as ROAD
+from app.data.replays import Replay
 from app.scenes import solids
+from app.scenes.colours import rgb
 from app.scenes.road import draw_map
 from app.scenes.robot import Robot
 from app.scenes.solids import Solids

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import viser
 
-from app import replays
-from app.replays import Replay
+from app.data import replays
+from app.data.replays import Replay
 from app.scenes.control import Replay as Choice
 from app.scenes.control import Selection
 from app.scenes.frame import Frame, Vector

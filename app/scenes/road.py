@@ -6,10 +6,10 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.colours import linear, rgb
-from app.pictures import Picture
-from app.roadmap import RoadMap, circle, outline
+from app.data.pictures import Picture
+from app.data.roadmap import RoadMap, circle, outline
 from app.scenes import arrays, solids
+from app.scenes.colours import linear, rgb
 from app.scenes.robot import Robot
 from app.scenes.words import add_words, extent
 from app.theme import NEUTRAL, Mode, learner_colour, learner_label

@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import viser
 
-from app import pictures
-from app.pictures import Picture
-from app.readers import Stamp, stamp
+from app.data import pictures
+from app.data.pictures import Picture
+from app.data.readers import Stamp, stamp
 from app.scenes import road as scene
 from app.scenes.control import Road, Selection
 from app.scenes.frame import Frame

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.colours import linear
+from app.scenes.colours import linear
 from app.scenes.solids import Solids
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import viser
 
-from app.colours import rgb
+from app.scenes.colours import rgb
 from app.theme import BACKGROUND, Mode
 
 CELL = 0.5

@@ -7,10 +7,10 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.colours import on_scale
+from app.data.readers import Stamp, stamp
 from app.figures.scales import OCTAVES, octaves
-from app.readers import Stamp, stamp
 from app.scenes import states
+from app.scenes.colours import on_scale
 from app.scenes.control import Selection, States
 from app.scenes.frame import Frame
 from app.scenes.states import WINDOW, StatesScene

@@ -1,1 +1,1 @@
-"""The studio's pages, one a file: `TITLE`, `ICON`, `PATH` and `page()`."""
+"""The studio's pages: `TITLE`, `ICON`, `PATH` and `page()`. A page with parts is a package."""

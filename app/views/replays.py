@@ -5,15 +5,16 @@ from pathlib import Path
 import numpy as np
 import streamlit as st
 
-from app import readers, replays, session, text, widgets
+from app import session, text
+from app.data import readers, replays
+from app.data.readers import RunInfo
+from app.data.replays import HORIZONS, Replay
 from app.figures.replay import error_curve, return_curve, reward_curve
-from app.plot import Point, chart
-from app.readers import RunInfo
-from app.replays import HORIZONS, Replay
+from app.parts import empty, rerun, widgets
+from app.parts.plot import Point, chart
+from app.parts.stage import stage
 from app.scenes.control import Replay as Choice
 from app.theme import learner_label
-from app.views import empty, rerun
-from app.views.stage import stage
 from tom.record import layout
 from tom.record.reader import RunReader
 

@@ -3,17 +3,18 @@
 import pandas as pd
 import streamlit as st
 
-from app import readers, session, text, widgets
-from app.aggregate import curve_points
+from app import session, text
+from app.data import readers
+from app.data.aggregate import curve_points
+from app.data.pictures import ENV, Picture
+from app.data.readers import RunInfo
 from app.figures.road import road_map
-from app.pictures import ENV, Picture
-from app.plot import chart
-from app.readers import RunInfo
+from app.parts import empty, widgets
+from app.parts.plot import chart
+from app.parts.stage import stage
 from app.scenes.control import Road
 from app.scenes.export import as_html
 from app.theme import learner_label
-from app.views import empty
-from app.views.stage import stage
 from tom.metrics import describe
 from tom.record.reader import at_or_before
 

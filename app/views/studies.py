@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import studies, text
-from app.studies import QUESTIONS, Study
+from app import text
+from app.data import studies
+from app.data.studies import QUESTIONS, Study
 
 TITLE = "Studies"
 ICON = ":material/lab_profile:"

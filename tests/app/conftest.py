@@ -12,9 +12,9 @@ from streamlit.components.v2 import manifest_scanner
 from studio_runs import RUNS
 
 from app.links import Links
-from tom.presets import resolve
 from tom.record.store import Store
-from tom.run import train
+from tom.training.presets import resolve
+from tom.training.run import train
 
 
 @pytest.fixture(scope="session")

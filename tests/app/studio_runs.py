@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from app import readers
-from app.readers import RunInfo
+from app.data import readers
+from app.data.readers import RunInfo
 
 ROAD_TOM = "road-tom"
 ROAD_MLE = "road-mle"

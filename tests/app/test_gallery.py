@@ -14,7 +14,7 @@ from studio_pages import array, draw, figures, trace
 from app import text
 from app.links import Links
 from app.theme import learner_label
-from tom.imagine import kept_step
+from tom.analysis.imagine import kept_step
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
 from tom.record.files import read_json, size_of

@@ -8,7 +8,7 @@ from starlette.requests import Request
 from studio_runs import ROAD_TOM
 
 from app.links import Links
-from app.server import EPISODE, options, recording_path, routes, viewer_origin
+from app.servers.pages import EPISODE, options, recording_path, routes, viewer_origin
 
 LINKS = Links(
     store="/runs", port=8600, rerun_port=9876, rerun_web_port=9090, viser_port=8080, control="/c"

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from app.colours import linear, on_scale, rgb
+from app.scenes.colours import linear, on_scale, rgb
 from app.theme import (
     BACKGROUND,
     DIVERGING,

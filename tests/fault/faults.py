@@ -15,10 +15,10 @@ import torch
 
 from tom.config import OnlineConfig
 from tom.events import Event, Tick
-from tom.presets import resolve
 from tom.record import RunReader, Store
-from tom.resume import resume
-from tom.run import Stop, train
+from tom.training.presets import resolve
+from tom.training.resume import resume
+from tom.training.run import Stop, train
 
 SETTINGS = {
     "steps": 240,

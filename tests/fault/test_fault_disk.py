@@ -13,8 +13,8 @@ from tom.errors import UserError
 from tom.events import Event, Tick
 from tom.record import RunReader, RunWriter, Store, checkpoint
 from tom.record.rerun.feed import stream
-from tom.resume import resume
-from tom.run import train
+from tom.training.resume import resume
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 

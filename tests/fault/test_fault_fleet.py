@@ -8,8 +8,8 @@ from faults import SETTINGS, assert_same_record, ended, tom, train_command, wait
 
 from tom.config import OnlineConfig
 from tom.record import RunReader, Store, checkpoint
-from tom.run import train
-from tom.sweep.plan import Trial
+from tom.training.plan import Trial
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 

@@ -15,8 +15,8 @@ from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint
 from tom.record.manage import restore, trash
 from tom.record.rerun.feed import stream
-from tom.resume import resume
-from tom.run import train
+from tom.training.resume import resume
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 

@@ -21,8 +21,8 @@ from faults import (
 )
 
 from tom.record import RunReader, Store, checkpoint
-from tom.resume import resume
-from tom.run import train
+from tom.training.resume import resume
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 
@@ -36,7 +36,7 @@ def killed_often(path: Path, kills: int, *, rerun: bool) -> RunReader:
     store.path.mkdir()
     (store.path / "step").write_bytes(b"%09d" % 0)
     processes = get_context("forkserver")
-    processes.set_forkserver_preload(["tom.run"])
+    processes.set_forkserver_preload(["tom.training.run"])
     for _ in range(kills):
         begun = done(store)
         process = processes.Process(target=go_on, args=(store.path, "a", steps, rerun))

@@ -15,13 +15,14 @@ from faults import config, ended, one_line, tom, train_command
 from tom.config import OnlineConfig, SacRecordingConfig, TomConfig
 from tom.data.transitions import Transitions
 from tom.envs import ENVS, task
+from tom.errors import DivergedError
 from tom.events import Metrics
-from tom.health import DivergedError, Watch
 from tom.learners.tom import occupancy_weights
-from tom.policy_file import UniformPolicy
+from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, Store
-from tom.resume import resume
-from tom.run import train
+from tom.training.resume import resume
+from tom.training.run import train
+from tom.training.watch import Watch
 
 pytestmark = pytest.mark.fault
 

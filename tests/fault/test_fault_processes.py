@@ -27,8 +27,8 @@ from tom.errors import UserError
 from tom.events import Metrics, Tick
 from tom.record import Recorder, RunReader, RunWriter, Store, lock
 from tom.record.lock import LostError
-from tom.resume import resume
-from tom.run import train
+from tom.training.resume import resume
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 
@@ -76,7 +76,7 @@ def test_a_run_that_is_being_written__resume_is_refused_and_the_run_unharmed(tmp
 def test_a_run_written_on_another_machine__resume_is_refused_while_its_heart_beats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("tom.resume.BEAT_S", 0.1)
+    monkeypatch.setattr("tom.training.resume.BEAT_S", 0.1)
     run = stopped(Store(tmp_path), 130)
     (run.path / ".writer").write_text("the boot of another machine")
     status = json.loads((run.path / "status.json").read_text())

@@ -26,15 +26,15 @@ from streamlit.testing.v1 import AppTest
 
 from app import text
 from app.__main__ import main
-from app.launcher import DEFAULT_PORT
 from app.links import Links
 from app.router import VIEWS
-from app.server import recording_path
+from app.servers.launcher import DEFAULT_PORT
+from app.servers.pages import recording_path
 from tom.errors import UserError
-from tom.presets import resolve
 from tom.record import Store, manage
 from tom.record.rerun import hub
-from tom.run import train
+from tom.training.presets import resolve
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 

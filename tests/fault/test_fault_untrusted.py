@@ -16,9 +16,9 @@ from faults import stopped
 
 from tom.data.hdf5 import column, open_hdf5
 from tom.errors import UserError
-from tom.policy_file import read_policy
+from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint
-from tom.resume import resume
+from tom.training.resume import resume
 
 pytestmark = pytest.mark.fault
 

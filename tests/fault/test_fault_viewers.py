@@ -21,7 +21,7 @@ from tom.record.recorder import Recorder
 from tom.record.rerun import hub
 from tom.record.rerun.feed import Feeder
 from tom.record.rerun.hub import binary, free_port, without_analytics
-from tom.run import train
+from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 

@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from tom.config import ADDED, OnlineConfig, RolloutConfig, TomConfig, completed
 from tom.envs import task
-from tom.presets import resolve
+from tom.training.presets import resolve
 
 
 def test_an_unknown_name_and_a_value_out_of_bounds_are_errors():

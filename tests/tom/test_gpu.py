@@ -13,12 +13,12 @@ from tom.config import ModelConfig, SacConfig, TomConfig
 from tom.data.sampling import WeightedSampler
 from tom.dynamics import make_model
 from tom.dynamics.neural import NeuralDynamics
-from tom.graphs import WARM_UP, graphed
 from tom.learners.discriminator import Discriminator, discriminator_net
 from tom.learners.dual import QFunction, q_net
+from tom.nn.graphs import WARM_UP, graphed
+from tom.policy.sac import Sac
 from tom.record import checkpoint
 from tom.rng import Streams, normal
-from tom.sac import Sac
 
 pytestmark = pytest.mark.usefixtures("gpu")
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tom.events import Event
-from tom.fleet import train_fleet
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
-from tom.resume import resume
-from tom.run import Stop, train
-from tom.sweep.plan import Trial
+from tom.training.fleet import train_fleet
+from tom.training.plan import Trial
+from tom.training.resume import resume
+from tom.training.run import Stop, train
 
 pytestmark = pytest.mark.usefixtures("gpu")
 

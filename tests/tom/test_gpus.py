@@ -14,17 +14,17 @@ import torch
 from gpus import GpuError, Gpus, Graph, Stream, emulated
 from torch import Tensor
 
-from tom.adam import Adam
 from tom.config import SacConfig
 from tom.dynamics import fitting
-from tom.fleet import train_fleet
-from tom.graphs import WARM_UP
 from tom.learners import discriminator, dual
-from tom.lockstep import Lockstep, Work
+from tom.nn.adam import Adam
+from tom.nn.graphs import WARM_UP
+from tom.nn.lockstep import Lockstep, Work
+from tom.policy.sac import Sac
+from tom.policy.sac_work import SacUpdates
 from tom.record import RunReader, Store
-from tom.sac import Sac
-from tom.sac_work import SacUpdates
-from tom.sweep.plan import Trial
+from tom.training.fleet import train_fleet
+from tom.training.plan import Trial
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import pytest
 import torch
 from gpus import Gpus, emulated
 
-from tom import nn
 from tom.config import ModelConfig, RolloutConfig, SacConfig, TomConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.scaling import Scaling
@@ -19,15 +18,16 @@ from tom.dynamics import make_model
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import task
 from tom.events import Event, Tick
-from tom.fleet import train_fleet
 from tom.learners.base import Policy
 from tom.learners.discriminator import Discriminator, discriminator_net
 from tom.learners.dual import DualProblem, QFunction, q_net
+from tom.nn import mlp
+from tom.policy.rollout import roll_out
+from tom.policy.sac import Sac
+from tom.policy.sac_work import SacUpdates
 from tom.record import Store
-from tom.rollout import roll_out
-from tom.sac import Sac
-from tom.sac_work import SacUpdates
-from tom.sweep.plan import Trial
+from tom.training.fleet import train_fleet
+from tom.training.plan import Trial
 
 O, A, B = 4, 2, 32  # noqa: E741
 GPU = "cuda"
@@ -140,7 +140,7 @@ def test_a_minibatch_is_gathered(gpus: Gpus):
 def test_a_rollout_asks_once_a_chunk_and_fetches_its_counts_once(
     gpus: Gpus, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(nn, "GPU_ROWS", 50)
+    monkeypatch.setattr(mlp, "GPU_ROWS", 50)
     hopper = task("hopper")
     dims = hopper.obs_dim, hopper.action_dim
     model = make_model(*dims, ModelConfig(hidden=16, layers=2, components=3), generator())

@@ -1,73 +1,125 @@
-"""Imports point one way: app -> tom, and inside tom from the command line down to the maths."""
+"""The order of imports is the order of the tree: a room imports from the rooms below it alone.
+
+A room is a package, or one of the few modules that lie beside the packages.
+"""
 
 import ast
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
-LEVELS = [
-    {"errors", "rng", "metrics", "config", "events", "nn", "backprop", "matmul", "data", "envs"}
-    | {"adam", "graphs", "nested", "parent", "lockstep", "memory", "divergences", "statistics"}
-    | {"health", "device", "address", "energy"},
-    {"learners", "sac", "sac_work", "dynamics", "evaluate", "tabular", "planner", "cloning"}
-    | {"collect", "policy_file", "road_policy"},
-    {"rollout", "diagnostics", "exam", "presets", "road_measure", "road_model"},
-    {"mbpo", "offline", "sweep", "record", "sac_recording", "progression"},
-    {"run", "bench", "ordered_data"},
-    {"weighing"},
-    {"resume"},
-    {"fleet"},
-    {"imagine"},
-    {"studies"},
-    {"reports"},
-    {"doctor", "cli", "__main__"},
-]
-LEARNERS = {"mle", "pmac", "ratio", "tom", "vagram", "baselines"}
+ROOMS = {  # from the top down; README.md draws the same tree
+    "tom": (
+        "__main__",
+        "cli",
+        "bench",
+        "sweep",
+        "studies",
+        "reports",
+        "analysis",
+        "training",
+        "offline",
+        "mbpo",
+        "record",
+        "road",
+        "policy",
+        "exams",
+        "learners",
+        "dynamics",
+        "envs",
+        "nn",
+        "events",
+        "data",
+        "machine",
+        "config",
+        "metrics",
+        "rng",
+        "errors",
+    ),
+    "app": (
+        "__main__",
+        "servers",
+        "router",
+        "views",
+        "parts",
+        "scenes",
+        "figures",
+        "data",
+        "session",
+        "links",
+        "theme",
+        "text",
+    ),
+}
+FILES = [path for package in ROOMS for path in sorted((ROOT / package).rglob("*.py"))]
 
 
-def modules(package: str) -> list[Path]:
-    return sorted((ROOT / package).rglob("*.py"))
+def name(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
+MODULES = {name(path): path for path in FILES}
+each_file = pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+
+
+@cache
 def imported(path: Path) -> set[str]:
-    names: set[str] = set()
+    """Every module that a file imports, wherever in it: `a.b` for `from a import b` if b is one."""
+    found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names |= {node.module, *(f"{node.module}.{a.name}" for a in node.names)}
-    return names
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.module, f"{path}: a relative import"
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= inner & MODULES.keys() or {node.module}
+    return found
 
 
-def level(part: str) -> int:
-    for number, parts in enumerate(LEVELS):
-        if part in parts:
-            return number
-    pytest.fail(f"tom/{part} has no place in tests/tom/test_imports.py")
+def room(module: str) -> tuple[str, str]:
+    """(package, room) of a module; the package's own file is in no room."""
+    package, _, rest = module.partition(".")
+    return package, rest.partition(".")[0]
 
 
-@pytest.mark.parametrize("path", modules("tom"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_room_has_its_place():
+    for package, rooms in ROOMS.items():
+        assert {room(m)[1] for m in MODULES if m.startswith(f"{package}.")} == set(rooms)
+
+
+@each_file
+def test_imports_point_down(path: Path):
+    package, own = room(name(path))
+    if not own:
+        return
+    rooms = ROOMS[package]
+    for module in imported(path):
+        top, other = room(module)
+        if top == package and other:
+            assert rooms.index(own) <= rooms.index(other), f"{path} imports {module}"
+
+
+def test_no_modules_import_each_other():
+    graph = {m: {i for i in imported(p) if i in MODULES and i != m} for m, p in MODULES.items()}
+    TopologicalSorter(graph).prepare()  # raises where there is a circle
+
+
+@each_file
 def test_the_backend_knows_nothing_of_the_studio(path: Path):
-    top = {name.split(".")[0] for name in imported(path)}
+    if path.relative_to(ROOT).parts[0] == "app":
+        return
+    top = {module.partition(".")[0] for module in imported(path)}
     assert not top & {"app", "streamlit", "plotly", "viser"}
     if path.parent != ROOT / "tom" / "record" / "rerun":
         assert "rerun" not in top
 
 
-@pytest.mark.parametrize("path", modules("tom"), ids=lambda p: str(p.relative_to(ROOT)))
-def test_imports_point_down(path: Path):
-    part = path.relative_to(ROOT / "tom").parts[0].removesuffix(".py")
-    if part == "__init__":
-        return
-    for name in imported(path):
-        words = name.split(".")
-        if words[0] == "tom" and len(words) > 1 and (ROOT / "tom" / words[1]).exists():
-            assert level(words[1]) <= level(part), f"{path} imports {name}"
-
-
-@pytest.mark.parametrize("name", sorted(LEARNERS))
-def test_learners_never_import_each_other(name: str):
-    path = ROOT / "tom" / "learners" / f"{name}.py"
-    others = {f"tom.learners.{other}" for other in LEARNERS - {name}}
-    assert not imported(path) & others
+def test_learners_never_import_each_other():
+    registry = imported(MODULES["tom.learners"])
+    learners = {m for m in registry if m.startswith("tom.learners.")} - {"tom.learners.base"}
+    assert {"tom.learners.mle", "tom.learners.tom"} <= learners
+    for learner in learners:
+        assert not imported(MODULES[learner]) & learners - {learner}

@@ -15,10 +15,10 @@ from tom.dynamics.fitting import Fit
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import LEARNER_NAMES
 from tom.learners.base import Weighting
-from tom.lockstep import Work
 from tom.mbpo import Mbpo
-from tom.presets import resolve
-from tom.sac_work import SacUpdates
+from tom.nn.lockstep import Work
+from tom.policy.sac_work import SacUpdates
+from tom.training.presets import resolve
 
 
 def smoke(learner: str = "tom", **changes: object) -> OnlineConfig:

@@ -1,4 +1,4 @@
-from tom.nested import flat, merged
+from tom.config import flat, merged
 
 
 def test_changes_come_on_top_group_by_group_and_leave_the_base_alone():

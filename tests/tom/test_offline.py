@@ -8,10 +8,10 @@ import torch
 from tom import offline
 from tom.config import RoadConfig
 from tom.data.transitions import Transitions
-from tom.envs import road
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Weights
-from tom.presets import resolve
-from tom.road_measure import weight_shares
+from tom.road import task
+from tom.road.measure import weight_shares
+from tom.training.presets import resolve
 
 TINY: dict[str, Any] = {
     "steps": 60,
@@ -173,7 +173,7 @@ def test_uniform_starts_lie_where_the_data_lies_and_weighted_ones_on_the_road():
         list(run.fit(value_gradient=False))
         run.roll_out_model()
         starts = run.model_buffer.transitions().obs[:100]
-        return float(road.on_road(starts).float().mean())
+        return float(task.on_road(starts).float().mean())
 
     assert share_on_road(True) == 1.0
     assert share_on_road(False) < 0.6
@@ -186,8 +186,8 @@ def test_modelled_states_stay_on_the_map_and_earn_the_tasks_reward():
     rows = run.model_buffer.transitions()
     assert rows.next_obs.min() >= 0
     assert rows.next_obs.max() <= 1
-    torch.testing.assert_close(rows.reward, road.reward(rows.next_obs))
-    assert torch.equal(rows.terminated.bool(), road.at_goal(rows.next_obs))
+    torch.testing.assert_close(rows.reward, task.reward(rows.next_obs))
+    assert torch.equal(rows.terminated.bool(), task.at_goal(rows.next_obs))
 
 
 def _until_optimised(config: object) -> list[Event]:

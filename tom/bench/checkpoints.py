@@ -9,10 +9,10 @@ import torch
 
 from tom.config import OnlineConfig
 from tom.data.transitions import TensorTransitions
-from tom.lockstep import alone
 from tom.mbpo import Mbpo
-from tom.presets import resolve
+from tom.nn.lockstep import alone
 from tom.record import checkpoint
+from tom.training.presets import resolve
 
 REPEATS = 3
 CYCLE = 250  # env steps that a training's time is known for

@@ -21,11 +21,11 @@ from tom.dynamics.fitting import Fit
 from tom.envs import task
 from tom.learners.base import FitContext, weighing
 from tom.learners.tom import TomLearner
-from tom.lockstep import Beside, Lockstep
-from tom.presets import resolve
-from tom.rollout import roll_out
-from tom.sac import Sac
-from tom.sac_work import SacUpdates
+from tom.nn.lockstep import Beside, Lockstep
+from tom.policy.rollout import roll_out
+from tom.policy.sac import Sac
+from tom.policy.sac_work import SacUpdates
+from tom.training.presets import resolve
 
 PAPER = TomConfig.preset("paper").but(warmup=1)
 WARM = 2  # repeats that are not counted: captures, allocators, first kernels

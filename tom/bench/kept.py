@@ -8,10 +8,10 @@ from math import isfinite
 from tom.bench.projection import NEEDED, per_step_ms, written_bytes
 from tom.config import OnlineConfig
 from tom.envs import task
-from tom.matmul import kept_in
+from tom.machine.matmul import kept_in
 from tom.record.files import replace
-from tom.sweep.plan import Trial
 from tom.sweep.projection import Cost, steps_to_train
+from tom.training.plan import Trial
 
 SOURCE = "tom bench, at most"
 

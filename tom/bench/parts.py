@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
+from tom.bench.recording import CYCLES, recorded
 from tom.bench.timing import Part
 from tom.config import ModelConfig, RolloutConfig, SacConfig, TomConfig
 from tom.data.replay import ReplayBuffer
@@ -15,13 +16,12 @@ from tom.data.sampling import WeightedSampler
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.envs import task
-from tom.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
+from tom.exams.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
 from tom.learners.base import FitContext
 from tom.learners.tom import TomLearner
+from tom.policy.rollout import roll_out
+from tom.policy.sac import Sac
 from tom.record import Store
-from tom.record.bench import CYCLES, recorded
-from tom.rollout import roll_out
-from tom.sac import Sac
 
 OBS, ACTION, BATCH = 11, 3, 256
 ROLLED = 20_000

@@ -6,7 +6,7 @@ from typing import Any
 from tom.bench.parts import model_flops, rollout_flops, sac_flops
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig, SacConfig
 from tom.envs import ENVS, MujocoTask
-from tom.presets import resolve
+from tom.training.presets import resolve
 
 PRESETS = ("paper", "mbpo")
 NEEDED = (

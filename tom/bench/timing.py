@@ -7,7 +7,7 @@ from time import process_time
 
 import torch
 
-from tom.matmul import Backend, use
+from tom.machine.matmul import Backend, use
 
 
 @dataclass(frozen=True)

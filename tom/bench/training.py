@@ -15,9 +15,9 @@ from tom.dynamics import make_model
 from tom.envs import task
 from tom.events import Event, Metrics
 from tom.mbpo import Mbpo
-from tom.presets import resolve
 from tom.record import Store
-from tom.run import train
+from tom.training.presets import resolve
+from tom.training.run import train
 
 CYCLE = 250  # env steps from one model fit to the next
 EXPLORE = 1000

@@ -1,4 +1,4 @@
-"""The command line: thin; each command is one file with `add_parser` and `run`."""
+"""The command line: thin; a command is a module, or a package, with `add_parser` and `run`."""
 
 import os
 import sys

@@ -14,11 +14,11 @@ import torch
 from tom.cli import studio
 from tom.cli.parser import folder
 from tom.cli.tables import show
-from tom.device import require_device
 from tom.errors import UserError, unknown
 from tom.learners import LEARNER_NAMES
-from tom.matmul import choose_matmul
-from tom.memory import keep_freed_memory
+from tom.machine.device import require_device
+from tom.machine.matmul import choose_matmul
+from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store
 from tom.sweep import Job, run_jobs
 
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         reached = [row for row in rows if row["reached_at"] is not None]
         return 0 if len(reached) == len(args.learner) * len(args.seeds) else 1
     if args.what == "studio":
-        studio.hand_over(studio_words(args), "app.bench")
+        studio.hand_over(studio_words(args), "app.servers.bench")
     if args.what == "parts":
         return _parts(args.repeats, args.json, args.into)
     if args.what == "fleet":
@@ -164,8 +164,8 @@ def _memory(as_json: bool) -> int:
 
 def _record(as_json: bool) -> int:
     from tom.bench.checkpoints import checkpoint_costs
+    from tom.bench.recording import cost
     from tom.bench.training import cycle_s
-    from tom.record.bench import cost
 
     torch.set_num_threads(1)
     choose_matmul()

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from tom.cli.progress import LINE_EVERY_S, Pace, StoppableConsole, joined
 from tom.events import Evaluation, Event, Notice, Tick
-from tom.sweep.plan import Trial
+from tom.training.plan import Trial
 
 LOOK_EVERY_S = 1.0
 COLUMNS = ("run", "phase", "step", "last return", "best return")

@@ -17,17 +17,16 @@ from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
 from tom.envs import ENV_NAMES
-from tom.errors import UserError
-from tom.health import DivergedError
+from tom.errors import DivergedError, UserError
 from tom.learners import LEARNER_NAMES
-from tom.presets import PRESETS, config_type, resolve
 from tom.record import RunReader, Store, checkpoint
 from tom.record.files import size_of
-from tom.resume import recorded_config, resume, unfinished
-from tom.run import AnyConfig, Stop, train
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.sweep.home import FolderHome
+from tom.training.presets import PRESETS, config_type, resolve
+from tom.training.resume import recorded_config, resume, unfinished
+from tom.training.run import AnyConfig, Stop, train
 
 OWN_OPTIONS = {"env", "learner", "preset"}
 

@@ -14,10 +14,10 @@ from pydantic import ValidationError
 from tom.cli.fleet_progress import FleetReport
 from tom.cli.parser import one_line, overrides
 from tom.errors import UserError
-from tom.fleet import check, train_fleet
 from tom.record import RunReader, Store
-from tom.run import Stop
-from tom.sweep.plan import Trial
+from tom.training.fleet import check, train_fleet
+from tom.training.plan import Trial
+from tom.training.run import Stop
 
 ENGINES = ("processes", "fleet")
 FEWER = "give fewer learners or --seeds at a time; each goes on from its last checkpoint"

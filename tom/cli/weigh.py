@@ -12,26 +12,20 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
+from tom.analysis.ordered_data import OrderedData, after_random, find_run, load_data
+from tom.analysis.weighing import RANDOM, Weighed, load_policy, policy_env, weigh
 from tom.cli.parser import add_config_options, folder, leaf_fields, one_line, overrides
 from tom.cli.tables import show
 from tom.config import RunConfig, TomConfig
 from tom.envs import ENVS, task
 from tom.errors import UserError, unknown
 from tom.learners import LEARNERS
-from tom.matmul import choose_matmul
-from tom.ordered_data import OrderedData, after_random, find_run, load_data
+from tom.machine.matmul import choose_matmul
 from tom.record import Store, layout
 from tom.record.files import plain
 from tom.record.versions import git_commit, versions
 from tom.reports import weighing_files
-from tom.resume import recorded_config
-from tom.weighing import (
-    RANDOM,
-    Weighed,
-    load_policy,
-    policy_env,
-    weigh,
-)
+from tom.training.resume import recorded_config
 
 OWN = "own"
 PRESETS = ("exact", "paper", OWN)

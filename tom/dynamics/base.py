@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from tom.data.transitions import TensorTransitions
-from tom.lockstep import Work
+from tom.nn.lockstep import Work
 
 
 @dataclass(frozen=True)

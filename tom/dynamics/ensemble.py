@@ -7,14 +7,15 @@ from torch import Tensor
 
 from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
-from tom.dynamics.neural import NeuralDynamics, soft_bound
-from tom.nn import share
+from tom.dynamics.fitting import FittedDynamics
+from tom.dynamics.neural import soft_bound
+from tom.nn.mlp import share
 
 WEIGHT_DECAY = (2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4)  # by layer (Janner et al. 2019)
 BOUND_PENALTY = 0.01
 
 
-class _Ensemble(NeuralDynamics):
+class _Ensemble(FittedDynamics):
     def weight_decay(self) -> list[float]:
         """By layer; the last layer takes the last value, what stands outside the networks none."""
         layers = len(self.net.layers)

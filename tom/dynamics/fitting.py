@@ -6,9 +6,9 @@ random stream, holdout and end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Generator, Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -17,10 +17,8 @@ from tom.config import ModelConfig
 from tom.data.sampling import WeightedSampler, block_size, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import FitReport
-from tom.lockstep import Work
-
-if TYPE_CHECKING:
-    from tom.dynamics.neural import NeuralDynamics
+from tom.dynamics.neural import NeuralDynamics
+from tom.nn.lockstep import Work, finished
 
 BLOCK, GPU_BLOCK = 10, 100  # minibatches gathered at once
 
@@ -52,6 +50,32 @@ class Fit(Work):
         reports = fit(works, subject.step)
         for work, report in zip(works, reports, strict=True):
             work.report = report
+
+
+class FittedDynamics(NeuralDynamics):
+    """Networks and their fit, alone or in lock-step."""
+
+    def fit(
+        self,
+        data: TensorTransitions,
+        weights: Tensor,
+        per_dim: Tensor | None,
+        generator: torch.Generator,
+    ) -> FitReport:
+        """Weighted maximum likelihood with early stopping: see this module's `fit`."""
+        return finished(self.fitting(data, weights, per_dim, generator))
+
+    def fitting(
+        self,
+        data: TensorTransitions,
+        weights: Tensor,
+        per_dim: Tensor | None,
+        generator: torch.Generator,
+    ) -> Generator[Work, None, FitReport]:
+        """`fit` as work that members of a fleet may do in one go."""
+        work = Fit(self, data, weights, per_dim, generator)
+        yield work
+        return work.report
 
 
 @torch.no_grad()

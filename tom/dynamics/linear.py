@@ -11,7 +11,7 @@ from torch import Tensor
 from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics.base import FitReport
-from tom.lockstep import Work
+from tom.nn.lockstep import Work
 
 RIDGE = 1e-8
 """keeps the normal equations solvable where the weighted data does not span the inputs"""

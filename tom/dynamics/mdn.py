@@ -8,12 +8,13 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from tom.config import ModelConfig
-from tom.dynamics.neural import NeuralDynamics, soft_bound
+from tom.dynamics.fitting import FittedDynamics
+from tom.dynamics.neural import soft_bound
 
 LOG_VAR_MIN, LOG_VAR_MAX = -12.0, 2.0  # of z-scored targets
 
 
-class Mdn(NeuralDynamics):
+class Mdn(FittedDynamics):
     """p(y_d | x) = sum_k softmax(l_d)_k N(y_d; mean_dk, exp(log_var_dk)), K components."""
 
     def __init__(

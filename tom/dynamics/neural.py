@@ -5,7 +5,7 @@ What it predicts, and with which loss, is its subclass's affair (`mdn`, `ensembl
 fitted, alone or in a fleet, is told in `fitting`.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import Any, Self
 
@@ -13,16 +13,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import silu, softplus
 
-from tom.adam import Adam
-from tom.backprop import forward_trace, gradients
 from tom.config import ModelConfig
 from tom.data.sampling import uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.dynamics.base import FitReport
-from tom.dynamics.fitting import Fit
-from tom.lockstep import Work, finished
-from tom.nn import StackedMLP
+from tom.nn.adam import Adam
+from tom.nn.backprop import forward_trace, gradients
+from tom.nn.mlp import StackedMLP
 
 
 def soft_bound(x: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
@@ -92,28 +89,6 @@ class NeuralDynamics:
         return True
 
     # Fitting
-
-    def fit(
-        self,
-        data: TensorTransitions,
-        weights: Tensor,
-        per_dim: Tensor | None,
-        generator: torch.Generator,
-    ) -> FitReport:
-        """Weighted maximum likelihood with early stopping: see `fitting.fit`."""
-        return finished(self.fitting(data, weights, per_dim, generator))
-
-    def fitting(
-        self,
-        data: TensorTransitions,
-        weights: Tensor,
-        per_dim: Tensor | None,
-        generator: torch.Generator,
-    ) -> Generator[Work, None, FitReport]:
-        """`fit` as work that members of a fleet may do in one go."""
-        work = Fit(self, data, weights, per_dim, generator)
-        yield work
-        return work.report
 
     @property
     def device(self) -> torch.device:

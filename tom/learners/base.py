@@ -15,7 +15,7 @@ from torch import Tensor
 from tom.config import ModelConfig, RolloutConfig
 from tom.data.transitions import TensorTransitions
 from tom.events import FloatArray, Weights
-from tom.lockstep import Work
+from tom.nn.lockstep import Work
 
 
 class Policy(Protocol):

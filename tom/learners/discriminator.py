@@ -12,15 +12,15 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
-from tom.backprop import forward_trace, gradients
 from tom.config import TomConfig
 from tom.data.sampling import block_size, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.learners.averaging import Average
-from tom.learners.training import Trained
-from tom.lockstep import Work
-from tom.nn import StackedMLP, rows_at_once
+from tom.nn.averaging import Average
+from tom.nn.backprop import forward_trace, gradients
+from tom.nn.lockstep import Work
+from tom.nn.mlp import StackedMLP, rows_at_once
+from tom.nn.trained import Trained
 
 CHUNK = 1024  # rows judged at once; they stay in the processor's cache
 BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once

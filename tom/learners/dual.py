@@ -8,20 +8,20 @@ import torch
 from torch import Tensor
 from torch.nn.functional import relu, softplus
 
-from tom.backprop import forward_trace, gradients
 from tom.config import TomConfig
 from tom.data.episodes import held_out_rows
 from tom.data.sampling import block_size, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.divergences import divergence
-from tom.learners.averaging import Average
 from tom.learners.base import Policy, policy_actions
+from tom.learners.divergences import divergence
 from tom.learners.flows import Flow
-from tom.learners.training import Trained
 from tom.learners.validation import Validation
-from tom.lockstep import Work
-from tom.nn import StackedMLP, rows_at_once
+from tom.nn.averaging import Average
+from tom.nn.backprop import forward_trace, gradients
+from tom.nn.lockstep import Work
+from tom.nn.mlp import StackedMLP, rows_at_once
+from tom.nn.trained import Trained
 from tom.rng import fork
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache

@@ -17,7 +17,7 @@ from tom.learners.discriminator import (
     TrainDiscriminator,
     discriminator_net,
 )
-from tom.lockstep import Work, finished
+from tom.nn.lockstep import Work, finished
 
 
 class RatioLearner:

@@ -25,7 +25,7 @@ from tom.learners.discriminator import (
     membership_reward,
 )
 from tom.learners.dual import DualProblem, Minimise, QFunction, q_net
-from tom.lockstep import Work, finished
+from tom.nn.lockstep import Work, finished
 
 __all__ = ["Occupancy", "TomConfig", "TomLearner", "occupancy_weights"]
 

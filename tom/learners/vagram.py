@@ -10,7 +10,7 @@ from tom.config import VagramConfig
 from tom.data.columns import column_moments
 from tom.data.sampling import normalise
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
-from tom.nn import rows_at_once
+from tom.nn.mlp import rows_at_once
 
 CHUNK = 4096  # rows differentiated at once; they stay in the processor's cache
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from copy import deepcopy
 
 from tom.config import TomConfig
-from tom.nn import StackedMLP
+from tom.nn.mlp import StackedMLP
 
 
 class Validation:

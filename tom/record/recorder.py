@@ -9,6 +9,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from tom.errors import DivergedError
 from tom.events import (
     Collected,
     Evaluation,
@@ -21,7 +22,6 @@ from tom.events import (
     TrainedPolicy,
     Weights,
 )
-from tom.health import DivergedError
 from tom.record.heartbeat import Heartbeat
 from tom.record.rerun.sink import Sink
 from tom.record.writer import RunWriter

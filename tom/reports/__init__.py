@@ -1,1 +1,1 @@
-"""Figures for paper and docs: pure functions from data to a Matplotlib figure."""
+"""How results are shown: the look of figures, HTML pages, and what they were made with."""

@@ -13,17 +13,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from tom.analysis.ordered_data import OrderedData
+from tom.analysis.progression import medians, progression
+from tom.analysis.weighing import Weighed
 from tom.data.sampling import bin_means
 from tom.errors import UserError
 from tom.learners import LEARNERS
-from tom.ordered_data import OrderedData
-from tom.progression import medians, progression
 from tom.record import layout
 from tom.record.files import read_json, replace_json, whole_folder
 from tom.record.thin import write_columns
-from tom.reports.progression import Panel, profile_figure
+from tom.reports.profile_figure import Panel, profile_figure
 from tom.reports.style import save
-from tom.weighing import Weighed
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 LOG_RATIO = "-log_ratio"

@@ -1,1 +1,1 @@
-"""What `tom reproduce` computes: one claim of the paper a file, and nothing about how it looks."""
+"""What `tom reproduce` computes and draws: a claim of the paper a file, its figure beside it."""

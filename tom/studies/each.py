@@ -15,8 +15,8 @@ from typing import TypeVar, get_type_hints
 
 import torch
 
-from tom.matmul import choose_matmul
-from tom.parent import end_with_parent
+from tom.machine.matmul import choose_matmul
+from tom.machine.parent import end_with_parent
 from tom.record.versions import versions
 from tom.studies.kept import keep, kept
 

@@ -14,22 +14,22 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from tom.collect import footprint
+from tom.analysis.ordered_data import OrderedData, of_run
+from tom.analysis.weighing import Weighed, weigh
 from tom.config import OnlineConfig, TomConfig
 from tom.data.sampling import ess, uniform_indices
 from tom.data.transitions import TensorTransitions
-from tom.diagnostics import ROWS, one_step_error, rollout_error, unbroken
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
 from tom.envs import MujocoTask, task
+from tom.exams.diagnostics import ROWS, one_step_error, rollout_error, unbroken
 from tom.learners import LEARNERS
 from tom.learners.base import Policy, Weighting
-from tom.ordered_data import OrderedData, of_run
-from tom.policy_file import NAME, read_policy
-from tom.presets import resolve
+from tom.policy.collect import footprint
+from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader
 from tom.rng import Streams
-from tom.weighing import Weighed, weigh
+from tom.training.presets import resolve
 
 Rival = Literal["mle", "pmac", "tom paper", "tom exact"]
 RIVALS: tuple[Rival, ...] = ("mle", "pmac", "tom paper", "tom exact")

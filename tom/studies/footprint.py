@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tom.statistics import Interval, interval, mean
+from tom.analysis.statistics import Interval, interval, mean
 from tom.studies.frozen import Outcome
 
 UNIFORM = "uniform"

@@ -15,22 +15,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tom.collect import footprint
+from tom.analysis.ordered_data import OrderedData, of_run
 from tom.config import OnlineConfig
 from tom.data.datasets import initial_obs
 from tom.data.sampling import ess
 from tom.data.transitions import TensorTransitions
-from tom.diagnostics import one_step_error, rollout_error, unbroken
 from tom.dynamics import make_model
-from tom.energy import footprint_match, step_scaling
 from tom.envs import task
+from tom.exams.diagnostics import one_step_error, rollout_error, unbroken
+from tom.exams.energy import footprint_match, step_scaling
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting
-from tom.ordered_data import OrderedData, of_run
-from tom.policy_file import StoredPolicy, read_policy
-from tom.presets import resolve
+from tom.policy.collect import footprint
+from tom.policy.stored import StoredPolicy, read_policy
 from tom.record import RunReader, layout
 from tom.rng import Streams
+from tom.training.presets import resolve
 
 NEWEST = 1000  # rows of the policy buffer
 RANDOM = 5000  # random rows before those of a recording of SAC, as many as a training explores
@@ -106,7 +106,7 @@ class ModelError:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case. Footprints as in `tom.energy.footprint_match`, of the fit's weights."""
+    """What came of a case. Footprints as in `tom.exams.energy.footprint_match`, of the fit's weights."""
 
     recording: str
     env: str

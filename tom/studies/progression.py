@@ -13,13 +13,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from tom.analysis.ordered_data import of_run
+from tom.analysis.progression import DECILES, Progression, progression, same_profile
+from tom.analysis.weighing import Weighed, weigh
 from tom.config import RunConfig, SacRecordingConfig, TomConfig
 from tom.envs import task
-from tom.ordered_data import of_run
-from tom.policy_file import NAME, UniformPolicy, read_policy
-from tom.progression import DECILES, Progression, progression, same_profile
+from tom.policy.stored import NAME, UniformPolicy, read_policy
 from tom.record import RunReader, Store
-from tom.weighing import Weighed, weigh
 
 Condition = Literal["own", "random", "shuffled"]
 Preset = Literal["paper", "exact"]

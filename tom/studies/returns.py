@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tom import statistics as st
+from tom.analysis import statistics as st
 from tom.envs import ENVS, task
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.record import RunReader

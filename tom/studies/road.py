@@ -16,7 +16,7 @@ from tom import offline
 from tom.config import RoadConfig
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import FOLLOW_THE_VALUE
-from tom.road_measure import returns
+from tom.road.measure import returns
 from tom.studies.checks import Check, at_least, at_most
 
 TURNS = (0.0, 60.0, 90.0, 105.0, 120.0, 135.0, 150.0, 180.0)

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from tom.nested import flat
-from tom.presets import resolve
+from tom.config import flat
 from tom.record import RunReader
+from tom.training.presets import resolve
 
 OWN = ("seed", "steps")
 """settings in which runs that are compared may differ"""

@@ -13,11 +13,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from tom.config import TomConfig
-from tom.learners.base import Policy
-from tom.learners.tom import occupancy_weights
-from tom.studies.checks import Check, at_least, at_most
-from tom.tabular import (
+from tom.analysis.tabular import (
     Array,
     Mdp,
     Name,
@@ -31,6 +27,10 @@ from tom.tabular import (
     solve,
     transition_occupancy,
 )
+from tom.config import TomConfig
+from tom.learners.base import Policy
+from tom.learners.tom import occupancy_weights
+from tom.studies.checks import Check, at_least, at_most
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
-from tom.progression import DECILES, LATE
+from tom.analysis.progression import DECILES, LATE
 from tom.studies.progression import RISE, Finding
 from tom.studies.road import TOM_SUCCESS_MIN, Outcome
 

@@ -1,4 +1,4 @@
-"""Many trainings: what to run (plan), running it (driver), where (engine, home, slurm)."""
+"""Many trainings: running them (driver), where (engine, home, slurm), how long (projection)."""
 
 from tom.sweep.jobs import Job, run_jobs
 

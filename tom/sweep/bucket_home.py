@@ -11,7 +11,7 @@ from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.bucket import attempts
 from tom.record.bucket.objects import Bucket
 from tom.sweep.home import LOGS
-from tom.sweep.plan import Trial
+from tom.training.plan import Trial
 
 LOOK_S = 5.0  # between two looks at a run
 

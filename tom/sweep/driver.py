@@ -19,8 +19,8 @@ from tom.errors import UserError
 from tom.record import RunReader, checkpoint
 from tom.sweep.engine import Engine, Exit, Process, lives
 from tom.sweep.home import LOGS, Home
-from tom.sweep.plan import Trial, same_run
 from tom.sweep.silence import lost
+from tom.training.plan import Trial, same_run
 
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
-from tom.parent import end_with_parent
+from tom.machine.parent import end_with_parent
 
 KILL_S = 10.0  # a process that is killed is gone within this
 

@@ -7,7 +7,7 @@ from statistics import median
 
 from tom.record import RunReader
 from tom.record.sizes import sizes
-from tom.sweep.plan import Trial
+from tom.training.plan import Trial
 
 SAMPLES = 5  # finished runs looked at for each environment and learner
 

@@ -6,7 +6,7 @@ from math import ceil
 from pathlib import Path
 
 from tom.sweep.home import LOGS
-from tom.sweep.plan import Trial
+from tom.training.plan import Trial
 
 DEFAULT_HOURS = 24
 MARGIN = 1.5  # on the projected hours

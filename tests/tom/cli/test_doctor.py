@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tom import doctor
 from tom.cli import main
+from tom.cli.doctor import checks
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke"]
 
@@ -52,25 +52,25 @@ def test_a_store_that_is_a_file_is_a_finding(tmp_path: Path, capsys):
 
 
 def test_a_package_of_another_version_is_named():
-    assert doctor._unmet("numpy>=2.0") is None
-    assert doctor._unmet("numpy<1") == f"numpy {__import__('numpy').__version__} is not <1"
-    assert doctor._unmet("no-such-package>=1") == "no-such-package is missing"
-    assert doctor._unmet('no-such-package; extra == "bench"') is None
+    assert checks._unmet("numpy>=2.0") is None
+    assert checks._unmet("numpy<1") == f"numpy {__import__('numpy').__version__} is not <1"
+    assert checks._unmet("no-such-package>=1") == "no-such-package is missing"
+    assert checks._unmet('no-such-package; extra == "bench"') is None
 
 
 def test_ports_that_cannot_be_opened_are_named_with_a_fix(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(doctor, "HOST", "203.0.113.1")  # an address that no machine has
-    found = doctor._ports()
+    monkeypatch.setattr(checks, "HOST", "203.0.113.1")  # an address that no machine has
+    found = checks._ports()
     assert found.state == "bad"
     assert "203.0.113.1: Cannot assign requested address" in found.text
     assert "lo up" in found.fix
 
 
 def test_a_check_that_breaks_is_a_finding():
-    def broken() -> doctor.Finding:
+    def broken() -> checks.Finding:
         socket.create_server(("127.0.0.1", 0), family=-5)  # pyright: ignore[reportArgumentType]
         raise AssertionError
 
-    found = doctor._guarded("ports", broken)
+    found = checks._guarded("ports", broken)
     assert found.state == "bad"
     assert found.text

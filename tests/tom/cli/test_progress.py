@@ -9,7 +9,7 @@ from tom.cli import fleet_progress, progress
 from tom.cli.fleet_progress import FleetReport
 from tom.cli.progress import ProgressReport
 from tom.events import Episode, Evaluation, Notice, Tick
-from tom.sweep.plan import Trial
+from tom.training.plan import Trial
 
 
 def test_a_resumed_run_counts_its_own_steps_only(monkeypatch):

@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tom.cli import reproduce_progression, reproduce_road
+from tom.cli.reproduce import progression
+from tom.cli.reproduce import road as reproduce_road
 from tom.reports.style import new_figure, save
 from tom.studies.checks import Check
 from tom.studies.progression import Finding
@@ -59,7 +60,7 @@ def test_weight_progression_judges_its_first_preset(tmp_path: Path):
         Finding("hopper", "exact", *asked, (0.1, 0.1), ("<=", 0.2)),
         Finding("hopper", "paper", *asked, (9.0, 9.0), ("<=", 0.2)),
     ]
-    reproduce_progression._report(numbers, ["Agrees."], args)
+    progression._report(numbers, ["Agrees."], args)
     text = (tmp_path / "report.html").read_text()
     assert "1 of 1 figures of our acceptance are met." in text
     assert "hopper, own policy, tom, random half" in text

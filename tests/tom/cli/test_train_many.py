@@ -7,8 +7,8 @@ import pytest
 
 from tom.cli import main
 from tom.cli.train_many import run_fleets
-from tom.run import Stop
-from tom.sweep.plan import Trial
+from tom.training.plan import Trial
+from tom.training.run import Stop
 
 HOPPER = ["train", "--env", "hopper", "--preset", "smoke"]
 

@@ -11,17 +11,17 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from tom import weighing
+from tom.analysis import weighing
+from tom.analysis.ordered_data import after_random, load_data, of_run, to_unit_range
 from tom.cli import main
-from tom.collect import Footprint, footprint
 from tom.config import PmacConfig, RoadConfig, RunConfig
 from tom.data.sampling import bin_means
-from tom.energy import footprint_match, step_scaling
 from tom.envs import task
 from tom.errors import UserError
+from tom.exams.energy import footprint_match, step_scaling
 from tom.learners.pmac import recency_probabilities
-from tom.ordered_data import after_random, load_data, of_run, to_unit_range
-from tom.policy_file import UniformPolicy
+from tom.policy.collect import Footprint, footprint
+from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, RunWriter, Store
 
 QUICK = [

@@ -21,7 +21,7 @@ from tom.learners.dual import (
     values_of,
 )
 from tom.learners.flows import Flow
-from tom.nn import StackedMLP
+from tom.nn.mlp import StackedMLP
 
 
 class TwoActions:

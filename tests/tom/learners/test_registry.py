@@ -6,7 +6,7 @@ from tom.config import ModelConfig, OnlineConfig, RolloutConfig
 from tom.errors import UserError
 from tom.learners import LEARNER_NAMES, LEARNERS, make_learner
 from tom.learners.base import Weighting
-from tom.presets import resolve
+from tom.training.presets import resolve
 
 
 def config(name: str) -> OnlineConfig:

@@ -6,10 +6,7 @@ import pytest
 import torch
 from made import ACTION, OBS, QUICK, context, generator, rows, uniform_policy
 
-from tom.config import TomConfig
-from tom.data.transitions import Transitions
-from tom.learners.tom import Occupancy, TomLearner, occupancy_weights
-from tom.tabular import (
+from tom.analysis.tabular import (
     OccupancyProblem,
     OneHotPolicy,
     random_mdp,
@@ -19,6 +16,9 @@ from tom.tabular import (
     solve,
     transition_occupancy,
 )
+from tom.config import TomConfig
+from tom.data.transitions import Transitions
+from tom.learners.tom import Occupancy, TomLearner, occupancy_weights
 
 
 def learner(config: TomConfig = QUICK) -> TomLearner:

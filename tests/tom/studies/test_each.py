@@ -11,6 +11,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from tom.analysis.weighing import Weighed
 from tom.studies import each as module
 from tom.studies.each import FOLDER, each
 from tom.studies.focus import Focus
@@ -18,7 +19,6 @@ from tom.studies.kept import keep, kept
 from tom.studies.progression import Result
 from tom.studies.road import Outcome, Story
 from tom.studies.tabular import Case, Estimate, Score
-from tom.weighing import Weighed
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from tom.analysis.ordered_data import of_run
+from tom.analysis.weighing import Weighed
 from tom.cli import main
 from tom.config import SacRecordingConfig
 from tom.data.transitions import Transitions
 from tom.envs import task
-from tom.ordered_data import of_run
-from tom.policy_file import NAME, read_policy
+from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader, Store
-from tom.run import train
 from tom.studies.focus import (
     Case,
     Focus,
@@ -30,7 +30,7 @@ from tom.studies.focus import (
     summary,
     verdict,
 )
-from tom.weighing import Weighed
+from tom.training.run import train
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,11 @@ import pytest
 
 from tom.cli import main
 from tom.config import SacRecordingConfig
-from tom.presets import resolve
 from tom.record import RunReader, Store
-from tom.run import train
 from tom.studies import capacity, footprint
 from tom.studies.frozen import WAYS, Case, ModelError, Outcome, cases, examined, moments
+from tom.training.presets import resolve
+from tom.training.run import train
 
 
 @pytest.fixture(scope="module")

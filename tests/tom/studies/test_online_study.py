@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tom.events import Tick, Weights
-from tom.presets import resolve
 from tom.record import Recorder, RunWriter, Store
 from tom.studies import online as study
+from tom.training.presets import resolve
 
 N = 1000
 

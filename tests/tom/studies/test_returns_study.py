@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tom.events import Metrics, Tick
-from tom.presets import resolve
 from tom.record import Recorder, RunWriter, Store
 from tom.studies import returns as study
+from tom.training.presets import resolve
 
 
 def record(

@@ -7,7 +7,7 @@ import pandas as pd
 
 from tom.record import RunReader, Store, checkpoint
 from tom.sweep.driver import Driver
-from tom.sweep.plan import Trial, checked, trials
+from tom.training.plan import Trial, checked, trials
 
 STEPS, EVERY = 500, 100
 PLAN = {

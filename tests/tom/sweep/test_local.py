@@ -14,8 +14,8 @@ from tom.record.export import export_small
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.sweep.home import FolderHome
-from tom.sweep.plan import Trial, checked, trials
 from tom.sweep.projection import cost
+from tom.training.plan import Trial, checked, trials
 
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "250")
 

@@ -12,12 +12,12 @@ from tom.cli import main
 from tom.config import OnlineConfig
 from tom.envs import ENVS
 from tom.events import Metrics, Tick
-from tom.matmul import kept_in
-from tom.presets import resolve
+from tom.machine.matmul import kept_in
 from tom.record import Recorder, RunWriter, Store, checkpoint
-from tom.sweep.plan import checked, trials
 from tom.sweep.projection import cost, makespan
 from tom.sweep.slurm import DEFAULT_HOURS, MARGIN
+from tom.training.plan import checked, trials
+from tom.training.presets import resolve
 
 PLAN = {"env": "hopper", "learner": ["tom", "mle"], "steps": 45_000}
 MS = dict.fromkeys(NEEDED, 1.0)

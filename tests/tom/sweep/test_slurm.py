@@ -11,8 +11,8 @@ import pytest
 
 from tom.cli import main
 from tom.record import Store
-from tom.sweep.plan import checked, trials
 from tom.sweep.slurm import script
+from tom.training.plan import checked, trials
 
 PLAN = {"env": ["inverted-pendulum"], "learner": ["mle", "tom"], "preset": "smoke"}
 

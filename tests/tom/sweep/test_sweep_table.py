@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from tom.cli.sweep_table import Watcher
+from tom.cli.sweep.table import Watcher
 from tom.events import Tick
 from tom.record import Recorder, RunWriter, Store
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.sweep.home import FolderHome
-from tom.sweep.plan import checked, trials
+from tom.training.plan import checked, trials
 
 PLAN = {"env": "hopper", "learner": ["mle", "tom"], "seeds": 2, "steps": 6_000}
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from tom.address import in_url
 from tom.envs import ENVS
 from tom.events import Evaluation, Field
+from tom.machine.address import in_url
 from tom.record import layout
 from tom.record.files import parse_json_line
 from tom.record.reader import RunReader

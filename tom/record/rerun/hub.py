@@ -19,8 +19,8 @@ from urllib.parse import quote
 
 import rerun_cli
 
-from tom.address import free_port, local_host
-from tom.parent import end_with_parent
+from tom.machine.address import free_port, local_host
+from tom.machine.parent import end_with_parent
 from tom.record.rerun import web
 
 MEMORY = "512MiB"

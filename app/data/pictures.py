@@ -1,0 +1,63 @@
+"""One fit of one road-and-rocks run, read from its folder for the map and the 3D scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.data.roadmap import RoadMap, road_share, trajectories, weight_grid
+from tom.record.reader import RunReader, at_or_before
+
+ENV = "road-and-rocks"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """All that one fit shows."""
+
+    learner: str
+    step: int
+    road: RoadMap
+    grid: NDArray[np.float64]  # (CELLS, CELLS) mean weight, row 0 at the lowest y
+    share: float  # of the weight that lies on the road
+    expert: list[NDArray]  # (H + 1, 2) each
+    learnt: list[NDArray]  # (H + 1, 2) each
+    points: NDArray  # (G, 2)
+    true: NDArray  # (G, 2) displacements under the expert's action
+    modelled: NDArray  # (G, 2)
+
+
+def steps(run: RunReader) -> list[int]:
+    """The fits that can be shown: every single weight was kept."""
+    return run.snapshot_steps() if run.field_steps("map") else []
+
+
+def load(run: RunReader, step: int) -> Picture | None:
+    """The fit at `step`; None when the run's folder lacks the map (see `run.problems`)."""
+    try:
+        road = RoadMap.of(run.field("map", at_or_before(run.field_steps("map"), step)))
+    except LookupError:
+        return None
+    weight = run.snapshot(step)["weight"].to_numpy(np.float32)
+    obs = np.asarray(run.buffer()[0].obs)[: len(weight)]
+    obs, weight = obs.reshape(-1, 2), weight[: len(obs)]
+    model = _field(run, "model", step)
+    lines = _field(run, "trajectories", step)
+    nothing = np.zeros((0, 2), np.float32)
+    return Picture(
+        learner=run.learner,
+        step=step,
+        road=road,
+        grid=weight_grid(obs, weight)[0],
+        share=road_share(obs, weight, road)[0],
+        expert=trajectories(lines, "expert"),
+        learnt=trajectories(lines, "learnt"),
+        points=model.get("points", nothing),
+        true=model.get("true", nothing),
+        modelled=model.get("modelled", nothing),
+    )
+
+
+def _field(run: RunReader, name: str, step: int) -> dict[str, NDArray]:
+    recorded = run.field_steps(name)
+    return run.field(name, at_or_before(recorded, step)) if recorded else {}

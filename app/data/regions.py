@@ -1,0 +1,173 @@
+"""Regions of a replay buffer: a map of it, what lies in a part of the map. Pure functions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.data.buffer import Floats, Rows
+from tom.data.transitions import Transitions
+from tom.record.profiles import effective_share
+
+Mask = NDArray[np.bool_]
+
+FITTED = 20_000
+"""rows at most that principal components are found from"""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Two coordinates of every transition, and what they are called."""
+
+    x: Floats  # (N,)
+    y: Floats  # (N,)
+    x_name: str
+    y_name: str
+
+
+def principal_plane(rows: Transitions) -> Plane:
+    """The first two principal components of (s, a, s'), every dimension in its own deviation.
+
+    Found from at most FITTED rows, drawn evenly; the coordinates are of all N.
+    """
+    table = _table(rows, spread(len(rows), FITTED))
+    middle, deviation = table.mean(0), table.std(0)
+    scale = np.where(
+        deviation > 1e-9, 1 / np.maximum(deviation, 1e-9), 0.0
+    )  # constants are left out
+    table = (table - middle) * scale
+    values, vectors = np.linalg.eigh(table.T @ table / max(len(table), 1))
+    vectors = vectors[:, ::-1][:, :2]
+    # An eigenvector's sign is arbitrary: the largest entry is made positive.
+    vectors = vectors * np.sign(vectors[np.abs(vectors).argmax(0), np.arange(vectors.shape[1])])
+    share = 100 * values[::-1][:2] / values.sum()
+    turned = (scale[:, None] * vectors).astype(np.float32)
+    whole, o = rows.numpy(), np.shape(rows.obs)[1]
+    found = np.asarray(whole.obs) @ turned[:o] + np.asarray(whole.next_obs) @ turned[-o:]
+    found = found + np.asarray(whole.action) @ turned[o:-o] - (middle * scale) @ vectors
+    found = found.astype(np.float64)
+    names = [f"component {i + 1} ({share[i]:.0f} % of the variance)" for i in range(2)]
+    return Plane(found[:, 0], found[:, 1], names[0], names[1])
+
+
+def _table(rows: Transitions, index: NDArray[np.int64]) -> Floats:
+    """(s, a, s') of some rows, (K, 2 O + A)."""
+    part = rows[index].numpy()
+    return np.concatenate([part.obs, part.action, part.next_obs], 1).astype(np.float64)
+
+
+def named_plane(rows: Transitions, names: Sequence[str], x: str, y: str) -> Plane:
+    """Two dimensions of the observation, by their names."""
+    obs = np.asarray(rows.obs, np.float64)
+    return Plane(obs[:, names.index(x)], obs[:, names.index(y)], x, y)
+
+
+def inside(outline: Sequence[tuple[float, float]], x: Floats, y: Floats) -> Mask:
+    """Which points (N,) lie within a closed outline of corners (x, y), by the even-odd rule."""
+    found = np.zeros(len(x), bool)
+    corners = np.asarray(outline, np.float64).reshape(-1, 2)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, 0), strict=True):
+        crosses = (y0 > y) != (y1 > y)
+        if y1 != y0:
+            found ^= crosses & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
+    return found
+
+
+def heaviest(weight: Floats, share: float) -> Mask:
+    """The rows of the largest weights, `share` of all (at least one)."""
+    count = max(round(share * len(weight)), 1)
+    found = np.zeros(len(weight), bool)
+    found[np.argsort(-weight, kind="stable")[:count]] = True
+    return found
+
+
+def aged(count: int, low: float, high: float) -> Mask:
+    """The rows between two ages in %, 0 the oldest."""
+    age = (np.arange(count) + 0.5) * 100 / max(count, 1)
+    return (age >= low) & (age <= high)
+
+
+EXPLORED = "from exploration, %"
+QUANTITIES = (
+    "transitions",
+    "share of the buffer, %",
+    "share of the weight, %",
+    "mean weight",
+    "weight zero, %",
+    "effective sample, %",
+    "mean reward",
+    "mean return of their episodes",
+    "mean age, % (0: oldest)",
+    EXPLORED,
+    "ends an episode, %",
+)
+
+
+def summary(rows: Rows, mask: Mask) -> dict[str, float]:
+    """What is in a region, by QUANTITIES; NaN for an empty one."""
+    n = int(mask.sum())
+    if not n:
+        return dict.fromkeys(QUANTITIES, float("nan")) | {"transitions": 0.0}
+    weight = rows.weight[mask]
+    total = rows.weight.sum()
+    values = (
+        n,
+        100 * n / len(rows),
+        100 * weight.sum() / total if total > 0 else np.nan,
+        weight.mean(),
+        100 * (weight == 0).mean(),
+        100 * effective_share(weight),
+        np.asarray(rows.rows.reward)[mask].mean(),
+        rows.episode_return[mask].mean(),
+        rows.age[mask].mean(),
+        100 * (rows.version[mask] == 0).mean(),
+        100 * (np.asarray(rows.rows.terminated)[mask] != 0).mean(),
+    )
+    return {name: float(value) for name, value in zip(QUANTITIES, values, strict=True)}
+
+
+def apart(rows: Rows, mask: Mask, names: list[str]) -> list[tuple[str, float]]:
+    """How far a region's mean of each of (s, a) lies from the buffer's, in its deviations.
+
+    `names` are those of the dimensions of s, then of a; the farthest first, constants left out.
+    """
+    if not mask.any():
+        return []
+    table = np.concatenate([rows.rows.obs, rows.rows.action], 1)
+    here, whole = (part.mean(0, dtype=np.float64) for part in (table[mask], table))
+    deviation = table.std(0, dtype=np.float64)
+    gap = (here - whole) / np.where(deviation > 1e-9, deviation, np.inf)
+    order = np.argsort(-np.abs(gap), kind="stable")
+    return [(names[i], float(gap[i])) for i in order if deviation[i] > 1e-9]
+
+
+def picks(order: NDArray[np.int64], count: int, gap: int) -> list[int]:
+    """The first `count` row numbers of `order` that lie at least `gap` rows from each other."""
+    found: list[int] = []
+    for row in order.tolist():
+        if all(abs(row - other) >= gap for other in found):
+            found.append(row)
+            if len(found) == count:
+                break
+    return found
+
+
+def heavy_and_light(rows: Rows, mask: Mask, count: int, gap: int) -> tuple[list[int], list[int]]:
+    """Rows of a region to look at: its heaviest and its lightest, at least `gap` steps apart."""
+    index = np.flatnonzero(mask)
+    weight = rows.weight[index]
+    # Of equal weights (many are zero) no part of the buffer is preferred.
+    shuffled = np.random.default_rng(0).permutation(len(index))
+    by_weight = shuffled[np.argsort(weight[shuffled], kind="stable")]
+    return (
+        picks(index[by_weight[::-1]], count, gap),
+        picks(index[by_weight], count, gap),
+    )
+
+
+def spread(count: int, limit: int) -> NDArray[np.int64]:
+    """At most `limit` row numbers of `count`, drawn evenly and always the same, ascending."""
+    if count <= limit:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, limit, replace=False))

@@ -1,0 +1,115 @@
+"""A run at a glance: who it is, how far it is, how well it does."""
+
+import html
+import time
+from collections.abc import Sequence
+
+import streamlit as st
+
+from app import session, text
+from app.data import trainings
+from app.data.readers import RunInfo
+from app.theme import learner_colour, learner_label
+from tom.errors import UserError
+from tom.record import small_copy
+from tom.record.store import Store
+
+COLUMNS = 3
+_STATE_TINTS = {
+    "running": "#1f9d55",
+    "failed": "#d2383f",
+    "dead": "#c77700",
+}
+
+
+def cards(runs: Sequence[RunInfo]) -> None:
+    """One card a run, in rows."""
+    width = 2 if len(runs) == 4 else min(len(runs), COLUMNS)
+    for first in range(0, len(runs), width or 1):
+        row = st.columns(width)
+        for column, run in zip(row, runs[first : first + width], strict=False):
+            with column, st.container(border=True, gap="small"):
+                card(run)
+
+
+def card(run: RunInfo) -> None:
+    """Name and state, progress, and the numbers that matter."""
+    status = run.status
+    if status.alive and session.may_act():
+        left, right = st.columns([4, 1], vertical_alignment="center", gap="small")
+        left.html(head(run))
+        with right:
+            _stop(run)
+    else:
+        _asked().discard(run.run_id)
+        st.html(head(run))
+    st.progress(status.share, text=text.markdown(progress_line(run)))
+    numbers = st.columns(4, gap="small")
+    speed = status.env_steps_per_s if status.alive else None
+    for column, (label, value) in zip(
+        numbers,
+        (
+            ("last return", text.number(status.last_return)),
+            ("best return", text.number(status.best_return)),
+            ("steps / s", text.number(speed)),
+            ("ETA", text.duration(status.eta_s) if status.alive else "-"),
+        ),
+        strict=True,
+    ):
+        column.metric(label, value)
+    for words in (status.reason, *status.warnings):
+        if words:
+            st.caption(text.markdown(words))
+
+
+def _stop(run: RunInfo) -> None:
+    if run.run_id in _asked():
+        st.caption("stopping", help="it ends after its step and writes a checkpoint")
+        return
+    with st.popover("Stop", key=f"stop {run.run_id}", width="stretch"):
+        st.write("The training ends after this step and writes a checkpoint. To go on with it:")
+        st.code(f"tom train --resume {run.run_id}", language="bash")
+        if st.button("Stop this training", key=f"stop {run.run_id} now", type="primary"):
+            try:
+                trainings.stop(Store(session.links().store), run.run_id)
+                _asked().add(run.run_id)
+                st.rerun(scope="fragment")
+            except UserError as error:
+                st.error(text.markdown(error))
+
+
+def _asked() -> set[str]:
+    """The runs that this reader has asked to stop and that have not ended yet."""
+    return st.session_state.setdefault("asked to stop", set())
+
+
+def progress_line(run: RunInfo) -> str:
+    """Where the run is, since when nothing was heard of a dead one, and that it is a small copy."""
+    status = run.status
+    steps = f"{status.env_step:,} of {status.total:,} steps"
+    if run.small_copy:
+        return f"{steps} · {small_copy.NAME}"
+    if status.alive:
+        return f"{steps} · {status.phase}" if status.phase else steps
+    if status.shown == "dead":
+        return f"{steps} · no sign of life for {text.duration(time.time() - status.heartbeat)}"
+    return steps
+
+
+def head(run: RunInfo) -> str:
+    """The card's first line as HTML; everything that came from a file is escaped."""
+    shown = run.status.shown
+    tint = _STATE_TINTS.get(shown, "inherit")
+    learner = html.escape(learner_label(run.learner))
+    called = f" · {run.labels.name}" if run.labels.name else ""
+    about = html.escape(f"{run.env} · seed {run.seed}{called}")
+    return (
+        '<div style="display:flex;align-items:center;gap:.5rem;min-width:0">'
+        f'<span style="width:.75rem;height:.75rem;border-radius:50%;flex:none;'
+        f'background:{learner_colour(run.learner)}"></span>'
+        f'<b style="white-space:nowrap">{learner}</b>'
+        '<span style="opacity:.7;overflow:hidden;text-overflow:ellipsis;white-space:nowrap" '
+        f'title="{html.escape(run.run_id, quote=True)}">{about}</span>'
+        f'<span style="margin-left:auto;flex:none;color:{tint};border:1px solid;'
+        f'border-radius:1rem;padding:0 .55rem;font-size:.8em">{html.escape(shown)}</span></div>'
+    )

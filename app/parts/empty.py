@@ -1,0 +1,50 @@
+"""What stands where there is nothing to show: an empty store, what a small copy left out."""
+
+import shlex
+from collections.abc import Sequence
+
+import streamlit as st
+
+from app import session
+from app.data import readers
+from app.data.readers import RunInfo
+from app.parts import widgets
+
+
+def page() -> None:
+    """Say what to run, and look again by itself."""
+    store = session.links().store
+    st.header("Nothing recorded yet", anchor=False)
+    st.write("Training fills this studio. In another terminal:")
+    option = f" --store {shlex.quote(store)}"
+    st.code(f"tom demo --headless{option}", language="bash")
+    st.caption("Road and rocks with three learners, then inverted pendulum: about five minutes.")
+    st.code(f"tom train --env inverted-pendulum --learner tom{option}", language="bash")
+    st.code(f"tom train --env road-and-rocks --learner tom{option}", language="bash")
+    st.caption("One training. It appears on the Live page as soon as it has begun.")
+    st.text(f"Store: {store}")
+    widgets.show_store_problems(readers.listing(store).problems)
+    _look_again(store)
+
+
+def left_out(run: RunInfo, *parts: str) -> bool:
+    """Say which of these parts a small copy lacks; False where it lacks none, or is a whole run."""
+    lacking = [part for part in parts if part in run.left_out]
+    if lacking:
+        st.caption(f"Left out of this small copy: {', '.join(lacking)}.")
+    return bool(lacking)
+
+
+def left_out_of_all(runs: Sequence[RunInfo], part: str) -> bool:
+    """Say of how many small copies a part was left out; False where it is of none."""
+    lacking = sum(part in run.left_out for run in runs)
+    if lacking:
+        copies = "the small copy" if lacking == 1 else f"the {lacking} small copies"
+        st.info(f"Left out of {copies} in this store: {part}.", icon=":material/content_cut:")
+    return lacking > 0
+
+
+@st.fragment(run_every=2)
+def _look_again(store: str) -> None:
+    if readers.listing(store).runs:
+        st.rerun()

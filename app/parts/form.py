@@ -1,0 +1,109 @@
+"""The settings of a run as fields of a form, made from its configuration. Pure functions."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from tom.cli.parser import leaf_fields, one_line
+from tom.config import RunConfig
+from tom.errors import UserError
+from tom.training.presets import config_type, resolve
+
+LEFT_OUT = {"env", "learner", "preset", "seed", "steps"}
+"""what the form asks for by itself, above the settings"""
+GENERAL = "run"
+MOST_SEEDS = 16
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One value of a configuration; no `choices` means that it is typed in."""
+
+    path: str
+    label: str
+    help: str
+    default: str
+    choices: tuple[str, ...]
+
+
+def sections(env: str, learner: str, preset: str) -> dict[str, list[Setting]]:
+    """The settings of an environment's runs by group, with the preset's values as defaults.
+
+    The groups of other learners are left out: they change nothing.
+    """
+    config = resolve(env, learner, preset)
+    found: dict[str, list[Setting]] = {}
+    for path, info in leaf_fields(config_type(env)):
+        if path in LEFT_OUT:
+            continue
+        group, _, name = path.rpartition(".")
+        if group in ("tom", "pmac", "vagram") and group != learner.split("-")[0]:
+            continue
+        found.setdefault(group or GENERAL, []).append(_setting(path, name, info, config))
+    return found
+
+
+def seeds(words: str) -> list[int]:
+    """`0-2, 7` as numbers. Raises UserError for anything else."""
+    found: list[int] = []
+    for part in words.replace(",", " ").split():
+        first, _, last = part.partition("-")
+        if not (first.isdigit() and (last.isdigit() or part == first)):
+            raise UserError(f"seeds '{words[:40]}' are not numbers: write 0, or 0-2, or 0, 3, 5")
+        found += range(int(first), min(int(last or first), int(first) + MOST_SEEDS) + 1)
+    found = list(dict.fromkeys(found))
+    if not 1 <= len(found) <= MOST_SEEDS:
+        raise UserError(f"name 1 to {MOST_SEEDS} seeds, such as 0-2")
+    return found
+
+
+def command(
+    env: str, learner: str, preset: str, seed: int, given: Mapping[str, str], store: str
+) -> list[str]:
+    """What follows `tom` to start a run with the settings that were `given` (path: words).
+
+    Raises UserError, in one line, for a value that the configuration refuses.
+    """
+    nested: dict[str, Any] = {"seed": seed}
+    for path, words in given.items():
+        *groups, name = path.split(".")
+        level = reduce(lambda at, group: at.setdefault(group, {}), groups, nested)
+        level[name] = None if words.lower() == "none" else words
+    try:
+        resolve(env, learner, preset, nested)
+    except ValidationError as error:
+        raise one_line(error) from None
+    options = [f"--{path.replace('_', '-')}={words}" for path, words in given.items()]
+    chosen = ["--env", env, "--learner", learner, "--preset", preset, "--seed", str(seed)]
+    return ["train", *chosen, *options, "--store", store]
+
+
+def shown(words: Sequence[str]) -> str:
+    """The command as it is typed in a terminal."""
+    return shlex.join(["tom", *words])
+
+
+def default_steps(env: str, learner: str, preset: str) -> int:
+    """Env steps of a run when nothing else is asked for."""
+    return resolve(env, learner, preset).steps
+
+
+def _setting(path: str, name: str, info: FieldInfo, config: RunConfig) -> Setting:
+    value: Any = reduce(getattr, path.split("."), config)
+    kind = info.annotation
+    choices: tuple[str, ...] = ()
+    if get_origin(kind) is Literal:
+        choices = tuple(str(choice) for choice in get_args(kind))
+    elif kind is bool:
+        choices = ("true", "false")
+    words = str(value).lower() if isinstance(value, bool) else _words(value)
+    return Setting(path, name.replace("_", " "), info.description or "", words, choices)
+
+
+def _words(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value).lower()

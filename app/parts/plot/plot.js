@@ -1,0 +1,125 @@
+// Draws a Plotly figure into an element that outlives its data (app/parts/plot/__init__.py).
+
+function library(path) {
+  window.tomPlotly ??= new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = path;
+    script.onload = () => resolve(window.Plotly);
+    script.onerror = () => {
+      window.tomPlotly = undefined; // the next chart tries again
+      reject(new Error(`cannot load ${path}`));
+    };
+    document.head.appendChild(script);
+  });
+  return window.tomPlotly;
+}
+
+// The page's own colours and font, which Streamlit offers as CSS variables.
+function theme(element) {
+  const style = getComputedStyle(element);
+  return (name) => style.getPropertyValue(`--st-${name}`).trim();
+}
+
+function dressed(layout, value) {
+  const font = { color: value("text-color"), family: value("font") };
+  return {
+    ...layout,
+    autosize: true,
+    font: { ...layout.font, ...font },
+    hoverlabel: {
+      bgcolor: value("secondary-background-color"),
+      bordercolor: value("border-color"),
+      font,
+      namelength: -1,
+    },
+    modebar: {
+      bgcolor: "rgba(0,0,0,0)",
+      color: value("text-color"),
+      activecolor: value("primary-color"),
+    },
+  };
+}
+
+// A picture has the page's background: on none, a dark page's pale text could not be read.
+function save(plot, format) {
+  const picture = {
+    data: plot.data,
+    layout: { ...plot.layout, paper_bgcolor: theme(plot)("background-color") },
+  };
+  const name = plot.getAttribute("aria-label").replace(/[^\w-]+/g, "-").slice(0, 80);
+  const { width, height } = plot.getBoundingClientRect();
+  window.Plotly.downloadImage(picture, { format, width, height, scale: 2, filename: name });
+}
+
+function options(Plotly, selects) {
+  const button = (format) => ({
+    name: `save as ${format.toUpperCase()}`,
+    icon: format === "png" ? Plotly.Icons.camera : Plotly.Icons.disk,
+    click: (plot) => save(plot, format),
+  });
+  return {
+    displaylogo: false,
+    responsive: true,
+    modeBarButtonsToRemove: [
+      ...["sendChartToCloud", "toImage", "autoScale2d"],
+      ...(selects ? [] : ["select2d", "lasso2d"]),
+    ],
+    modeBarButtonsToAdd: [button("png"), button("svg")],
+  };
+}
+
+function place({ x, y, curveNumber, pointNumber, data }) {
+  return { x, y, trace: curveNumber, index: pointNumber, meta: data.meta ?? null };
+}
+
+function corners({ range, lassoPoints }) {
+  const [x, y] = Object.values(lassoPoints ?? range ?? { x: [], y: [] });
+  if (lassoPoints || !x.length) return x.map((value, i) => [value, y[i]]);
+  return [[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]];
+}
+
+function wire(plot, Plotly) {
+  let told = "";
+  const select = (region) => {
+    // Plotly reports a selection again when it draws it again.
+    if (told === JSON.stringify(region)) return;
+    told = JSON.stringify(region);
+    plot.tell("selected", region);
+  };
+  plot.on("plotly_click", ({ points: [point] }) => plot.tell("clicked", place(point)));
+  plot.on("plotly_selected", (event) => {
+    if (!plot.selects || !event) return;
+    const points = event.points.map(({ curveNumber, pointIndex }) => [curveNumber, pointIndex]);
+    select({ points, outline: corners(event) });
+  });
+  plot.on("plotly_deselect", () => plot.selects && select({ points: [], outline: [] }));
+  new ResizeObserver(() => {
+    // A chart on a hidden tab has no width until it is shown.
+    if (plot.isConnected && plot.clientWidth) Plotly.Plots.resize(plot);
+  }).observe(plot);
+}
+
+export default function ({ data, parentElement, setTriggerValue }) {
+  const plot = parentElement.querySelector(".plot");
+  plot.tell = setTriggerValue;
+  plot.selects = data.selects;
+  plot.setAttribute("aria-label", data.label);
+  library(data.library).then(
+    (Plotly) => {
+      if (!plot.isConnected) return;
+      const { data: traces, layout } = JSON.parse(data.figure);
+      plot.querySelector(".failed")?.remove();
+      // Plotly starts anew, zoom lost, when it gets other options: also other, equal functions.
+      plot.options ??= options(Plotly, data.selects);
+      Plotly.react(plot, traces, dressed(layout, theme(plot)), plot.options);
+      if (!plot.wired) wire(plot, Plotly);
+      plot.wired = true;
+    },
+    (error) => {
+      if (plot.wired) return;
+      plot.innerHTML = '<p class="failed"></p>';
+      plot.firstChild.textContent = `The chart cannot be drawn: ${error.message}`;
+    },
+  );
+  return () => setTimeout(() => plot.isConnected || window.Plotly?.purge(plot));
+}

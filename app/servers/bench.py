@@ -1,0 +1,183 @@
+"""`tom bench studio`: how long the pages take over a store of many runs.
+
+The first row is the server's own reading of the whole store when it starts. A reader who opens the
+studio at that very moment waits for all of it and for the first page, which is the row `opened`.
+Every other row is one drawing of one page after that.
+
+Pages are drawn in this process, without a browser: what is measured is reading, computing and
+writing down the figures. Not measured are the start of Python and of Streamlit, which know nothing
+of the store, and the browser's own work. CPU seconds beside wall-clock ones, as the machine may be
+busy.
+"""
+
+import json
+import logging
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import chdir
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+from app.data.studies import FOLDER, QUESTIONS, REPORT
+from app.links import Links
+from app.router import VIEWS
+from app.servers.pages import warm
+from tom.cli.parser import Parser
+from tom.cli.tables import show
+from tom.record import layout
+from tom.record.reader import RunReader
+from tom.record.store import Store
+from tom.training.presets import resolve
+from tom.training.run import train
+
+RUNS, METRICS, POINTS = 200, 20, 300
+OPEN_S, ANSWER_S = 2.0, 0.5
+"""the targets: opening the studio, and every page after that"""
+ROAD = {"steps": 60, "fit_every": 30}
+PENDULUM = {"steps": 400}
+KINDS = (
+    *(("road-and-rocks", learner, ROAD) for learner in ("mle", "tom")),
+    *(("inverted-pendulum", learner, PENDULUM) for learner in ("mle", "pmac", "tom", "vagram")),
+)
+"""what is trained, in turn: task, learner, settings"""
+STUDIES, FIGURES, LINES = 3, 2, 300
+"""of the page of studies: figures and lines of a table of each"""
+PAGES = tuple(view.__name__.rpartition(".")[2] for view in VIEWS)
+HARNESS = (
+    "import streamlit as st\n"
+    "if 'measured' in st.session_state:\n"
+    "    from app.router import draw\n"
+    "    from app.views import {0}\n"
+    "    draw({0}.page)\n"
+)
+"""The first run of an AppTest looks through every installed package, which no server does then."""
+TIMEOUT_S = 600
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one thing took, CPU and wall-clock seconds; a target is for the CPU."""
+
+    what: str
+    cpu_s: float
+    wall_s: float
+    target_s: float | None = ANSWER_S
+
+    @property
+    def met(self) -> bool:
+        return self.target_s is None or self.cpu_s <= self.target_s
+
+
+def make_store(folder: Path, runs: int) -> None:
+    """Train a short run of each kind, lengthen its curves, copy it until there are `runs`."""
+    for env, learner, settings in KINDS:
+        config = resolve(env, learner, "smoke", settings)
+        train(config, Store(folder), f"{env}-{learner}-0", rerun=False)
+        _lengthen(folder / f"{env}-{learner}-0")
+    for i in range(len(KINDS), runs):
+        (env, learner, _), seed = KINDS[i % len(KINDS)], i // len(KINDS)
+        base = f"{env}-{learner}"
+        copy = shutil.copytree(folder / f"{base}-0", folder / f"{base}-{seed}")
+        config = json.loads((copy / layout.CONFIG).read_text())
+        config |= {"seed": seed, "run_id": copy.name}
+        config["config"]["seed"] = seed
+        (copy / layout.CONFIG).write_text(json.dumps(config))
+
+
+def make_studies(folder: Path) -> None:
+    """Studies as `tom reproduce` leaves them: figures of noise, a table, a report."""
+    noise = np.random.default_rng(0)
+    for name in list(QUESTIONS)[:STUDIES]:
+        study = folder / name
+        study.mkdir(parents=True)
+        for i in range(FIGURES):
+            pixels = noise.integers(0, 255, (600, 1200, 3), np.uint8)
+            Image.fromarray(pixels).save(study / f"figure-{i}.png")
+        table = pd.DataFrame(noise.normal(size=(LINES, 8)), columns=list("abcdefgh"))
+        table.to_csv(study / "cases.csv", index=False)
+        (study / REPORT).write_text("<!doctype html><title>report</title>")
+
+
+def _lengthen(run: Path) -> None:
+    """Spread the run's metrics and profiles over as many rows as a long training has."""
+    old = RunReader(run).metrics().ffill().bfill()
+    last = int(old["env_step"].to_numpy().max())
+    step = np.linspace(1, max(last, POINTS), POINTS).astype(int)
+    names = [name for name in old if name != "env_step"][:METRICS]
+    table = pd.DataFrame({name: np.interp(step, old["env_step"], old[name]) for name in names})
+    table.insert(0, "env_step", step)
+    with (run / layout.METRICS).open("w") as file:
+        table.to_json(file, orient="records", lines=True)
+    table.to_parquet(run / layout.METRICS_TABLE)
+    rows = [json.loads(line) for line in (run / layout.PROFILES).read_text().splitlines()]
+    every = [{**rows[i * len(rows) // POINTS], "env_step": int(at)} for i, at in enumerate(step)]
+    (run / layout.PROFILES).write_text("".join(json.dumps(row) + "\n" for row in every))
+
+
+def measure(store: Path) -> Iterator[Answer]:
+    """Read the store, draw every page for the first time, then every page again."""
+    from streamlit.testing.v1 import AppTest
+
+    os.environ |= Links(store=str(store)).environment()
+    read = timed("store read", lambda: warm(str(store)))  # as a server does when it starts
+    yield replace(read, target_s=None)
+    opened: dict[str, AppTest] = {}
+    for turn in ("first", "again"):
+        for view in PAGES:
+            if view not in opened:
+                opened[view] = AppTest.from_string(HARNESS.format(view), default_timeout=TIMEOUT_S)
+                opened[view].run()
+                opened[view].session_state["measured"] = True
+            answer = timed(f"{view}, {turn}", opened[view].run)
+            if opened[view].exception:
+                raise RuntimeError(opened[view].exception[0].message)
+            yield answer
+            if len(opened) == 1 and turn == "first":
+                both = read.cpu_s + answer.cpu_s, read.wall_s + answer.wall_s
+                yield Answer(f"opened: store read + {view}, first", *both, OPEN_S)
+
+
+def timed(what: str, do: Callable[[], object]) -> Answer:
+    """Do it once; the CPU time is that of all of this process's threads."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    do()
+    return Answer(what, time.process_time() - cpu, time.perf_counter() - wall)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Make a store and measure: 0 when every page meets its target, 1 when not, 2 bad input."""
+    parser = Parser(prog="tom bench studio")
+    parser.add_argument("--runs", type=int, default=RUNS, help=f"runs in the store [{RUNS}]")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    args = parser.parse_args(argv)
+    if args.runs < len(KINDS):
+        parser.error(f"--runs {args.runs}: at least {len(KINDS)}, one of each kind")
+    logging.disable(logging.WARNING)  # Streamlit misses its server
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        make_store(Path(folder) / "runs", args.runs)
+        make_studies(Path(folder) / FOLDER)
+        answers = list(measure(Path(folder) / "runs"))
+    rows = [{**asdict(answer), "met": answer.met} for answer in answers]
+    if args.json:
+        print(json.dumps(rows))
+    else:
+        cells = [[_cell(value) for value in row.values()] for row in rows]
+        show(f"{args.runs} runs, {METRICS} metrics x {POINTS} points", list(rows[0]), cells)
+    return 0 if all(answer.met for answer in answers) else 1
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.2f}"
+    return "-" if value is None else str(value)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,175 @@
+"""Starts Streamlit, the Rerun hub and the viser server, links them, and ends them together."""
+
+import os
+import signal
+import sys
+import tempfile
+import time
+import webbrowser
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+
+from app.links import Links
+from app.servers.processes import Server, free_port, is_free, stop
+from app.theme import Mode
+from tom.errors import UserError
+from tom.record.rerun import hub
+
+DEFAULT_PORT = 8600
+START_TIMEOUT_S = 60.0
+RESTARTS = 3
+"""times that a viewer which died is started again"""
+QUIET_S = 3600.0
+"""after so long without a death its restarts are given back"""
+
+
+@dataclass(frozen=True)
+class Studio:
+    """What is asked for. A `port` that is given must be free; without one a free one is found."""
+
+    store: Path
+    host: str = "127.0.0.1"
+    port: int | None = None
+    theme: Mode | None = None
+
+
+def run(studio: Studio, *, browser: bool) -> int:
+    """Serve until SIGINT or SIGTERM (returns 0), or until Streamlit fails (returns 1)."""
+    stopping = Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: stopping.set())
+    with servers(studio, stopping) as (links, running):
+        if stopping.is_set():
+            return 0
+        if running is None:
+            return 1
+        print(f"tom studio: {links.address}  (store {studio.store}; Ctrl-C stops it)", flush=True)
+        if browser and _has_display():
+            webbrowser.open(links.address)
+        return watch(running, stopping, time.monotonic)
+
+
+@contextmanager
+def servers(studio: Studio, stopping: Event) -> Iterator[tuple[Links, list[Server] | None]]:
+    """The studio's servers, healthy; None in their place when they did not come up."""
+    with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder:
+        links = plan(studio, Path(folder))
+        started = build(links, Path(folder))
+        try:
+            for server in started:
+                server.start()
+            yield links, started if _all_healthy(started, stopping) else None
+        finally:
+            stop(started)
+
+
+def plan(studio: Studio, folder: Path) -> Links:
+    """Ports for every server. Raises UserError when the one asked for cannot be had."""
+    try:
+        port = _studio_port(studio.host, studio.port)
+        taken = {port}
+        others = []
+        while len(others) < 3:
+            candidate = free_port(studio.host)
+            if candidate not in taken:
+                taken.add(candidate)
+                others.append(candidate)
+    except (OSError, OverflowError) as error:
+        raise UserError(
+            f"cannot listen on --host {studio.host}: {error}; use 127.0.0.1 or an address of "
+            "this machine"
+        ) from error
+    return Links(
+        store=str(studio.store),
+        host=studio.host,
+        port=port,
+        rerun_port=others[0],
+        rerun_web_port=others[1],
+        viser_port=others[2],
+        control=str(folder / "control"),
+        theme=studio.theme,
+    )
+
+
+def build(links: Links, folder: Path) -> list[Server]:
+    """The three servers, Streamlit last: its pages point at the others."""
+    python = [sys.executable, "-m"]
+    environment = {**links.environment(), "OMP_NUM_THREADS": "1"}
+
+    def server(name: str, command: list[str], port: int, health: str) -> Server:
+        log = folder / f"{name}.log"
+        return Server(name, command, environment, links.local_host, port, health, log)
+
+    hub_command = hub.command(links.host, links.rerun_port, links.rerun_web_port, links.store)
+    return [
+        server("rerun", hub_command, links.rerun_web_port, "/"),
+        server("viser", [*python, "app.scenes.server"], links.viser_port, "/"),
+        server("streamlit", [*python, "app.servers.pages"], links.port, "/_stcore/health"),
+    ]
+
+
+def _studio_port(host: str, asked: int | None) -> int:
+    if asked is None:
+        return free_port(host, DEFAULT_PORT)
+    if not 1 <= asked <= 65535:
+        raise UserError(f"--port {asked} is no port: use one from 1024 to 65535")
+    if not is_free(host, asked):
+        raise UserError(f"port {asked} is taken: use --port {free_port(host)}, or leave --port out")
+    return asked
+
+
+def _all_healthy(started: list[Server], stopping: Event) -> bool:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    for server in started:
+        if not server.wait_until_healthy(deadline, stopping.is_set):
+            if not stopping.is_set():
+                print(f"tom studio: {server.name} did not start:\n{server.tail()}", file=sys.stderr)
+            return False
+    return True
+
+
+class Restarts:
+    """Which viewers that died are started again: RESTARTS times each, anew after a quiet hour."""
+
+    def __init__(self) -> None:
+        self._deaths: dict[str, list[float]] = {}
+
+    def allow(self, name: str, now: float) -> bool:
+        """The viewer of this name has just died (`now` in seconds): it is to be started again."""
+        deaths = self._deaths.setdefault(name, [])
+        if deaths and now - deaths[-1] >= QUIET_S:
+            deaths.clear()
+        deaths.append(now)
+        return len(deaths) <= RESTARTS
+
+
+def watch(running: Sequence[Server], stopping: Event, clock: Callable[[], float]) -> int:
+    """Wait for the end (0), or until Streamlit ends (1). A viewer that died is started again.
+
+    One that keeps dying is left dead: the pages do without it.
+    """
+    restarts, watched = Restarts(), list(running)
+    while not stopping.wait(0.5):
+        for server in [server for server in watched if not server.running]:
+            if server.name == "streamlit":
+                print(f"tom studio: {server.name} ended:\n{server.tail()}", file=sys.stderr)
+                return 1
+            if restarts.allow(server.name, clock()):
+                server.start()
+                continue
+            watched.remove(server)
+            print(
+                f"tom studio: {server.name} keeps ending, so the pages go on without it; start the "
+                f"studio again to have it back:\n{server.tail()}",
+                file=sys.stderr,
+            )
+    return 0
+
+
+def _has_display() -> bool:
+    if sys.platform == "linux":
+        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return True

@@ -1,0 +1,160 @@
+"""Streamlit's process: the pages, and the recordings that the Rerun viewer loads."""
+
+import logging
+import re
+from collections.abc import Callable
+from pathlib import Path
+from threading import Thread
+
+import streamlit as st
+from starlette.requests import Request
+from starlette.responses import (
+    FileResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+)
+from starlette.routing import Route
+
+from app.data import readers, replays, studies
+from app.links import Links
+from app.parts import shortlinks
+from app.parts.plot import LIBRARY, LIBRARY_PATH
+from app.router import VIEWS
+from app.servers.shell import page_routes
+from app.theme import streamlit_options
+from tom.errors import UserError
+from tom.machine.address import allowed, in_url
+from tom.record.reader import RunReader
+from tom.record.store import Store
+
+RECORDING = "application/octet-stream"
+EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
+"""an evaluation episode on its own: step, number from 0, steps after which the ghost starts anew"""
+
+Answer = Callable[[Request], Response]
+
+ENTRY = Path(__file__).with_name("main.py")
+
+
+def routes(links: Links) -> list[Route]:
+    """What this server answers beside the pages."""
+
+    def recording(request: Request) -> Response:
+        run_id, name = request.path_params["run"], request.path_params["name"]
+        # The viewer's page comes from another port, so the browser asks for leave to read.
+        headers = {"Access-Control-Allow-Origin": viewer_origin(request, links)}
+        headers |= {"Vary": "Origin", "Cache-Control": "no-store"}
+        if wanted := EPISODE.fullmatch(name):
+            content = episode(links.store, run_id, *map(int, wanted.groups()))
+            if content is not None:
+                return Response(content, media_type=RECORDING, headers=headers)
+        path = recording_path(links.store, run_id, name)
+        if path is None:
+            return PlainTextResponse("no such recording", status_code=404)
+        return FileResponse(path, media_type=RECORDING, headers=headers)
+
+    def report(request: Request) -> Response:
+        path = studies.report(request.path_params["study"])
+        if path is None:
+            return PlainTextResponse("no such report", status_code=404)
+        # It holds its figures and its style, and needs no script and nothing from elsewhere.
+        allowed = "sandbox; default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+        return FileResponse(path, headers={"Content-Security-Policy": allowed})
+
+    def health(_: Request) -> Response:
+        return JSONResponse({"store": links.store, "status": "ok"})
+
+    def library(_: Request) -> Response:
+        return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
+
+    def short(request: Request) -> Response:
+        found = shortlinks.target(links.store, request.path_params["code"])
+        if found is None:
+            return PlainTextResponse("no such view", status_code=404)
+        return RedirectResponse(found, status_code=302)
+
+    return [
+        Route("/v/{code}", under_own_names(short, links)),
+        Route("/reports/{study}", under_own_names(report, links)),
+        Route("/rrd/{run}/{name}", under_own_names(recording, links)),
+        Route("/api/health", under_own_names(health, links)),
+        Route(LIBRARY_PATH, library),
+        *page_routes([view.PATH for view in VIEWS]),
+    ]
+
+
+def under_own_names(answer: Answer, links: Links) -> Answer:
+    """`answer`, but only to a request for this host under a name that it goes by.
+
+    Else a page whose name was made to point here could read the store.
+    """
+
+    def checked(request: Request) -> Response:
+        if not allowed(request.headers.get("host", ""), links.allowed_hosts):
+            return PlainTextResponse(
+                "this address is served under its own name only", status_code=403
+            )
+        return answer(request)
+
+    return checked
+
+
+def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
+    """A recording of one evaluation episode and its ghost; None where there is no such episode."""
+    try:
+        run = Store(store).run(run_id)
+        return replays.recording(run, step, index, horizon)
+    except UserError:
+        return None
+
+
+def recording_path(store: str, run_id: str, name: str) -> Path | None:
+    """The file of a run's recording; None for anything that is not one."""
+    try:
+        files = RunReader(Store(store).resolve(run_id)).rrd_files()
+    except UserError:
+        return None
+    found = next((path for path in files if path.name == name), None)
+    return found if found is not None and found.is_file() and not found.is_symlink() else None
+
+
+def viewer_origin(request: Request, links: Links) -> str:
+    """The one origin that may read recordings: the Rerun viewer on the host that was asked."""
+    return f"http://{in_url(request.url.hostname or '')}:{links.rerun_web_port}"
+
+
+def options(links: Links) -> dict:
+    """Streamlit's settings: local, silent, no telemetry, no file watching."""
+    return {
+        "server.address": links.host,
+        "server.port": links.port,
+        "server.headless": True,
+        "server.fileWatcherType": "none",
+        "server.allowedHosts": links.allowed_hosts,
+        "server.showEmailPrompt": False,
+        "browser.gatherUsageStats": False,
+        "client.toolbarMode": "minimal",
+        "client.showErrorDetails": "full",
+        "client.showErrorLinks": False,
+        **streamlit_options(links.theme),
+    }
+
+
+def warm(store: str) -> None:
+    """Read every run's metrics: the first page that compares them finds them read."""
+    for run in readers.listing(store).runs:
+        readers.metrics(run)
+
+
+def main() -> None:
+    """Serve until SIGTERM."""
+    logging.getLogger("streamlit").setLevel(logging.WARNING)
+    links = Links.from_environment()
+    Thread(target=warm, args=(links.store,), daemon=True).start()
+    st.App(ENTRY.resolve(), routes=routes(links)).run(config=options(links))
+
+
+if __name__ == "__main__":
+    main()

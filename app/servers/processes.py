@@ -1,0 +1,121 @@
+"""Servers as child processes: free ports, health, and an end that leaves no orphan."""
+
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tom.machine import address
+from tom.machine.parent import end_with_parent
+
+STOP_GRACE_S = 3.0
+LOG_TAIL = 12
+
+
+@dataclass
+class Server:
+    """One server: how it is started, where it answers, where its output goes."""
+
+    name: str
+    command: Sequence[str]
+    environment: Mapping[str, str]
+    host: str
+    port: int
+    health: str
+    """path that answers 200 once the server is up"""
+    log: Path
+    process: subprocess.Popen[bytes] | None = field(default=None, init=False)
+
+    def start(self) -> None:
+        """Start it in a process group of its own, which ends with this process."""
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(
+                self.command,
+                env={**os.environ, **self.environment},
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                preexec_fn=end_with_parent if sys.platform == "linux" else None,
+            )
+
+    @property
+    def running(self) -> bool:
+        return self.process is not None and self.process.poll() is None
+
+    def healthy(self) -> bool:
+        """It answers."""
+        connection = http.client.HTTPConnection(self.host, self.port, timeout=2)
+        try:
+            connection.request("GET", self.health)
+            return connection.getresponse().status == 200
+        except (OSError, http.client.HTTPException):
+            return False
+        finally:
+            connection.close()
+
+    def wait_until_healthy(self, deadline: float, stopped: Callable[[], bool]) -> bool:
+        """Wait until it answers; False when it ended, time ran out or the studio is to stop."""
+        while self.running and time.monotonic() < deadline and not stopped():
+            if self.healthy():
+                return True
+            time.sleep(0.05)
+        return False
+
+    def tail(self) -> str:
+        """The last lines of what it printed."""
+        lines = self.log.read_text(errors="replace").splitlines() if self.log.exists() else []
+        return "\n".join(lines[-LOG_TAIL:])
+
+
+def stop(servers: Sequence[Server]) -> None:
+    """End every server with all that it started: first kindly, after a grace period not."""
+    _signal(servers, signal.SIGTERM)
+    deadline = time.monotonic() + STOP_GRACE_S
+    for server in servers:
+        if server.process is not None:
+            try:
+                server.process.wait(max(deadline - time.monotonic(), 0.0))
+            except subprocess.TimeoutExpired:
+                continue
+    _signal(servers, signal.SIGKILL)
+    for server in servers:
+        if server.process is not None:
+            server.process.wait()
+
+
+def _signal(servers: Sequence[Server], number: signal.Signals) -> None:
+    for server in servers:
+        if server.process is not None:
+            try:
+                os.killpg(server.process.pid, number)
+            except ProcessLookupError:
+                continue  # the whole group has ended
+
+
+def free_port(host: str, preferred: int = 0) -> int:
+    """`preferred` if it is free on `host`, else any free port."""
+    return preferred if preferred and is_free(host, preferred) else address.free_port(host)
+
+
+def is_free(host: str, port: int) -> bool:
+    """Nothing listens on `port` of `host`. Raises OSError for a host that is not this machine."""
+    with socket.socket(address.family(host), socket.SOCK_STREAM) as probe:
+        # As the servers do: a port in TIME_WAIT counts as free.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            if error.errno in _TAKEN:
+                return False
+            raise
+        return True
+
+
+_TAKEN = (98, 48, 13)  # EADDRINUSE (Linux, macOS), EACCES (a privileged port)

@@ -1,0 +1,89 @@
+"""Two to four runs side by side: returns and weights on linked axes, replays at one step."""
+
+from collections.abc import Sequence
+
+import streamlit as st
+
+from app import session, text
+from app.data import readers
+from app.data.readers import RunInfo
+from app.figures.side import side_by_side
+from app.parts.plot import chart
+from app.parts.stage import stage
+from app.scenes.control import Replay
+from app.theme import learner_label
+from app.views.compare import measure
+from app.views.compare.choice import called
+from tom.record.reader import RunReader
+
+MOST = 4
+HORIZON = 25
+"""steps after which a ghost starts again from the real state"""
+STAGE_HEIGHT = 480
+
+
+def draw(runs: Sequence[RunInfo]) -> None:
+    """Which runs, then their figures and their robots in as many columns."""
+    names = called(runs)
+    picked = st.multiselect(
+        f"Two to {MOST} runs", list(names), usual(runs), key="side", bind="query-params",
+        max_selections=MOST, format_func=lambda run_id: names.get(run_id, run_id),
+    )  # fmt: skip
+    chosen = [run for run_id in picked for run in runs if run.run_id == run_id]
+    if len(chosen) < 2:
+        st.info("Pick two runs or more.", icon=":material/splitscreen_vertical_add:")
+        return
+    parts = [
+        (
+            f"{learner_label(run.learner)} seed {run.seed}",
+            measure.curve(run, "eval/return"),
+            readers.profiles(run),
+        )
+        for run in chosen
+    ]
+    with st.container(border=True):
+        st.markdown(
+            "**Return** and **weights**: zoom one and all follow; weights by position in the "
+            "buffer, oldest at the bottom"
+        )
+        figure = side_by_side(parts, session.mode(), 620)
+        chart(figure, "side by side", "return and weights of the runs, on linked axes")
+    _replays(chosen)
+
+
+def usual(runs: Sequence[RunInfo]) -> list[str]:
+    """The newest run of each learner in the environment of the newest run."""
+    if not runs:
+        return []
+    newest = {run.learner: run.run_id for run in reversed(runs) if run.env == runs[0].env}
+    found = list(newest.values())[:MOST]
+    return found if len(found) > 1 else [run.run_id for run in runs if run.env == runs[0].env][:2]
+
+
+def _replays(chosen: Sequence[RunInfo]) -> None:
+    evaluated = {run.run_id: RunReader(run.path).evaluation_steps() for run in chosen}
+    steps = sorted({step for found in evaluated.values() for step in found})
+    if not steps:
+        return
+    st.markdown("**Replays** of the evaluations at or before one step")
+    # To begin with a step that all of them have reached.
+    step = min(found[-1] for found in evaluated.values() if found)
+    row = st.columns([5, 1], vertical_alignment="bottom")
+    if len(steps) > 1:
+        step = row[0].select_slider(
+            "At step", steps, step, key="side step", format_func=lambda at: f"{at:,}"
+        )
+    played = st.session_state.setdefault("side played", 0)
+    if row[1].button("Play all", icon=":material/play_arrow:", width="stretch"):
+        played = st.session_state["side played"] = played + 1
+    columns: list = []
+    for i, run in enumerate(chosen):
+        columns = list(st.columns(2)) if i % 2 == 0 else columns
+        before = [at for at in evaluated[run.run_id] if at <= step]
+        with columns[i % 2]:
+            words = f"step {before[-1]:,}" if before else "not evaluated yet"
+            name = f"{learner_label(run.learner)} seed {run.seed}"
+            st.caption(f"{text.markdown(name)}, {words}")
+            if before:
+                choice = Replay(run.run_id, before[-1], 0, 0, HORIZON, played)
+                stage(choice, STAGE_HEIGHT, f"side{i}", compact=True)

@@ -1,0 +1,155 @@
+"""Live: what is training now, how it does, where it looks, and the Rerun viewer."""
+
+import time
+from collections.abc import Sequence
+
+import streamlit as st
+
+from app import session, text
+from app.data import readers
+from app.data.readers import RunInfo
+from app.figures.curves import run_curves
+from app.figures.weights import profile_lines
+from app.parts import replay_link, rerun, widgets
+from app.parts.cards import cards
+from app.parts.plot import chart
+from app.theme import learner_label
+from app.views.live import start
+from tom.metrics import describe
+
+TITLE = "Live"
+ICON = ":material/monitor_heart:"
+PATH = ""
+
+REFRESH_S = 2
+MOURNED_S = 900
+"""a dead run stays on the page for so long"""
+MAIN_METRIC = "eval/return"
+PREFERRED = (
+    "weights/road_share",
+    "model/error_expert",
+    "model/error_road",
+    "model/holdout_nll",
+    "weights/ess",
+    "critic/loss",
+    "critic/q",
+    "actor/entropy",
+    "rollout/reward",
+)
+
+
+def page() -> None:
+    """Cards, curves and weight profiles that refresh by themselves; Rerun below."""
+    runs = readers.listing(session.links().store).runs
+    top = st.columns([3, 2], vertical_alignment="bottom")
+    chosen = top[0].multiselect(
+        "Runs",
+        [run.run_id for run in runs],
+        key="runs",
+        bind="query-params",
+        placeholder="whatever is training (else the last runs)",
+    )
+    metrics = top[1].multiselect(
+        "Curves",
+        available(watched(runs, chosen)),
+        key="curves",
+        bind="query-params",
+        placeholder="the usual ones",
+    )
+    start.panel()
+    _followed(chosen, metrics)
+    st.space("small")
+    rerun.frame(runs, watched(runs, chosen))
+
+
+def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
+    """The chosen runs; else those in training; else each learner's newest of one task."""
+    picked = [run for run in runs if run.run_id in chosen]
+    picked = picked or [run for run in runs if run.status.alive or _just_died(run)]
+    if not picked and runs:
+        newest = {run.learner: run for run in reversed(runs) if run.env == runs[0].env}
+        picked = list(newest.values())
+    return sorted(picked, key=lambda run: (run.env, run.learner, run.seed, run.run_id))
+
+
+def usual(runs: Sequence[RunInfo]) -> list[str]:
+    """Three metrics worth watching: those that go on changing, of the preferred ones first."""
+    names = available(runs)
+    lines = [name for name in names if any(readers.points(r).get(name, 0) > 1 for r in runs)]
+    return (lines or names)[:3]
+
+
+def _just_died(run: RunInfo) -> bool:
+    return run.status.shown == "dead" and time.time() - run.status.heartbeat < MOURNED_S
+
+
+def available(runs: Sequence[RunInfo]) -> list[str]:
+    """Every metric that one of the runs has recorded, the preferred ones first."""
+    names = {name for run in runs for name in readers.points(run)}
+    names -= {"env_step", MAIN_METRIC}
+    first = [name for name in PREFERRED if name in names]
+    return first + sorted(names.difference(first))
+
+
+@st.fragment(run_every=REFRESH_S)
+def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
+    runs = readers.listing(session.links().store).runs
+    shown = watched(runs, chosen)
+    alive = sum(run.status.alive for run in runs)
+    st.caption(_headline(alive, shown))
+    start.failures(runs)
+    cards(shown)
+    for run in shown:
+        widgets.show_problems(run)
+    left, right = st.columns([3, 2])
+    with left, st.container(border=True):
+        st.markdown(f"**Return**: {describe(MAIN_METRIC)}")
+        curves = [widgets.curve(run, MAIN_METRIC) for run in shown]
+        figure = run_curves(curves, MAIN_METRIC, 330, legend=True)
+        chart(
+            figure, "curve main", "return against env steps, one line a run", replay_link.remember
+        )
+        replay_link.show(shown)
+    with right, st.container(border=True):
+        _last_profiles(shown)
+    names = list(metrics) or usual(shown)
+    for first in range(0, len(names), 3):
+        for column, name in zip(st.columns(3), names[first : first + 3], strict=False):
+            with column, st.container(border=True):
+                st.markdown(f"**{name}**", help=describe(name))
+                curves = [widgets.curve(run, name) for run in shown]
+                figure = run_curves(curves, name, 230, legend=False)
+                chart(figure, f"curve {name}", f"{name} against env steps")
+    _warnings(shown)
+    rerun.look_again(runs)
+
+
+def _headline(alive: int, shown: Sequence[RunInfo]) -> str:
+    if alive:
+        return f"{alive} training now · refreshed every {REFRESH_S} s"
+    if not shown:
+        return "Nothing is training now, and no run is left in the store"
+    return f"Nothing is training now: the last runs of {text.markdown(shown[0].env)}"
+
+
+def _last_profiles(runs: Sequence[RunInfo]) -> None:
+    lines = []
+    for run in runs:
+        profiles = readers.profiles(run)
+        if len(profiles.env_step):
+            name = f"{learner_label(run.learner)} s{run.seed}, step {profiles.env_step[-1]:,}"
+            lines.append((name, run.learner, profiles.bins[-1]))
+    head = st.columns([3, 1], vertical_alignment="center")
+    head[0].markdown("**Weights of the last fit**: dashed: uniform")
+    log = widgets.pick_log(head[1], [bins for _, _, bins in lines])
+    figure = profile_lines(lines, 330, log=log)
+    chart(figure, "last profile", "mean weight, oldest to newest transitions")
+
+
+def _warnings(runs: Sequence[RunInfo]) -> None:
+    for run in runs:
+        for notice in readers.notices(run)[-3:]:
+            words = f"step {notice.get('env_step')}: {notice.get('message')}"
+            st.warning(
+                f"{text.markdown(run.run_id)}, {text.markdown(words)}", icon=":material/info:"
+            )

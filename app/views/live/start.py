@@ -1,0 +1,139 @@
+"""A form that starts trainings: made from the configuration, checked before anything runs."""
+
+import os
+from collections.abc import Sequence
+
+import streamlit as st
+
+from app import session, text
+from app.data import trainings
+from app.data.readers import RunInfo
+from app.data.trainings import Started
+from app.parts import form
+from app.theme import learner_label
+from tom.envs import ENV_NAMES
+from tom.errors import UserError
+from tom.training.presets import PRESETS, learners
+
+COLUMNS = 4
+FORGET = 6
+"""trainings that were started here and are remembered, newest first"""
+
+
+FOLD, OPENED = "starting", "start opened"
+
+
+def panel() -> None:
+    """Environment, learner, seeds, steps, preset; every other setting folded away.
+
+    Its many fields are made once somebody has opened it, and then stay, with what they hold.
+    """
+    icon = ":material/play_arrow:"
+    fold = st.expander("Start a training", icon=icon, key=FOLD, on_change="rerun")
+    if not (fold.open or st.session_state.get(OPENED)):
+        return
+    st.session_state[OPENED] = True
+    with fold:
+        if not session.may_act():
+            st.caption("This studio is open to other machines, so its pages change nothing.")
+            return
+        row = st.columns([3, 3, 2, 2, 2])
+        env = row[0].selectbox("Environment", ENV_NAMES, key="start env")
+        names = learners(env)
+        learner = row[1].selectbox(
+            "Learner", names, names.index("tom"), key="start learner", format_func=learner_label
+        )
+        preset = row[2].selectbox(
+            "Preset",
+            list(PRESETS),
+            key="start preset",
+            help="paper: table 1 of the paper; mbpo: Janner's MBPO; smoke: small and quick",
+        )
+        seeds = row[3].text_input(
+            "Seeds", "0", key="start seeds", help="one training each: 0, or 0-2, or 0, 3"
+        )
+        usual = form.default_steps(env, learner, preset)
+        steps = row[4].number_input(
+            "Steps", 1, None, usual, key=f"start steps {env} {preset}", help="env steps of each run"
+        )
+        given = {"steps": str(steps)} if steps != usual else {}
+        with st.expander("More settings: empty means the preset's value"):
+            given |= _settings(env, learner, preset)
+        _begin(env, learner, preset, seeds, given)
+
+
+def _settings(env: str, learner: str, preset: str) -> dict[str, str]:
+    """The settings that were changed, by their path."""
+    given: dict[str, str] = {}
+    groups = form.sections(env, learner, preset)
+    for tab, settings in zip(st.tabs(list(groups)), groups.values(), strict=True):
+        with tab:
+            for first in range(0, len(settings), COLUMNS):
+                row = st.columns(COLUMNS)
+                for column, setting in zip(row, settings[first : first + COLUMNS], strict=False):
+                    with column:
+                        words = _field(setting)
+                    if words and words != setting.default:
+                        given[setting.path] = words
+    return given
+
+
+def _field(setting: form.Setting) -> str:
+    key = f"start set {setting.path}"
+    words = text.markdown(setting.help) or None
+    if setting.choices:
+        chosen = st.selectbox(
+            setting.label,
+            setting.choices,
+            index=None,
+            placeholder=setting.default,
+            key=key,
+            help=words,
+        )
+        return chosen or ""
+    typed = st.text_input(setting.label, placeholder=setting.default, key=key, help=words)
+    return (typed or "").strip()
+
+
+def _begin(env: str, learner: str, preset: str, seeds: str, given: dict[str, str]) -> None:
+    try:
+        store = session.links().store
+        commands = [
+            form.command(env, learner, preset, seed, given, store) for seed in form.seeds(seeds)
+        ]
+    except UserError as error:
+        st.error(text.markdown(error), icon=":material/error:")
+        return
+    many = len(commands) > 1
+    left, right = st.columns([1, 4], vertical_alignment="center")
+    if left.button(
+        f"Start {len(commands)} trainings" if many else "Start",
+        type="primary",
+        icon=":material/play_arrow:",
+        key="start",
+    ):
+        _started().extend(trainings.start(words) for words in commands)
+        st.toast("Started: it appears below in a few seconds.", icon=":material/play_arrow:")
+    with right:
+        st.code(form.shown(commands[0]), language="bash", wrap_lines=True)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    many_words = f" The others differ in the seed. {len(commands)} trainings on {cores} cores."
+    st.caption(
+        "Runs on this machine, and goes on when the studio is closed."
+        + (many_words if many else "")
+    )
+
+
+def failures(runs: Sequence[RunInfo]) -> None:
+    """What was started here and ended before it had a run, with what it said."""
+    writers = {run.status.pid for run in runs}
+    for begun in _started()[-FORGET:]:
+        if begun.failed(writers):
+            st.error("A training that was started here did not begin:", icon=":material/error:")
+            st.code(f"$ {form.shown(begun.words)}\n{begun.tail()}", language=None)
+
+
+@st.cache_resource(show_spinner=False)
+def _started() -> list[Started]:
+    """One list for all pages of this studio."""
+    return []

@@ -1,0 +1,228 @@
+"""Probe: every learner's weights of one run's buffer; and does weighting help the model?"""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
+
+from app import session, text
+from app.data import buffer_reader, pictures, readers, trainings, weighings
+from app.data.readers import RunInfo
+from app.data.trainings import Started
+from app.data.weighings import Weighing
+from app.figures.probe import probe_profiles
+from app.parts import empty, form, widgets
+from app.parts.plot import chart
+from app.theme import learner_label
+from app.views.probe import model_error
+from tom.analysis.progression import Progression
+from tom.analysis.weighing import RANDOM
+from tom.learners import LEARNER_NAMES
+from tom.record import layout
+from tom.record.reader import RunReader
+
+TITLE = "Probe"
+ICON = ":material/experiment:"
+PATH = "probe"
+
+PRESETS = ("own", "paper", "exact")
+END = "the end"
+DIGITS = 6  # of a number in the table: PMAC's weights of old data are 1e-20
+
+
+def page() -> None:
+    """A buffer; the learners' weights of it; the errors of their models."""
+    listing = readers.listing(session.links().store)
+    online = [run for run in listing.runs if run.env != pictures.ENV]
+    kept = [run for run in online if buffer_reader.has_rows(run)]
+    if not kept:
+        if not empty.left_out_of_all(online, "buffer"):
+            st.info("No run of a MuJoCo task has collected transitions yet.")
+        return
+    top = st.columns([1, 1], vertical_alignment="bottom")
+    with top[0]:
+        run = widgets.pick_run(kept, "Buffer of run")
+    rows = buffer_reader.length(run)
+    if not rows:
+        st.warning("The replay buffer of this run cannot be read.")
+        return
+    found = weighings.of_run(run, rows)
+    with top[1]:
+        chosen = _pick_weighing(found)
+    st.subheader("Several learners on the same buffer", anchor=False)
+    if chosen is None:
+        st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
+    else:
+        _weighed(chosen, rows)
+    _weigh(run, kept, folded=chosen is not None)
+    st.subheader("Does it help?", anchor=False)
+    same = [other for other in kept if other.env == run.env]
+    model_error.on_one_buffer(run, same)
+    model_error.recorded(same)
+    widgets.show_problems(run)
+
+
+def _pick_weighing(found: list[Weighing]) -> Weighing | None:
+    by_name = {weighing.name: weighing for weighing in found}
+    if not found:
+        st.selectbox("Weighed", ["not yet"], disabled=True)
+        return None
+    chosen = st.selectbox(
+        "Weighed", list(by_name), key="weighed", bind="query-params",
+        help="results of `tom weigh` in the store, newest first",
+    )  # fmt: skip
+    return by_name.get(chosen or "", found[0])
+
+
+def _weighed(weighing: Weighing, rows: int) -> None:
+    of = weighings.weights(weighing)
+    if not of:
+        st.warning("The weights of this weighing cannot be read.")
+        return
+    if missing := weighing.missing(rows):
+        st.caption(missing)
+    count = len(next(iter(of.values())))
+    left, right = st.columns([5, 4])
+    with left, st.container(border=True):
+        head = st.columns([3, 1], vertical_alignment="center")
+        head[0].markdown(
+            f"**By the policy of {text.markdown(weighing.policy)}**: the dotted line ends the "
+            "random data"
+        )
+        profiles = weighings.profiles(of)
+        log = widgets.pick_log(head[1], list(profiles.values()))
+        figure = probe_profiles(profiles, weighing.ordered_from / count, 400, log=log)
+        chart(figure, "probe", "weight profiles of several learners on the same buffer")
+    with right, st.container(border=True):
+        st.markdown("**What the weights come to**: medians over seeds")
+        st.dataframe(
+            table(weighings.numbers(weighing, of)), hide_index=True, height="content",
+            column_config=_columns(),
+        )  # fmt: skip
+        st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
+
+
+def table(found: dict[str, list[Progression]]) -> pd.DataFrame:
+    """A line for each learner: medians over its seeds."""
+
+    def median(rows: list[Progression], name: str) -> float:
+        values = [getattr(row, name) for row in rows]
+        return float("nan") if None in values else round(float(np.median(values)), DIGITS)
+
+    return pd.DataFrame(
+        {
+            "learner": learner_label(learner),
+            "ESS": median(rows, "ess"),
+            "zero": median(rows, "zeros"),
+            "random": median(rows, "random_mean"),
+            "newest": median(rows, "last_two"),
+            "rank": median(rows, "spearman"),
+        }
+        for learner, rows in found.items()
+    )
+
+
+def _columns() -> dict:
+    number = partial(st.column_config.NumberColumn, width=68)
+    return {
+        "ESS": number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
+        "zero": number(format="percent", help="share of transitions with weight zero"),
+        "random": number(format="%.3g", help="mean weight of the random data"),
+        "newest": number(format="%.3g", help="mean weight of the newest tenth of the buffer"),
+        "rank": number(
+            format="%.3g",
+            help="rank correlation of the tenths of the ordered part with their order: 1 when "
+            "newer counts more throughout",
+        ),
+    }
+
+
+def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
+    """A form that starts `tom weigh` on this buffer, whole or as it was at a fit."""
+    with st.expander("Weigh this buffer", icon=":material/scale:", expanded=not folded):
+        row = st.columns([2, 4, 4, 2, 2])
+        step = _pick_fit(row[0], run)
+        policies = [
+            other.run_id for other in kept if other.env == run.env and has_policy(other, step)
+        ]
+        policies.sort(key=lambda name: name != run.run_id)
+        policy = row[1].selectbox("By the policy of", [*policies, RANDOM], key="weigh policy")
+        learners = row[2].multiselect(
+            "Learners", LEARNER_NAMES, ["tom", "pmac", "mle"], key="weigh learners",
+            format_func=learner_label,
+        )  # fmt: skip
+        preset = row[3].selectbox(
+            "TOM's preset", PRESETS, key="weigh preset",
+            help="own: the settings of the buffer's run",
+        )  # fmt: skip
+        seeds = int(row[4].number_input("Seeds", 1, 10, 2, key="weigh seeds"))
+        store = session.links().store
+        words = command(run.run_id, str(policy), learners, str(preset), seeds, store, step)
+        st.code(form.shown(words), language="bash", wrap_lines=True)
+        if not session.may_act():
+            st.caption("This studio is open to other machines, so its pages change nothing.")
+        elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
+            st.session_state["weighing"] = trainings.start(words)
+        if run.run_id not in policies and not empty.left_out(run, "policy"):
+            st.caption("This run holds no policy of its own: it is written when a run has ended.")
+    _progress()
+
+
+def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
+    """A fit whose policy the run kept, chosen here or by the address (`?at=`); None for its end."""
+    steps = [str(step) for step in RunReader(run.path).policy_steps()]
+    asked = st.session_state.get("at", st.query_params.get("at", END))
+    if asked not in (END, *steps):
+        st.session_state.pop("at", None)  # it was chosen for another run
+        st.caption(f"This run keeps no policy of step {text.markdown(asked)}: its end is taken.")
+    empty.left_out(run, "policies")
+    chosen = place.selectbox(
+        "As it was at step", [END, *steps], key="at", bind="query-params",
+        help="the buffer and the policies at that fit; the steps are those where both were kept",
+    )  # fmt: skip
+    return None if chosen in (None, END) else int(chosen)
+
+
+def has_policy(run: RunInfo, step: int | None) -> bool:
+    """The run has kept its policy of the fit at `step` (None: that of its end)."""
+    name = layout.POLICY if step is None else layout.policy(step)
+    return (Path(run.path) / name).is_file()
+
+
+def command(
+    run_id: str,
+    policy: str,
+    learners: list[str],
+    preset: str,
+    seeds: int,
+    store: str,
+    step: int | None = None,
+) -> list[str]:
+    """What follows `tom` to weigh a run's buffer, as it was at `step` or at the end."""
+    at = [] if step is None else ["--step", str(step)]
+    seed_words = [str(seed) for seed in range(seeds)]
+    return [
+        "weigh", run_id, "--policy", policy, *at, "--learner", *learners, "--seeds", *seed_words,
+        "--preset", preset, "--store", store,
+    ]  # fmt: skip
+
+
+@st.fragment(run_every=2)
+def _progress() -> None:
+    """What the weighing that was started here says; the page is drawn again when it is done."""
+    begun: Started | None = st.session_state.get("weighing")
+    if begun is None:
+        return
+    if begun.process.poll() is None:
+        last = begun.tail().splitlines()[-1:] or ["started"]
+        st.caption(f"Weighing: {text.markdown(last[0])}")
+        return
+    if begun.process.returncode:
+        st.error("The weighing ended without a result:", icon=":material/error:")
+        st.code(begun.tail(), language=None)
+        return
+    del st.session_state["weighing"]
+    st.rerun()

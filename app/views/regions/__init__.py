@@ -1,0 +1,212 @@
+"""Regions: the replay buffer as a map; what lies in a part of it, down to the robot itself."""
+
+import numpy as np
+import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
+
+from app import session
+from app.data import buffer_reader, pictures, readers, regions, weighings
+from app.data.buffer import Rows, dimension_names
+from app.data.readers import RunInfo
+from app.data.regions import Mask, Plane
+from app.figures.regions import region_map
+from app.parts import empty, widgets
+from app.parts.plot import Region, chart
+from app.parts.stage import stage
+from app.scenes.control import States
+from app.theme import learner_label
+from app.views.regions import region_tables
+
+TITLE = "Regions"
+ICON = ":material/lasso_select:"
+PATH = "regions"
+
+MAP_HEIGHT = 690
+STAGE_HEIGHT = 560
+SHOWN = 9
+"""robots of each kind"""
+GAP = 10
+"""steps that two of them are apart at least"""
+CORNERS = 60
+"""corners of an outline that an address holds"""
+WEIGHINGS = 3
+"""weighings at most whose weights can be chosen: the newest"""
+OWN = "the run itself"
+COMPONENTS = "two principal components of (s, a, s')"
+DRAWN, TOP, ZERO, AGE, ALL = "what I draw", "heaviest 1 %", "weight zero", "an age", "everything"
+
+
+def page() -> None:
+    """A run and a fit; the map, a region of it, what is in it."""
+    listing = readers.listing(session.links().store)
+    kept = [run for run in listing.runs if buffer_reader.fits(run)]
+    if not kept:
+        st.info("No run has kept its weights yet: they are recorded with the model fits.")
+        return
+    kept.sort(key=lambda run: run.env == pictures.ENV)
+    top = st.columns([4, 3, 4], vertical_alignment="bottom")
+    with top[0]:
+        run = widgets.pick_run(kept)
+    rows = _pick_weights(run, top[1])
+    if rows is None:
+        if not empty.left_out(run, "buffer"):
+            st.warning("The replay buffer of this fit cannot be read.")
+        widgets.show_problems(run)
+        return
+    names, actions = dimension_names(run.env, rows.rows)
+    with top[2]:
+        plane = _pick_plane(run, rows, names)
+    axes = _axes(run, rows, plane)
+    _drop_outline_of_others(axes)
+    mask = _pick_region(rows, plane)
+    left, right = st.columns([3, 2])
+    with left, st.container(border=True):
+        _map(run, rows, plane, axes)
+    with right, st.container(border=True):
+        region_tables.contents(run, rows, mask, names + actions)
+    _scenes(run, rows, mask)
+    region_tables.transitions(rows, mask, names, actions)
+    empty.left_out(run, "other snapshots", "simulator states")
+    widgets.show_problems(run)
+
+
+def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
+    """The buffer with the weights of one of the run's own fits, or of a weighing (the probe).
+
+    Whose weights is asked at `place`, which fit below it.
+    """
+    length = buffer_reader.length(run)
+    found = weighings.of_run(run, length)
+    others = {
+        f"{learner_label(learner)} s{seed}, {weighing.name}": (weight, weighing)
+        for weighing in found[:WEIGHINGS]
+        for (learner, seed), weight in weighings.weights(weighing).items()
+    }
+    chosen = place.selectbox(
+        "Weights of", [OWN, *others], key="weights", bind="query-params",
+        help="the run's own fits, or what `tom weigh` made of its buffer (page Probe)",
+    )  # fmt: skip
+    if chosen in others:
+        weight, weighing = others[chosen]
+        if missing := weighing.missing(length):
+            st.caption(missing)
+        return buffer_reader.weighed_rows(run, weight, weighing.end)
+    return buffer_reader.rows(run, widgets.pick_step("Fit at step", buffer_reader.fits(run)))
+
+
+def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:
+    columns = st.columns(2)
+    x = columns[0].selectbox("Across", [COMPONENTS, *names], key="across", bind="query-params")
+    if x is None or x == COMPONENTS:
+        columns[1].selectbox("Up", ["both are shown"], disabled=True)
+        return buffer_reader.principal_plane(run, rows)
+    others = [name for name in names if name != x]
+    y = columns[1].selectbox("Up", others, key="up", bind="query-params") or others[0]
+    return regions.named_plane(rows.rows, names, x, y)
+
+
+def _pick_region(rows: Rows, plane: Plane) -> Mask:
+    columns = st.columns([4, 3], vertical_alignment="bottom")
+    kind = columns[0].segmented_control(
+        "Region", [DRAWN, TOP, ZERO, AGE, ALL], default=TOP, required=True, key="region",
+        bind="query-params",
+    )  # fmt: skip
+    if kind == TOP:
+        return regions.heaviest(rows.weight, 0.01)
+    if kind == ZERO:
+        return rows.weight == 0
+    if kind == AGE:
+        with columns[1]:
+            low, high = st.slider(
+                "From the oldest (0 %) to the newest (100 %)", 0, 100, (90, 100), key="age",
+                bind="query-params",
+            )  # fmt: skip
+        return regions.aged(len(rows), low, high)
+    if kind == DRAWN:
+        outline = _outline()
+        if not outline:
+            columns[1].caption("Draw a lasso or a box on the map.")
+        return regions.inside(outline, plane.x, plane.y)
+    return np.ones(len(rows), bool)
+
+
+def _outline() -> list[tuple[float, float]]:
+    """The corners in the address (`?outline=x,y;x,y;...`); none for anything else."""
+    pairs = [pair.split(",") for pair in st.query_params.get("outline", "").split(";")]
+    try:
+        found = [(float(x), float(y)) for x, y in pairs]
+    except ValueError:
+        return []
+    return found if np.isfinite(found).all() else []
+
+
+def _axes(run: RunInfo, rows: Rows, plane: Plane) -> str:
+    """What the map's coordinates are, in words: components are those of one buffer alone."""
+    words = f"{plane.x_name}, {plane.y_name}"
+    if st.session_state.get("across") in (None, COMPONENTS):
+        words += f" of rows {rows.first} to {rows.first + len(rows)} of {run.run_id}"
+    return words
+
+
+def _drop_outline_of_others(axes: str) -> None:
+    """Take an outline that was drawn on other axes out of the address: here it means nothing."""
+    if "outline" in st.query_params and st.query_params.get("axes", axes) == axes:
+        st.query_params["axes"] = axes  # an address may give an outline for the axes that it names
+        return
+    _forget_outline()
+
+
+def _forget_outline() -> None:
+    for name in ("outline", "axes"):
+        st.query_params.pop(name, None)
+
+
+def _map(run: RunInfo, rows: Rows, plane: Plane, axes: str) -> None:
+    st.markdown("**The buffer**: a point is a transition; draw a lasso or a box round some")
+
+    def select(region: Region | None) -> None:
+        if region is None or len(region.outline) < 3:
+            _forget_outline()
+            return
+        every = max(-(-len(region.outline) // CORNERS), 1)
+        corners = region.outline[::every]
+        st.query_params["outline"] = ";".join(f"{x:.4g},{y:.4g}" for x, y in corners)
+        st.query_params["axes"] = axes
+        st.session_state["region"] = DRAWN
+
+    drawn = _outline() if st.session_state.get("region") == DRAWN else []
+    keep = f"{run.run_id} {axes}"
+    figure = region_map(plane, rows.weight, drawn, session.mode(), MAP_HEIGHT, keep)
+    chart(figure, "region map", "the buffer's transitions, coloured by weight", selected=select)
+
+
+def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
+    if run.env == pictures.ENV:
+        return  # its states are places on the map, which has a page of its own
+    if not mask.any():
+        st.caption("The region is empty: nothing to show in 3D.")
+        return
+    heavy, light, words = _sides(rows, mask)
+    st.markdown(f"**The scenes themselves**: {words}")
+    choice = States(
+        run.run_id,
+        tuple(rows.first + row for row in heavy),
+        tuple(rows.first + row for row in light),
+        tuple(round(float(rows.weight[row]), 4) for row in heavy),
+        tuple(round(float(rows.weight[row]), 4) for row in light),
+    )
+    stage(choice, STAGE_HEIGHT, compact=True)
+    st.caption("A click on the panel's title opens it: there the moments can be played.")
+
+
+def _sides(rows: Rows, mask: Mask) -> tuple[list[int], list[int], str]:
+    """What stands left and right. A region of one end of the weights is held to the other end."""
+    kind, whole = st.session_state.get("region"), np.ones(len(rows), bool)
+    heavy, light = regions.heavy_and_light(rows, mask, SHOWN, GAP)
+    if kind == TOP:
+        light = regions.heavy_and_light(rows, whole, SHOWN, GAP)[1]
+        return heavy, light, "the region's heaviest on the left, the buffer's lightest on the right"
+    if kind == ZERO:
+        heavy = regions.heavy_and_light(rows, whole, SHOWN, GAP)[0]
+        return heavy, light, "the buffer's heaviest on the left, weight zero on the right"
+    return heavy, light, "the region's heaviest on the left, its lightest on the right"

@@ -1,0 +1,75 @@
+"""What lies in a region of the replay buffer, in numbers and transition by transition."""
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+
+from app import text
+from app.data import pictures, regions
+from app.data.buffer import Rows
+from app.data.readers import RunInfo
+from app.data.regions import EXPLORED, Mask
+from app.figures.regions import apart_bars
+from app.parts.plot import chart
+
+LISTED = 300
+"""transitions of a region in its table"""
+
+
+def contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
+    """Numbers of the region and of the whole buffer; the dimensions in which they differ most."""
+    st.markdown(f"**In the region**: {mask.sum():,} of {len(rows):,} transitions")
+    table = summary(rows, mask)
+    if run.env == pictures.ENV:  # recorded offline, by nobody's policy
+        table = table[table[""] != EXPLORED]
+    right = {c: st.column_config.TextColumn(c, alignment="right") for c in table.columns[1:]}
+    st.dataframe(table, hide_index=True, height="content", column_config=right)
+    gaps = regions.apart(rows, mask, names)
+    if gaps:
+        st.markdown("**What sets it apart**")
+        chart(apart_bars(gaps, 250), "apart", "dimensions in which the region differs most")
+
+
+def summary(rows: Rows, mask: Mask) -> pd.DataFrame:
+    """A line a quantity: in the region, and in the whole buffer."""
+    here, whole = regions.summary(rows, mask), regions.summary(rows, np.ones(len(rows), bool))
+
+    def shown(name: str, value: float) -> str:
+        return text.number(value, 0 if name == "transitions" else 2)
+
+    return pd.DataFrame(
+        {
+            "": list(here),
+            "region": [shown(name, value) for name, value in here.items()],
+            "buffer": [shown(name, value) for name, value in whole.items()],
+        }
+    )
+
+
+def transitions(rows: Rows, mask: Mask, names: list[str], actions: list[str]) -> None:
+    """The heaviest transitions of the region, one by one."""
+    index = np.flatnonzero(mask)
+    index = index[np.argsort(-rows.weight[index], kind="stable")][:LISTED]
+    more = f", the {LISTED} heaviest" if mask.sum() > LISTED else ""
+    with st.expander(f"Its transitions{more}"):
+        st.dataframe(listed(rows, index, names, actions), hide_index=True)
+
+
+def listed(rows: Rows, index: np.ndarray, names: list[str], actions: list[str]) -> pd.DataFrame:
+    """A line for each of these rows: its weight, where it comes from, s, a, r and s'."""
+    part = rows.rows[index].numpy()
+    table = {
+        "weight": rows.weight[index],
+        "row": rows.first + index,
+        "episode": rows.episode[index],
+        "step of the episode": rows.place[index],
+        "return of the episode": rows.episode_return[index],
+        "policy version": rows.version[index],
+        "reward": part.reward,
+        "terminal": np.asarray(part.terminated) != 0,
+    }
+    obs, action, following = (np.asarray(x) for x in (part.obs, part.action, part.next_obs))
+    table |= {name: obs[:, i] for i, name in enumerate(names)}
+    table |= {name: action[:, i] for i, name in enumerate(actions)}
+    table |= {f"next {name}": following[:, i] for i, name in enumerate(names)}
+    return pd.DataFrame(table)

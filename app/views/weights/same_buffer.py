@@ -1,0 +1,51 @@
+"""What every learner makes of the buffer that a run had at one of its fits."""
+
+from pathlib import Path
+from urllib.parse import quote
+
+import streamlit as st
+
+from app import text
+from app.data import buffer_reader, weighings
+from app.data.readers import RunInfo
+from app.figures.probe import probe_profiles
+from app.parts.plot import chart
+from tom.record.reader import RunReader, at_or_before
+
+HEIGHT = 300
+
+
+def at_fit(run: RunInfo, step: int) -> None:
+    """The profiles of all learners on the buffer of the fit at or before `step`, by its policy.
+
+    Shows the newest result of `tom weigh` there, and leads to the page that makes one.
+    """
+    rows = buffer_reader.length(run)
+    if not rows:
+        return
+    found = reversed(weighings.of_run(run, rows))
+    weighed = {w.step: w for w in found if Path(w.policy).name == run.run_id}  # an id or a folder
+    steps = sorted({*RunReader(run.path).policy_steps(), *(at for at in weighed if at is not None)})
+    if not steps:
+        return
+    at = at_or_before(steps, step)
+    of = weighings.weights(weighed[at]) if at in weighed else {}
+    address = f"/probe?run={quote(run.run_id)}&at={at}"
+    if not of:
+        st.caption(
+            f"What would another learner look at here? [Weigh the buffer of step {at:,} by every "
+            f"learner]({address})."
+        )
+        return
+    with st.container(border=True):
+        st.markdown(
+            f"**Every learner on the buffer of step {at:,}**, by the policy of that fit: "
+            f"[Probe]({address}&weighed={quote(weighed[at].name)})",
+            help=f"made by `tom weigh --step {at}`, TOM with "
+            f"{text.markdown(weighed[at].settings)}, its Q begun afresh, where a run's goes on "
+            "from fit to fit; lines are medians over seeds, bands their range; the dotted line "
+            "ends the random data",
+        )
+        share = weighed[at].ordered_from / weighed[at].rows
+        figure = probe_profiles(weighings.profiles(of), share, HEIGHT, log=False)
+        chart(figure, "same buffer", "weight profiles of all learners on this buffer")

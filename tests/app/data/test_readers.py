@@ -1,0 +1,152 @@
+"""The cached readers: what is on the disk now, a damaged run beside the others."""
+
+import gc
+import json
+import os
+import shutil
+import time
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studio_runs import PENDULUM_TOM, RUNS, info
+
+from app.data import buffer_reader, readers
+from app.data.aggregate import curve_points
+from app.data.readers import RunInfo
+from tom.record import lock, manage
+from tom.record.reader import RunReader
+from tom.record.store import Store
+
+
+@pytest.fixture
+def own(store: Path, tmp_path: Path) -> Path:
+    """A copy of one run that a test may damage."""
+    shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    return tmp_path
+
+
+def test_every_run_is_listed(store: Path) -> None:
+    found = readers.listing(str(store))
+    assert {run.run_id for run in found.runs} == {run_id for run_id, *_ in RUNS}
+    assert found.problems == ()
+    run = info(store, PENDULUM_TOM)
+    assert (run.env, run.learner, run.seed, run.preset) == ("inverted-pendulum", "tom", 0, "smoke")
+    assert run.status.state == "finished"
+
+
+def test_tables_are_the_readers(store: Path) -> None:
+    run, reader = info(store, PENDULUM_TOM), RunReader(store / PENDULUM_TOM)
+    assert readers.metrics(run).equals(reader.metrics())
+    assert readers.profiles(run).bins.tolist() == reader.profiles().bins.tolist()
+    assert readers.recordings(run) == ["run.rrd"]
+    assert readers.problems(run) == []
+
+
+def test_a_new_row_is_seen(own: Path) -> None:
+    (own / PENDULUM_TOM / "metrics.parquet").unlink()
+    run = info(own, PENDULUM_TOM)
+    before = readers.metrics(run)
+    with (own / PENDULUM_TOM / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"env_step": 99_999, "eval/return": 7.5}) + "\n")
+    after = readers.metrics(run)
+    assert len(after) == len(before) + 1
+    assert after["eval/return"].iloc[-1] == 7.5
+
+
+def test_a_new_status_is_seen(own: Path) -> None:
+    path = own / PENDULUM_TOM / "status.json"
+    status = json.loads(path.read_text())
+    path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time()}))
+    writer = lock.hold(own / PENDULUM_TOM)
+    assert info(own, PENDULUM_TOM).status.alive
+    writer.close()
+    run = info(own, PENDULUM_TOM)
+    assert (run.status.shown, "ended" in run.status.reason) == ("dead", True)
+    (own / PENDULUM_TOM / ".writer").unlink()  # as on another machine: its beat decides
+    assert info(own, PENDULUM_TOM).status.alive
+    path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time() - 31}))
+    assert info(own, PENDULUM_TOM).status.shown == "dead"
+
+
+def test_what_people_call_a_run_is_seen(own: Path) -> None:
+    assert info(own, PENDULUM_TOM).name == PENDULUM_TOM
+    manage.rename(Store(own), PENDULUM_TOM, "the good one")
+    manage.tag(Store(own), PENDULUM_TOM, add=["keep"])
+    run = info(own, PENDULUM_TOM)
+    assert (run.name, run.labels.tags) == ("the good one", ("keep",))
+
+
+def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:
+    shutil.copytree(own / PENDULUM_TOM, own / "damaged")
+    (own / "damaged" / "status.json").write_text("{")
+    with (own / "damaged" / "metrics.jsonl").open("a") as file:
+        file.write('{"env_step": 12')
+    (own / "damaged" / "metrics.parquet").unlink()
+    (own / "notes").mkdir()
+    found = readers.listing(str(own))
+    assert {run.run_id for run in found.runs} == {PENDULUM_TOM, "damaged"}
+    assert any("notes" in problem for problem in found.problems)
+    words = " ".join(readers.problems(info(own, "damaged")))
+    assert "status.json" in words
+    assert "metrics.jsonl" in words
+    assert readers.problems(info(own, PENDULUM_TOM)) == []
+
+
+def test_a_store_that_is_not_there_is_empty(tmp_path: Path) -> None:
+    assert readers.listing(str(tmp_path / "none")).runs == ()
+
+
+def test_a_folder_that_is_no_run_any_more_is_named(own: Path) -> None:
+    assert [run.run_id for run in readers.listing(str(own)).runs] == [PENDULUM_TOM]
+    config = own / PENDULUM_TOM / "config.json"
+    whole = config.read_text()
+    config.write_text(whole[:40])
+    found = readers.listing(str(own))
+    assert found.runs == ()
+    assert found.problems[0].startswith(f"{PENDULUM_TOM}: no run (config.json cannot be read")
+    config.write_text(whole)
+    assert [run.run_id for run in readers.listing(str(own)).runs] == [PENDULUM_TOM]
+
+
+def test_a_run_replaced_by_a_link_to_it_is_not_followed(own: Path, tmp_path: Path) -> None:
+    readers.listing(str(own))
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (own / PENDULUM_TOM).rename(outside / PENDULUM_TOM)
+    (own / PENDULUM_TOM).symlink_to(outside / PENDULUM_TOM)
+    found = readers.listing(str(own))
+    assert found.runs == ()
+    assert any("is a link" in problem for problem in found.problems)
+
+
+def test_points_are_what_a_curve_would_have(store: Path) -> None:
+    run = info(store, PENDULUM_TOM)
+    frame = readers.metrics(run)
+    points = readers.points(run)
+    assert points == {name: len(curve_points(frame, name)[0]) for name in points}
+    assert set(frame) - set(points) == {n for n in frame if not np.isfinite(frame[n]).any()}
+
+
+def test_of_a_run_in_training_one_version_is_held(own: Path) -> None:
+    path = own / PENDULUM_TOM
+    (path / "metrics.parquet").unlink()
+    segment = max((path / "buffer").glob("*.npz"), key=lambda file: int(file.stem))
+    fit = buffer_reader.fits(info(own, PENDULUM_TOM))[-1]
+    held: list[weakref.ref] = []
+    for beat in range(3):
+        with (path / "metrics.jsonl").open("a") as file:
+            file.write(json.dumps({"env_step": 99_999 + beat, "eval/return": 7.5}) + "\n")
+        for changed in (segment, path / "weights/profiles.jsonl"):
+            os.utime(changed, (beat, beat))
+        held += read(info(own, PENDULUM_TOM), fit)
+    gc.collect()
+    assert [ref() is not None for ref in held] == [False] * 8 + [True] * 4
+
+
+def read(run: RunInfo, fit: int) -> list[weakref.ref]:
+    rows = buffer_reader.rows(run, fit)
+    assert rows is not None
+    parts = readers.metrics(run), readers.profiles(run), rows, rows.rows.obs
+    return [weakref.ref(part) for part in parts]

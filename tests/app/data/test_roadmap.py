@@ -1,0 +1,97 @@
+"""The map's geometry, held against the task itself and what runs recorded."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from studio_runs import ROAD_TOM, info
+
+from app.data import pictures, readers
+from app.data.aggregate import curve_points
+from app.data.roadmap import (
+    RoadMap,
+    distance_to_road,
+    on_road,
+    outline,
+    road_share,
+    trajectories,
+    weight_grid,
+)
+from tom.record.reader import RunReader
+from tom.road import task
+from tom.road.measure import map_field
+
+
+@pytest.fixture(scope="module")
+def road_map() -> RoadMap:
+    return RoadMap.of(map_field(task.draw_map(180, 90, torch.Generator().manual_seed(0))))
+
+
+def test_the_road_is_the_tasks(road_map: RoadMap) -> None:
+    points = np.random.default_rng(0).random((5000, 2)).astype(np.float32)
+    mine = on_road(points, road_map)
+    assert np.array_equal(mine, task.on_road(torch.from_numpy(points)).numpy())
+    assert mine.mean() == pytest.approx(0.30, abs=0.02)
+
+
+def test_the_outline_is_the_roads_edge(road_map: RoadMap) -> None:
+    (edge,) = outline(road_map)
+    distance = distance_to_road(edge, road_map.centre_line)
+    assert distance == pytest.approx(road_map.half_width, abs=1e-6)
+    assert np.array_equal(edge[0], edge[-1])
+    x, y = edge.T
+    area = 0.5 * abs((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
+    # Two rectangles that share a square's corner, a round corner and two round ends.
+    h = road_map.half_width
+    assert area == pytest.approx(2 * 0.78 * 2 * h - h**2 + (1.25 * np.pi) * h**2, rel=0.01)
+
+
+def test_cells_hold_the_mean_of_their_transitions() -> None:
+    draw = np.random.default_rng(0)
+    obs, weight = draw.random((500, 2)), draw.random(500)
+    mean, count = weight_grid(obs, weight, cells=7)
+    row, column = 2, 5
+    inside = ((obs * 7).astype(int) == [column, row]).all(1)
+    assert count[row, column] == inside.sum() > 0
+    assert mean[row, column] == pytest.approx(weight[inside].mean())
+    assert count.sum() == 500
+
+
+def test_an_empty_cell_has_no_mean_and_the_edge_belongs_to_the_last_cell() -> None:
+    mean, count = weight_grid(np.array([[1.0, 1.0]]), np.array([2.0]), cells=3)
+    assert mean[2, 2] == 2
+    assert np.isnan(mean).sum() == 8
+    assert count[2, 2] == 1
+
+
+def test_no_weight_has_no_share(road_map: RoadMap) -> None:
+    share, ratio = road_share(np.array([[0.1, 0.12], [0.5, 0.5]]), np.zeros(2), road_map)
+    assert np.isnan([share, ratio]).all()
+
+
+def test_a_picture_says_what_the_run_recorded(store: Path) -> None:
+    run = RunReader(store / ROAD_TOM)
+    picture = pictures.load(run, pictures.steps(run)[-1])
+    assert picture is not None
+    recorded = curve_points(readers.metrics(info(store, ROAD_TOM)), "weights/road_share")[1]
+    assert picture.share == pytest.approx(recorded[0], abs=1e-4)
+    obs = np.asarray(run.buffer()[0].obs)
+    weight = run.snapshot(picture.step)["weight"].to_numpy()
+    mean, count = weight_grid(obs, weight)
+    assert np.array_equal(picture.grid, mean, equal_nan=True)
+    assert np.nansum(mean * count) == pytest.approx(weight.sum(), rel=1e-4)
+    assert len(picture.expert) == 10
+    assert len(picture.learnt) == 5
+    assert picture.true.shape == picture.modelled.shape == picture.points.shape == (441, 2)
+
+
+def test_trajectories_come_in_order() -> None:
+    arrays = {f"learnt_{k}": np.full((2, 2), k) for k in (10, 2, 0)} | {"expert_0": np.zeros(2)}
+    assert [int(line[0, 0]) for line in trajectories(arrays, "learnt")] == [0, 2, 10]
+
+
+def test_a_run_without_its_map_has_no_picture(tmp_path: Path) -> None:
+    run = RunReader(tmp_path)
+    assert pictures.steps(run) == []
+    assert pictures.load(run, 0) is None

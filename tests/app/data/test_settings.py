@@ -1,0 +1,51 @@
+"""What sets runs apart, and what does not."""
+
+from dataclasses import dataclass
+
+from app.data.settings import NONE, differences, in_words, table, variants
+
+
+@dataclass(frozen=True)
+class Run:
+    run_id: str
+    settings: dict[str, str]
+    env: str = "ant"
+    learner: str = "tom"
+    preset: str = "paper"
+
+
+def test_a_configuration_is_flat_words() -> None:
+    config = {"seed": 1, "sac": {"lr": 3e-4, "target_entropy": None}, "x": True}
+    assert in_words(config) == {
+        "seed": "1",
+        "sac.lr": "0.0003",
+        "sac.target_entropy": "none",
+        "x": "true",
+    }
+    assert in_words("damaged") == {}
+
+
+def test_only_differences_are_shown() -> None:
+    runs = [Run("a", {"x": "1", "y": "2"}), Run("b", {"x": "1", "y": "3", "z": "4"})]
+    assert differences(runs) == {"y": ["2", "3"], "z": [NONE, "4"]}
+    frame = table(runs, ["one", "one"])
+    assert list(frame.columns) == ["setting", "one", "one (2)"]
+    assert frame.loc[0].tolist() == ["y", "2", "3"]
+    assert table(runs[:1], ["one"]).empty
+
+
+def test_runs_are_apart_by_settings_that_matter() -> None:
+    runs = [
+        Run("a", {"seed": "0", "steps": "10", "sac.lr": "1", "pmac.decay": "1"}),
+        Run("b", {"seed": "1", "steps": "20", "sac.lr": "1", "pmac.decay": "2", "new": "0"}),
+        Run("c", {"seed": "2", "steps": "10", "sac.lr": "2", "pmac.decay": "1"}),
+    ]
+    assert variants(runs[:2]) == {"a": "", "b": ""}
+    assert variants(runs) == {"a": "sac.lr 1", "b": "sac.lr 1", "c": "sac.lr 2"}
+
+
+def test_another_learner_is_no_variant() -> None:
+    assert variants([Run("a", {"x": "1"}), Run("b", {"x": "2"}, learner="mle")]) == {
+        "a": "",
+        "b": "",
+    }

@@ -1,0 +1,62 @@
+"""The tables that a reader takes away."""
+
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from app.data import tables
+from app.data.aggregate import Curve, Group, groups
+
+
+def curve(seed: int, value: list[float], learner: str = "tom") -> Curve:
+    step = np.arange(len(value), dtype=np.int64) * 100
+    return Curve(f"{learner}-{seed}", "ant", learner, "paper", seed, step, np.array(value))
+
+
+@pytest.fixture
+def grouped() -> list[Group]:
+    return groups([curve(0, [0, 8, 4]), curve(1, [2, 4, 8]), curve(0, [1, 1], "mle")])
+
+
+def test_the_summary_says_final_best_and_n(grouped: list[Group]) -> None:
+    table = tables.summary(grouped).set_index("learner")
+    tom, mle = table.loc["TOM"], table.loc["MLE"]
+    assert (tom["n"], tom["seeds"], tom["steps"]) == (2, "0, 1", 200)
+    assert (tom["final"], tom["best"]) == (6, 8)
+    assert (tom["final low"], tom["final high"]) == (4, 8)
+    assert mle["n"] == 1
+    assert np.isnan(mle["final low"])
+
+
+def test_the_summary_counts_no_longer_run_beyond_the_shortest() -> None:
+    row = tables.summary(groups([curve(0, [1, 2, 50]), curve(1, [3, 4])])).iloc[0]
+    assert (row["steps"], row["final"], row["best"]) == (100, 3, 3)
+    late = Curve("tom-2", "ant", "tom", "paper", 2, np.array([300]), np.array([9.0]))
+    row = tables.summary(groups([curve(0, [1, 2]), late])).iloc[0]
+    assert row["steps"] == 100
+    assert np.isnan([row["final"], row["best"], row["final low"]]).all()
+
+
+def test_bands_are_what_is_drawn(grouped: list[Group]) -> None:
+    table = pd.read_csv(io.StringIO(tables.bands(grouped).to_csv(index=False)))
+    tom = table[table["learner"] == "tom"]
+    assert tom["env_step"].tolist() == [0, 100, 200]
+    assert tom["mean"].tolist() == [1, 6, 6]
+    assert tom["runs"].tolist() == [2, 2, 2]
+    mle = table[table["learner"] == "mle"]
+    assert np.isnan(np.asarray(mle["low"])).all()
+
+
+def test_every_point_of_every_run_is_there(grouped: list[Group]) -> None:
+    curves = [c for group in grouped for c in group.curves]
+    table = tables.runs(curves)
+    assert len(table) == sum(len(c.step) for c in curves)
+    assert table[table["run"] == "tom-1"]["value"].tolist() == [2, 4, 8]
+
+
+def test_nothing_makes_empty_tables() -> None:
+    assert tables.summary([]).empty
+    assert tables.bands([]).empty
+    assert tables.runs([]).empty

@@ -1,0 +1,258 @@
+"""The numbers in the figures are the numbers in the run folders."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+
+from app.data import pictures, readers
+from app.data.aggregate import GRID, Curve, aggregate
+from app.figures.curves import POINTS, Axes, group_curves, run_curves
+from app.figures.probe import probe_profiles
+from app.figures.road import road_map
+from app.figures.scales import linear_scale, octaves, relative_scale, span
+from app.figures.side import side_by_side
+from app.figures.weights import (
+    MAP_COLUMNS,
+    bin_centres,
+    effective_sample,
+    profile_lines,
+    shown_fits,
+    weight_map,
+    weight_profile,
+)
+from app.parts import widgets
+from app.theme import learner_colour
+from tom.record.profiles import Profiles
+from tom.record.reader import RunReader
+
+
+@pytest.fixture
+def profiles(store: Path) -> Profiles:
+    return readers.profiles(info(store, PENDULUM_TOM))
+
+
+def traces(figure: go.Figure) -> list[Any]:
+    return list(figure.data)
+
+
+def notes(figure: go.Figure) -> list[str]:
+    return [note["text"] for note in figure.to_dict()["layout"].get("annotations", [])]
+
+
+def long_curve(points: int, seed: int = 0) -> Curve:
+    value = np.random.default_rng(seed).normal(size=points)
+    return Curve(f"run-{seed}", "hopper", "tom", "paper", seed, np.arange(points), value)
+
+
+def test_a_curve_shows_what_was_recorded(store: Path) -> None:
+    curve = widgets.curve(info(store, PENDULUM_TOM), "eval/return")
+    (line,) = traces(run_curves([curve], "eval/return", 300, legend=True))
+    frame = RunReader(store / PENDULUM_TOM).metrics()[["env_step", "eval/return"]].dropna()
+    assert line.x.tolist() == frame["env_step"].tolist()
+    assert line.y.tolist() == frame["eval/return"].tolist()
+    assert line.line.color == learner_colour("tom")
+    assert PENDULUM_TOM in line.hovertemplate
+
+
+def test_a_long_curve_is_thinned_and_says_so() -> None:
+    figure = run_curves([long_curve(100_000)], "critic/loss", 300, legend=False)
+    assert len(traces(figure)[0].x) <= POINTS
+    assert str(POINTS) in notes(figure)[0]
+    whole = run_curves([long_curve(100)], "critic/loss", 300, legend=False)
+    assert not notes(whole)
+
+
+def test_long_groups_and_their_single_runs_are_thinned_and_say_so() -> None:
+    group = aggregate([long_curve(100_000, seed) for seed in (0, 1)])
+    figure = group_curves([group], "critic/loss", 300, singles=True)
+    assert max(len(line.x) for line in traces(figure)) <= 2 * GRID
+    assert str(GRID) in notes(figure)[0]
+    assert str(POINTS) in notes(figure)[0]
+    few = aggregate([long_curve(100, seed) for seed in (0, 1)])
+    assert not notes(group_curves([few], "critic/loss", 300, singles=True))
+
+
+def test_a_single_evaluation_is_seen_where_it_lies_in_the_run() -> None:
+    one = Curve("a", "ant", "tom", "paper", 0, np.array([6000]), np.array([1.0]))
+    figure = run_curves([one], "eval/return", 300, legend=True)
+    assert figure.to_dict()["layout"]["xaxis"]["autorangeoptions"] == {"include": 0}
+    more = run_curves([one, long_curve(9)], "eval/return", 300, legend=True)
+    assert "autorangeoptions" not in more.to_dict()["layout"]["xaxis"]
+
+
+def test_the_mean_of_two_steps_is_dotted_where_a_run_is_missing() -> None:
+    step = np.array([100, 200])
+    whole = Curve("a", "ant", "tom", "paper", 0, step, np.array([1.0, 2.0]))
+    short = Curve("b", "ant", "tom", "paper", 1, step[:1], np.array([3.0]))
+    lines = traces(group_curves([aggregate([whole, short])], "eval/return", 300, singles=False))
+    solid, dotted = lines[-2:]
+    assert solid.y.tolist() == [2]
+    assert dotted.y.tolist() == [2, 2]
+    assert dotted.line.dash == "dot"
+
+
+def test_seeds_of_one_learner_share_its_colour_but_not_their_dash() -> None:
+    figure = run_curves([long_curve(50, s) for s in (0, 1)], "x", 300, legend=True)
+    assert len({line.line.color for line in traces(figure)}) == 1
+    assert len({line.line.dash for line in traces(figure)}) == 2
+
+
+def test_a_group_has_single_runs_a_band_and_a_mean() -> None:
+    group = aggregate([long_curve(50, seed) for seed in range(3)])
+    figure = group_curves([group], "eval/return", 300, singles=True)
+    *faint, band, mean = traces(figure)
+    assert [line.meta for line in faint] == ["run-0", "run-1", "run-2"]
+    assert max(line.opacity for line in faint) < 0.5
+    assert mean.name == "TOM (n = 3)"
+    assert mean.y.tolist() == group.mean.tolist()
+    assert band.y.tolist() == [*group.high, *group.low[::-1]]
+    assert len(traces(group_curves([group], "x", 300, singles=False))) == 2
+
+
+def test_one_seed_is_said_to_be_one() -> None:
+    figure = group_curves([aggregate([long_curve(5)])], "x", 300, singles=True)
+    assert [line.name for line in traces(figure)] == ["TOM (1 seed, no band)"]
+
+
+def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None:
+    step = np.arange(3)
+    values = ([-1.0, 1.0, 4.0], [-3.0, 2.0, 8.0], [-2.0, -5.0, 9.0])
+    curves = [
+        Curve(str(i), "ant", "tom", "paper", i, step, np.array(v)) for i, v in enumerate(values)
+    ]
+    group = aggregate(curves)
+    figure = group_curves([group], "x", 300, singles=False, axes=Axes(log_y=True))
+    band, line = traces(figure)
+    assert line.y.tolist() == pytest.approx(group.mean.tolist())
+    assert band.y.min() == 2  # the smallest positive value of the line and of the band
+    assert notes(figure) == ["2 of 3 values at or below zero: not on a log axis"]
+    figure = run_curves(curves, "x", 300, legend=False, axes=Axes(log_x=True, log_y=True))
+    assert notes(figure) == ["4 of 9 values at or below zero: not on a log axis"]
+    assert not notes(run_curves(curves, "x", 300, legend=False))
+
+
+def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
+    values = np.array([[0.0, 0.0, 2.0, 1.0], [0.0, 1.0, 4.0, 1.0]])
+    band, line = traces(probe_profiles({"tom": values}, 0, 300, log=True))
+    assert band.y.tolist() == [0.01, 1, 4, 1, 1, 2, 0.01, 0.01]
+    assert line.y.tolist() == [0.01, 0.5, 3, 1]
+    assert line.customdata.tolist() == [0, 0.5, 3, 1]
+    band, _ = traces(probe_profiles({"tom": values}, 0, 300, log=False))
+    assert band.y.min() == 0
+
+
+def test_where_runs_are_missing_the_mean_is_dotted() -> None:
+    group = aggregate([long_curve(10, 0), long_curve(20, 1)])
+    solid, dotted = traces(group_curves([group], "x", 300, singles=False))[1:]
+    assert solid.x.tolist() == list(range(10))
+    assert dotted.line.dash == "dot"
+    shown = dotted.x[np.isfinite(dotted.y)]
+    assert shown.tolist() == list(range(9, 20))
+    assert dotted.customdata[-1] == 1
+
+
+def test_the_map_has_a_column_a_fit_and_a_row_a_bin(profiles: Profiles) -> None:
+    heat = traces(weight_map(profiles, 1, "light", 300, relative=False))[0]
+    assert heat.x.tolist() == profiles.env_step.tolist()
+    assert heat.z.tolist() == profiles.bins.T.tolist()
+    assert heat.y[0] == 0.5  # the oldest hundredth at the bottom
+
+
+def test_relative_colours_are_octaves_of_the_weight(profiles: Profiles) -> None:
+    heat = traces(weight_map(profiles, 0, "dark", 300, relative=True))[0]
+    assert heat.z == pytest.approx(np.log2(profiles.bins.T).clip(-4, 4))
+    assert np.asarray(heat.customdata).tolist() == profiles.bins.T.tolist()
+    assert -heat.zmin == heat.zmax == span(profiles.bins)
+
+
+def test_octaves_clip_and_keep_gaps() -> None:
+    assert octaves(np.array([0, 0.5, 1, 64, np.nan])).tolist()[:4] == [-4, -1, 0, 4]
+    assert span(np.array([1.0, 1.1])) == 1
+    assert span(np.array([0.01, 50.0])) == 4
+
+
+def test_a_colour_bar_says_where_its_ends_hold_more() -> None:
+    def ends(weight: list[float]) -> tuple[str, ...]:
+        words = relative_scale(np.array(weight), "light")["colorbar"]["ticktext"]
+        return words[0], words[-1]
+
+    assert ends([0.5, 1, 2, np.nan]) == ("1/2", "2")
+    assert ends([1.0] * 99 + [16.0]) == ("1/2", "≥ 2")
+    assert ends([0.25] * 5 + [4.0] * 94 + [0]) == ("≤ 1/4", "4")
+    scale = linear_scale(np.array([0.0] * 999 + [3.0]), "light")
+    assert (scale["zmax"], scale["colorbar"]["ticktext"][-1]) == (1, "≥ 1")
+    scale = linear_scale(np.array([0.5, 3.0] * 100), "light")
+    assert (scale["zmax"], scale["colorbar"]["ticktext"][-1]) == (3, "3")
+
+
+def test_side_by_side_is_thinned_and_says_so(profiles: Profiles) -> None:
+    bins = np.resize(profiles.bins, (1000, 100))
+    many = replace(profiles, bins=bins, env_step=np.arange(1000))
+    figure = side_by_side([("a", long_curve(9000), many)], "light", 400)
+    line, heat = traces(figure)
+    assert len(line.x) <= POINTS
+    assert len(heat.x) <= MAP_COLUMNS
+    assert notes(figure)[-1] == f"returns thinned to {POINTS} points a line<br>a: 399 of 1000 fits"
+    assert notes(side_by_side([("a", long_curve(9), profiles)], "light", 400)) == ["a"]
+
+
+def test_many_fits_are_thinned_and_the_chosen_one_stays() -> None:
+    fits = shown_fits(5000, 1234)
+    assert len(fits) <= MAP_COLUMNS
+    assert {0, 1234, 4999} <= set(fits.tolist())
+    assert shown_fits(7, 3).tolist() == list(range(7))
+
+
+def test_a_profile_shows_the_bins(profiles: Profiles) -> None:
+    bars = traces(weight_profile(profiles.bins[-1], "pmac", 300))[0]
+    assert bars.y.tolist() == profiles.bins[-1].tolist()
+    assert bars.x.tolist() == bin_centres(100).tolist()
+    assert bars.marker.color == learner_colour("pmac")
+    (line,) = traces(profile_lines([("a", "tom", profiles.bins[-1])], 300, log=False))
+    assert line.y.tolist() == profiles.bins[-1].tolist()
+
+
+def test_on_a_log_axis_the_last_profiles_end_at_a_hundredth_of_uniform() -> None:
+    figure = profile_lines([("a", "pmac", np.array([0.0, 1e-30, 0.5, 2.5]))], 300, log=True)
+    (line,) = traces(figure)
+    assert line.y.tolist() == [0.01, 0.01, 0.5, 2.5]
+    assert line.customdata.tolist() == [0, 1e-30, 0.5, 2.5]  # what the pointer reads
+    axis = figure.to_dict()["layout"]["yaxis"]
+    assert (axis["type"], axis["ticktext"][0]) == ("log", "≤ 0.01")
+    assert 10 ** axis["range"][0] < 0.01 < 2.5 < 10 ** axis["range"][1]
+
+
+def test_effective_sample_in_percent(profiles: Profiles) -> None:
+    ess, zeros = traces(effective_sample(profiles, "tom", 0, 300))
+    assert ess.y == pytest.approx(100 * profiles.ess)
+    assert zeros.y == pytest.approx(100 * profiles.zeros)
+
+
+def test_the_road_map_shows_the_picture(store: Path) -> None:
+    run = RunReader(store / ROAD_TOM)
+    picture = pictures.load(run, run.snapshot_steps()[-1])
+    assert picture is not None
+    named = {t.name: t for t in traces(road_map(picture, "light", 500))}
+    assert np.array_equal(named["weights"].customdata, picture.grid, equal_nan=True)
+    learnt = np.stack([named["TOM policy"].x, named["TOM policy"].y], -1)
+    assert learnt[: len(picture.learnt[0])] == pytest.approx(picture.learnt[0])
+    arrow = np.stack([named["modelled move"].x, named["modelled move"].y], -1)[:2]
+    assert arrow[1] - arrow[0] == pytest.approx(picture.modelled[0], abs=1e-6)
+    on_road = np.abs(picture.points[:, 1] - 0.12) < 0.05
+    error = np.linalg.norm(picture.modelled - picture.true, axis=-1)
+    assert error[on_road].mean() < 0.5 * error[~on_road].mean()
+
+
+def test_a_run_without_weights_says_so_beside_the_others(profiles: Profiles) -> None:
+    none = Profiles(*(part[:0] for part in vars(profiles).values()))
+    curve = long_curve(50)
+    figure = side_by_side([("TOM", curve, profiles), ("SAC", curve, none)], "light", 400)
+    layout = figure.to_dict()["layout"]
+    (missing,) = [note for note in layout["annotations"] if note["text"] == "no weights recorded"]
+    assert (missing["xref"], missing["yref"]) == ("x4 domain", "y4 domain")
+    assert len([trace for trace in traces(figure) if trace.type == "heatmap"]) == 1

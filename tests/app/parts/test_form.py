@@ -1,0 +1,52 @@
+"""The form is the configuration: every setting, its default, and its own complaints."""
+
+import pytest
+
+from app.parts import form
+from tom.cli.parser import leaf_fields
+from tom.config import OnlineConfig
+from tom.errors import UserError
+
+
+def test_every_setting_that_matters_is_a_field() -> None:
+    fields = form.sections("hopper", "tom", "paper")
+    paths = {setting.path for settings in fields.values() for setting in settings}
+    others = {"pmac.decay", "vagram.clip_quantile"}
+    assert paths == {path for path, _ in leaf_fields(OnlineConfig)} - form.LEFT_OUT - others
+    assert "pmac" in form.sections("hopper", "pmac", "paper")
+
+
+def test_defaults_are_the_presets() -> None:
+    smoke = {s.path: s for s in form.sections("hopper", "tom", "smoke")["model"]}
+    assert smoke["model.hidden"].default == "32"
+    assert smoke["model.kind"].choices == ("mdn", "ensemble", "mean-ensemble", "linear")
+    assert "mixture" in smoke["model.kind"].help
+    road = {s.path: s for s in form.sections("road-and-rocks", "tom", "paper")["run"]}
+    assert road["map_seed"].default == "none"
+    assert road["expert_first"].choices == ("true", "false")
+
+
+@pytest.mark.parametrize(
+    ("words", "numbers"), [("0", [0]), ("0-2", [0, 1, 2]), ("3, 1 1-2", [3, 1, 2])]
+)
+def test_seeds(words: str, numbers: list[int]) -> None:
+    assert form.seeds(words) == numbers
+
+
+@pytest.mark.parametrize("words", ["", "a", "1-", "-1", "0-99999999999", "2-1"])
+def test_words_that_are_no_seeds(words: str) -> None:
+    with pytest.raises(UserError, match="0-2"):
+        form.seeds(words)
+
+
+def test_the_command_is_what_a_terminal_takes() -> None:
+    words = form.command("hopper", "tom", "smoke", 3, {"sac.lr": "0.001", "steps": "700"}, "/a b")
+    assert form.shown(words) == (
+        "tom train --env hopper --learner tom --preset smoke --seed 3 --sac.lr=0.001 --steps=700 "
+        "--store '/a b'"
+    )
+
+
+def test_a_value_out_of_bounds_is_refused_before_anything_runs() -> None:
+    with pytest.raises(UserError, match=r"sac\.discount 2"):
+        form.command("hopper", "tom", "paper", 0, {"sac.discount": "2"}, "runs")

@@ -1,0 +1,120 @@
+"""The viser server's process: frames that connect, and what they then do."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+import viser
+from studio_runs import PENDULUM_TOM
+from viser import _messages
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+from app.links import Links
+from app.scenes.control import Replay, Selection
+from app.scenes.frame import Frame
+from app.scenes.replay_frame import ReplayFrame
+from app.scenes.server import SceneServer
+from app.servers.processes import free_port
+
+CAMERA = _messages.ViewerCameraMessage(
+    wxyz=(1.0, 0.0, 0.0, 0.0),
+    position=(0.0, -1.0, 1.0),
+    fov=1.0,
+    near=0.1,
+    far=100.0,
+    image_height=100,
+    image_width=100,
+    look_at=(0.0, 0.0, 0.0),
+    up_direction=(0.0, 0.0, 1.0),
+)
+PAGE = "page"
+
+
+@pytest.fixture
+def served(store: Path) -> Iterator[SceneServer]:
+    made = SceneServer(Links(store=str(store), viser_port=free_port("127.0.0.1")))
+    yield made
+    made.server.stop()
+
+
+def frame_of_a_page(served: SceneServer) -> ClientConnection:
+    """A browser frame, as viser's own client opens it: it says where its camera stands."""
+    port = served.links.viser_port
+    opened = connect(
+        f"ws://127.0.0.1:{port}/{PAGE}",
+        origin=Origin(f"http://127.0.0.1:{port}"),
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        max_size=None,
+        max_queue=None,
+    )
+    opened.send(msgspec.msgpack.encode(CAMERA.as_serializable_dict()))
+    return opened
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    until = time.monotonic() + 60
+    while not what() and time.monotonic() < until:
+        time.sleep(0.02)
+    assert what()
+
+
+def only_frame(served: SceneServer) -> ReplayFrame | None:
+    frames = [frame for _, frame in served.frames.values()]
+    return frames[0] if len(frames) == 1 and isinstance(frames[0], ReplayFrame) else None
+
+
+def asked(times: int) -> Selection:
+    return Selection(Replay(PENDULUM_TOM, 400, 0, 0, 25, played=times), compact=True)
+
+
+def test_what_was_to_play_before_its_frame_connected_plays_then(served: SceneServer) -> None:
+    served.select(PAGE, asked(0))
+    served.select(PAGE, asked(1))
+    with frame_of_a_page(served):
+        wait_for(lambda: (frame := only_frame(served)) is not None and frame.playing)
+    wait_for(lambda: not served.frames)
+    with frame_of_a_page(served):  # the reader comes back: it has been played
+        wait_for(lambda: (frame := only_frame(served)) is not None and frame.frame.max > 1)
+        frame = only_frame(served)
+        assert frame is not None
+        frame.tick(0.0)  # waits until the frame has shown everything
+        assert not frame.playing
+        served.select(PAGE, asked(2))
+        assert frame.playing
+
+
+class LeftWhileBuilt(SceneServer):
+    """Its frames are ready only when their tab has gone."""
+
+    def __init__(self, links: Links) -> None:
+        self.built, self.gone, self.done = (threading.Event() for _ in range(3))
+        super().__init__(links)
+
+    def _frame(self, client: viser.ClientHandle, selection: Selection) -> Frame:
+        frame = super()._frame(client, selection)
+        self.built.set()
+        assert self.gone.wait(60)
+        return frame
+
+    def _left(self, client: viser.ClientHandle) -> None:
+        super()._left(client)
+        self.gone.set()
+
+    def _connected(self, client: viser.ClientHandle) -> None:
+        super()._connected(client)
+        self.done.set()
+
+
+def test_a_tab_left_while_its_frame_is_built_leaves_none(store: Path) -> None:
+    served = LeftWhileBuilt(Links(store=str(store), viser_port=free_port("127.0.0.1")))
+    try:
+        with frame_of_a_page(served):
+            assert served.built.wait(60)
+        assert served.done.wait(60)
+        assert served.frames == {}
+    finally:
+        served.server.stop()

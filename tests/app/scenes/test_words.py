@@ -1,0 +1,52 @@
+"""Words in a 3D scene: in the page's colours, and where they are read from."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import viser
+import viser.transforms
+
+from app.scenes.colours import rgb
+from app.scenes.words import PIXELS, add_words, extent, painted
+from app.servers.processes import free_port
+from app.theme import BACKGROUND, TEXT, Mode
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    made = viser.ViserServer("127.0.0.1", free_port("127.0.0.1"), verbose=False)
+    yield made
+    made.stop()
+
+
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_words_have_the_themes_colours_and_no_box(mode: Mode) -> None:
+    image = painted("TOM, fit of step 3,000", mode)
+    clear = np.equal(image[..., 3], 0)
+    assert clear[[0, -1]].all()
+    assert clear.mean() > 0.3
+    letters = image[np.equal(image[..., 3], 255)]
+    assert np.equal(letters, [*rgb(TEXT[mode]), 255]).all(1).mean() > 0.5
+    halo = np.array(rgb(BACKGROUND[mode]))
+    assert (np.abs(image[~clear, :3].astype(int) - halo) < 3).all(1).mean() > 0.2
+
+
+def test_no_letter_is_cut_off() -> None:
+    image = painted("Äjgq|", "dark")
+    edges = (image[0], image[-1], image[:, 0], image[:, -1])
+    assert all((edge[:, 3] == 0).all() for edge in edges)
+
+
+def test_words_stand_on_their_foot(server: viser.ViserServer) -> None:
+    across, high = extent("goal", "light", 0.1)
+    assert across / high == pytest.approx(np.divide(*painted("goal", "light").shape[1::-1]))
+    assert high > 0.1 * (painted("goal", "light").shape[0] - 20) / PIXELS
+    standing = add_words(server.scene, "/a", "goal", "light", (1.0, 2.0, 3.0), 0.1, np.pi / 2)
+    assert standing.position == pytest.approx([1.0, 2.0, 3.0 + high / 2])
+    # The picture's last axis to the letters' top is its own y, which now points up.
+    turn = viser.transforms.SO3(standing.wxyz)
+    assert turn.apply(np.array([0.0, 1.0, 0.0])) == pytest.approx([0.0, 0.0, 1.0])
+    lying = add_words(server.scene, "/b", "goal", "light", (1.0, 2.0, 3.0), 0.1, 0.0)
+    assert lying.position == pytest.approx([1.0, 2.0 + high / 2, 3.0])
+    assert (standing.render_width, standing.render_height) == (across, high)

@@ -1,0 +1,254 @@
+"""The studio in a real browser: its frames really draw, nothing fails, nothing goes outside."""
+
+import io
+import json
+import re
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from studio_runs import PENDULUM_TOM, RUNS
+
+from app.servers.browser import chromium
+from app.servers.launcher import Studio, servers
+from tom.record.reader import RunReader
+
+if TYPE_CHECKING:
+    from playwright.sync_api import ConsoleMessage, Locator, Page
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
+]
+DRAWN_S = 60
+LOCAL = {"127.0.0.1", "localhost", ""}
+
+
+@dataclass
+class Visit:
+    """A browser tab that remembers what went wrong and where it asked."""
+
+    page: "Page"
+    address: str
+    errors: list[str] = field(default_factory=list)
+    asked: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.page.on("console", self._said)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("request", lambda request: self._asked(request.url))
+        self.page.on("websocket", lambda socket: self._asked(socket.url))
+
+    def open(self, name: str, path: str) -> None:
+        """Click on a page's name in the studio's menu, again if the click fell into a redraw."""
+        from playwright.sync_api import TimeoutError
+
+        for _ in range(4):
+            self.page.get_by_role("link", name=name).first.click()
+            try:
+                self.page.wait_for_url(f"**/{path}*", timeout=10_000)
+                return
+            except TimeoutError:
+                continue
+        pytest.fail(f"{name} did not open")
+
+    def _said(self, message: "ConsoleMessage") -> None:
+        if message.type == "error":
+            self.errors.append(message.text)
+
+    def _asked(self, url: str) -> None:
+        self.asked.add(urlsplit(url).hostname or "")
+
+
+@pytest.fixture
+def own(store: Path, tmp_path: Path) -> Path:
+    """A copy of the store that a test may write to."""
+    shutil.copytree(store, tmp_path / "store")
+    return tmp_path / "store"
+
+
+@pytest.fixture
+def visit(own: Path) -> Iterator[Visit]:
+    with servers(Studio(store=own), Event()) as (links, running), chromium() as browser:
+        assert running
+        page = browser.new_page(viewport={"width": 1280, "height": 1000})
+        page.set_default_timeout(1000 * DRAWN_S)
+        yield Visit(page, links.address)
+
+
+def colourful(element: "Locator") -> float:
+    """Share of an element's pixels that have a colour (no text, no background)."""
+    image = Image.open(io.BytesIO(element.screenshot())).convert("HSV")
+    _, saturation, value = np.moveaxis(np.asarray(image), -1, 0)
+    return float(((saturation > 90) & (value > 60)).mean())
+
+
+def wait_until_drawn(element: "Locator", share: float) -> None:
+    """Wait until so large a share of the element's pixels is coloured."""
+    element.scroll_into_view_if_needed()
+    deadline = time.monotonic() + DRAWN_S
+    while colourful(element) < share:
+        assert time.monotonic() < deadline, f"nothing drawn: {colourful(element):.4f}"
+        element.page.wait_for_timeout(500)
+
+
+def zoom_in(chart: "Locator") -> list[float]:
+    """Drag a box over a chart; the range of steps that it shows then."""
+    before = shown_steps(chart)
+    box = chart.locator(".nsewdrag").first.bounding_box()
+    assert box is not None
+    mouse = chart.page.mouse
+    mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.2 * box["height"])
+    mouse.down()
+    mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.8 * box["height"], steps=5)
+    mouse.up()
+    chart.page.wait_for_timeout(300)
+    after = shown_steps(chart)
+    assert before[0] < after[0] < after[1] < before[1]
+    return after
+
+
+def shown_steps(chart: "Locator") -> list[float]:
+    return chart.evaluate("plot => plot.layout.xaxis.range.slice()")
+
+
+def record_another_return(run: Path, step: int) -> None:
+    (run / "metrics.parquet").unlink()
+    with (run / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"env_step": step, "eval/return": 1.0}) + "\n")
+
+
+def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
+    page = visit.page
+    page.goto(f"{visit.address}/?recording={PENDULUM_TOM}&runs={PENDULUM_TOM}")
+    see_a_curve_follow_its_run(visit, own / PENDULUM_TOM)
+    wait_until_drawn(page.locator("iframe"), 0.03)  # Rerun: the robot, the bars, the curves
+
+    visit.open("Compare", "compare")
+    page.locator(".js-plotly-plot").nth(1).wait_for()
+    take_the_table(page)
+    visit.open("Weights", "weights")
+    click_the_first_fit(page, own)
+    visit.open("Regions", "regions")
+    lasso_a_region(page)
+    visit.open("Probe", "probe")
+    page.get_by_label("Buffer of run", exact=True).wait_for()
+    visit.open("Replays", "replays")
+    play_an_episode(page)
+    see_it_in_rerun(page)
+    visit.open("Studies", "studies")
+    page.get_by_text("tom reproduce").first.wait_for()
+    visit.open("Road and rocks", "road")
+    wait_until_drawn(page.locator("iframe"), 0.03)  # viser: columns of weight
+    follow_a_short_link(visit)
+    assert visit.errors == []
+    assert visit.asked <= LOCAL
+
+
+def see_a_curve_follow_its_run(visit: Visit, run: Path) -> None:
+    """The chart shows a new return, and keeps the part that the reader has zoomed to."""
+    curve = visit.page.locator(".js-plotly-plot").first
+    curve.locator(".nsewdrag").first.wait_for()
+    zoomed = zoom_in(curve)
+    record_another_return(run, 5000)
+    deadline = time.monotonic() + DRAWN_S
+    while curve.evaluate("plot => plot.calcdata[0].at(-1).x") != 5000:
+        assert time.monotonic() < deadline, "the curve does not follow its run"
+        visit.page.wait_for_timeout(200)
+    assert shown_steps(curve) == zoomed
+
+
+def take_the_table(page: "Page") -> None:
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Single runs").click()
+    table = pd.read_csv(download.value.path())
+    assert set(table["run"]) == {run_id for run_id, *_ in RUNS}
+
+
+def click_the_first_fit(page: "Page", store: Path) -> None:
+    page.get_by_label("Run", exact=True).wait_for()
+    chart = page.locator(".js-plotly-plot").first
+    chart.locator(".hm").wait_for()
+    frame = chart.locator(".nsewdrag").first.bounding_box()
+    assert frame is not None
+    page.mouse.click(frame["x"] + 0.02 * frame["width"], frame["y"] + 0.5 * frame["height"])
+    page.wait_for_url("**/weights?*step=*")
+    chosen = int(parse_qs(urlsplit(page.url).query)["step"][0])
+    assert chosen == RunReader(store / PENDULUM_TOM).profiles().env_step[0]
+    page.get_by_text(f"The fit at step {chosen:,}").wait_for()
+
+
+def lasso_a_region(page: "Page") -> None:
+    chart = page.locator(".js-plotly-plot").first
+    chart.locator(".nsewdrag").first.wait_for()
+    frame = chart.locator(".nsewdrag").first.bounding_box()
+    assert frame is not None
+    corners = [(0.2, 0.2), (0.8, 0.2), (0.8, 0.8), (0.2, 0.8), (0.2, 0.25)]
+    places = [(frame["x"] + a * frame["width"], frame["y"] + b * frame["height"])
+              for a, b in corners]  # fmt: skip
+    heaviest = region_size(page)
+    page.mouse.move(*places[0])
+    page.mouse.down()
+    for place in places[1:]:
+        page.mouse.move(*place, steps=4)
+    page.mouse.up()
+    page.wait_for_url("**/regions?*outline=*")
+    deadline = time.monotonic() + DRAWN_S
+    while region_size(page) == heaviest:
+        assert time.monotonic() < deadline, "the lasso chose nothing"
+        page.wait_for_timeout(200)
+    inside, buffer = region_size(page)
+    assert heaviest[0] < inside < buffer
+
+
+def region_size(page: "Page") -> tuple[int, int]:
+    """Transitions in the region and in the buffer, as the page says."""
+    words = page.locator("p", has_text="In the region").first.inner_text()
+    inside, buffer = re.findall(r"[\d,]+(?= of | transitions)", words)
+    return int(inside.replace(",", "")), int(buffer.replace(",", ""))
+
+
+def play_an_episode(page: "Page") -> None:
+    """The robot moves: the frame's own clock goes on after a click on its button."""
+    frame = page.frame_locator("iframe").first
+    clock = frame.get_by_text(" s of ")
+    clock.wait_for()
+    before = clock.inner_text()
+    frame.get_by_role("button", name="Play").click()
+    deadline = time.monotonic() + DRAWN_S
+    while clock.inner_text() == before:
+        assert time.monotonic() < deadline, f"the replay stands at {before}"
+        page.wait_for_timeout(200)
+
+
+def see_it_in_rerun(page: "Page") -> None:
+    """The same episode, made into a recording when it is asked for."""
+    with page.expect_response("**/episode-*.rrd") as answer:
+        page.get_by_role("radio", name="Rerun").click()
+    assert answer.value.ok
+    wait_until_drawn(page.locator("iframe"), 0.01)
+
+
+def follow_a_short_link(visit: Visit) -> None:
+    """Who opens it sees the same."""
+    page = visit.page
+    page.goto(f"{visit.address}/compare?env=inverted-pendulum&logy=true")
+    page.get_by_text("1000 resamples").wait_for()
+    page.get_by_role("button", name="Link").click()
+    page.get_by_role("button", name="Make a short link").click()
+    link = page.get_by_text("/v/").first
+    link.wait_for()
+    page.goto(link.inner_text())
+    page.locator(".js-plotly-plot .nsewdrag").first.wait_for()
+    assert page.locator(".js-plotly-plot").count() == 1
+    assert "env=inverted-pendulum" in page.url
+    assert page.get_by_role("switch", name="log y").is_checked()

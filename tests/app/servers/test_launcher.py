@@ -1,0 +1,99 @@
+"""The launcher: one address, errors in one line, and an end without orphans."""
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from kernel import LOOPBACK, alive, descendants, listening
+from studio_runs import ROAD_TOM
+
+from app.__main__ import main
+from app.servers.processes import free_port, is_free
+
+START_S = 90
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
+    port = free_port("127.0.0.1")
+    command = [sys.executable, "-m", "app", "--store", str(store), "--port", str(port)]
+    studio = subprocess.Popen(
+        [*command, "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        assert studio.stdout is not None
+        line = studio.stdout.readline()
+        assert f"http://127.0.0.1:{port}" in line, line
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/health", timeout=10) as answer:
+            assert str(store) in answer.read().decode()
+        address = f"http://127.0.0.1:{port}/rrd/{ROAD_TOM}/run.rrd"
+        with urllib.request.urlopen(address, timeout=10) as answer:
+            assert answer.read() == (store / ROAD_TOM / "run.rrd").read_bytes()
+            assert answer.headers["Access-Control-Allow-Origin"].startswith("http://127.0.0.1:")
+        children = descendants(studio.pid)
+        assert len(children) >= 4  # Streamlit, viser, the hub and Rerun itself
+        assert {address for address, _ in listening(children)} <= LOOPBACK
+    finally:
+        studio.send_signal(signal.SIGTERM)
+        assert studio.wait(30) == 0
+    deadline = time.monotonic() + 10
+    while any(map(alive, children)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not [pid for pid in children if alive(pid)]
+    assert is_free("127.0.0.1", port)
+
+
+def test_a_port_that_is_taken_is_one_line_and_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["--store", str(tmp_path), "--port", str(port), "--no-browser"]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert f"port {port} is taken" in message
+    assert "--port" in message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--port", "99999"], "--port 99999"),
+        (["--port", "-1"], "--port -1"),
+        (["--host", "203.0.113.7"], "--host 203.0.113.7"),
+        (["--host", "no such host"], "--host no such host"),
+    ],
+)
+def test_bad_addresses_are_one_line_and_code_2(
+    arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--store", str(tmp_path), "--no-browser", *arguments]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    warned = [line for line in lines if "reachable from other machines" in line]
+    assert len(lines) == 1 + len(warned)  # of a host that others may reach it warns beforehand
+    assert words in lines[-1]
+
+
+def test_a_store_that_is_a_file_is_one_line_and_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs").write_text("")
+    assert main(["--store", str(tmp_path / "runs"), "--no-browser"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["--prot", "1"], ["--theme", "pink"], ["--port", "x"]])
+def test_unknown_arguments_are_code_2(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1

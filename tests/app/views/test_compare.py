@@ -1,0 +1,250 @@
+"""The Compare page on real recorded runs: its numbers are the runs' numbers."""
+
+import json
+import queue
+import shutil
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as hypothesis
+from streamlit.testing.v1 import AppTest
+from studio_pages import array, draw, figures, trace
+from studio_runs import PENDULUM_TOM
+
+from app.data.aggregate import Curve, aggregate
+from app.data.scores import BEST, FINAL, HEIGHT, default_level, reached, scores_of
+from app.links import Links
+from app.parts import shortlinks
+from app.scenes.control import Replay, Selection, listen
+from app.servers.pages import routes
+from tom.errors import UserError
+from tom.record import manage
+from tom.record.reader import RunReader
+from tom.record.store import Store
+
+pytestmark = pytest.mark.usefixtures("studio")
+SEEDS = ("pendulum-tom-0", "pendulum-tom-1")
+
+
+def recorded(store: Path, run_id: str, metric: str = "eval/return") -> tuple[list, list]:
+    rows = RunReader(store / run_id).metrics()[["env_step", metric]].dropna()
+    return rows["env_step"].tolist(), rows[metric].tolist()
+
+
+@pytest.fixture
+def own(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the store that a page may write to."""
+    path = shutil.copytree(store, tmp_path / "own")
+    for name, value in Links(store=str(path)).environment().items():
+        monkeypatch.setenv(name, value)
+    return path
+
+
+def click(app: AppTest, key: str) -> None:
+    next(button for button in app.button if button.key == key).click().run()
+    assert not app.exception
+
+
+def test_median_with_the_band_of_a_deviation(store: Path) -> None:
+    query = {"env": "inverted-pendulum", "statistic": "median", "band": "standard deviation"}
+    app = draw("compare", **query)
+    line = trace(figures(app)[0], name="TOM (n = 2)")
+    values = np.array([recorded(store, run_id)[1] for run_id in SEEDS])
+    assert array(line["y"]) == pytest.approx(np.median(values, axis=0))
+    band = trace(figures(app)[0], name="band")
+    assert array(band["y"])[-1] == pytest.approx((values.mean(0) - values.std(0, ddof=1))[0])
+    assert any("median over seeds" in caption.value for caption in app.caption)
+
+
+def test_wall_time_and_shares_of_the_run_as_the_axis(store: Path) -> None:
+    query = {"text": PENDULUM_TOM, "measure": "another metric", "metric": "weights/ess"}
+    steps, ess = recorded(store, PENDULUM_TOM, "weights/ess")
+    line = figures(draw("compare", **query, x="share of the run"))[0]["data"][-1]
+    assert array(line["x"]) == pytest.approx(np.array(steps) / 400)
+    line = figures(draw("compare", **query, x="wall time, minutes"))[0]["data"][-1]
+    frame = RunReader(store / PENDULUM_TOM).metrics()
+    at = frame[["env_step", "time/wall_s"]].dropna()
+    assert array(line["x"]) == pytest.approx(
+        np.interp(steps, at["env_step"], at["time/wall_s"]) / 60
+    )
+    assert array(line["y"]) == pytest.approx(ess)
+
+
+def test_log_axes_and_smoothing_are_said() -> None:
+    query = {"env": "inverted-pendulum", "logy": "true", "smoothing": "5 points"}
+    layout = figures(draw("compare", **query))[0]["layout"]
+    assert (layout["xaxis"]["type"], layout["yaxis"]["type"]) == ("linear", "log")
+    assert "smoothed" in layout["annotations"][0]["text"]
+
+
+def test_hidden_and_pinned_runs() -> None:
+    hidden = draw("compare", env="inverted-pendulum", hide="pendulum-mle-0")
+    assert hidden.dataframe[0].value["learner"].tolist() == ["TOM"]
+    pinned = draw("compare", env="road-and-rocks", pin="pendulum-mle-0")
+    assert set(pinned.dataframe[0].value["environment"]) == {"road-and-rocks", "inverted-pendulum"}
+
+
+def test_a_name_is_a_regular_expression() -> None:
+    app = draw("compare", text="tom-[1-9]$")
+    assert app.dataframe[0].value["seeds"].tolist() == ["1"]
+    assert "no regular expression" in draw("compare", text="[").warning[0].value
+
+
+def test_statistics_are_those_of_the_scores(store: Path) -> None:
+    app = draw("compare", show="Statistics", task="inverted-pendulum", env="inverted-pendulum")
+    profile, improvement = figures(app)[:2]
+    tom = np.array([recorded(store, run_id)[1][-1] for run_id in SEEDS])
+    mle = recorded(store, "pendulum-mle-0")[1][-1]
+    line = trace(profile, name="TOM", mode="lines")
+    shares = [(tom > at).mean() for at in array(line["x"])]
+    assert array(line["y"]) == pytest.approx(shares)
+    wins = np.mean([1.0 if mle > t else 0.5 if mle == t else 0.0 for t in tom])
+    assert array(improvement["data"][0]["x"]) == pytest.approx([wins])
+    aggregates, reached = (frame.value for frame in app.dataframe)
+    assert aggregates.set_index("group").loc["TOM", "mean"].startswith(f"{tom.mean():.4g}")
+    app.number_input[0].set_value(float(tom.min())).run()
+    reached = app.dataframe[1].value.set_index("group")
+    assert reached.loc["TOM", "reached"] == "2 of 2"
+    app.selectbox(key="score").select(BEST).run()
+    everything = [recorded(store, run_id)[1] for run_id in (*SEEDS, "pendulum-mle-0")]
+    best = np.array([max(values) for values in everything])
+    assert app.number_input[0].value == default_level(best)
+
+
+def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
+    step, value = np.array([100, 200, 300]), np.array([1.0, 5.0, 2.0])
+    curve = Curve("a", "ant", "tom", "paper", 0, step, value)
+    group = aggregate([curve])
+    assert scores_of(group, FINAL, 200).tolist() == [5]
+    assert scores_of(group, FINAL, 299).tolist() == [5]
+    assert scores_of(group, BEST, 100).tolist() == [1]
+    assert scores_of(group, HEIGHT, 200).tolist() == [3]
+    assert scores_of(group, HEIGHT, 100).tolist() == [1]
+
+
+def test_the_steps_to_a_value_are_those_up_to_the_step_that_every_run_reaches() -> None:
+    step = np.array([100, 200, 300])
+    long = Curve("a", "ant", "tom", "paper", 0, step, np.array([1.0, 2.0, 9.0]))
+    short = Curve("b", "ant", "mle", "paper", 0, step[:2], np.array([1.0, 5.0]))
+    table = reached([aggregate([long]), aggregate([short])], ["TOM", "MLE"], 5.0, until=200)
+    assert table["reached"].tolist() == ["0 of 1", "1 of 1"]
+    assert table["first"].tolist()[1] == 200
+
+
+@settings(deadline=None)
+@given(hypothesis.floats(-1e5, 1e5), hypothesis.floats(1e-3, 1e4), hypothesis.integers(2, 9))
+def test_the_level_lies_between_the_worst_and_the_best_run(
+    low: float, spread: float, runs: int
+) -> None:
+    scores = np.linspace(low, low + spread, runs)
+    assert scores.min() < default_level(scores) < scores.max()
+    assert default_level(np.array([3456.7])) == 3456.7
+
+
+def test_side_by_side_has_linked_axes(store: Path) -> None:
+    app = draw("compare", show="Side by side", env="inverted-pendulum")
+    figure = figures(app)[0]
+    lines = [part for part in figure["data"] if part["type"] == "scatter"]
+    maps = [part for part in figure["data"] if part["type"] == "heatmap"]
+    assert len(lines) == len(maps) == 2
+    for line in lines:
+        assert array(line["y"]).tolist() == recorded(store, line["meta"])[1]
+    layout = figure["layout"]
+    assert {layout[axis].get("matches") for axis in ("xaxis2", "xaxis3", "xaxis4")} == {"x"}
+    assert (layout["yaxis2"]["matches"], layout["yaxis4"]["matches"]) == ("y", "y3")
+
+
+def test_play_all_starts_every_replay_of_the_page(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: queue.Queue[tuple[str, Selection]] = queue.Queue()
+    control = tmp_path / "control"
+    listening = (str(control), lambda *words: told.put(words))
+    threading.Thread(target=listen, args=listening, daemon=True).start()
+    links = Links(store=str(store), viser_port=9, control=str(control))
+    for name, value in links.environment().items():
+        monkeypatch.setenv(name, value)
+    while not control.exists():
+        time.sleep(0.01)
+    app = draw("compare", show="Side by side", env="inverted-pendulum")
+    next(button for button in app.button if button.label == "Play all").click().run()
+    before, after = [dict(told.get(timeout=30) for _ in range(2)) for _ in range(2)]
+    assert before.keys() == after.keys()
+    for selections, played in ((before, 0), (after, 1)):
+        for selection in selections.values():
+            assert selection.compact
+            assert isinstance(selection.choice, Replay)
+            assert (selection.choice.step, selection.choice.played) == (400, played)
+
+
+def test_settings_show_only_what_differs() -> None:
+    app = draw("compare", show="Settings", env="inverted-pendulum")
+    table = app.dataframe[0].value.set_index("setting")
+    assert sorted(table.loc["seed"]) == ["0", "0", "1"]
+    assert sorted(table.loc["learner"]) == ["mle", "tom", "tom"]
+    assert "sac.lr" not in table.index
+
+
+def test_a_run_gets_a_name_and_a_tag_and_is_found_by_them(own: Path) -> None:
+    app = draw("compare", show="Runs")
+    app.multiselect(key="labelled").select(PENDULUM_TOM).run()
+    app.text_input[-1].input("the good one")
+    app.text_area[0].input("look at step 400")
+    next(button for button in app.button if button.label == "Save").click().run()
+    assert not app.exception
+    labels = RunReader(own / PENDULUM_TOM).labels
+    assert (labels.name, labels.note) == ("the good one", "look at step 400")
+    manage.tag(Store(own), PENDULUM_TOM, add=["keep"])
+    app = draw("compare", show="Runs", tag="keep", text="GOOD")
+    assert app.dataframe[0].value["run"].tolist() == [PENDULUM_TOM]
+    assert not app.warning
+
+
+def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) -> None:
+    manage.tag(Store(own), SEEDS[0], add=["ours", "shared", "gone"])
+    manage.tag(Store(own), SEEDS[1], add=["shared", "gone"])
+    app = draw("compare", show="Runs")
+    app.multiselect(key="labelled").set_value(list(SEEDS)).run()
+    tags = next(part for part in app.multiselect if part.label == "Tags of these 2 runs")
+    assert sorted(tags.value) == ["gone", "shared"]
+    tags.set_value(["shared", "new"])
+    next(button for button in app.button if button.label == "Save").click().run()
+    assert not app.exception
+    held = [set(RunReader(own / run_id).labels.tags) for run_id in SEEDS]
+    assert held == [{"ours", "shared", "new"}, {"shared", "new"}]
+
+
+def test_a_run_goes_to_the_trash_and_comes_back(own: Path) -> None:
+    app = draw("compare", show="Runs")
+    app.multiselect(key="labelled").select(PENDULUM_TOM).run()
+    click(app, "trash")
+    assert not (own / PENDULUM_TOM).exists()
+    app.multiselect(key="restored").select(PENDULUM_TOM).run()
+    next(button for button in app.button if button.label == "Bring back").click().run()
+    assert (own / PENDULUM_TOM / "config.json").exists()
+
+
+def test_a_short_link_leads_to_the_same_view(own: Path) -> None:
+    code = shortlinks.save(own, "compare", "env=hopper&x=a%2Fb")
+    assert code == shortlinks.save(own, "compare", "env=hopper&x=a%2Fb")
+    assert shortlinks.target(own, code) == "/compare?env=hopper&x=a%2Fb"
+    assert not Store(own).problems
+    held = own / ".views" / f"{code}.json"
+    held.write_text(json.dumps({"page": "/evil.example", "query": ""}))
+    assert shortlinks.target(own, code) is None
+    assert shortlinks.target(own, "../../etc") is None
+    assert any(route.path == "/v/{code}" for route in routes(Links(store=str(own))))
+
+
+def test_a_view_that_cannot_be_kept_is_refused_in_a_sentence(own: Path) -> None:
+    with pytest.raises(UserError, match="holds 8,000 characters, this view has 8,001"):
+        shortlinks.save(own, "compare", "x" * 8001)
+    assert not (own / ".views").exists()
+    (own / ".views").write_text("in the way")
+    app = draw("compare", env="inverted-pendulum")
+    click(app, "short link")
+    assert "cannot be kept" in app.error[0].value

@@ -1,0 +1,226 @@
+"""Probe: stored weighings of a run's buffer, and what the learners' models err."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from studio_pages import array, draw, figures, trace
+from studio_runs import PENDULUM_TOM, info
+
+from app.data import buffer_reader, weighings
+from app.links import Links
+from app.parts import widgets
+from app.views.probe.model_error import focus_values, in_turn
+from tom.analysis.progression import progression
+from tom.cli import main
+from tom.record.reader import RunReader
+
+pytestmark = pytest.mark.usefixtures("weighed")
+ROWS = 400
+
+
+@pytest.fixture(scope="module")
+def results(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A real weighing of the pendulum's buffer, small."""
+    out = tmp_path_factory.mktemp("probe") / "made"
+    words = [
+        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--learner", "tom", "pmac", "mle",
+        "--seeds", "0", "1", "--preset", "paper", "--footprint", "100", "--store", str(store),
+        "--tom.discriminator-steps", "30", "--tom.q-steps", "30", "--tom.q-hidden", "32",
+        "--tom.discriminator-hidden", "32", "--matmul", "default", "--out", str(out),
+    ]  # fmt: skip
+    assert main(words) == 0
+    return out
+
+
+@pytest.fixture
+def weighed(
+    studio: Links, store: Path, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """The studio shows a store with that weighing."""
+    there = tmp_path / "store"
+    shutil.copytree(store, there, copy_function=os.link)
+    shutil.copytree(results, there / "weighings" / "made")
+    for name, value in Links(store=str(there)).environment().items():
+        monkeypatch.setenv(name, value)
+    return there / "weighings" / "made"
+
+
+@pytest.mark.parametrize(("towers", "axis"), [(0.5, "log"), (1e9, "linear")])
+def test_where_one_learners_weights_tower_they_are_on_a_log_axis(
+    towers: float, axis: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(widgets, "TOWERS", towers)
+    app = draw("probe", run=PENDULUM_TOM)
+    assert figures(app)[0]["layout"]["yaxis"]["type"] == axis
+
+
+def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
+    run = info(weighed.parents[1], PENDULUM_TOM)
+    found = weighings.of_run(run, ROWS)
+    assert [w.name for w in found] == ["made"]
+    assert found[0].policy == PENDULUM_TOM
+    assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0"), ROWS) == []
+    assert found[0].missing(ROWS) == ""
+    assert weighings.of_run(run, ROWS - 1) == []
+    table = pd.read_parquet(weighed / "weights.parquet")
+    of = weighings.weights(found[0])
+    assert set(of) == {(name, seed) for name in ("tom", "pmac", "mle") for seed in (0, 1)}
+    assert of["tom", 1] == pytest.approx(table["tom-s1"].to_numpy())
+
+
+def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) -> None:
+    path = weighed.parents[1] / PENDULUM_TOM / "buffer"
+    shutil.copy(path / "000000000.npz", path / f"{ROWS:09d}.npz")
+    app = draw("probe", run=PENDULUM_TOM)
+    assert trace(figures(app)[0], meta="tom")
+    assert any(f"first {ROWS} of now {2 * ROWS} trans" in words.value for words in app.caption)
+    run = info(weighed.parents[1], PENDULUM_TOM)
+    [found] = weighings.of_run(run, 2 * ROWS)
+    rows = buffer_reader.weighed_rows(run, weighings.weights(found)["tom", 0], found.end)
+    assert rows is not None
+    assert (rows.first, len(rows)) == (0, ROWS)
+
+
+def test_damaged_weighings_are_left_out(weighed: Path) -> None:
+    run = info(weighed.parents[1], PENDULUM_TOM)
+    (weighed / "weights.parquet").write_bytes(b"torn")
+    assert weighings.weights(weighings.of_run(run, ROWS)[0]) == {}
+    assert draw("probe", run=PENDULUM_TOM).warning
+    (weighed / "report.json").write_text("[")
+    assert weighings.of_run(run, ROWS) == []
+
+
+def test_the_page_lays_all_learners_over_one_buffer(weighed: Path) -> None:
+    app = draw("probe", run=PENDULUM_TOM)
+    table = pd.read_csv(weighed / "profile.csv")
+    for learner in ("tom", "pmac", "mle"):
+        line = trace(figures(app)[0], meta=learner)
+        of = table[table["learner"] == learner].groupby("bin")["mean_weight"]
+        assert array(line["y"]) == pytest.approx(np.array(of.median()), rel=1e-3, abs=1e-5)
+    report = json.loads((weighed / "report.json").read_text())
+    split = figures(app)[0]["layout"]["shapes"][1]
+    assert split["x0"] == pytest.approx(100 * report["ordered_from"] / ROWS)
+    shown = app.dataframe[0].value.set_index("learner")
+    weights = pd.read_parquet(weighed / "weights.parquet")
+    expected = [
+        progression(weights[f"tom-s{s}"].to_numpy(), report["ordered_from"]) for s in (0, 1)
+    ]
+    assert shown.loc["TOM", "ESS"] == pytest.approx(np.median([p.ess for p in expected]))
+    assert shown.loc["MLE", "random"] == pytest.approx(1)
+
+
+def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
+    there = weighed.parents[1]
+    step = RunReader(there / PENDULUM_TOM).policy_steps()[1]
+    address = f"/probe?run={PENDULUM_TOM}&at={step}"
+    app = draw("weights", run=PENDULUM_TOM, step=str(step))
+    assert any(address in words.value for words in app.caption)
+    asked = draw("probe", run=PENDULUM_TOM, at=str(step))
+    assert f"--policy {PENDULUM_TOM} --step {step} " in asked.code[-1].value
+    assert asked.selectbox(key="weigh policy").value == PENDULUM_TOM
+
+    words = [
+        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--step", str(step), "--seeds", "0",
+        "--learner", "pmac", "vagram", "--footprint", "50", "--matmul", "default",
+    ]  # fmt: skip
+    assert main([*words, "--store", str(there)]) == 0
+    made = next((there / "weighings").glob(f"*-at-{step}-*"))
+    profile = pd.read_csv(made / "profile.csv").set_index(["learner", "bin"])["mean_weight"]
+    app = draw("weights", run=PENDULUM_TOM, step=str(step))
+    assert not any(address in words.value for words in app.caption)
+    shown = next(f for f in figures(app) if any(t.get("meta") == "vagram" for t in f["data"]))
+    for learner in ("pmac", "vagram"):
+        line = array(trace(shown, meta=learner)["y"])
+        assert line == pytest.approx(np.asarray(profile[learner]), rel=1e-3)
+    there_too = f"{address}&weighed={made.name})"
+    assert any(there_too in words.value for words in app.markdown)
+    (weighed.parent / "made" / "report.json").touch()  # newest, of the whole buffer
+    whole = draw("probe", run=PENDULUM_TOM, at=str(step), weighed=made.name)
+    held = f"the {step} transitions that the buffer held at step {step}, of {ROWS} that"
+    assert any(held in note.value for note in whole.caption)
+
+
+def test_a_fit_of_another_run_is_not_asked_for() -> None:
+    app = draw("probe", run=PENDULUM_TOM, at="7")
+    assert app.selectbox(key="at").value == "the end"
+    assert any("keeps no policy of step 7: its end" in note.value for note in app.caption)
+    assert not any("Left out" in note.value for note in app.caption)
+
+
+def test_a_buffer_that_nobody_weighed_says_so() -> None:
+    app = draw("probe", run="pendulum-mle-0")
+    assert any("Nobody has weighed" in note.value for note in app.info)
+    assert any("tom weigh pendulum-mle-0" in code.value for code in app.code)
+
+
+@pytest.mark.slow
+def test_the_page_starts_a_weighing_and_shows_it() -> None:
+    app = draw("probe", run="pendulum-mle-0")
+    app.multiselect(key="weigh learners").set_value(["mle", "pmac"])
+    app.number_input(key="weigh seeds").set_value(1)
+    app.button(key="weigh").click().run()
+    begun = app.session_state["weighing"]
+    assert begun.process.wait(60) == 0, begun.tail()
+    app.run()
+    assert not app.exception
+    assert [trace(figures(app)[0], meta=name)["meta"] for name in ("mle", "pmac")]
+
+
+def test_every_kept_model_is_asked_about_the_same_buffer(store: Path) -> None:
+    run, other = info(store, PENDULUM_TOM), info(store, "pendulum-mle-0")
+    own, theirs = buffer_reader.errors_on(run, run), buffer_reader.errors_on(run, other)
+    assert own is not None
+    assert theirs is not None
+    assert len(own) == len(theirs) == ROWS
+    line = trace(figures(draw("probe", run=PENDULUM_TOM))[1], name="TOM s0 (its own)")
+    assert array(line["y"]) == pytest.approx(own.reshape(20, -1).mean(1))
+
+
+@pytest.mark.parametrize("torn", ["every segment", "the first of two"])
+def test_a_buffer_that_cannot_be_read_is_no_error(
+    torn: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "store" / "torn")
+    [segment] = (run / "buffer").glob("*.npz")
+    if torn == "the first of two":
+        shutil.copy(segment, segment.with_name("000000400.npz"))
+    segment.write_bytes(b"torn")
+    for name, value in Links(store=str(tmp_path / "store")).environment().items():
+        monkeypatch.setenv(name, value)
+    app = draw("probe", run="torn")
+    assert bool(app.warning) == (torn == "every segment")
+    shown = any("whose errors could be shown" in words.value for words in app.caption)
+    assert shown == (torn == "the first of two")
+
+
+def test_models_of_all_learners_come_before_a_learners_second_one(store: Path) -> None:
+    runs = [info(store, name) for name in ("pendulum-tom-1", PENDULUM_TOM, "pendulum-mle-0")]
+    turns = [run.run_id for run in in_turn(runs[1], runs)]
+    assert turns == [PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0"]
+    turns = [run.run_id for run in in_turn(runs[2], runs)]
+    assert turns == ["pendulum-mle-0", "pendulum-tom-1", PENDULUM_TOM]
+
+
+def test_does_it_help_shows_what_the_runs_measured(store: Path) -> None:
+    runs = [info(store, name) for name in (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")]
+    found = focus_values(runs, "model/error_policy", "model/error_other")
+    assert {name: len(values) for name, values in found.items()} == {"tom": 2, "mle": 1}
+    recorded = RunReader(store / "pendulum-mle-0").metrics()["model/error_policy"].dropna()
+    assert found["mle"][0][1] == recorded.iloc[-1]
+    one_step = figures(draw("probe", run=PENDULUM_TOM))[2]
+    line = trace(one_step, meta="pendulum-mle-0")
+    assert array(line["y"]).tolist() == list(found["mle"][0][1:])
+
+
+def test_regions_can_show_a_weighings_weights(weighed: Path) -> None:
+    weight = pd.read_parquet(weighed / "weights.parquet")["tom-s1"].to_numpy()
+    app = draw("regions", run=PENDULUM_TOM, weights="TOM s1, made")
+    table = app.dataframe[0].value.set_index("")
+    heaviest = np.sort(weight)[-round(0.01 * ROWS) :]
+    assert table.loc["mean weight", "region"] == f"{heaviest.mean():,.2f}"
+    assert table.loc["transitions", "buffer"] == str(ROWS)

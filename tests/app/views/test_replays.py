@@ -1,0 +1,207 @@
+"""Replays: the episodes that were recorded, and what the run's own model makes of them."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+import torch
+from studio_pages import array, draw, figures, trace
+from studio_runs import PENDULUM_TOM, ROAD_TOM
+
+from app.data import replays
+from app.data.replays import ROAD_DT, Replay
+from app.figures.replay import error_curve
+from app.links import Links
+from app.scenes import solids
+from app.scenes.replay import track
+from app.servers import pages
+from tom.analysis.imagine import kept_model
+from tom.record.reader import RunReader
+
+pytestmark = pytest.mark.usefixtures("studio")
+
+
+@pytest.fixture
+def run(store: Path) -> RunReader:
+    return RunReader(store / PENDULUM_TOM)
+
+
+def loaded(run: RunReader, step: int, horizon: int = 10) -> Replay:
+    found = replays.load(run, step, 0, horizon)
+    assert found is not None
+    return found
+
+
+def test_a_replay_is_the_recorded_episode_and_a_ghost(run: RunReader) -> None:
+    replay = loaded(run, 400)
+    episode = run.episodes(400)[0]
+    assert replay.real == pytest.approx(episode.qpos)
+    assert replay.ghost is not None
+    assert replay.ghost[0] == pytest.approx(replay.real[0], abs=1e-6)
+    assert replay.model_step == 400
+    assert replay.no_ghost == ""
+    assert len(replay.error) == episode.length
+
+
+def test_the_ghost_of_one_step_is_nearer_than_that_of_many(run: RunReader) -> None:
+    assert loaded(run, 400, 1).error.mean() < loaded(run, 400, 50).error.mean()
+
+
+def test_a_dimension_that_stands_still_has_no_part_in_the_distance(run: RunReader) -> None:
+    whole = loaded(run, 400)
+    still, off = np.zeros((len(whole.real), 1), np.float32), np.ones((len(whole.real), 1))
+    more = with_states(whole, np.hstack([whole.episode.obs, still]), off)
+    assert more.error == pytest.approx(whole.error)
+    only = with_states(whole, still, off, alone=True)
+    assert np.isnan(only.error).all()
+    assert "no distance" in error_curve(only, 0, 200).to_dict()["layout"]["annotations"][0]["text"]
+    assert "annotations" not in error_curve(whole, 0, 200).to_dict()["layout"]
+
+
+def with_states(
+    replay: Replay, obs: np.ndarray, beside: np.ndarray, *, alone: bool = False
+) -> Replay:
+    """The replay with other states, imagined as they were with `beside` as their last dimension."""
+    assert replay.imagined is not None
+    imagined = beside if alone else np.hstack([replay.imagined.obs, beside])
+    return replace(
+        replay,
+        episode=replace(replay.episode, obs=obs),
+        imagined=replace(replay.imagined, obs=imagined),
+    )
+
+
+def test_an_episode_that_is_not_there_is_none(run: RunReader) -> None:
+    assert replays.load(run, 400, 99, 10) is None
+    assert replays.load(run, 401, 0, 10) is None
+
+
+def test_a_run_without_a_model_has_no_ghost(store: Path, tmp_path: Path) -> None:
+    bare = shutil.copytree(store / PENDULUM_TOM, tmp_path / "bare")
+    shutil.rmtree(bare / "checkpoint")
+    replay = loaded(RunReader(bare), 400)
+    assert replay.ghost is None
+    assert "no dynamics model" in replay.no_ghost
+
+
+def test_another_model_of_the_same_step_imagines_another_ghost(store: Path, tmp_path: Path) -> None:
+    own = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    run = RunReader(own)
+    before = loaded(run, 400)
+    assert loaded(run, 400) is before  # kept, as nothing has changed
+    shutil.rmtree(own / "checkpoint")
+    shutil.copytree(store / "pendulum-tom-1" / "checkpoint", own / "checkpoint")
+    after = loaded(run, 400)
+    assert before.model_step == after.model_step == 400
+    assert before.ghost is not None
+    assert after.ghost is not None
+    assert not np.array_equal(before.ghost, after.ghost)
+    assert np.array_equal(before.real, after.real)
+
+
+def test_another_run_of_the_same_name_is_replayed(store: Path, tmp_path: Path) -> None:
+    own = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    before = loaded(RunReader(own), 400)
+    shutil.rmtree(own)
+    shutil.copytree(store / "pendulum-mle-0", own)
+    after = loaded(RunReader(own), 400)
+    assert (before.learner, after.learner) == ("tom", "mle")
+    assert not np.array_equal(before.episode.action, after.episode.action)
+
+
+def test_road_and_rocks_is_replayed_on_its_map(store: Path) -> None:
+    run = RunReader(store / ROAD_TOM)
+    replay = loaded(run, run.evaluation_steps()[-1], 5)
+    assert replay.road is not None
+    assert replay.dt == ROAD_DT
+    assert replay.ghost is not None
+    _, following = kept_model(run).predictor.predict(*first_step(replay))
+    assert replay.ghost[1] == pytest.approx(following[0].numpy(), abs=1e-6)
+    driven = track(replay.env, replay.real)
+    assert driven.root[:, :2] == pytest.approx(replay.real, abs=0.01)
+
+
+def first_step(replay: Replay) -> tuple[torch.Tensor, torch.Tensor]:
+    episode = replay.episode
+    return torch.from_numpy(episode.obs[:1]), torch.from_numpy(episode.action[:1])
+
+
+def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
+    app = draw("replays", run=PENDULUM_TOM, episode="2", frame="3")
+    episodes = run.episodes(400)
+    values = {metric.label: metric.value for metric in app.metric}
+    assert values["return"] == f"{episodes[1].undiscounted_return:,.1f}"
+    assert values["length"] == f"{episodes[1].length:,} steps"
+    returns, reward, error = figures(app)
+    chosen = trace(returns, name="the one shown")
+    assert array(chosen["x"]).tolist() == [400]
+    assert array(chosen["y"]) == pytest.approx([episodes[1].undiscounted_return])
+    assert chosen["meta"] == [2]
+    curve = trace(returns, name="mean of the evaluation")
+    mean = run.metrics()[["env_step", "eval/return"]].dropna()
+    assert array(curve["x"]).tolist() == mean["env_step"].tolist()
+    assert array(curve["y"]) == pytest.approx(np.array(mean["eval/return"]))
+    replay = replays.load(run, 400, 1, 25)
+    assert replay is not None
+    assert array(trace(reward, name="real")["y"]) == pytest.approx(episodes[1].reward)
+    assert reward["layout"]["shapes"][0]["x0"] == pytest.approx(3 * replay.dt)
+    assert array(error["data"][0]["y"]) == pytest.approx(replay.error)
+
+
+def test_an_episode_can_be_had_for_rerun(store: Path) -> None:
+    content = pages.episode(str(store), PENDULUM_TOM, 400, 1, 25)
+    assert content is not None
+    assert content.startswith(b"RRF2")
+    assert pages.episode(str(store), PENDULUM_TOM, 400, 99, 25) is None
+    assert pages.episode(str(store), "../etc", 400, 0, 25) is None
+
+
+def test_the_page_shows_the_chosen_episode_in_rerun(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (
+        Links(store=str(store), port=8600, rerun_web_port=9090).environment().items()
+    ):
+        monkeypatch.setenv(name, value)
+    app = draw("replays", run=PENDULUM_TOM, episode="2", ghost="10 steps", viewer="Rerun")
+    [frame] = app.get("iframe")
+    [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
+    assert urlsplit(address).path == f"/rrd/{PENDULUM_TOM}/episode-400-1-10.rrd"
+
+
+def test_the_page_says_whose_model_imagines() -> None:
+    app = draw("replays", run=ROAD_TOM, step="30")
+    assert any("not the model of step 30" in caption.value for caption in app.caption)
+    app = draw("replays", run=ROAD_TOM, step="60")
+    assert any("the run's model of step 60" in caption.value for caption in app.caption)
+
+
+def test_a_frame_of_a_longer_episode_is_forgotten() -> None:
+    app = draw("replays", run=PENDULUM_TOM, step="400", frame="999", episode="77")
+    assert app.slider(key="frame").value == 0
+    assert app.selectbox(key="episode").value == 1
+
+
+def test_a_capsule_is_closed_and_as_long_as_it_says() -> None:
+    vertices, faces = solids.capsule(0.1, 0.3)
+    assert np.abs(vertices[:, 2]).max() == pytest.approx(0.4)
+    assert np.linalg.norm(vertices[:, :2], axis=1).max() == pytest.approx(0.1)
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1) / 2
+    exact = 4 * np.pi * 0.1**2 + 2 * np.pi * 0.1 * 0.6
+    assert area.sum() == pytest.approx(exact, rel=0.05)
+    centre = corners.mean(1) * (1, 1, 0)
+    side = np.abs(corners[..., 2]).max(1) <= 0.3 + 1e-6
+    assert ((normal * centre).sum(1)[side] > 0).all()  # seen from outside
+
+
+def test_a_car_looks_where_it_drives() -> None:
+    line = np.array([[0, 0], [0.1, 0], [0.1, 0.1]])
+    assert solids.headings(line) == pytest.approx([0, np.pi / 2, np.pi / 2])
+    car = solids.car(line)
+    assert car.position[:, 0, :2] == pytest.approx(line)
+    assert car.wxyz[1, 0] == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])

@@ -1,0 +1,92 @@
+"""Pages on a small copy without buffer, model and policy: they say that those were left out."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import streamlit as st
+from streamlit.testing.v1 import AppTest
+from studio_pages import draw
+from studio_runs import info
+
+from app.data import readers
+from app.links import Links
+from app.parts import empty
+from app.parts.widgets import differs, most_telling
+from app.views.compare.labels import overview
+from tom.record import RunReader, Store
+from tom.record.export import export_small
+from tom.reports.index import small_copies
+
+GALLERY = Path(__file__).parents[3] / "runs"
+TOM = [r for r in small_copies(Store(GALLERY)) if r.learner == "tom"]
+ROAD, PENDULUM = (
+    next(run for run in TOM if run.env == env) for env in ("road-and-rocks", "inverted-pendulum")
+)
+
+
+@pytest.fixture
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Copies of two runs of the gallery; nothing of them is small enough to be kept."""
+    monkeypatch.setattr("tom.record.thin.SMALL", 100)
+    for run in (ROAD, PENDULUM):
+        export_small(run, tmp_path)
+    for name, value in Links(store=str(tmp_path)).environment().items():
+        monkeypatch.setenv(name, value)
+    yield tmp_path
+    st.cache_data.clear()
+    st.cache_resource.clear()
+
+
+def said(app: AppTest) -> str:
+    assert not app.warning
+    return "\n".join(part.value for part in [*app.caption, *app.info])
+
+
+@pytest.mark.usefixtures("bare")
+@pytest.mark.parametrize(
+    ("view", "run", "words"),
+    [
+        ("weights", PENDULUM, "Left out of this small copy: buffer."),
+        ("regions", PENDULUM, "Left out of this small copy: buffer."),
+        ("road", ROAD, "Left out of this small copy: buffer"),
+        ("replays", PENDULUM, "kept no dynamics model\\: left out of this small copy."),
+        ("replays", PENDULUM, "Left out of this small copy: other evaluations, other episodes."),
+        ("probe", PENDULUM, "Left out of the small copy in this store: buffer."),
+    ],
+)
+def test_what_was_left_out_is_named(view: str, run: RunReader, words: str) -> None:
+    assert words in said(draw(view, run=run.run_id))
+
+
+def test_of_a_whole_run_nothing_was_left_out(bare: Path) -> None:
+    shown = info(bare, PENDULUM.run_id)
+    assert not empty.left_out(shown, "episodes")
+    assert not empty.left_out_of_all([shown], "episodes")
+
+
+def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:
+    config = bare / ROAD.run_id / "config.json"
+    content = json.loads(config.read_text())
+    del content["thinned"]
+    config.write_text(json.dumps(content))
+    copy, whole = info(bare, PENDULUM.run_id), info(bare, ROAD.run_id)
+    assert list(overview([copy, whole])["state"]) == ["finished (a small copy)", "finished"]
+    (bar,) = draw("live", runs=PENDULUM.run_id).get("progress")
+    assert bar.proto.text.endswith(" steps · a small copy")
+    (bar,) = draw("live", runs=ROAD.run_id).get("progress")
+    assert bar.proto.text.endswith(" steps")
+
+
+def test_pages_open_with_ones_own_newest_run_and_else_with_toms_longest_copy(store: Path) -> None:
+    copies = readers.listing(str(GALLERY)).runs
+    first = most_telling(copies)
+    assert (first.env, first.learner) == ("hopper", "tom")
+    assert "buffer" not in first.left_out  # as its twin of another seed's is
+    own = readers.listing(str(store)).runs
+    mixed = [*copies, *own]
+    newest = next(run for run in own if differs(run))
+    assert most_telling(mixed) == newest
+    uniform = [run for run in copies if run.learner == "mle"]
+    assert most_telling(uniform).status.env_step == max(run.status.env_step for run in uniform)

@@ -1,0 +1,141 @@
+"""The numbers of a weight progression by hand, and the study's verdicts."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tom.analysis.progression import medians, progression, rank_correlation, same_profile
+from tom.analysis.weighing import Weighed
+from tom.studies.progression import Condition, Finding, Result, checks
+from tom.studies.progression_files import table, write
+
+
+def stairs() -> np.ndarray:
+    """20 bins of 5 rows: ten of weight 0.2, then 0.8, 0.9, ..., 1.6 and 4; mean 0.76."""
+    steps = [0.2] * 10 + [0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 2.4]
+    return np.repeat(steps, 5)
+
+
+def test_a_staircase_by_hand():
+    report = progression(stairs(), ordered_from=50)
+    mean = (10 * 0.2 + 13.2) / 20
+    assert report.random_mean == pytest.approx(0.2 / mean)
+    assert report.deciles[0] == pytest.approx(0.8 / mean)
+    assert report.last_two == pytest.approx((1.6 + 2.4) / 2 / mean)
+    assert report.spearman == pytest.approx(1)
+    assert report.first_rise == 1  # 0.8 / 0.76 is above 1
+    assert report.rises_before_end
+    assert report.ess == pytest.approx(mean**2 / np.mean(stairs() ** 2))
+    assert report.zeros == 0
+
+
+def test_only_the_mean_weight_is_the_unit():
+    seven, one = progression(7 * stairs(), 50), progression(stairs(), 50)
+    assert seven.deciles == pytest.approx(one.deciles)
+    assert seven.last_two == pytest.approx(one.last_two)
+
+
+def test_weights_that_rise_at_the_very_end_only():
+    weights = np.concatenate([np.full(95, 0.1), np.full(5, 20.0)])
+    report = progression(weights, ordered_from=50)
+    assert report.first_rise == 10
+    assert not report.rises_before_end
+
+
+def test_uniform_weights_rise_nowhere_and_correlate_with_nothing():
+    report = progression(np.ones(100), ordered_from=50)
+    assert report.first_rise is None
+    assert not report.rises_before_end
+    assert report.spearman == 0
+    assert report.random_mean == report.last_two == 1
+
+
+def test_without_a_random_part():
+    report = progression(np.arange(1.0, 41.0), ordered_from=0)
+    assert report.random_mean is None
+    assert report.spearman == pytest.approx(1)
+    assert medians([report, report])["random_mean"] is None
+
+
+def test_no_ordered_rows_is_an_error():
+    with pytest.raises(ValueError, match="no ordered rows"):
+        progression(np.ones(10), ordered_from=10)
+
+
+def test_rank_correlation_with_ties_by_hand():
+    # Ranks of y: 1.5, 1.5, 3, 4. Covariance with 1..4: 4.5 over sqrt(5 * 4.5).
+    y = np.array([2.0, 2.0, 5.0, 9.0])
+    assert rank_correlation(np.arange(4), y) == pytest.approx(4.5 / np.sqrt(5 * 4.5))
+
+
+def test_the_same_profile_whatever_the_scale():
+    assert same_profile(stairs(), stairs() ** 2) == pytest.approx(1)
+    assert same_profile(stairs(), stairs()[::-1].copy()) < 0
+
+
+def weighed(learner: str, seed: int, weights: np.ndarray) -> Weighed:
+    return Weighed(learner, seed, weights.astype(np.float32), None, {}, (), None)
+
+
+def rising() -> np.ndarray:
+    """A thousand rows: about 0.1, then rising steadily."""
+    noise = np.random.default_rng(0).uniform(0.9, 1.1, 1000)
+    return np.concatenate([np.full(500, 0.1), np.linspace(0.2, 8, 500) ** 1.5]) * noise
+
+
+def conditions(own: np.ndarray, turned: np.ndarray, moved: np.ndarray) -> list[Result]:
+    recent = np.concatenate([np.zeros(900), np.arange(100.0)])
+    at_random = np.random.default_rng(0).permutation(recent)
+
+    def case(condition: Condition, tom: np.ndarray, pmac: np.ndarray) -> Result:
+        found = [weighed("tom", seed, tom) for seed in range(3)]
+        found += [weighed("pmac", seed, pmac) for seed in range(3)]
+        return Result("halfcheetah-s0", "halfcheetah", 500, condition, "exact", tuple(found))
+
+    parts = case("own", own, recent), case("random", turned, recent)
+    return [*parts, case("shuffled", moved, at_random)]
+
+
+def study(own: np.ndarray, turned: np.ndarray, moved: np.ndarray) -> list[Finding]:
+    return checks(conditions(own, turned, moved))
+
+
+def test_a_profile_that_follows_the_policy_is_accepted():
+    found = study(rising(), rising()[::-1].copy(), 2 * rising())
+    judged = {(c.condition, c.learner, c.quantity): c.met for c in found if c.bound}
+    assert len(judged) == 7
+    assert all(judged.values())
+
+
+def test_one_that_follows_the_position_is_not():
+    found = study(rising(), rising(), np.random.default_rng(1).permutation(rising()))
+    missed = {(c.condition, c.learner) for c in found if c.met is False}
+    assert missed == {("random", "tom"), ("shuffled", "tom")}
+
+
+def test_the_median_over_seeds_is_judged():
+    check = Finding("run", "exact", "own", "tom", "random half", (0.2, 0.9, 0.25), ("<=", 0.3))
+    assert check.median == 0.25
+    assert check.met
+    assert Finding("run", "exact", "own", "tom", "ESS", (0.2,), None).met is None
+
+
+def test_the_study_leaves_its_figure_and_tables(tmp_path: Path):
+    exact = conditions(rising(), rising(), rising())
+    both = [*exact, *(replace(case, preset="paper") for case in exact)]
+    found = checks(both)
+    write(tmp_path, both, found, "exact")
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "profiles.csv", "checks.csv", "checks.md", "progression.png", "progression.svg",
+    }  # fmt: skip
+    titles, *rows = table(found)
+    assert titles[-2:] == ["exact", "paper"]
+    by_key = {tuple(row[1:4]): row for row in rows}
+    turned = by_key["random", "TOM", "random half"]
+    assert turned[-3] == ">= 1.25"
+    assert turned[-1].endswith("**no**")
+    assert by_key["own", "PMAC", "ESS"][-1] == ""  # TOM's presets are nothing to it
+    lines = (tmp_path / "profiles.csv").read_text().splitlines()
+    assert len(lines) == 1 + 2 * 3 * 6 * 100

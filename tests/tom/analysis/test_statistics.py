@@ -1,0 +1,167 @@
+"""Against numbers worked out by hand, scipy, and the formulae that rliable publishes."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tom.analysis import statistics as st
+
+# Four seeds of two tasks; the second task is on a tenth of the first one's scale.
+SCORES = np.array([[1.0, 0.1], [2.0, 0.2], [3.0, 0.3], [10.0, 0.4]])
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_aggregates_by_hand():
+    found = st.summary(SCORES, rng())
+    assert (found.runs, found.tasks) == (4, 2)
+    assert found.mean.value == pytest.approx((4.0 + 0.25) / 2)
+    assert found.median.value == pytest.approx((4.0 + 0.25) / 2)  # of two task means
+    # Sorted .1 .2 .3 .4 1 2 3 10: two are cut from either end.
+    assert found.iqm.value == pytest.approx((0.3 + 0.4 + 1 + 2) / 4)
+
+
+def test_the_median_of_one_task_is_over_its_runs():
+    assert st.summary(SCORES[:, :1], rng()).median.value == 2.5
+
+
+def test_three_tasks_have_the_median_of_their_means():
+    scores = np.array([[0.0, 5.0, 9.0], [2.0, 5.0, 90.0]])
+    assert st.summary(scores, rng()).median.value == 5.0
+
+
+def test_iqm_is_scipy_s_trimmed_mean_over_all_scores():
+    scores = rng(3).lognormal(size=(7, 5))
+    expected = stats.trim_mean(scores.ravel(), 0.25)
+    assert st.interval(scores, st.iqm, rng()).value == pytest.approx(expected)
+
+
+def test_missing_runs_leave_the_others_in_place():
+    scores = np.array([[1.0, 4.0], [3.0, np.nan], [5.0, 6.0]])
+    assert st.summary(scores, rng()).mean.value == pytest.approx((3 + 5) / 2)
+    assert "2 seeds" in st.summary(scores, rng()).remark
+
+
+def test_the_bootstrap_is_stratified():
+    """Runs that differ between tasks only leave no spread: no task borrows another's run."""
+    scores = np.array([[1.0, 100.0], [1.0, 100.0], [1.0, 100.0]])
+    found = st.interval(scores, st.mean, rng())
+    assert (found.value, found.low, found.high) == (50.5, 50.5, 50.5)
+
+
+def test_the_interval_is_the_percentile_interval():
+    scores = rng(1).normal(size=(12, 3))
+    draws = rng(2).integers(0, 12, size=(20_000, 12, 3))
+    means = np.take_along_axis(scores[None], draws, axis=1).mean((1, 2))
+    low, high = np.quantile(means, [0.025, 0.975])
+    found = st.interval(scores, st.mean, rng(), resamples=20_000)
+    assert found.low == pytest.approx(low, abs=0.01)
+    assert found.high == pytest.approx(high, abs=0.01)
+
+
+def test_the_same_seed_gives_the_same_interval():
+    assert st.interval(SCORES, st.iqm, rng()) == st.interval(SCORES, st.iqm, rng())
+
+
+def test_one_run_has_no_interval():
+    found = st.interval([[3.0, 5.0]], st.iqm, rng())
+    assert found.value == 4.0
+    assert np.isnan([found.low, found.high]).all()
+    assert str(found) == "4"
+
+
+def test_a_band_is_the_interval_at_every_point():
+    curves = rng(4).normal(size=(6, 9))
+    low, high = st.band(curves, st.iqm, rng())
+    for t in range(9):
+        point = st.interval(curves[:, t : t + 1], st.iqm, rng())
+        assert (low[t], high[t]) == pytest.approx((point.low, point.high))
+
+
+def test_the_band_of_one_curve_is_empty():
+    low, high = st.band(np.ones((1, 4)), st.mean, rng())
+    assert np.isnan(low).all()
+    assert np.isnan(high).all()
+
+
+@pytest.mark.parametrize("n", [3, 5, 8])
+def test_few_seeds_hold_the_truth_as_seldom_as_the_remark_says(n: int):
+    low, high = st.band(rng(5).normal(size=(n, 4000)), st.mean, rng(), resamples=500)
+    held = 100 * float(((low <= 0) & (high >= 0)).mean())
+    assert held == pytest.approx(st.COVERAGE[n], abs=3)
+    assert f"{st.COVERAGE[n]} of 100" in st.remark(n)
+
+
+def test_remarks():
+    assert st.remark(0) == "no runs"
+    assert st.remark(1).startswith("1 seed: no interval")
+    assert st.remark([8, 3]) == st.remark(3)
+    assert st.remark(10) == ""
+    assert all(st.remark(n) for n in range(10))
+
+
+def test_performance_profile_by_hand():
+    found = st.performance_profile(SCORES, [0.0, 0.25, 2.0, 10.0])
+    # Above .25: all of task one, half of task two; above 2: half and none.
+    assert found == pytest.approx([1.0, 0.75, 0.25, 0.0])
+
+
+def test_profile_band_holds_the_profile():
+    scores = rng(6).normal(size=(8, 3))
+    at = np.linspace(-2, 2, 7)
+    low, high = st.profile_band(scores, at, rng())
+    profile = st.performance_profile(scores, at)
+    assert (low <= profile).all()
+    assert (profile <= high).all()
+    assert np.isnan(st.profile_band(scores[:1], at, rng())).all()
+
+
+def test_probability_of_improvement_is_mann_and_whitney_s():
+    x, y = rng(7).integers(0, 6, size=(2, 9, 4)).astype(float)  # integers: ties
+    expected = [
+        stats.mannwhitneyu(a, b, alternative="greater").statistic / 81
+        for a, b in zip(x.T, y.T, strict=True)
+    ]
+    found = st.probability_of_improvement(x, y, rng())
+    assert found.value == pytest.approx(np.mean(expected))
+    assert found.low < found.value < found.high
+    other = st.probability_of_improvement(y, x, rng())
+    assert found.value + other.value == pytest.approx(1)
+
+
+def test_improvement_by_hand_with_other_numbers_of_runs():
+    found = st.probability_of_improvement([[1.0], [2.0], [3.0]], [[2.0], [0.0]], rng())
+    assert found.value == pytest.approx((1 + 1.5 + 2) / 6)
+    assert np.isnan(st.probability_of_improvement([[1.0]], [[2.0], [0.0]], rng()).low)
+
+
+def test_sample_efficiency():
+    step, value = [0, 10, 20, 30], [1.0, 5.0, 3.0, 9.0]
+    assert st.steps_to_reach(step, value, 5.0) == 10
+    assert st.steps_to_reach(step, value, 10.0) == np.inf
+    assert np.median([10, 20, np.inf]) == 20  # a run that never gets there is the last
+
+
+def test_area_under_curve_is_a_mean_height():
+    assert st.area_under_curve([0, 10], [0.0, 1.0], until=10) == pytest.approx(0.5)
+    assert st.area_under_curve([0, 10, 20], [0.0, 1.0, 9.0], until=10) == pytest.approx(0.5)
+    assert st.area_under_curve([0, 20], [0.0, 2.0], until=10) == pytest.approx(0.5)
+    assert np.isnan(st.area_under_curve([0, 10], [0.0, 1.0], until=11))
+    assert np.isnan(st.area_under_curve([], [], until=5))
+
+
+def test_running_maximum():
+    assert st.running_maximum([1.0, 3.0, 2.0]).tolist() == [1, 3, 3]
+
+
+@pytest.mark.parametrize("scores", [[1.0, 2.0], [[np.nan]], np.zeros((0, 2)), np.zeros((3, 0))])
+def test_what_is_no_matrix_of_scores_is_refused(scores):
+    with pytest.raises(ValueError, match=r"scores must be|at least one run"):
+        st.summary(scores, rng())
+
+
+def test_improvement_over_other_tasks_is_refused():
+    with pytest.raises(ValueError, match="the same tasks"):
+        st.probability_of_improvement(SCORES, SCORES[:, :1], rng())

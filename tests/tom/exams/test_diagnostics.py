@@ -1,0 +1,64 @@
+import pytest
+import torch
+
+from tom.data.transitions import TensorTransitions
+from tom.exams.diagnostics import (
+    HORIZON,
+    ending_metrics,
+    one_step_error,
+    rollout_error,
+    unbroken,
+    weight_metrics,
+)
+
+
+def line(n: int, ended: list[int] | None = None) -> TensorTransitions:
+    """A point that moves by its action, 1 + its number, along a line; some rows end episodes."""
+    action = torch.arange(1.0, n + 1).unsqueeze(1)
+    next_obs = action.cumsum(0)
+    terminated = torch.zeros(n)
+    terminated[ended or []] = 1.0
+    return TensorTransitions(
+        next_obs - action, action, torch.zeros(n), next_obs, terminated, torch.zeros(n)
+    )
+
+
+class Drift:
+    """A model that is off by `bias` in each step."""
+
+    def __init__(self, bias: float) -> None:
+        self.bias = bias
+
+    def predict(self, obs: torch.Tensor, action: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.zeros(len(obs)), obs + action + self.bias
+
+
+def test_errors_are_in_units_of_the_scale_and_add_up_over_a_rollout():
+    rows, scale = line(20), torch.tensor([0.5])
+    model = Drift(0.25)
+    assert one_step_error(model, rows, scale) == pytest.approx(0.5)  # type: ignore[arg-type]
+    error = rollout_error(model, rows, unbroken(rows), scale)  # type: ignore[arg-type]
+    assert error == pytest.approx(0.5 * HORIZON)
+
+
+def test_a_rollout_may_end_with_an_episode_but_not_cross_its_end():
+    assert unbroken(line(HORIZON - 1)).tolist() == []
+    assert unbroken(line(HORIZON, [HORIZON - 1])).tolist() == [0]
+    assert unbroken(line(2 * HORIZON, [HORIZON - 1])).tolist() == [0, HORIZON]
+
+
+def test_weight_metrics_by_hand():
+    metrics = weight_metrics(torch.tensor([0.0, 0.0, 1.0, 3.0]))
+    assert metrics["weights/zeros"] == 0.5
+    assert metrics["weights/max"] == 3
+    assert metrics["weights/ess"] == pytest.approx(16 / 10 / 4)
+    assert metrics["weights/age_correlation"] > 0.9
+    assert weight_metrics(torch.ones(5))["weights/age_correlation"] == 0
+
+
+def test_what_ends_an_episode_counts_by_hand():
+    rows = line(4, [1, 3])
+    found = ending_metrics(rows, rows[2:], torch.tensor([0.0, 1.0, 2.0, 1.0]))
+    assert found == {"weights/ends": 0.5, "weights/ends_policy": 0.5}
+    assert ending_metrics(rows, rows[2:], torch.zeros(4)) == {}
+    assert ending_metrics(line(4), line(2), torch.ones(4)) == {}

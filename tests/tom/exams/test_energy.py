@@ -1,0 +1,217 @@
+"""The energy distance against its formula and against distributions where it is known."""
+
+from math import erf, exp, isnan, pi, sqrt
+
+import pytest
+import torch
+from torch import Tensor
+
+from tom.data.sampling import WeightedSampler
+from tom.data.scaling import Scaling
+from tom.data.transitions import TensorTransitions
+from tom.exams.energy import (
+    drawn_distance,
+    energy_distance,
+    first_half,
+    footprint_match,
+    step_scaling,
+)
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def by_definition(x: Tensor, y: Tensor, p: Tensor | None = None) -> float:
+    """2 E|x - y| - E|x - x'| - E|y - y'|, pair by pair, x weighted by p (N,)."""
+    p = torch.ones(len(x)) if p is None else p
+
+    def within(z: Tensor, w: Tensor) -> float:
+        pairs = [(i, j) for i in range(len(z)) for j in range(len(z)) if i != j]
+        total = sum(float(w[i] * w[j]) for i, j in pairs)
+        return sum(float(w[i] * w[j] * (z[i] - z[j]).norm()) for i, j in pairs) / total
+
+    cross = sum(float(p[i] * (x[i] - b).norm()) for i in range(len(x)) for b in y)
+    return 2 * cross / float(p.sum() * len(y)) - within(x, p) - within(y, torch.ones(len(y)))
+
+
+def line(x: Tensor, ends: list[int] | None = None) -> TensorTransitions:
+    """Transitions from x (N,) that neither act nor move."""
+    flat = torch.zeros(len(x))
+    terminated = flat.clone()
+    terminated[ends or []] = 1.0
+    obs, action = x[:, None].float(), flat[:, None]
+    return TensorTransitions(obs, action, flat, obs, terminated, flat)
+
+
+def shifted(m: float) -> float:
+    """E of N(0, 1) and N(m, 1)."""
+    return 4 / sqrt(pi) * exp(-(m**2) / 4) + 2 * m * erf(m / 2) - 4 / sqrt(pi)
+
+
+def test_it_is_its_formula():
+    x, y = (torch.randn(n, 3, generator=generator(n)).double() for n in (9, 7))
+    assert energy_distance(x, y) == pytest.approx(by_definition(x, y), abs=1e-9)
+    assert energy_distance(x, y) == pytest.approx(energy_distance(y, x), abs=1e-9)
+
+
+def test_draws_of_one_part_count_twice_and_a_row_is_no_pair_with_itself():
+    x = torch.tensor([[0.0], [0.0], [1.0], [5.0]])
+    # Parts (0, 0) and (1, 5): their draws make 4 pairs, 1 and 5 twice; 0 and 0 are one row.
+    found = drawn_distance(x, torch.tensor([7, 7, 8, 9]))
+    assert float(found) == pytest.approx((1 + 5 + 1 + 5 + 2 * 4) / 6)
+    apart = drawn_distance(x, torch.tensor([6, 7, 8, 9]))
+    assert float(apart) == pytest.approx((1 + 5 + 1 + 5 + 2 * 4 + 2 * 0) / 8)
+    assert not drawn_distance(x[:1].expand(4, 1), torch.zeros(4)).isfinite()
+
+
+def test_points_and_shifted_normals():
+    here, there = torch.zeros(2, 3), torch.full((2, 3), 2.0)
+    assert energy_distance(here, there) == pytest.approx(2 * sqrt(12))
+    g = generator()
+    for m in (0.0, 0.5, 3.0):
+        found = torch.tensor(
+            [
+                energy_distance(
+                    torch.randn(500, 1, generator=g), torch.randn(500, 1, generator=g) + m
+                )
+                for _ in range(100)
+            ]
+        )
+        error = float(found.std() / len(found) ** 0.5)
+        assert float(found.mean()) == pytest.approx(shifted(m), abs=3 * error)
+        assert error < 0.02
+
+
+def test_with_equal_distributions_it_is_zero_on_average_however_few_rows_there_are():
+    g = generator()
+    found = torch.tensor(
+        [
+            energy_distance(torch.randn(6, 2, generator=g), torch.randn(5, 2, generator=g))
+            for _ in range(3000)
+        ]
+    )
+    error = float(found.std() / len(found) ** 0.5)
+    assert abs(float(found.mean())) < 3 * error
+    assert error < 0.02  # with pairs of a row with itself it would be 0.65 above
+
+
+def test_few_heavy_rows_are_no_closer_to_each_other_than_many():
+    """Weights that have nothing to do with the rows: the distribution stays, the sample shrinks."""
+    g, found = generator(), []
+    for _ in range(1000):
+        x, weights = torch.randn(40, 1, generator=g), torch.rand(40, generator=g) ** 8
+        u = (torch.arange(300) // 2 + torch.rand(300, generator=g)) / 150
+        rows = WeightedSampler(weights, g).at(u.double())
+        found.append(drawn_distance(x[rows].double(), rows))
+    distance = torch.stack(found)
+    error = float(distance.std() / len(distance) ** 0.5)
+    assert float(distance.mean()) == pytest.approx(2 / sqrt(pi), abs=3 * error)
+    assert error < 0.02  # pairs of a row with itself would take 0.14
+
+
+def test_a_sample_without_two_rows_has_none():
+    x = torch.randn(5, 2, generator=generator())
+    assert isnan(energy_distance(x[:1], x))
+    assert isnan(energy_distance(x, x[:0]))
+
+
+def match(
+    buffer: Tensor, weights: Tensor, met: TensorTransitions, seed: int = 0
+) -> dict[str, float]:
+    scaling = Scaling(torch.zeros(3), torch.ones(3))
+    return footprint_match(line(buffer), weights, met, scaling, generator(seed))
+
+
+def test_weights_that_restore_the_policys_distribution_bring_it_to_zero():
+    g = generator()
+    old, new, met = (torch.randn(n, generator=g) for n in (3000, 3000, 2000))
+    buffer = torch.cat([old, new + 3])
+    restored = torch.cat([torch.zeros(3000), torch.ones(3000)])
+    reversed_ = restored.flip(0)
+    half = line(met + 3)
+    # E is 2 E|x - y| - ... of mixtures: a quarter of that between the parts.
+    found = match(buffer, restored, half)
+    assert found["footprint_uniform"] == pytest.approx(shifted(3) / 4, rel=0.05)
+    assert found["footprint"] == pytest.approx(0, abs=0.01)
+    assert found["footprint_noise"] == pytest.approx(0, abs=0.01)
+    assert match(buffer, reversed_, half)["footprint"] == pytest.approx(4, rel=0.05)
+
+
+def test_draws_stand_for_the_whole_weighted_buffer():
+    g = generator()
+    buffer, met = torch.randn(30, generator=g), torch.randn(20, generator=g) + 2
+    weights = torch.rand(30, generator=g) ** 2
+    found = [match(buffer, weights, line(met), seed) for seed in range(30)]
+    uniform = by_definition(buffer[:, None], met[:, None])
+    exact = by_definition(buffer[:, None], met[:, None], weights) / uniform
+    for name, expected in (("footprint_uniform", uniform), ("footprint", exact)):
+        values = torch.tensor([one[name] for one in found])
+        error = float(values.std() / len(values) ** 0.5)
+        assert float(values.mean()) == pytest.approx(expected, abs=3 * error)
+        assert error < 0.01
+
+
+def test_equal_weights_are_equal_to_the_last_bit():
+    buffer = torch.randn(500, generator=generator())
+    found = match(buffer, torch.full((500,), 0.7), line(buffer[:40] + 1))
+    assert found["footprint"] == 1.0
+    assert found["footprint_se"] == 0.0
+
+
+def test_the_standard_error_is_the_spread_over_footprints():
+    """Of independent rows, and of rows that stay for a while where they are."""
+    g = generator()
+    buffer = torch.randn(1000, generator=g)
+    weights = (buffer > 0).float()
+    for repeats in (1, 5):
+        found = []
+        for seed in range(200):
+            met = torch.randn(200 // repeats, generator=g).repeat_interleave(repeats) + 1
+            found.append(match(buffer, weights, line(met), seed))
+        ratio, error = (
+            torch.tensor([one[name] for one in found]) for name in ("footprint", "footprint_se")
+        )
+        assert float(error.square().mean().sqrt()) == pytest.approx(float(ratio.std()), rel=0.25)
+
+
+def test_the_standard_error_is_a_jackknife_over_ten_stretches():
+    g = generator()
+    buffer, met = torch.randn(300, generator=g), torch.randn(47, generator=g) + 2
+    weights = torch.rand(300, generator=g) ** 2
+    found = match(buffer, weights, line(met))
+    without = []
+    for stretch in range(10):
+        rest = [met[i] for i in range(47) if i * 10 // 47 != stretch]
+        without.append(match(buffer, weights, line(torch.stack(rest)))["footprint"])
+    spread = torch.tensor(without).std(correction=0)
+    assert found["footprint_se"] == pytest.approx(3 * float(spread), rel=1e-4)
+    assert "footprint_se" not in match(buffer, weights, line(met[:19]))
+
+
+def test_what_cannot_be_measured_is_left_out():
+    buffer, ones = torch.randn(50, generator=generator()), torch.ones(50)
+    assert match(buffer, ones, line(buffer[:1])) == {}
+    assert set(match(buffer, ones, line(buffer[:3] + 9))) == {"footprint", "footprint_uniform"}
+    nowhere_near = {"footprint", "footprint_uniform", "footprint_noise"}
+    assert set(match(buffer, ones, line(buffer[:4] + 9))) == nowhere_near
+    assert set(match(buffer, ones, line(buffer))) == {"footprint_uniform"}  # below zero
+    single = (torch.arange(50) == 7).float()
+    assert "footprint" not in match(buffer, single, line(buffer[:4] + 9))
+
+
+def test_halves_are_whole_episodes_of_about_even_length_or_halves_in_time():
+    def halves(n: int, ends: list[int]) -> list[int]:
+        return first_half(line(torch.zeros(n), ends)).int().tolist()
+
+    assert halves(5, []) == [1, 1, 0, 0, 0]
+    assert halves(4, [3]) == [1, 1, 0, 0]
+    assert halves(5, [2]) == [1, 1, 1, 0, 0]
+    assert halves(9, [1, 6]) == [0, 0, 1, 1, 1, 1, 1, 0, 0]
+
+
+def test_thinning_keeps_the_scaling_of_a_long_buffer():
+    x = torch.randn(50_001, generator=generator()) * 3 + 5
+    scaling = step_scaling(line(x))
+    assert scaling.mean[0] == pytest.approx(5, abs=0.1)
+    assert scaling.std.tolist() == pytest.approx([3, 1, 1], abs=0.1)  # constant columns: left as is

@@ -1,0 +1,23 @@
+import pytest
+import torch
+from torch.nn.functional import relu, silu
+
+from tom.nn.backprop import forward_trace, gradients, input_gradient
+from tom.nn.mlp import StackedMLP
+
+
+@pytest.mark.parametrize("activation", [relu, silu, torch.tanh])
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_gradients_are_autograds(activation, outputs: int):
+    generators = [torch.Generator().manual_seed(s) for s in (0, 1)]
+    net = StackedMLP(2, [4, 16, 16, outputs], activation, generators)
+    x = torch.randn(2, 32, 4, generator=generators[0], requires_grad=True)
+    slope = torch.randn(2, 32, outputs, generator=generators[0])
+    output = net(x)
+    expected = torch.autograd.grad(output, [*net.tensors(), x], slope)
+    with torch.no_grad():
+        trace = forward_trace(net, x.detach())
+        found = [*gradients(net, trace, slope), input_gradient(net, trace, slope)]
+    torch.testing.assert_close(trace.output, output.detach())
+    for a, b in zip(found, expected, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-5)

@@ -1,0 +1,116 @@
+"""Evaluation: whole episodes, reproducible, apart from the training environment."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tom.envs import ENVS
+from tom.envs.state import capture
+from tom.policy.evaluate import Evaluator
+
+
+def still(action_dim: int):
+    return lambda obs: torch.zeros(len(obs), action_dim)
+
+
+def test_episodes_are_complete_and_consistent():
+    task = ENVS["hopper"]
+    widths = []
+
+    def policy(obs):
+        widths.append(len(obs))
+        return torch.sin(7 * obs[:, :3])
+
+    episodes = Evaluator(task, 4).run(policy, seed=1)
+    assert len(episodes) == 4
+    assert widths[0] == 4
+    assert widths == sorted(widths, reverse=True)
+    assert len(widths) == max(e.length for e in episodes)
+    assert sum(widths) == sum(e.length for e in episodes)
+    for e in episodes:
+        h = e.length
+        assert e.terminated
+        assert not e.truncated
+        assert e.obs.shape == (h + 1, 11)
+        assert e.action.shape == (h, 3)
+        assert e.qpos is not None
+        assert e.qvel is not None
+        assert e.qpos.shape == e.qvel.shape == (h + 1, 6)
+        assert {a.dtype for a in (e.obs, e.action, e.reward, e.qpos, e.qvel)} == {
+            np.dtype(np.float32)
+        }
+        np.testing.assert_array_equal(e.obs[:, :5], e.qpos[:, 1:])
+        np.testing.assert_array_equal(task.qpos_from_obs(e.obs)[:, 1:], e.qpos[:, 1:])
+        np.testing.assert_allclose(e.action, np.sin(7 * e.obs[:-1, :3]), atol=1e-6)
+        ends = task.terminated(torch.from_numpy(e.obs[1:]))
+        assert ends.tolist() == [False] * (h - 1) + [True]
+
+
+def test_replaying_the_actions_in_one_environment_gives_the_recorded_episode():
+    """Batching and reuse of environments change nothing: one env, one action at a time."""
+    task = ENVS["walker2d"]
+    evaluator = Evaluator(task, 2)
+    for seed in (4, 5):
+        recorded = evaluator.run(lambda obs: torch.tanh(obs[:, :6]), seed)
+        starts = np.random.SeedSequence(seed).generate_state(2)
+        for e, start in zip(recorded, starts, strict=True):
+            env = task.make()
+            obs, _ = env.reset(seed=int(start))
+            np.testing.assert_array_equal(obs.astype(np.float32), e.obs[0])
+            for t in range(e.length):
+                obs, reward, *ended, _ = env.step(e.action[t])
+                np.testing.assert_array_equal(obs.astype(np.float32), e.obs[t + 1])
+                assert np.float32(reward) == e.reward[t]
+                last = t == e.length - 1
+                assert ended == [last and e.terminated, last and e.truncated]
+
+
+def test_same_seed_same_episodes_whatever_was_played_before():
+    task = ENVS["ant"]
+    evaluator = Evaluator(task, 2)
+
+    def policy(obs):
+        return torch.tanh(obs[:, :8])
+
+    first = evaluator.run(policy, seed=3)
+    other = evaluator.run(policy, seed=4)
+    again = evaluator.run(policy, seed=3)
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a.obs, b.obs)
+        np.testing.assert_array_equal(a.reward, b.reward)
+    assert not np.array_equal(first[0].obs[0], other[0].obs[0])
+    assert not np.array_equal(first[0].obs[0], first[1].obs[0])
+
+
+@pytest.mark.parametrize("limit", [1000, 37])
+def test_the_time_limit_is_the_tasks_own_and_truncates(limit):
+    task = replace(ENVS["halfcheetah"], max_episode_steps=limit)
+    (episode,) = Evaluator(task, 1).run(still(6), seed=0)
+    assert episode.length == limit
+    assert episode.truncated
+    assert not episode.terminated
+
+
+def test_training_environment_is_left_untouched():
+    task = ENVS["hopper"]
+    env, twin = task.make(seed=8), task.make(seed=8)
+    for e in (env, twin):
+        for _ in range(5):
+            e.step(e.action_space.sample())
+    before = capture(env)
+    Evaluator(task, 2).run(still(3), seed=8)
+    after = capture(env)
+    assert torch.equal(before["integration"], after["integration"])
+    assert all(torch.equal(v, after["lagging"][k]) for k, v in before["lagging"].items())
+    assert before["random"] == after["random"]
+    assert before["action_random"] == after["action_random"]
+    assert before["counters"] == after["counters"]
+    for _ in range(60):
+        answers = [e.step(e.action_space.sample()) for e in (env, twin)]
+        np.testing.assert_array_equal(answers[0][0], answers[1][0])
+        assert answers[0][1:4] == answers[1][1:4]
+        if answers[0][2] or answers[0][3]:
+            starts = [e.reset()[0] for e in (env, twin)]
+            np.testing.assert_array_equal(starts[0], starts[1])

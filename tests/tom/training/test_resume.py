@@ -1,0 +1,196 @@
+"""Resumed and uninterrupted training are the same to the last bit."""
+
+import json
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tom.config import OnlineConfig, SacRecordingConfig
+from tom.data.transitions import Transitions
+from tom.events import Collected, Evaluation, Event, Field, Metrics, Tick, TrainedPolicy, Weights
+from tom.learners import LEARNER_NAMES
+from tom.mbpo import Mbpo
+from tom.offline import Offline
+from tom.record import RunWriter, Store
+from tom.training.presets import resolve
+from tom.training.resume import unfinished
+from tom.training.run import AnyConfig, Training, make_training
+
+STEPS, STOP = 430, 347  # stops within an episode and between two fits
+
+
+def smoke(env: str, learner: str, **changes: Any) -> OnlineConfig:
+    config = resolve(env, learner, "smoke", {"steps": STEPS, "tom": {"warmup": 50}, **changes})
+    assert isinstance(config, OnlineConfig)
+    return config
+
+
+def until(events: Iterator[Event], step: int) -> list[Event]:
+    """The events up to the end of environment step `step`."""
+    seen = []
+    for event in events:
+        seen.append(event)
+        if isinstance(event, Tick) and event.ends_step and event.env_step == step:
+            return seen
+    pytest.fail(f"no end of step {step}")
+
+
+def through_a_file(state: dict[str, Any]) -> dict[str, Any]:
+    """Saved and loaded without executing code."""
+    file = BytesIO()
+    torch.save(state, file)
+    file.seek(0)
+    return torch.load(file, weights_only=True)
+
+
+def collected(training: Training, events: list[Event]) -> tuple[Transitions, np.ndarray]:
+    """The rows that were handed over so far, as a run folder holds them."""
+    parts = [e for e in events if isinstance(e, Collected)]
+    if not parts:
+        replay = getattr(training, "replay")  # noqa: B009
+        return replay.transitions()[:0].numpy(), np.empty(0, np.int64)
+    rows = Transitions.concatenate([p.transitions for p in parts])
+    return rows, np.concatenate([p.policy_version for p in parts])
+
+
+def assert_same_events(first: list[Event], second: list[Event]) -> None:
+    assert len(first) == len(second)
+    for a, b in zip(first, second, strict=True):
+        assert type(a) is type(b)
+        assert a.env_step == b.env_step
+        if isinstance(a, Metrics) and isinstance(b, Metrics):
+            np.testing.assert_equal(a.values, b.values)
+        elif isinstance(a, Weights) and isinstance(b, Weights):
+            np.testing.assert_array_equal(a.weight, b.weight)
+            np.testing.assert_equal(a.policy, b.policy)
+        elif isinstance(a, Evaluation) and isinstance(b, Evaluation):
+            for x, y in zip(a.episodes, b.episodes, strict=True):
+                np.testing.assert_array_equal(x.obs, y.obs)
+        elif isinstance(a, Collected) and isinstance(b, Collected):
+            np.testing.assert_array_equal(a.transitions.numpy().obs, b.transitions.numpy().obs)
+            np.testing.assert_equal(dict(a.state), dict(b.state))
+        elif isinstance(a, Field | TrainedPolicy) and isinstance(b, Field | TrainedPolicy):
+            np.testing.assert_equal(a.arrays, b.arrays)
+
+
+def assert_same_state(a: Any, b: Any, where: str = "") -> None:
+    """Networks, optimisers, generators, buffers, scales, the simulator: all of it, bit for bit."""
+    assert type(a) is type(b), where
+    if isinstance(a, torch.Tensor):
+        assert torch.equal(a.nan_to_num(), b.nan_to_num()), where
+    elif isinstance(a, dict):
+        assert a.keys() == b.keys(), where
+        for name in a.keys() - {"action_random"}:  # nobody draws from it, so nobody seeds it
+            assert_same_state(a[name], b[name], f"{where}/{name}")
+    elif isinstance(a, list | tuple):
+        assert len(a) == len(b), where
+        for i, (x, y) in enumerate(zip(a, b, strict=True)):
+            assert_same_state(x, y, f"{where}/{i}")
+    else:
+        assert a == b, where
+
+
+def check(config: AnyConfig, stop: int, in_episode: bool = True) -> None:
+    """Stopped after `stop` steps and taken up by a new process's objects: the same to the end."""
+    training = make_training(config)
+    events = training.events()
+    before = until(events, stop)
+    if in_episode:
+        assert getattr(training, "_episode_length", 1) > 0, "stopped between two episodes"
+        assert getattr(training, "_obs", True) is not None, "stopped between two episodes"
+    state = through_a_file(training.state_dict())
+    undisturbed = list(events)
+
+    resumed = make_training(config)
+    resumed.load_state_dict(state, *collected(training, before))
+    assert_same_state(state, through_a_file(resumed.state_dict()))
+    assert_same_events(undisturbed, list(resumed.events()))
+    assert_same_state(training.state_dict(), resumed.state_dict())
+
+
+@pytest.mark.parametrize("learner", LEARNER_NAMES)
+@pytest.mark.parametrize("env", ["hopper", "inverted-pendulum"])
+def test_resumed_equals_uninterrupted_in_the_middle_of_an_episode(env: str, learner: str):
+    check(smoke(env, learner), STOP)
+
+
+def test_a_checkpoint_from_before_exams_goes_on_without_the_one_that_it_cannot_sit():
+    training = make_training(smoke("inverted-pendulum", "tom"))
+    events = training.events()
+    before = until(events, STOP)
+    state = through_a_file(training.state_dict())
+    del state["fitted"]
+    undisturbed = list(events)
+    resumed = make_training(smoke("inverted-pendulum", "tom"))
+    resumed.load_state_dict(state, *collected(training, before))
+    missed, exams = list(resumed.events()), exams_of(undisturbed)
+    assert [e.env_step for e in exams] == [300, 400]
+    assert [e.env_step for e in exams_of(missed)] == [400]  # its draws are the stream's first
+    others = [[e for e in all_ if e not in exams_of(all_)] for all_ in (undisturbed, missed)]
+    assert_same_events(*others)
+
+
+def exams_of(events: list[Event]) -> list[Event]:
+    return [e for e in events if isinstance(e, Metrics) and "exam/error" in e.values]
+
+
+def test_a_run_whose_rollouts_grow_goes_on():
+    rollout = {"final_length": 4, "schedule_start": 0, "schedule_end": 1}
+    check(smoke("inverted-pendulum", "mle", rollout=rollout), STOP, in_episode=False)
+
+
+def test_a_run_stopped_while_exploring_goes_on():
+    check(smoke("hopper", "mle"), 37)
+
+
+@pytest.mark.parametrize("learner", LEARNER_NAMES)
+def test_road_and_rocks_resumed_equals_uninterrupted(learner: str):
+    check(road(learner, 250), 123, in_episode=False)
+
+
+def road(learner: str, steps: int) -> AnyConfig:
+    quick = {"q_steps": 50, "discriminator_steps": 50}
+    given = {"steps": steps, "fit_every": 100, "random_transitions": 2000, "tom": quick}
+    return resolve("road-and-rocks", learner, "smoke", given)
+
+
+@pytest.mark.parametrize("stop", [70, 100, 100 + 17, 100 + 83])
+def test_a_recording_of_sac_goes_on_in_either_half(stop: int):
+    small = {"hidden": 16, "batch_size": 32}
+    config = SacRecordingConfig(env="hopper", steps=100, exploration_steps=40).but(
+        sac=small, evaluation={"every": 60, "episodes": 1}
+    )
+    check(config, stop)
+
+
+@pytest.mark.parametrize("learner", ["tom", pytest.param("vagram", marks=pytest.mark.slow)])
+def test_road_and_rocks_that_finished_early_is_the_longer_run_when_it_goes_on(learner: str):
+    """Its last look, out of turn, has left no trace in what came after."""
+    longer = Offline(road(learner, 250))  # pyright: ignore[reportArgumentType]
+    before = until(longer.events(), 130)
+    early = Offline(road(learner, 130))  # pyright: ignore[reportArgumentType]
+    extra = list(early.events())
+    assert len(extra) > len(before)
+    assert_same_state(longer.state_dict(), early.state_dict())
+
+
+def test_hopper_that_finished_early_is_the_longer_run_when_it_goes_on():
+    longer, early = (Mbpo(smoke("hopper", "tom").but(steps=steps)) for steps in (STEPS, STOP))
+    until(longer.events(), STOP)
+    until(early.events(), STOP)
+    assert_same_state(longer.state_dict(), early.state_dict())
+
+
+def test_a_run_whose_settings_are_damaged_is_none_that_goes_on(tmp_path: Path):
+    store, config = Store(tmp_path), resolve("inverted-pendulum", "mle", "smoke", {})
+    RunWriter.create(store, "run", config).close()
+    file = tmp_path / "run" / "config.json"
+    content = json.loads(file.read_text())
+    for settings in ({**content["config"], "steps": "many"}, {}, None):
+        file.write_text(json.dumps({**content, "config": settings}))
+        assert unfinished(store, config) is None

@@ -1,0 +1,154 @@
+"""A run stopped, or killed, and resumed leaves the folder of a run that was never interrupted."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from tom.config import OnlineConfig
+from tom.errors import UserError
+from tom.events import Event
+from tom.record import RunReader, Store, checkpoint
+from tom.training.presets import resolve
+from tom.training.resume import resume
+from tom.training.run import Stop, train
+
+STEPS, STOP = 420, 333
+
+
+def config(**changes: object) -> OnlineConfig:
+    given = {"steps": STEPS, "tom": {"warmup": 50}, "checkpoint_every": 100, **changes}
+    made = resolve("hopper", "tom", "smoke", given)
+    assert isinstance(made, OnlineConfig)
+    return made
+
+
+def stopping_at(step: int) -> tuple[Stop, tuple]:
+    stop = Stop()
+
+    def watch(event: Event) -> None:
+        if event.env_step == step:
+            stop()
+
+    return stop, (watch,)
+
+
+def untimed(run: RunReader) -> pd.DataFrame:
+    table = run.metrics()
+    return table.drop(columns=[name for name in table if name.startswith("time/")])
+
+
+def assert_same_record(first: RunReader, second: RunReader) -> None:
+    pd.testing.assert_frame_equal(untimed(first), untimed(second), check_like=True)
+    np.testing.assert_array_equal(first.profiles().bins, second.profiles().bins)
+    assert first.snapshot_steps() == second.snapshot_steps()
+    for step in first.snapshot_steps():
+        pd.testing.assert_frame_equal(first.snapshot(step), second.snapshot(step))
+    (a, versions_a), (b, versions_b) = first.buffer(), second.buffer()
+    np.testing.assert_array_equal(a.obs, b.obs)
+    np.testing.assert_array_equal(a.terminated, b.terminated)
+    np.testing.assert_array_equal(versions_a, versions_b)
+    assert first.evaluation_steps() == second.evaluation_steps()
+    assert second.problems == []
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> RunReader:
+    store = Store(tmp_path_factory.mktemp("undisturbed"))
+    return train(config(), store, "whole", rerun=False)
+
+
+def test_stopped_and_resumed_is_the_run_that_was_never_interrupted(undisturbed, tmp_path: Path):
+    store = Store(tmp_path)
+    stop, watchers = stopping_at(STOP)
+    stopped = train(config(), store, "a", rerun=False, watchers=watchers, stop=stop)
+    assert stopped.status.state == "stopped"
+    assert stopped.status.env_step == STOP
+    assert "--resume a" in stopped.status.reason
+    resumed = resume(store, "a", rerun=False, command="tom train --resume a")
+    assert resumed.status.state == "finished"
+    assert resumed.config["resumes"][0]["command"] == "tom train --resume a"
+    assert_same_record(undisturbed, resumed)
+
+
+def test_a_finished_run_that_goes_on_has_its_last_fit_examined_anew(undisturbed, tmp_path: Path):
+    store = Store(tmp_path)
+    early = train(config(steps=STOP), store, "a", rerun=False)
+
+    def exams(run: RunReader) -> dict[int, float]:
+        table = run.metrics().dropna(subset="exam/error")
+        return dict(zip(table["env_step"], table["exam/error"], strict=True))
+
+    first, whole = exams(early), exams(undisturbed)
+    assert list(first) == [200, 300]  # the second over 33 steps so far
+    assert list(whole) == [200, 300, 400]
+    assert first[200] == whole[200]
+    assert first[300] != whole[300]
+    assert exams(resume(store, "a", STEPS, rerun=False)) == whole
+
+
+def test_a_run_whose_last_checkpoint_is_damaged_goes_on_from_the_one_before(
+    undisturbed, tmp_path: Path
+):
+    store = Store(tmp_path)
+    stop, watchers = stopping_at(STOP)
+    stopped = train(config(), store, "a", rerun=False, watchers=watchers, stop=stop)
+    newest = stopped.path / checkpoint.FOLDER / f"{STOP:09d}" / "state.pt"
+    newest.write_bytes(newest.read_bytes()[:-100])
+    resumed = resume(store, "a", rerun=False)
+    assert_same_record(undisturbed, resumed)
+    assert any(f"{STOP:09d}" in notice["message"] for notice in resumed.notices())
+
+
+def test_a_finished_run_goes_on_when_it_is_given_more_steps(undisturbed, tmp_path: Path):
+    store = Store(tmp_path)
+    train(config(steps=STOP), store, "a", rerun=False)
+    with pytest.raises(UserError, match="--steps"):
+        resume(store, "a", rerun=False)
+    longer = resume(store, "a", steps=STEPS, rerun=False)
+    assert longer.status.total == STEPS
+    np.testing.assert_array_equal(longer.buffer()[0].obs, undisturbed.buffer()[0].obs)
+
+
+def test_road_and_rocks_stopped_and_resumed(tmp_path: Path):
+    given = {"steps": 250, "fit_every": 100, "random_transitions": 2000}
+    made = resolve("road-and-rocks", "vagram", "smoke", given)
+    store = Store(tmp_path)
+    whole = train(made, store, "whole", rerun=False)
+    stop, watchers = stopping_at(123)
+    stopped = train(made, store, "a", rerun=False, watchers=watchers, stop=stop)
+    assert stopped.status.env_step == 123
+    assert_same_record(whole, resume(store, "a", rerun=False))
+
+
+def test_a_run_without_a_checkpoint_says_so(tmp_path: Path):
+    store = Store(tmp_path)
+    train(config(steps=50, checkpoint_every=0), store, "a", rerun=False)
+    for folder in (tmp_path / "a" / checkpoint.FOLDER).iterdir():
+        (folder / "manifest.json").unlink()
+    with pytest.raises(UserError, match="no checkpoint"):
+        resume(store, "a", rerun=False)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpus_run_is_refused_in_one_line_where_there_is_none(undisturbed, tmp_path: Path):
+    shutil.copytree(undisturbed.path, tmp_path / "gpu")
+    path = tmp_path / "gpu" / "config.json"
+    path.write_text(path.read_text().replace('"device": "cpu"', '"device": "cuda"'))
+    with pytest.raises(UserError, match="run 'gpu' trains on cuda"):
+        resume(Store(tmp_path), "gpu", steps=1000, rerun=False)
+    with pytest.raises(UserError, match="no CUDA GPU here"):
+        train(config(device="cuda:1"), Store(tmp_path), "new", rerun=False)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_run_of_another_version_is_refused_in_one_line(undisturbed, tmp_path: Path):
+    shutil.copytree(undisturbed.path, tmp_path / "old")
+    content = (tmp_path / "old" / "config.json").read_text()
+    (tmp_path / "old" / "config.json").write_text(content.replace('"fit_every"', '"fit_each"'))
+    with pytest.raises(UserError, match=r"another version.*fit_each") as error:
+        resume(Store(tmp_path), "old", steps=1000, rerun=False)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,1 @@
+"""What finished runs and recorded data are asked: weights, models, statistics."""

@@ -1,0 +1,35 @@
+"""`tom doctor`: is this machine ready, and what to do where it is not."""
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from tom.cli.parser import folder
+from tom.cli.tables import show
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "doctor",
+        help="check this machine and the store",
+        description="Check versions, GPU, matrix products, scenes without a display, ports, disk, "
+        "browser and store, with the fix beside each finding. Exit code 1 where something is bad.",
+    )
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    # Imported here: it brings Rerun and every task with it.
+    from tom.cli.doctor.checks import examine
+
+    findings = examine(args.store)
+    if args.json:
+        print(json.dumps([asdict(found) for found in findings]))
+    else:
+        rows = [(found.check, found.state, found.text, found.fix) for found in findings]
+        bad = sum(found.state == "bad" for found in findings)
+        show(f"{bad} things to mend" if bad else "ready", ("check", "is", "found", "fix"), rows)
+    return 1 if any(found.state == "bad" for found in findings) else 0

@@ -1,0 +1,25 @@
+"""`tom reproduce`: a claim of the paper, computed again and held against its acceptance."""
+
+from tom.cli.reproduce import focus, frozen, online, progression, returns, road, tabular
+
+STUDIES = (
+    road,
+    progression,
+    focus,
+    frozen,
+    online,
+    returns,
+    tabular,
+)
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "reproduce",
+        help="reproduce a claim of the paper",
+        description="Reproduce a claim of the paper: compute it, print its acceptance figures and "
+        "write its figure and table. Exit code 0 where all figures are met, 1 otherwise.",
+    )
+    studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
+    for study in STUDIES:
+        study.add_parser(studies, arguments)

@@ -1,0 +1,199 @@
+"""`tom reproduce footprint` and `capacity`: every way of weighing on the same frozen buffers."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from tom.cli.reproduce.study import (
+    add_jobs,
+    add_output,
+    add_store,
+    check_seeds,
+    out_folder,
+    print_json,
+    say,
+    stoppable,
+)
+from tom.cli.tables import show
+from tom.envs import ENVS, task
+from tom.errors import UserError, unknown
+from tom.record import RunReader, Store
+from tom.reports.files import write_csv
+from tom.reports.html import Report, write_report
+from tom.reports.origin import seeds as in_short
+from tom.reports.style import save
+from tom.studies import capacity, footprint
+from tom.studies.capacity_figure import capacity_figure
+from tom.studies.each import each
+from tom.studies.footprint_figure import footprint_figure
+from tom.studies.frozen import MODELS, WAYS, Outcome, cases, examined, moments
+from tom.studies.report import study_origin
+
+
+@dataclass(frozen=True)
+class Study:
+    """What tells the two apart."""
+
+    name: str
+    title: str
+    help: str
+    claim: str
+    caption: str
+    ways: tuple[str, ...]
+    models: tuple[str, ...]
+    figure: Callable[[Sequence[Outcome]], Figure]
+    summary: Callable[[Sequence[Outcome]], list[dict[str, Any]]]
+    verdict: Callable[[Sequence[Outcome]], list[str]]
+
+
+FOOTPRINT = Study(
+    "footprint",
+    "Where the weights lie",
+    "how near each way of weighing brings a buffer to what the policy does",
+    "TOM weighs the replay buffer so that its distribution of transitions matches that of the "
+    "current policy (section 4). The paper measures the match on road-and-rocks alone.",
+    "Energy distance of (s, a, s' - s), z-scored, between the weighted buffer and fresh episodes "
+    "of the policy, over that of the unweighted buffer (1: no better than no weights). A point a "
+    "moment of a run, the stroke is their median; points below 0.03 are drawn there.",
+    tuple(WAYS),
+    (),
+    footprint_figure,
+    footprint.summary,
+    footprint.verdict,
+)
+CAPACITY = Study(
+    "capacity",
+    "Where weighting pays",
+    "error of models of growing capacity, fitted by each way of weighing",
+    "A model fitted by TOM's weights is accurate where the policy goes (figure 1). The paper "
+    "varies the model's capacity nowhere; its linear model of road-and-rocks is the small end.",
+    "Error on new steps of the policy over the error under uniform weights, median over moments; "
+    "bars hold their middle half.",
+    ("uniform", "recency", "half-recency", "ratio", "tom-discounted", "tom-mended",
+     "half-tom-mended"),
+    tuple(MODELS),
+    capacity_figure,
+    capacity.summary,
+    capacity.verdict,
+)  # fmt: skip
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    for study in (FOOTPRINT, CAPACITY):
+        parser = subparsers.add_parser(
+            study.name,
+            help=study.help,
+            description="Take the replay buffers of runs and of recordings of SAC as they stood "
+            "at steps whose policy was kept, weigh each by every way, and judge the result by "
+            f"episodes that the policy of that step makes anew: {study.help}. Runs must be whole, "
+            "or small copies made with --keep buffer policies.",
+        )
+        parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
+        parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
+        parser.add_argument("--moments", type=int, default=8, help="of each run at most [8]")
+        parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="[0]")
+        parser.add_argument(
+            "--ways", nargs="+", default=list(study.ways), metavar="WAY", help=", ".join(WAYS)
+        )
+        parser.add_argument("--rows", type=int, default=6000, help="new transitions [6000]")
+        if study.models:
+            known = ", ".join(f"'{name}'" for name in MODELS)
+            parser.add_argument("--models", nargs="+", default=study.models, help=f"[{known}]")
+        add_store(parser)
+        add_jobs(parser)
+        add_output(parser, study.name)
+        parser.set_defaults(run=stoppable(_command(study)))
+
+
+def _command(study: Study) -> Callable[[argparse.Namespace], int]:
+    def run(args: argparse.Namespace) -> int:
+        models = getattr(args, "models", study.models)
+        for name in models:
+            if name not in MODELS:
+                raise unknown("model", name, MODELS)
+        return _run(replace(study, ways=tuple(_ways(args.ways)), models=tuple(models)), args)
+
+    return run
+
+
+def _run(study: Study, args: argparse.Namespace) -> int:
+    check_seeds(args.jobs, args.seeds)
+    if args.moments < 1 or args.rows < 100:
+        raise UserError("--moments must be at least 1 and --rows at least 100")
+    runs = _runs(args)
+    out_folder(args.out)
+    found: list[Outcome] = []
+    asked = cases(runs, study.ways, args.seeds, args.moments, study.models, args.rows)
+    for one in each(examined, asked, args.jobs, args.out):
+        found.append(one)
+        say(f"{len(found)} of {len(asked)}: {one.recording} at {one.step}: {one.way}")
+    rows, said = study.summary(found), study.verdict(found)
+    _write(study, args.out, found, runs, args.seeds)
+    if args.json:
+        print_json({"summary": rows, "verdict": said, "out": str(args.out)})
+        return 0
+    show(study.title, tuple(rows[0]), [tuple(map(_cell, row.values())) for row in rows])
+    print("\n".join([*said, str(args.out)]))
+    return 0
+
+
+def _write(
+    study: Study, out: Path, found: list[Outcome], runs: Sequence[RunReader], seeds: Sequence[int]
+) -> None:
+    rows = study.summary(found)
+    write_csv(out / "summary.csv", rows)
+    write_csv(out / "moments.csv", [_flat(one) for one in found])
+    png, _ = save(study.figure(found), out, study.name)
+    n = f"{len({(one.recording, one.step) for one in found})} moments of {len(runs)} runs"
+    made = study_origin(n=n, seeds=in_short(seeds), runs=", ".join(run.run_id for run in runs))
+    figures, tables = [(study.caption, png)], [("Every way", rows)]
+    report = Report(study.title, study.claim, study.verdict(found), figures, tables, made)
+    write_report(report, out)
+
+
+def _flat(one: Outcome) -> dict[str, Any]:
+    """The row of a CSV: errors become columns of their own."""
+    row = asdict(one)
+    for error in row.pop("errors"):
+        row[f"error {error['model']}"] = error["error"]
+        row[f"rollout error {error['model']}"] = error["rollout_error"]
+    return row
+
+
+def _ways(names: Sequence[str]) -> list[str]:
+    """The ways asked for, uniform weights first, which all are held against."""
+    for name in names:
+        if name not in WAYS:
+            raise unknown("way of weighing", name, WAYS)
+    return list(dict.fromkeys(("uniform", *names)))
+
+
+def _runs(args: argparse.Namespace) -> list[RunReader]:
+    """The runs with moments. Raises UserError where there are none, or one named has none."""
+    store, envs = Store(args.store), {task(env).name for env in args.env}
+    named = [store.run(name) for name in args.runs]
+    for run in named:
+        if not _usable(run):
+            raise UserError(
+                f"run {run.run_id} has no moment: it kept no policy of its fits, or no buffer"
+            )
+    runs = named or [run for run in store.runs() if run.env in envs and _usable(run)]
+    if not runs:
+        raise UserError(
+            f"{args.store}/ has no run with a buffer and policies of its fits: "
+            "tom record-sac --env hopper --steps 20000 makes one"
+        )
+    return sorted(runs, key=lambda run: (list(ENVS).index(run.env), run.run_id))
+
+
+def _usable(run: RunReader) -> bool:
+    has_both = not {"buffer", "policies"} & set(run.left_out)
+    return run.is_run and run.env in ENVS and has_both and bool(moments(run, 1))
+
+
+def _cell(value: object) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else str(value)

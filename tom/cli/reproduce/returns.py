@@ -1,0 +1,121 @@
+"""`tom reproduce returns`: return curves of every learner, from the runs that the store has."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tom.cli.reproduce.study import (
+    add_output,
+    add_stored,
+    check_stored,
+    out_folder,
+    print_json,
+    stoppable,
+)
+from tom.cli.tables import show
+from tom.errors import UserError, unknown
+from tom.learners import LEARNER_NAMES
+from tom.record import Store
+from tom.reports.files import write_csv
+from tom.reports.html import Report, write_report
+from tom.reports.origin import origin_of, seeds
+from tom.reports.style import save
+from tom.studies import returns as study
+from tom.studies.returns_figure import return_figure
+
+CLAIM = (
+    "TOM performs best in aggregate in four of five environments, in sample efficiency and in "
+    "final return, with larger gains where dynamics are complex (Walker2d, HalfCheetah, Humanoid); "
+    "4 seeds, running maximum of the mean of 10 test episodes (section 5.2)."
+)
+CAPTION = "Best return so far: mean over seeds, 95 % bootstrap band, single seeds faint."
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "returns",
+        help="return curves of all environments and learners, with the runs that there are",
+        description="Draw the return curves of every environment and learner from the runs that "
+        "the store has, compare learners at a step that all runs of an environment reach, and "
+        "list what is missing. Nothing is trained: `tom sweep` makes the runs.",
+    )
+    add_stored(parser)
+    parser.add_argument("--learner", nargs="+", default=list(LEARNER_NAMES), metavar="LEARNER")
+    add_output(parser, "returns")
+    parser.set_defaults(run=run)
+
+
+@stoppable
+def run(args: argparse.Namespace) -> int:
+    envs = check_stored(args)
+    for learner in args.learner:
+        if learner not in LEARNER_NAMES:
+            raise unknown("learner", learner, LEARNER_NAMES)
+    cells, left_out = study.select(Store(args.store).runs(), args.preset)
+    cells = [cell for cell in cells if cell.env in envs and cell.learner in args.learner]
+    if not cells:
+        raise UserError(
+            f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
+            f"--learner {' '.join(args.learner)} --seeds 4 makes them"
+        )
+    out_folder(args.out)
+    found = _findings(cells, envs, args.learner)
+    _write(args.out, cells, left_out, found)
+    _print(args, found)
+    return 0
+
+
+def _findings(cells: list[study.Cell], envs: list[str], learners: list[str]) -> dict[str, Any]:
+    rng = np.random.default_rng(0)
+    return {
+        "verdict": study.verdict(cells),
+        "summary": study.summary(cells, rng),
+        "improvement": study.improvement(cells, rng),
+        "missing": study.missing(cells, envs, learners),
+    }
+
+
+def _write(out: Path, cells: list[study.Cell], left_out: list[str], found: dict[str, Any]) -> None:
+    curves = (
+        {"env": c.env, "learner": c.learner, "seed": curve.run.seed, "run": curve.run.run_id,
+         "step": int(step), "return": value, "best": best}
+        for c in cells
+        for curve in c.curves
+        for step, value, best in zip(curve.step, curve.value, curve.best, strict=True)
+    )  # fmt: skip
+    write_csv(out / "returns.csv", curves)
+    for name in ("summary", "improvement", "missing"):
+        write_csv(out / f"{name}.csv", found[name])
+    png, _ = save(return_figure(cells, np.random.default_rng(0)), out, "returns")
+    runs = [curve.run for cell in cells for curve in cell.curves]
+    aside = [f"Left out, for other settings or a longer run of the seed: {', '.join(left_out)}."]
+    tables = [
+        ("At the step that all runs of an environment reach", found["summary"]),
+        ("How often a run of TOM beats one of another learner", found["improvement"]),
+        ("What is missing for the paper's figure", found["missing"]),
+    ]
+    made = origin_of(runs) | {"seeds": seeds([run.seed for run in runs])}
+    said = [*found["verdict"], *(aside if left_out else [])]
+    write_report(
+        Report("Returns of every learner", CLAIM, said, [(CAPTION, png)], tables, made), out
+    )
+
+
+def _print(args: argparse.Namespace, found: dict[str, Any]) -> None:
+    if args.json:
+        print_json({**found, "out": str(args.out)})
+        return
+    names = ("env", "learner", "n", "at step", "mean", "low", "high", "IQM", "remark")
+    rows = [[_cell(row[name]) for name in names] for row in found["summary"]]
+    show("Best return up to the step that all runs of an environment reach", names, rows)
+    for line in found["verdict"]:
+        print(line)
+    print(f"{len(found['missing'])} of the paper's curves are missing or short: {args.out}")
+
+
+def _cell(value: Any) -> str:
+    if value is None or value != value:
+        return "-"
+    return f"{value:.1f}" if isinstance(value, float) else str(value)

@@ -1,0 +1,140 @@
+"""What the commands of `tom reproduce` share."""
+
+import argparse
+import json
+import os
+import shlex
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+from tom.cli.parser import folder
+from tom.cli.progress import ProgressReport
+from tom.cli.tables import show
+from tom.config import SacRecordingConfig
+from tom.envs import ENVS, task
+from tom.errors import UserError, unknown
+from tom.record import RunReader, Store
+from tom.record.files import plain
+from tom.studies.checks import Check
+from tom.studies.progression import SAC_SEEDS, recorded, recording_config
+from tom.training.presets import PRESETS
+from tom.training.run import train
+
+
+def add_output(parser: argparse.ArgumentParser, name: str) -> None:
+    """`--out` and `--json`: where the report of study `name` goes."""
+    parser.add_argument("--out", type=Path, default=Path("reports") / name, help="[%(default)s]")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_store(parser: argparse.ArgumentParser) -> None:
+    """`--store`."""
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
+
+
+def add_jobs(parser: argparse.ArgumentParser) -> None:
+    """`--jobs`: how many cases are computed at a time."""
+    cores = len(os.sched_getaffinity(0))
+    parser.add_argument("--jobs", type=int, default=cores, help="cases at a time [one a core]")
+
+
+def add_recordings(parser: argparse.ArgumentParser) -> None:
+    """Which recordings of SAC a study is about, and under which seeds its learners see them."""
+    parser.add_argument("--env", nargs="+", default=list(SAC_SEEDS), metavar="ENV")
+    parser.add_argument("--steps", type=int, default=50_000, help="steps of SAC [50000]")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="TOM's [0 1 2]")
+    add_store(parser)
+    add_jobs(parser)
+
+
+def add_stored(parser: argparse.ArgumentParser) -> None:
+    """Which of a store's runs a study is about."""
+    parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
+    parser.add_argument("--preset", default="paper", metavar="PRESET", help="[paper]")
+    add_store(parser)
+
+
+def check_recordings(args: argparse.Namespace) -> None:
+    """Raises UserError where `add_recordings`' numbers, or the seeds of SAC, make no study."""
+    if args.steps < 1000:
+        raise UserError("--steps must be at least 1000")
+    check_seeds(args.jobs, [*args.seeds, *(getattr(args, "sac_seeds", None) or ())])
+
+
+def check_seeds(jobs: int, seeds: Sequence[int]) -> None:
+    """Raises UserError where a seed or the number of jobs is impossible."""
+    if min(seeds) < 0 or jobs < 1:
+        raise UserError("seeds must be at least 0 and --jobs at least 1")
+
+
+def check_stored(args: argparse.Namespace) -> list[str]:
+    """The names of the tasks asked for. Raises UserError for an unknown task or preset."""
+    if args.preset not in PRESETS:
+        raise unknown("preset", args.preset, PRESETS)
+    return [task(env).name for env in args.env]
+
+
+def print_json(content: dict[str, Any]) -> None:
+    """One line that any parser of JSON reads: no NaN, no arrays."""
+    print(json.dumps(plain(content), allow_nan=False))
+
+
+def show_checks(title: str, checks: Sequence[Check]) -> None:
+    """An acceptance as a table."""
+    rows = [(c.name, f"{c.value:.3g}", c.bound, "yes" if c.met else "NO") for c in checks]
+    show(title, ("figure", "value", "bound", "met"), rows)
+
+
+def out_folder(path: Path) -> None:
+    """Make the folder of a report. Raises UserError when it cannot be made."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make {path}: {error.strerror}; name another --out") from error
+
+
+def stoppable(work: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
+    """`work` that ends with one line and exit code 1 on Ctrl-C, SIGTERM and where a case cannot be
+    finished: a process was killed, the disk is full."""
+
+    def run(args: argparse.Namespace) -> int:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            return work(args)
+        except KeyboardInterrupt:
+            say("stopped")
+        except BrokenProcessPool:
+            say("a process was killed; fewer --jobs need less memory. The same command goes on")
+        except OSError as error:
+            say(f"{error}. The same command goes on")
+        return 1
+
+    return run
+
+
+def sac_recordings(
+    store: Store, envs: Sequence[str], seeds: Sequence[int] | None, steps: int
+) -> list[RunReader]:
+    """The recordings of every task and SAC seed (default: the study's), made where missing."""
+    configs = [
+        recording_config(env, seed, steps)
+        for env in (task(name).name for name in envs)
+        for seed in seeds or SAC_SEEDS.get(env, (0,))
+    ]
+    return [recorded(store, config) or _record(store, config) for config in configs]
+
+
+def say(line: str) -> None:
+    """A line of progress, kept out of what a script reads."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def _record(store: Store, config: SacRecordingConfig) -> RunReader:
+    label = f"{config.env} sac seed {config.seed}"
+    with ProgressReport(label, config.total_steps, sys.stderr) as progress:
+        command = shlex.join(["tom", *sys.argv[1:]])
+        return train(config, store, watchers=(progress.consume,), rerun=False, command=command)

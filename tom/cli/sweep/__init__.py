@@ -1,0 +1,167 @@
+"""`tom sweep`: many trainings, stopped and taken up again by the same command."""
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from tom.cli.parser import add_config_options, overrides
+from tom.cli.signals import on_stopping
+from tom.cli.sweep.dry import dry_run, longest
+from tom.cli.sweep.places import open_engine, open_home, place, refuse_mismatch
+from tom.cli.sweep.table import Watcher, seat_row
+from tom.cli.train_many import run_fleets
+from tom.config import OnlineConfig, merged
+from tom.envs import ENV_NAMES
+from tom.errors import UserError
+from tom.learners import LEARNER_NAMES
+from tom.sweep.driver import ATTEMPTS, Driver
+from tom.sweep.slurm import script
+from tom.training.plan import Trial, checked, read_plan, trials
+from tom.training.presets import PRESETS
+from tom.training.run import Stop
+
+POLL_S = 0.5
+OWN_OPTIONS = {"env", "learner", "preset", "seed", "steps"}
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "sweep",
+        usage="tom sweep --env ENV ... --learner LEARNER ... [--seeds N] [options]",
+        help="train many: every environment with every learner and seed",
+        description="Train every environment with every learner and seed. Runs that are done are "
+        "skipped, broken ones go on from their checkpoint, and one that ends "
+        f"{ATTEMPTS} times without getting further is reported and left. Ctrl-C stops all "
+        "cleanly; the same command goes on.",
+    )
+    parser.add_argument("--env", nargs="+", metavar="ENV", help=", ".join(ENV_NAMES))
+    parser.add_argument("--learner", nargs="+", metavar="LEARNER", help=", ".join(LEARNER_NAMES))
+    parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 to N - 1 [1]")
+    parser.add_argument("--steps", type=int, metavar="N", help="env steps of each run")
+    parser.add_argument("--preset", metavar="PRESET", help=", ".join(PRESETS) + " [paper]")
+    parser.add_argument("--file", type=Path, help="the same in YAML; options here come on top")
+    parser.add_argument(
+        "--store", type=place, default=Path("runs"), help="run store, or s3://... (runs/)"
+    )
+    parser.add_argument("--jobs", type=int, metavar="N", help="runs at a time [one a core]")
+    parser.add_argument(
+        "--engine",
+        choices=("local", "fleet", "ray", "slurm"),
+        default="local",
+        help="local: processes, one a core, or fleets where --device is a GPU; fleet: the runs of "
+        "each environment in one process, networks stacked; ray: processes on the machines of a "
+        "Ray cluster; slurm: print an array script [local]",
+    )
+    parser.add_argument(
+        "--address",
+        metavar="HOST:PORT",
+        help="the Ray cluster to train on [one of this machine, which ends with the sweep]",
+    )
+    parser.add_argument("--only", type=int, metavar="I", help="only the I-th run of the plan")
+    parser.add_argument("--dry-run", action="store_true", help="what would run, hours and disk")
+    parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
+    add_config_options(parser, OnlineConfig, leave_out=OWN_OPTIONS)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    planned, jobs = _planned(args), _jobs(args)
+    on_gpu = any(trial.config.device != "cpu" for trial in planned)
+    refuse_mismatch(args.engine, args.address, args.store, on_gpu)
+    if args.engine == "slurm" and args.only is not None:
+        raise UserError("--only is given to each task of the array: leave it out")
+    with open_home(args.store, planned) as home:
+        if args.dry_run:
+            return dry_run(args, home.store, planned, jobs)
+        if args.engine == "slurm":
+            print(script(planned, args.store, _own_words(), longest(home.store, planned)))
+            return 0
+        if args.engine == "fleet" or on_gpu:
+            stop = Stop()
+            on_stopping(stop)
+            return run_fleets(args.store, _by_env(planned), stop, rerun=False, as_json=args.json)
+        with open_engine(args.engine, args.address, args.jobs) as engine:
+            home.store.ensure_writable()
+            return drive(args, Driver(home, planned, engine))
+
+
+def _planned(args: argparse.Namespace) -> list[Trial]:
+    """The trainings that were asked for; options of the command line come on top of the file."""
+    content: dict[str, Any] = read_plan(args.file) if args.file else {}
+    names = ("env", "learner", "seeds", "steps", "preset")
+    content |= {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    held = content.get("settings", {})
+    if isinstance(held, dict):  # anything else is an error that `checked` names
+        content["settings"] = merged(held, overrides(args))
+    missing = [f"--{name}" for name in ("env", "learner") if not content.get(name)]
+    if missing:
+        raise UserError(f"a sweep needs {' and '.join(missing)} (or --file PLAN.yaml)")
+    found = trials(checked(content))
+    if args.only is None:
+        return found
+    if not 0 <= args.only < len(found):
+        raise UserError(f"--only {args.only}: this sweep has runs 0 to {len(found) - 1}")
+    return [found[args.only]]
+
+
+def _jobs(args: argparse.Namespace) -> int:
+    if args.jobs is not None and args.jobs < 1:
+        raise UserError(f"--jobs {args.jobs}: must be at least 1")
+    return args.jobs or len(os.sched_getaffinity(0))
+
+
+def _by_env(planned: list[Trial]) -> list[list[Trial]]:
+    envs = dict.fromkeys(trial.env for trial in planned)
+    return [[trial for trial in planned if trial.env == env] for env in envs]
+
+
+def drive(args: argparse.Namespace, driver: Driver) -> int:
+    """Run the sweep to its end with a table of how it goes; the exit code."""
+    on_stopping(signal.default_int_handler)
+    stream = sys.stderr if args.json else sys.stdout
+    with Watcher(driver, stream) as watcher:
+        try:
+            while not driver.poll():
+                watcher.look()
+                time.sleep(POLL_S)
+        except KeyboardInterrupt:
+            watcher.say("stopping: every training writes a checkpoint (Ctrl-C again: at once)")
+        finally:
+            driver.stop()
+        watcher.look()
+    return _report(args, driver)
+
+
+def _report(args: argparse.Namespace, driver: Driver) -> int:
+    states = [seat.state for seat in driver.seats]
+    if args.json:
+        print(json.dumps([seat_row(driver, seat) for seat in driver.seats]))
+    failed = [seat for seat in driver.seats if seat.state == "failed"]
+    for seat in failed:
+        text = seat.note.replace("\n", "\n    ")
+        print(
+            f"{seat.run_id} failed: {text}\n    log: {driver.home.keep_log(seat.log)}",
+            file=sys.stderr,
+        )
+    done = states.count("finished")
+    stream = sys.stderr if args.json else sys.stdout
+    print(f"{done} of {len(states)} runs finished, {len(failed)} failed", file=stream)
+    if "stopped" in states or "waiting" in states:
+        print("stopped: the same command goes on", file=stream)
+    if isinstance(args.store, str):
+        print(f"to look at them: tom runs fetch {args.store} --store runs", file=stream)
+    return 0 if done == len(states) else 1
+
+
+def _own_words() -> list[str]:
+    """This very command, for each task of an array to repeat."""
+    words = [word for word in sys.argv[1:] if word not in ("--engine=slurm", "--dry-run")]
+    while "--engine" in words:
+        at = words.index("--engine")
+        del words[at : at + 2]
+    return words

@@ -1,0 +1,91 @@
+"""`tom sweep --dry-run`: what would run, and how many hours and gigabytes it will take."""
+
+import argparse
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tom.cli.tables import show
+from tom.record import RunReader, Store, checkpoint
+from tom.sweep.projection import Cost, cost, makespan
+from tom.training.plan import Trial, same_run
+
+
+def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jobs: int) -> int:
+    """Print what would run; the exit code."""
+    runs = store.runs()
+    found = [same_run(trial, runs) for trial in planned]
+    costs = [
+        None if _finished(run) else _cost(trial, runs, run)
+        for trial, run in zip(planned, found, strict=True)
+    ]
+    rows = [_row(*each) for each in zip(planned, found, costs, strict=True)]
+    todo = [row for row, run in zip(rows, found, strict=True) if not _finished(run)]
+    hours = makespan([row["hours"] or 0.0 for row in todo], jobs)
+    disk = sum(row["megabytes"] or 0.0 for row in todo)
+    if args.json:
+        print(json.dumps({"runs": rows, "hours": hours, "megabytes": disk}))
+        return 0
+    cells = [["" if v is None else _cell(v) for v in row.values()] for row in rows]
+    show(f"{len(rows)} runs, {len(todo)} to do", list(rows[0]), cells)
+    if not todo or any(row["hours"] is not None for row in todo):
+        print(f"about {hours:.1f} h with {jobs} at a time and {disk / 1000:.1f} GB", end="")
+        free = _free_gb(store.path)
+        print(f" ({free:.0f} GB are free)" if free is not None else "")
+    unknown = sorted({f"{r['env']} {r['learner']}" for r in todo if r["hours"] is None})
+    if unknown:
+        print(
+            f"without {', '.join(unknown)}: {args.store} has no finished run to judge them by "
+            "(robots on a CPU are also judged by what `tom bench` last measured here)"
+        )
+    return 0
+
+
+def longest(store: Store, planned: Sequence[Trial]) -> float | None:
+    """The hours of the longest run from its start, where all can be judged."""
+    runs = store.runs()
+    expected = [_cost(trial, runs, None) for trial in planned]
+    if any(one is None for one in expected):
+        return None
+    return max(one.hours for one in expected if one)
+
+
+def _cost(trial: Trial, runs: Sequence[RunReader], run: RunReader | None) -> Cost | None:
+    """What is left of a training: by runs like it, else by the last `tom bench` of this machine."""
+    # Imported here: it brings every part of a training.
+    from tom.bench.kept import bench_cost, kept
+
+    at = None if run is None else checkpoint.newest(run.path / checkpoint.FOLDER)
+    found = cost(trial, runs, at or 0)
+    if found is not None:
+        return found
+    ms = kept()
+    return None if ms is None else bench_cost(trial, ms, at or 0)
+
+
+def _finished(run: RunReader | None) -> bool:
+    return run is not None and run.status.state == "finished"
+
+
+def _row(trial: Trial, run: RunReader | None, expected: Cost | None) -> dict[str, Any]:
+    return {
+        "run": run.run_id if run else trial.run_id,
+        "env": trial.env,
+        "learner": trial.learner,
+        "seed": trial.seed,
+        "steps": trial.config.total_steps,
+        "state": run.shown if run else "new",
+        "hours": expected.hours if expected else None,
+        "megabytes": expected.megabytes if expected else None,
+        "judged by": expected.source if expected else None,
+    }
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _free_gb(store: Path) -> float | None:
+    return shutil.disk_usage(store).free / 1e9 if store.is_dir() else None

@@ -1,0 +1,50 @@
+"""Where a sweep's runs lie and where its trainings run, from the words of the command line."""
+
+import argparse
+import os
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+from tom.errors import UserError
+from tom.record import Store
+from tom.record.bucket.objects import Bucket
+from tom.sweep.bucket_home import BucketHome
+from tom.sweep.cluster import open_ray
+from tom.sweep.engine import Engine, LocalEngine
+from tom.sweep.home import FolderHome, Home
+from tom.training.plan import Trial
+
+
+def place(word: str) -> Path | str:
+    """A folder or the URL of an object store, for argparse."""
+    if "://" in word and not word.startswith("s3://"):
+        raise argparse.ArgumentTypeError(f"{word}: a folder or s3://BUCKET/PREFIX")
+    return word if "://" in word else Path(word)
+
+
+def refuse_mismatch(engine: str, address: str | None, store: Path | str, on_gpu: bool) -> None:
+    """Raises UserError for options that do not go together."""
+    if address is not None and engine != "ray":
+        raise UserError("--address is that of a Ray cluster: add --engine ray")
+    if engine == "ray" and on_gpu:
+        raise UserError("--engine ray trains on CPUs, one run a core: leave out --device")
+    if isinstance(store, str) and (on_gpu or engine in ("fleet", "slurm")):
+        which = "a GPU" if on_gpu else f"--engine {engine}"
+        raise UserError(f"{which} needs a folder: --store {store} goes with local and ray on a CPU")
+
+
+def open_home(store: Path | str, trials: list[Trial]) -> AbstractContextManager[Home]:
+    """Where the runs lie. Raises UserError where an object store cannot be reached."""
+    if isinstance(store, Path):
+        return nullcontext(FolderHome(Store(store)))
+    try:
+        return BucketHome(Bucket.open(store), trials)
+    except OSError as error:
+        raise UserError(f"{store}: {error}") from error
+
+
+def open_engine(engine: str, address: str | None, jobs: int | None) -> Engine:
+    """Where the trainings run. Raises UserError where there is no such cluster."""
+    if engine == "ray":
+        return open_ray(address, jobs)
+    return LocalEngine(jobs or len(os.sched_getaffinity(0)))

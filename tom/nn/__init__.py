@@ -1,0 +1,1 @@
+"""Stacked networks and their training: many members' networks as one."""

@@ -1,0 +1,138 @@
+"""Stacked multi-layer perceptrons: M independent networks as one batched matrix product.
+
+Twin critics, ensemble members and the seeds of a fleet are all members. A parameter's leading
+axis is always the member axis M.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+from math import sqrt
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import relu, silu
+
+from tom.machine import matmul
+from tom.rng import Generators
+
+BULK = 256  # rows from which on the passes over memory count
+GPU_ROWS = 20_000
+"""rows evaluated at once at least on a GPU, where it is launches that cost"""
+
+Activation = Callable[[Tensor], Tensor]
+
+_IN_PLACE: dict[Activation, Activation] = {
+    relu: torch.relu_,
+    silu: partial(silu, inplace=True),
+    torch.tanh: torch.tanh_,
+}
+"""the same without memory of its own, where no gradient will ask for what was there"""
+
+
+class StackedMLP(nn.Module):
+    """M independent MLPs with sizes (in, hidden, ..., out): (M, B, in) -> (M, B, out).
+
+    Weights start as in `torch.nn.Linear`, uniform in +-1/sqrt(in). `generators` is one generator
+    for each seed; where there are more members than generators (twin critics, ensembles), each
+    fills an equal run of consecutive members.
+    """
+
+    def __init__(
+        self,
+        members: int,
+        sizes: Sequence[int],
+        activation: Activation,
+        generators: Generators,
+    ) -> None:
+        super().__init__()
+        if members % len(generators):
+            raise ValueError(f"{members} members cannot be shared by {len(generators)} generators")
+        per_generator = members // len(generators)
+        layers = []
+        for n_in, n_out in pairwise(sizes):
+            bound = 1.0 / sqrt(n_in)
+            shape = (per_generator, n_in + 1, n_out)
+            rows = [
+                (torch.rand(shape, generator=g, device=g.device) * 2 - 1) * bound
+                for g in generators
+            ]
+            drawn = torch.cat(rows)  # (M, in + 1, out); the last row is the bias
+            layers.append((drawn[:, :-1].contiguous(), drawn[:, -1:].contiguous()))
+        self._hold(layers, activation)
+
+    def _hold(self, layers: Sequence[tuple[Tensor, Tensor]], activation: Activation) -> None:
+        self.members = len(layers[0][0])
+        self.activation = activation
+        self.weights = nn.ParameterList(w for w, _ in layers)  # (M, in, out) each
+        self.biases = nn.ParameterList(b for _, b in layers)  # (M, 1, out) each
+        # The same tensors in a plain tuple: looking them up in a list of parameters is slow.
+        self.layers = tuple(zip(self.weights, self.biases, strict=True))
+
+    def tensors(self) -> list[Tensor]:
+        """The parameters: every layer's weight, then every layer's bias."""
+        return [*(weight for weight, _ in self.layers), *(bias for _, bias in self.layers)]
+
+    def own_state(self) -> dict[str, Tensor]:
+        """`state_dict` in memory of its own.
+
+        A file takes all the memory behind a view, and a joined stack's parameters are views.
+        """
+        return {name: value.clone() for name, value in self.state_dict().items()}
+
+    @classmethod
+    def joined(cls, nets: "Sequence[StackedMLP]") -> "StackedMLP":
+        """All networks of all stacks as one; the stacks' parameters become views of its own.
+
+        What moves the one moves the other from now on.
+        """
+        joint = cls.__new__(cls)
+        nn.Module.__init__(joint)
+        layers = zip(*(net.layers for net in nets), strict=True)
+        shared = [(share([w for w, _ in one]), share([b for _, b in one])) for one in layers]
+        joint._hold(shared, nets[0].activation)
+        return joint.requires_grad_(nets[0].layers[0][0].requires_grad)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return self._run(x, self.layers)
+
+    def member(self, index: int, x: Tensor) -> Tensor:
+        """Network `index` alone: (B, in) -> (B, out)."""
+        only = slice(index, index + 1)
+        return self._run(x.unsqueeze(0), [(w[only], b[only]) for w, b in self.layers]).squeeze(0)
+
+    def _run(self, x: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
+        in_place = None if torch.is_grad_enabled() else _IN_PLACE.get(self.activation)
+        activation, last = in_place or self.activation, len(layers) - 1
+        affine = _bias_last if in_place and _is_bulk(x) else torch.baddbmm
+        for layer, (weight, bias) in enumerate(layers):
+            x = affine(bias, x, weight)
+            if layer < last:
+                x = activation(x)
+        return x
+
+
+def _bias_last(bias: Tensor, x: Tensor, weight: Tensor) -> Tensor:
+    return torch.bmm(x, weight).add_(bias)
+
+
+def _is_bulk(x: Tensor) -> bool:
+    """Whether x (M, B, in) has so many rows, and oneDNN, that a bias is added faster afterwards.
+
+    oneDNN's `baddbmm` copies the bias to every row first and adds the product to it; the bits are
+    the same either way. The default product has neither that copy nor those bits.
+    """
+    return x.shape[1] >= BULK and x.device.type == "cpu" and matmul.current() == "onednn"
+
+
+def rows_at_once(device: torch.device, in_cache: int) -> int:
+    """How many rows to evaluate at once: on a CPU those whose layers stay in its cache."""
+    return in_cache if device.type == "cpu" else max(in_cache, GPU_ROWS)
+
+
+def share(tensors: Sequence[Tensor]) -> Tensor:
+    """The tensors (M_i, ...) in one (sum M_i, ...); each becomes a view of its part of it."""
+    joint = torch.cat([t.detach() for t in tensors])
+    for tensor, part in zip(tensors, joint.split([len(t) for t in tensors]), strict=True):
+        tensor.data = part
+    return joint

@@ -1,0 +1,47 @@
+"""A network that goes on being trained from fit to fit, alone or beside those of other members."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import Any, Self
+
+import torch
+
+from tom.nn.adam import Adam
+from tom.nn.mlp import StackedMLP
+
+
+class Trained:
+    """A network and its optimiser."""
+
+    def __init__(self, net: StackedMLP, lr: float, weight_decay: float = 0.0) -> None:
+        self.net = net
+        self.optimiser = Adam(net.tensors(), lr, weight_decay)
+
+    @property
+    def device(self) -> torch.device:
+        return self.net.layers[0][0].device
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """All of them as one; each goes on being itself, its tensors views of this one's."""
+        joint = copy(parts[0])
+        joint.net = StackedMLP.joined([one.net for one in parts])
+        joint.optimiser = Adam.joined([one.optimiser for one in parts])
+        return joint
+
+    def restart(self, net: StackedMLP) -> None:
+        """Take the parameters of `net`, in place, and forget all steps."""
+        with torch.no_grad():
+            for own, fresh in zip(self.net.tensors(), net.tensors(), strict=True):
+                own.copy_(fresh)
+        for tensor in self.optimiser.tensors():
+            tensor.zero_()
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"net": self.net.own_state(), "optimiser": self.optimiser.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.net.load_state_dict(state["net"])
+        self.optimiser.load_state_dict(state["optimiser"])

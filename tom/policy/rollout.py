@@ -1,0 +1,90 @@
+"""Rollouts of the policy in the learnt model: what SAC trains on."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from tom.config import RolloutConfig
+from tom.data.replay import ReplayBuffer
+from tom.data.sampling import WeightedSampler, uniform_indices
+from tom.data.transitions import TensorTransitions
+from tom.learners.base import Policy
+from tom.nn.mlp import rows_at_once
+
+Termination = Callable[[Tensor], Tensor]  # next_obs (B, O) -> terminated (B,)
+
+EXPLODED = 100.0
+"""a modelled state this many times beyond the largest start state has exploded"""
+
+
+class Simulator(Protocol):
+    """What a rollout needs of a dynamics model."""
+
+    def sample(
+        self, obs: Tensor, action: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Draw (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
+        ...
+
+
+def start_states(
+    replay: TensorTransitions, weights: Tensor | None, n: int, generator: torch.Generator
+) -> Tensor:
+    """n states of the replay buffer, (n, O): by weight (N,), or uniformly without weights."""
+    if weights is None:
+        return replay.obs[uniform_indices(len(replay), n, generator)]
+    return replay.obs[WeightedSampler(weights, generator).draw(n)]
+
+
+@torch.no_grad()
+def roll_out(
+    model: Simulator,
+    policy: Policy,
+    terminated: Termination,
+    starts: Tensor,
+    length: int,
+    config: RolloutConfig,
+    model_buffer: ReplayBuffer,
+    generator: torch.Generator,
+) -> dict[str, float]:
+    """Play `length` steps of `policy` in `model` from `starts` (B, O) into the model buffer.
+
+    A rollout ends where `terminated` says so, or where the model's prediction is not finite.
+    Rows are predicted in chunks that stay in the processor's cache. On a GPU each chunk and step is
+    asked once whether all of it is finite, and a step that is not the last who has ended.
+    """
+    far = EXPLODED * starts.abs().amax()
+    steps, diverged = 0, 0
+    seen: list[Tensor] = []  # rewards, ends and explosions of each chunk; fetched at the end
+    for chunk in starts.split(rows_at_once(starts.device, config.chunk)):
+        obs = chunk
+        for left in reversed(range(length)):
+            action = policy(obs, 1, generator)[0]
+            reward, next_obs = model.sample(obs, action, generator)
+            if not bool((next_obs.sum() + reward.sum()).isfinite()):  # a sum over NaN or inf
+                finite = next_obs.isfinite().all(-1) & reward.isfinite()
+                diverged += int((~finite).sum())
+                obs, action, reward = obs[finite], action[finite], reward[finite]
+                next_obs = next_obs[finite]
+            end = terminated(next_obs)
+            flags = end.to(torch.float32)
+            model_buffer.extend(
+                TensorTransitions(obs, action, reward, next_obs, flags, torch.zeros_like(flags))
+            )
+            beyond = (next_obs.abs().amax(-1) > far).to(torch.float32)
+            seen.append(torch.stack([reward.sum(), flags.sum(), beyond.sum()]))
+            steps += len(obs)
+            if not left:
+                break
+            obs = next_obs[~end]
+            if not len(obs):
+                break
+    reward_sum, ended, exploded = map(sum, zip(*torch.stack(seen).tolist(), strict=True))
+    return {
+        "rollout/reward": reward_sum / max(steps, 1),
+        "rollout/terminated": ended / max(steps, 1),
+        "rollout/diverged": diverged / max(steps + diverged, 1),
+        "rollout/exploded": exploded / max(steps, 1),
+    }

@@ -1,0 +1,127 @@
+"""A trained policy in a file: its networks' parameters as plain arrays (`policy.npz`).
+
+The file holds `env` (the task's name) and, from the first layer on, `weight_k` (in, out) and
+`bias_k` (out,) of the actor: an MLP with ReLU between its layers whose last layer gives mean and
+log standard deviation of a Gaussian that tanh squashes (see `tom.policy.sac`).
+`critic_weight_k` and `critic_bias_k`, with a leading axis of 2, are those of the twin critics
+Q(s, a); files of earlier versions have none.
+"""
+
+import zipfile
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import relu
+
+from tom.errors import UserError, reason
+from tom.nn.mlp import StackedMLP
+from tom.policy.sac import GaussianPolicy, MemberPolicy, Sac
+
+NAME = "policy.npz"
+CRITIC = "critic_"
+TWINS = 2
+
+Arrays = Mapping[str, NDArray]
+
+
+def policy_arrays(env: str, sac: Sac) -> dict[str, NDArray]:
+    """What the file of the first member of `sac` holds."""
+    arrays: dict[str, NDArray] = {"env": np.array(env)}
+    for k, (weight, bias) in enumerate(sac.actor.layers):
+        arrays[f"weight_{k}"] = _array(weight[0])
+        arrays[f"bias_{k}"] = _array(bias[0, 0])
+    for k, (weight, bias) in enumerate(sac.critic.layers):
+        arrays[f"{CRITIC}weight_{k}"] = _array(weight[:TWINS])
+        arrays[f"{CRITIC}bias_{k}"] = _array(bias[:TWINS, 0])
+    return arrays
+
+
+class StoredPolicy(GaussianPolicy):
+    """The policy in a file, with the name of the task it was trained for.
+
+    `value_gradient` is that of its critics, None where the file has none.
+    """
+
+    def __init__(self, arrays: Arrays) -> None:
+        """Raises ValueError or KeyError when the arrays are no policy's."""
+        self.env = str(arrays["env"])
+        layers = {name: array[None] for name, array in _layers(arrays).items()}
+        actor, sizes = _network(layers, members=1)
+        if sizes[-1] % 2:
+            raise ValueError("its last layer is not a mean and a deviation of each action")
+        self.obs_dim, self.action_dim = sizes[0], sizes[-1] // 2
+        super().__init__(actor, 0)
+        self.value_gradient = self._value_gradient(arrays, actor)
+
+    def _value_gradient(
+        self, arrays: Arrays, actor: StackedMLP
+    ) -> Callable[[Tensor], Tensor] | None:
+        layers = _layers(arrays, CRITIC)
+        if not layers:
+            return None
+        critic, sizes = _network(layers, members=TWINS)
+        if (sizes[0], sizes[-1]) != (self.obs_dim + self.action_dim, 1):
+            raise ValueError("its critics do not fit its actor")
+        return MemberPolicy(actor, critic, 0).value_gradient
+
+
+class UniformPolicy:
+    """Actions uniform in [-1, 1], whatever is observed."""
+
+    value_gradient = None  # nothing is known of its value
+
+    def __init__(self, obs_dim: int, action_dim: int) -> None:
+        self.obs_dim, self.action_dim = obs_dim, action_dim
+
+    def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        """n actions for obs (B, O): (n, B, A)."""
+        return torch.rand(n, len(obs), self.action_dim, generator=generator) * 2 - 1
+
+
+def read_policy(path: Path) -> StoredPolicy:
+    """The policy in the file `path`. Raises UserError when there is none or it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return StoredPolicy({name: file[name] for name in file.files})
+    except FileNotFoundError:
+        raise UserError(
+            f"no policy at {path}: name a run folder, its policy.npz or 'random'"
+        ) from None
+    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path} is no stored policy ({reason(error)}): name another") from error
+
+
+def _array(parameter: Tensor) -> NDArray[np.float32]:
+    return parameter.detach().cpu().numpy().copy()
+
+
+def _layers(arrays: Arrays, prefix: str = "") -> dict[str, NDArray]:
+    parts = prefix + "weight_", prefix + "bias_"
+    return {n.removeprefix(prefix): array for n, array in arrays.items() if n.startswith(parts)}
+
+
+def _network(layers: Arrays, members: int) -> tuple[StackedMLP, list[int]]:
+    """The networks of `weight_k` (M, in, out) and `bias_k` (M, out), and their sizes."""
+    count = sum(name.startswith("weight_") for name in layers)
+    weights = [_parameter(layers[f"weight_{k}"], 3) for k in range(count)]
+    biases = [_parameter(layers[f"bias_{k}"], 2) for k in range(count)]
+    if not weights:
+        raise ValueError("it holds no layers")
+    sizes = [weights[0].shape[1], *(bias.shape[1] for bias in biases)]
+    if [tuple(w.shape) for w in weights] != [(members, *pair) for pair in pairwise(sizes)]:
+        raise ValueError("its layers do not fit together")
+    net = StackedMLP(members, sizes, relu, [torch.Generator()]).requires_grad_(False)
+    for own, stored in zip(net.tensors(), (*weights, *biases), strict=True):
+        own.copy_(stored.view_as(own))
+    return net, sizes
+
+
+def _parameter(array: NDArray, axes: int) -> Tensor:
+    if array.dtype != np.float32 or array.ndim != axes or not np.isfinite(array).all():
+        raise ValueError(f"a layer is not finite float32 numbers on {axes - 1} axes")
+    return torch.from_numpy(array)

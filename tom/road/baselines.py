@@ -1,0 +1,62 @@
+"""Weightings to hold a learner against on road-and-rocks, where one knows who drove."""
+
+from collections.abc import Callable
+
+from torch import Tensor
+
+from tom.config import TomConfig
+from tom.data.sampling import normalise
+from tom.data.scaling import Scaling
+from tom.learners.base import FitContext, Weighting
+from tom.learners.discriminator import Discriminator, RatioProblem, discriminator_net
+from tom.learners.dual import DualProblem, QFunction, q_net
+from tom.road.offline_data import OfflineData
+
+Baseline = Callable[[OfflineData, FitContext, TomConfig], Weighting]
+
+
+def expert_only(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
+    """All expert trajectories and nothing else."""
+    return _among(data.expert)
+
+
+def footprint_only(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
+    """The one trajectory that TOM is told is the policy's, and nothing else."""
+    return _among(data.footprint)
+
+
+def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
+    """A control, not a rival: TOM with the discriminator's labels swapped, which negates r."""
+    log_ratio, metrics = discriminate(context, config)
+    replay, generator = context.replay, context.generator
+    scaling = Scaling.of((replay.obs, replay.action))
+    problem = DualProblem(replay, -log_ratio, context.initial_obs, context.policy, config, scaling)
+    q = QFunction(q_net(*_dims(context), config, generator), config)
+    net, _ = problem.minimise(q, generator)
+    raw, _ = problem.solution(net, generator)
+    weights, _ = normalise(raw)
+    return Weighting(weights, log_ratio=-log_ratio, metrics=metrics)
+
+
+def discriminate(context: FitContext, config: TomConfig) -> tuple[Tensor, dict[str, float]]:
+    """The logit (N,) of a fresh discriminator between policy buffer and replay, and metrics."""
+    net = discriminator_net(*_dims(context), config, context.generator)
+    ratio = RatioProblem.of(context.policy_buffer, context.replay)
+    trained, metrics = ratio.solve(Discriminator(net, config), context.generator)
+    return ratio.log_ratio(trained), metrics
+
+
+def _dims(context: FitContext) -> tuple[int, int]:
+    return context.replay.obs.shape[1], context.replay.action.shape[1]
+
+
+def _among(chosen: Tensor) -> Weighting:
+    weights, _ = normalise(chosen.float())
+    return Weighting(weights)
+
+
+BASELINES: dict[str, Baseline] = {
+    "expert-only": expert_only,
+    "footprint-only": footprint_only,
+    "labels-swapped": labels_swapped,
+}

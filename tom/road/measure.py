@@ -1,0 +1,134 @@
+"""Road-and-rocks: what weights and a model are judged by, and the pictures of a record."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from tom.data.transitions import TensorTransitions
+from tom.dynamics.linear import LinearModel
+from tom.events import Episode
+from tom.exams.diagnostics import weight_metrics
+from tom.road import offline_data, task
+from tom.road.offline_data import OfflineData, Steering
+from tom.road.planner import Planner
+
+TEST_ROWS = 10_000  # fresh random transitions over the whole map
+TEST_TRAJECTORIES = 10  # fresh expert trajectories
+REFERENCE_EPISODES = 50
+FIELD_POINTS = 21  # points of the displacement field along each side
+SHOWN = 10  # trajectories of each kind in a record
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Fresh transitions of the task that no model was fitted to."""
+
+    expert: TensorTransitions
+    on_road: TensorTransitions  # random actions
+    on_rocks: TensorTransitions  # random actions
+
+
+def held_out(road_map: task.RoadMap, generator: torch.Generator) -> HeldOut:
+    """Draws of the real task to measure a model's one-step errors on."""
+    expert = offline_data.drive(
+        road_map, offline_data.noisy_expert(generator), TEST_TRAJECTORIES, generator
+    )
+    obs = torch.rand(TEST_ROWS, task.OBS_DIM, generator=generator)
+    action = offline_data.random_steering(generator)(obs)
+    rows = offline_data.transition(obs, action, task.step(road_map, obs, action, generator))
+    inside = task.on_road(obs)
+    return HeldOut(
+        TensorTransitions.join([offline_data.episode_rows(e) for e in expert]),
+        rows[inside],
+        rows[~inside],
+    )
+
+
+def one_step_error(model: LinearModel, rows: TensorTransitions) -> float:
+    """Root mean squared distance between predicted and real next position, in full steps."""
+    error = model.next_obs(rows.obs, rows.action) - rows.next_obs
+    return float(error.square().sum(-1).mean().sqrt()) / task.STEP
+
+
+def model_errors(model: LinearModel, test: HeldOut) -> dict[str, float]:
+    """One-step errors, in full steps; the task's noise alone makes 0.07."""
+    return {
+        "model/error_expert": one_step_error(model, test.expert),
+        "model/error_road": one_step_error(model, test.on_road),
+        "model/error_rocks": one_step_error(model, test.on_rocks),
+    }
+
+
+def weight_shares(data: OfflineData, weights: Tensor) -> dict[str, float]:
+    """Where the weight lies: its share on the road, and road over rocks on random rows alone.
+
+    The ratio is not a number where no random row on the rocks has weight (footprint-only).
+    """
+    inside = task.on_road(data.rows.obs)
+    mean_road = float(weights[inside & ~data.expert].mean())
+    mean_rocks = float(weights[~inside & ~data.expert].mean())
+    return {
+        "weights/road_share": float(weights[inside].sum() / weights.sum()),
+        "weights/road_ratio": mean_road / mean_rocks if mean_rocks > 0 else float("nan"),
+        **weight_metrics(weights),
+    }
+
+
+def returns(episodes: Sequence[Episode]) -> tuple[float, float]:
+    """Mean return and share of success."""
+    success = [episode.info["success"] for episode in episodes]
+    return float(np.mean([e.undiscounted_return for e in episodes])), float(np.mean(success))
+
+
+def reference_returns(road_map: task.RoadMap, generator: torch.Generator) -> dict[str, float]:
+    """What uniform actions and the noisy expert earn on this map."""
+    steerings = {
+        "random": offline_data.random_steering(generator),
+        "expert": offline_data.noisy_expert(generator),
+    }
+    return {
+        f"eval/return_{name}": returns(
+            offline_data.drive(road_map, steer, REFERENCE_EPISODES, generator)
+        )[0]
+        for name, steer in steerings.items()
+    }
+
+
+def plan(model: LinearModel, discount: float) -> Steering:
+    """The planner's policy in a learnt model."""
+    return Planner(model.next_obs, task.reward, task.at_goal, discount).steering()
+
+
+# Pictures: the arrays that docs/run-folder.md names
+
+
+def map_field(road_map: task.RoadMap) -> dict[str, NDArray]:
+    line = np.array(task.CENTRE_LINE, np.float32)
+    return {
+        "centre_line": line,
+        "road_half_width": np.array(task.HALF_WIDTH, np.float32),
+        "start": np.array([*line[0], task.START_RADIUS], np.float32),
+        "goal": np.array([*line[-1], task.GOAL_RADIUS], np.float32),
+        "gain": road_map.gain.numpy(),
+        "angle": road_map.angle.numpy(),
+    }
+
+
+def model_field(road_map: task.RoadMap, model: LinearModel) -> dict[str, NDArray]:
+    """Real and modelled displacements where the expert's action is taken, on a grid of points."""
+    axis = (torch.arange(FIELD_POINTS) + 0.5) / FIELD_POINTS
+    points = torch.cartesian_prod(axis, axis)
+    action = task.expert_action(points)
+    modelled = model.next_obs(points, action) - points
+    true = task.displacement(road_map, points, action)
+    arrays = {"points": points, "action": action, "true": true, "modelled": modelled}
+    return {name: array.numpy() for name, array in arrays.items()}
+
+
+def trajectory_field(expert: Sequence[Episode], learnt: Sequence[Episode]) -> dict[str, NDArray]:
+    shown = {f"expert_{k}": episode.obs for k, episode in enumerate(expert[:SHOWN])}
+    return shown | {f"learnt_{k}": episode.obs for k, episode in enumerate(learnt[:SHOWN])}

@@ -1,0 +1,58 @@
+"""Return curves: a panel for each environment, a line with its band for each learner."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+
+from tom.analysis import statistics as st
+from tom.learners import LEARNERS
+from tom.reports.colours import NEUTRAL, learner_colour
+from tom.reports.style import STYLE, new_figure
+from tom.studies.returns import Cell, compared_at
+
+COLUMNS = 3
+FEW_POINTS = 10
+
+
+def return_figure(cells: Sequence[Cell], rng: np.random.Generator) -> Figure:
+    """The best return so far, mean over seeds with its 95 % bootstrap band, single seeds faint.
+
+    A dotted line marks the step at which learners are compared.
+    """
+    at = compared_at(cells)
+    columns = min(COLUMNS, len(at))
+    rows = -(-len(at) // columns)
+    with rc_context(STYLE):
+        figure = new_figure(3.6 * columns + 0.4, 3.4 * rows + 0.2)
+        axes = figure.subplots(rows, columns, squeeze=False).ravel()
+        for ax, env in zip(axes, at, strict=False):
+            for cell in (c for c in cells if c.env == env):
+                _draw(ax, cell, rng)
+            ax.axvline(at[env], color=NEUTRAL, linestyle=":", linewidth=0.9)
+            ax.set_title(env)
+            ax.set_xlabel("env steps")
+            ax.xaxis.set_major_formatter(EngFormatter(sep=""))  # 40k
+            ax.legend(fontsize=7.5, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+        for ax in axes[len(at) :]:
+            ax.set_visible(False)
+        axes[0].set_ylabel("best return so far")
+    return figure
+
+
+def _draw(ax: Axes, cell: Cell, rng: np.random.Generator) -> None:
+    colour = learner_colour(cell.learner)
+    steps = np.unique(np.concatenate([curve.step for curve in cell.curves]))
+    steps = steps[(steps >= max(c.step[0] for c in cell.curves)) & (steps <= cell.reach)]
+    values = np.stack([np.interp(steps, c.step, c.best) for c in cell.curves])  # (n, T)
+    for curve in cell.curves:
+        ax.plot(curve.step, curve.best, color=colour, alpha=0.3, linewidth=0.7)
+    label = f"{LEARNERS[cell.learner].label} (n = {cell.n})"
+    marker = "o" if len(steps) < FEW_POINTS else None  # a line of one point is none
+    ax.plot(steps, values.mean(0), color=colour, label=label, marker=marker, markersize=3)
+    if cell.n > 1 and len(steps):
+        low, high = st.band(values, st.mean, rng)
+        ax.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)

@@ -1,0 +1,147 @@
+"""What a sweep is to run: every environment with every learner and seed, and which run is whose."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError
+from ruamel.yaml import YAML, YAMLError
+
+from tom.config import Config, OnlineConfig, RoadConfig, flat
+from tom.errors import UserError
+from tom.record import RunReader
+from tom.training.presets import resolve
+
+Seed = Annotated[int, Field(ge=0)]
+FILE_BYTES = 100_000  # a plan is a page long; a file that expands without end is none
+
+
+class Plan(Config):
+    """The content of a sweep's YAML file; `seeds` is how many, from 0, or which."""
+
+    env: Annotated[list[str], Field(min_length=1)]
+    learner: Annotated[list[str], Field(min_length=1)]
+    seeds: Annotated[int, Field(ge=1)] | Annotated[list[Seed], Field(min_length=1)] = 1
+    steps: Annotated[int, Field(ge=1)] | None = None
+    preset: str = "paper"
+    settings: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One training of a sweep: `overrides` of the preset, as nested dicts."""
+
+    env: str
+    learner: str
+    seed: int
+    preset: str
+    overrides: dict[str, Any]
+
+    @cached_property
+    def config(self) -> OnlineConfig | RoadConfig:
+        """All its numbers. Raises UserError or ValidationError where there is no such training."""
+        return resolve(self.env, self.learner, self.preset, {**self.overrides, "seed": self.seed})
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """The configuration as a run folder holds it."""
+        return self.config.model_dump(mode="json")
+
+    @cached_property
+    def run_id(self) -> str:
+        """Follows from the settings alone: whoever runs the sweep finds the run again."""
+        text = json.dumps(self.settings, sort_keys=True).encode()
+        digest = hashlib.sha256(text).hexdigest()[:8]
+        return f"{self.env}-{self.learner}-s{self.seed}-{digest}"
+
+    def options(self) -> tuple[str, ...]:
+        """The words of `tom train` that make this training."""
+        given = {"env": self.env, "learner": self.learner, "preset": self.preset}
+        words = given | {"seed": self.seed} | flat(self.overrides)
+        return tuple(f"--{name.replace('_', '-')}={_word(value)}" for name, value in words.items())
+
+
+def trials(plan: Plan) -> list[Trial]:
+    """Every training of the plan, each once: a first seed of everything before the second.
+
+    Raises UserError naming the first that is impossible.
+    """
+    seeds = range(plan.seeds) if isinstance(plan.seeds, int) else plan.seeds
+    overrides = plan.settings | ({} if plan.steps is None else {"steps": plan.steps})
+    fixed = {"env", "learner", "seed", "preset"} & set(overrides)
+    if fixed:
+        raise UserError(f"settings.{min(fixed)}: name it outside of the settings")
+    found = [
+        Trial(env, learner, seed, plan.preset, overrides)
+        for seed in dict.fromkeys(seeds)
+        for env in dict.fromkeys(plan.env)
+        for learner in dict.fromkeys(plan.learner)
+    ]
+    for trial in found:
+        try:
+            _ = trial.config
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(map(str, first["loc"]))
+            raise UserError(f"{trial.env} {trial.learner}: {where}: {first['msg']}") from None
+    return found
+
+
+def read_plan(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file, not yet checked. Raises UserError where it is no such file."""
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from None
+    if len(text) > FILE_BYTES:
+        raise UserError(f"{path} is too long for a sweep's plan ({FILE_BYTES} bytes at most)")
+    if b"&" in text or b"*" in text:
+        raise UserError(f"{path}: anchors and aliases (& and *) have no place in a plan")
+    try:
+        content = YAML(typ="safe", pure=True).load(text)
+    except (YAMLError, ValueError) as error:
+        raise UserError(f"{path}: {_first_line(error)}") from None
+    if not isinstance(content, dict):
+        raise UserError(f"{path} is no mapping: write `env: [hopper]` and so on")
+    return content
+
+
+def checked(content: dict[str, Any]) -> Plan:
+    """The plan in a mapping. Raises UserError naming the first thing that is wrong."""
+    listed = {**content}
+    for name in ("env", "learner"):
+        if isinstance(listed.get(name), str):
+            listed[name] = [listed[name]]
+    try:
+        return Plan.model_validate(listed)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"][:2])
+        known = ", ".join(Plan.model_fields)
+        raise UserError(f"sweep: {where}: {first['msg']} (a plan has {known})") from None
+
+
+def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
+    """The run of this training among `runs`: a finished one, else its own, else the newest.
+
+    A small copy counts where there is no whole run of that kind.
+    """
+    mine = [run for run in runs if run.config.get("config") == trial.settings]
+    mine.sort(key=lambda run: run.small_copy)
+    done = [run for run in mine if run.status.state == "finished"]
+    own = [run for run in mine if run.run_id == trial.run_id]
+    return next(iter([*done, *own, *mine]), None)
+
+
+def _word(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) or value is None else str(value)
+
+
+def _first_line(error: Exception) -> str:
+    mark = getattr(error, "problem_mark", None)
+    where = f"line {mark.line + 1}: " if mark else ""
+    return where + str(getattr(error, "problem", None) or error).splitlines()[0]

@@ -1,0 +1,160 @@
+"""A training that was put down is taken up again from its newest whole checkpoint."""
+
+from typing import Any, Unpack
+
+import numpy as np
+import torch
+from pydantic import ValidationError
+
+from tom.config import SacRecordingConfig
+from tom.data.transitions import Transitions
+from tom.errors import UserError, reason
+from tom.events import Notice
+from tom.machine.device import require_device
+from tom.machine.matmul import choose_matmul
+from tom.machine.memory import keep_freed_memory
+from tom.nn.lockstep import finished
+from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, open_sink
+from tom.record.checkpoint import Checkpoint
+from tom.record.heartbeat import BEAT_S
+from tom.training.presets import config_type
+from tom.training.run import AnyConfig, How, Recorded, Training, make_training, record
+from tom.training.watch import Watch
+
+
+def resume(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> RunReader:
+    """Go on with a run from its newest whole checkpoint, to `steps` where given.
+
+    On the same machine with the same versions the result is bit for bit that of a run never
+    interrupted. Raises UserError where the run cannot go on.
+    """
+    return finished(resumed(store, run_id, steps, **how))
+
+
+def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> Recorded:
+    """`resume` as a member of a fleet runs it: its heavy work is handed out."""
+    keep_freed_memory()
+    reader = store.run(run_id)
+    if reader.small_copy:
+        raise UserError(
+            f"run '{run_id}' is a small copy, which cannot go on: resume the run that it is of, or "
+            "start it again under another name"
+        )
+    config = recorded_config(reader)
+    if steps is not None:
+        config = _with_steps(config, steps)
+    _require_own_device(reader, config)
+    if reader.status.alive:
+        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+    writer = RunWriter(reader.path, config)  # from here on no other process writes the run
+    try:
+        held = _checkpoint(reader, config)
+        torch.set_num_threads(config.threads)
+        choose_matmul(reader.config.get("matmul", {}).get("chosen", config.matmul))
+        training, watch = make_training(config), Watch(config)
+        mark = _go_on(reader, held, training, watch)
+    except BaseException:
+        writer.close()
+        raise
+    held.drop_unusable()
+    sink = open_sink(writer) if how.get("rerun", True) else None
+    with Recorder(writer, sink, mark=mark) as recorder:
+        writer.resumed(config, how.get("command", ""))
+        for problem in held.problems:
+            recorder.consume(Notice(held.env_step, "checkpoint", problem))
+        yield from record(training, watch, recorder, writer, how)
+    return RunReader(writer.path)
+
+
+def unfinished(store: Store, config: AnyConfig) -> str | None:
+    """The newest run with these settings, or with fewer steps, that can go on to its last one.
+
+    Runs that are being written, and those without a whole checkpoint, are passed over.
+    """
+    wanted = config.model_dump(mode="json")
+    for reader in store.runs():
+        given = reader.config.get("config")
+        if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
+            continue  # damaged
+        if given["steps"] > config.steps:
+            continue
+        if reader.learner == "sac" and given["steps"] != config.steps:
+            continue  # the halves of a recording depend on them
+        if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
+            continue
+        held = checkpoint.load(reader.path / checkpoint.FOLDER)
+        if held is not None and held.env_step < config.total_steps:
+            return reader.run_id
+    return None
+
+
+def recorded_config(reader: RunReader, otherwise: str = "start it again") -> AnyConfig:
+    """The configuration a run was made with.
+
+    Raises UserError where it is another version's; `otherwise` says what to do then.
+    """
+    kind = SacRecordingConfig if reader.learner == "sac" else config_type(reader.env)
+    try:
+        return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
+    except (KeyError, ValidationError) as error:
+        made_by = reader.config.get("versions", {}).get("tom-studio", "an unknown version")
+        first = error.errors()[0] if isinstance(error, ValidationError) else {"loc": error.args}
+        where = ".".join(str(part) for part in first["loc"])
+        raise UserError(
+            f"run '{reader.run_id}' was made by another version ({made_by}; its setting {where} "
+            f"is not known): {otherwise}"
+        ) from None
+
+
+def _with_steps(config: AnyConfig, steps: int) -> AnyConfig:
+    if isinstance(config, SacRecordingConfig) and steps != config.steps:
+        raise UserError(
+            "a SAC recording cannot be given other --steps: its halves depend on them; record anew"
+        )
+    return config.but(steps=steps)
+
+
+def _require_own_device(reader: RunReader, config: AnyConfig) -> None:
+    """A run's random streams are of the device that it began on."""
+    try:
+        require_device(config.device)
+    except UserError:
+        raise UserError(
+            f"run '{reader.run_id}' trains on {config.device}, which torch does not find here: go "
+            "on where it is, or start the run again with --device cpu"
+        ) from None
+
+
+def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
+    held = checkpoint.load(reader.path / checkpoint.FOLDER)
+    if held is None:
+        raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: start it again")
+    if held.env_step >= config.total_steps:
+        raise UserError(
+            f"run '{reader.run_id}' is complete at step {held.env_step}: give it more with --steps"
+        )
+    return held
+
+
+def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch) -> dict[str, Any]:
+    """Put `training` where it stood; returns where its record stood."""
+    try:
+        state = held.state["training"]
+        training.load_state_dict(state, *_collected(reader, state["collected"]))
+        if "watch" in held.state:
+            watch.load_state_dict(held.state["watch"])
+        return held.state["record"]
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise UserError(
+            f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is another "
+            f"version's ({type(error).__name__}: {reason(error)}): start it again"
+        ) from error
+
+
+def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
+    rows, versions = reader.buffer()
+    if len(rows) < n:
+        raise UserError(
+            f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start again"
+        )
+    return rows[:n], versions[:n]

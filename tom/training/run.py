@@ -1,0 +1,165 @@
+"""One training, from its configuration to a finished run folder."""
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from time import perf_counter
+from typing import Any, Protocol, TypedDict, Unpack
+
+import numpy as np
+import torch
+
+from tom.config import OnlineConfig, RoadConfig, SacRecordingConfig
+from tom.data.transitions import Transitions
+from tom.events import Event, Notice, Tick
+from tom.machine.device import require_device
+from tom.machine.matmul import choose_matmul
+from tom.machine.memory import keep_freed_memory
+from tom.mbpo import Mbpo
+from tom.nn.lockstep import Work, finished
+from tom.offline import Offline
+from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, open_sink
+from tom.record.creating import TakenError
+from tom.training.sac_recording import SacRecording
+from tom.training.watch import Watch
+
+AnyConfig = OnlineConfig | RoadConfig | SacRecordingConfig
+Consumer = Callable[[Event], None]
+Recorded = Generator[Work, None, RunReader]
+STOPPED = "stopped at step {step}: tom train --resume {run} goes on"
+
+
+class Training(Protocol):
+    """A generator of events that can be put down at the end of any step and taken up again."""
+
+    def events(self) -> Iterator[Event]: ...
+
+    def state_dict(self) -> dict[str, Any]: ...
+
+    def load_state_dict(
+        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
+    ) -> None: ...
+
+
+class How(TypedDict, total=False):
+    """How a training is recorded and watched; nothing of it changes what is learnt."""
+
+    rerun: bool  # a recording for Rerun beside the files [True]
+    watchers: Sequence[Consumer]  # see every event
+    command: str  # what it was started with
+    stop: "Stop | None"  # ends it early [nothing does]
+
+
+class Stop:
+    """Asks a training to stop at the end of its step; asked twice, it stops at once."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, *_: object) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+
+
+def make_training(config: AnyConfig) -> Training:
+    """MBPO in a MuJoCo task, offline on road-and-rocks, or SAC alone."""
+    match config:
+        case OnlineConfig():
+            return Mbpo(config)
+        case RoadConfig():
+            return Offline(config)
+        case SacRecordingConfig():
+            return SacRecording(config)
+
+
+def train(
+    config: AnyConfig, store: Store, run_id: str | None = None, **how: Unpack[How]
+) -> RunReader:
+    """Train and record; returns the run.
+
+    A run that `stop` asked to stop is left as `stopped` with a checkpoint. KeyboardInterrupt ends
+    it as `stopped` at once, any other error as `failed` with its reason; both go on to the
+    caller. What was recorded until then stays. Raises UserError without the config's device.
+    """
+    return finished(recorded(config, store, run_id, **how))
+
+
+def recorded(
+    config: AnyConfig, store: Store, run_id: str | None = None, **how: Unpack[How]
+) -> Recorded:
+    """`train` as a member of a fleet runs it: its heavy work is handed out."""
+    require_device(config.device)
+    keep_freed_memory()
+    torch.set_num_threads(config.threads)
+    matmul = choose_matmul(config.matmul).record()
+    writer = _new_writer(store, run_id, config, matmul=matmul, command=how.get("command", ""))
+    sink = open_sink(writer) if how.get("rerun", True) else None
+    with Recorder(writer, sink) as recorder:
+        yield from record(make_training(config), Watch(config), recorder, writer, how)
+    return RunReader(writer.path)
+
+
+def _new_writer(store: Store, run_id: str | None, config: AnyConfig, **how: Any) -> RunWriter:
+    """The writer of a new run; a name that is made up here is free, also when two start at once."""
+    if run_id is not None:
+        return RunWriter.create(store, run_id, config, **how)
+    while True:
+        made_up = store.new_run_id(config.env, config.learner, config.seed)
+        try:
+            return RunWriter.create(store, made_up, config, **how)
+        except TakenError:
+            continue
+
+
+def record(
+    training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, how: How
+) -> Generator[Work, None, None]:
+    """Take a training to its end, or to where `stop` asks: every event into the record."""
+    every, total = writer.config.checkpoint_every, writer.config.total_steps
+    listening, stop = list(how.get("watchers", ())), how.get("stop")
+    steps = training.algorithm() if isinstance(training, Mbpo) else training.events()
+    for event in watch.over(steps):
+        if isinstance(event, Work):
+            yield event
+            continue
+        recorder.consume(event)
+        _tell(listening, event)
+        if not (isinstance(event, Tick) and event.ends_step):
+            continue
+        at = event.env_step
+        asked = stop is not None and stop.asked
+        if asked or (every and at % every == 0) or at == total:
+            _save(training, watch, recorder, writer, at)
+        if asked and at < total:
+            saved = checkpoint.newest(writer.path / checkpoint.FOLDER)
+            hint = STOPPED if saved is not None else "stopped at step {step}, no checkpoint"
+            recorder.finish("stopped", hint.format(step=at, run=writer.run_id))
+            return
+
+
+def _tell(watchers: list[Consumer], event: Event) -> None:
+    """Pass an event on; a watcher whose terminal or pipe is gone is dropped, the run goes on."""
+    for watcher in tuple(watchers):
+        try:
+            watcher(event)
+        except OSError:
+            watchers.remove(watcher)
+
+
+def _save(
+    training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, env_step: int
+) -> None:
+    """Write a checkpoint; where the disk refuses it, the one before stays and training goes on."""
+    begun = perf_counter()
+    try:
+        state = {
+            "training": training.state_dict(),
+            "watch": watch.state_dict(),
+            "record": recorder.mark(),
+        }
+        checkpoint.save(writer.path / checkpoint.FOLDER, env_step, state)
+    except OSError as error:
+        before = checkpoint.newest(writer.path / checkpoint.FOLDER)
+        stays = "there is none yet" if before is None else f"that of step {before} stays"
+        message = f"no checkpoint could be written ({error}): {stays}; free some space"
+        recorder.consume(Notice(env_step, "checkpoint", message))
+    recorder.checkpoint_took(perf_counter() - begun)

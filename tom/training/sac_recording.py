@@ -1,0 +1,182 @@
+"""SAC alone, its whole replay kept in order: what the weights of an ordered buffer are judged on.
+
+The first half of the rows is random, the second what SAC collected while it learnt (the paper's
+analysis of importance weights, section 5.2). Like `Mbpo`, a generator of events.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from tom.config import SacRecordingConfig
+from tom.data.replay import ReplayBuffer
+from tom.data.sampling import uniform_indices
+from tom.data.transitions import Transitions
+from tom.envs import MujocoTask, task
+from tom.events import (
+    Collected,
+    Evaluation,
+    Event,
+    KeptPolicy,
+    Metrics,
+    Tick,
+    TrainedPolicy,
+)
+from tom.metrics import require_finite
+from tom.policy.collect import Collector, Step, transitions_of
+from tom.policy.evaluate import Evaluator
+from tom.policy.sac import Sac
+from tom.policy.stored import policy_arrays
+from tom.rng import Streams
+
+HANDED_OVER = 1000  # steps between two hand-overs of collected rows
+
+
+class SacRecording:
+    """One recording: the random steps, then SAC in an environment of its own."""
+
+    def __init__(self, config: SacRecordingConfig) -> None:
+        self.config = config
+        self.task: MujocoTask = task(config.env)
+        self.streams = Streams(config.seed)
+        dims = self.task.obs_dim, self.task.action_dim
+        self.sac = Sac(*dims, config.sac, [self.streams.torch("sac")])
+        self.policy = self.sac.member(0)
+        self.replay = ReplayBuffer(config.steps, *dims)  # SAC never sees the random half
+        self.evaluator = Evaluator(self.task, config.evaluation.episodes)
+        self.env_step = 0
+        self.policy_version = 0
+        self._collector = Collector(self.task, self.streams.integer("random env"))
+        self._collected: list[tuple[Step, int]] = []
+        self._sac_metrics: dict[str, Tensor] = {}
+
+    def events(self) -> Iterator[Event]:
+        """The recording, from where it stands to the trained policy."""
+        config = self.config
+        while self.env_step < config.steps:
+            self._add(self._collector.step(self._random_action()), version=0)
+            yield from self._hand_over("explore")
+        if self.env_step == config.steps:
+            yield from self._flush()
+            self._collector = Collector(self.task, self.streams.integer("env"))
+        while self.env_step < config.total_steps:
+            yield from self.learn()
+            yield from self._hand_over("optimise")
+        yield from self._flush()
+        yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac))
+
+    def learn(self) -> Iterator[Event]:
+        """One step of the second half: SAC learns from its own steps while it takes them."""
+        config = self.config
+        taken = self.env_step - config.steps + 1
+        explores = taken <= config.exploration_steps
+        action = self._random_action() if explores else self._policy_action(self._collector.obs)
+        step = self._collector.step(action)
+        self._add(step, 0 if explores else self.policy_version)
+        self.replay.add(*step[:6])
+        if step.ended:
+            yield Metrics(self.env_step, _episode(step))
+        if taken >= config.exploration_steps:
+            self.optimise()
+        if config.snapshots and taken % max(config.steps // config.snapshots, 1) == 0:
+            yield KeptPolicy(self.env_step, policy_arrays(config.env, self.sac))
+        if taken % config.evaluation.every == 0 or taken == config.steps:
+            yield from self.evaluate()
+
+    def optimise(self) -> None:
+        """Gradient steps on minibatches of SAC's own rows; a new policy version."""
+        config = self.config
+        for _ in range(config.updates_per_step):
+            rows = uniform_indices(
+                len(self.replay), config.sac.batch_size, self.streams.torch("batches")
+            )
+            self._sac_metrics = self.sac.update(self.replay.gather(rows)[None])
+        require_finite(self._sac_metrics, self.env_step)
+        self.policy_version += 1
+
+    def evaluate(self) -> Iterator[Event]:
+        """Episodes of the mean policy in environments of their own."""
+        yield Tick(self.env_step, "evaluate")
+        yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
+        seed = self.streams.integer(f"evaluation {self.env_step}")
+        yield Evaluation(self.env_step, self.evaluator.run(self.policy.mean, seed))
+
+    # Where the recording stands
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides the rest of the recording; the rows handed over are not in it."""
+        return {
+            "env_step": self.env_step,
+            "policy_version": self.policy_version,
+            "sac": self.sac.state_dict(),
+            "streams": self.streams.state_dict(),
+            "collector": self._collector.state_dict(),
+            "collected": self.env_step - len(self._collected),
+            "uncollected": [(_plain(step), version) for step, version in self._collected],
+            "sac_metrics": self._sac_metrics,
+        }
+
+    def load_state_dict(
+        self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
+    ) -> None:
+        """Go on from `state_dict`; `collected` are all rows handed over until then, in order."""
+        self.env_step, self.policy_version = state["env_step"], state["policy_version"]
+        self.sac.load_state_dict(state["sac"])
+        self.streams.load_state_dict(state["streams"])
+        self._collector.load_state_dict(state["collector"])
+        self._collected = [(_step(parts), version) for parts, version in state["uncollected"]]
+        self._sac_metrics = state["sac_metrics"]
+        self.replay.extend(collected[self.config.steps :].torch())
+        first = state["collected"]
+        for number, (step, _) in enumerate(self._collected, start=first):
+            if number >= self.config.steps:
+                self.replay.add(*step[:6])
+
+    # Parts
+
+    def _random_action(self) -> NDArray[np.float32]:
+        action = self.streams.numpy("explore").uniform(-1.0, 1.0, self.task.action_dim)
+        return action.astype(np.float32)
+
+    def _policy_action(self, obs: NDArray) -> NDArray[np.float32]:
+        batch = torch.as_tensor(obs, dtype=torch.float32)[None]
+        return self.policy(batch, 1, self.streams.torch("act"))[0, 0].numpy()
+
+    def _add(self, step: Step, version: int) -> None:
+        self._collected.append((step, version))
+        self.env_step += 1
+
+    def _hand_over(self, phase: str) -> Iterator[Event]:
+        if self.env_step % HANDED_OVER == 0:
+            yield from self._flush()
+        yield Tick(self.env_step, phase)
+
+    def _flush(self) -> Iterator[Event]:
+        """The rows since the last time; an episode that its half breaks off is truncated."""
+        if not self._collected:
+            return
+        steps, versions = zip(*self._collected, strict=True)
+        self._collected = []
+        state = {name: np.array([getattr(s, name) for s in steps]) for name in ("qpos", "qvel")}
+        at_end = self.env_step in (self.config.steps, self.config.total_steps)
+        rows = transitions_of(steps, cut=at_end)
+        yield Collected(self.env_step, rows, np.array(versions, np.int64), state)
+
+
+def _plain(step: Step) -> list[Any]:
+    """A step as tensors and primitives."""
+    unwrapped = (x.item() if isinstance(x, np.generic) else x for x in step)
+    return [torch.from_numpy(x) if isinstance(x, np.ndarray) else x for x in unwrapped]
+
+
+def _step(parts: list[Any]) -> Step:
+    arrays: list[Any] = [x.numpy() if isinstance(x, Tensor) else x for x in parts]
+    return Step(*arrays)
+
+
+def _episode(step: Step) -> dict[str, float]:
+    return {"train/return": step.episode_return, "train/length": float(step.episode_length)}

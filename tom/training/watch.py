@@ -1,0 +1,162 @@
+"""What goes wrong in a training, seen from its events alone, and what to try.
+
+The rule: a loss that is not a number ends the training, for nothing after it means anything.
+Everything else that is odd is a notice, and the training goes on.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from tom.config import OnlineConfig, RunConfig, SacRecordingConfig
+from tom.errors import DivergedError
+from tom.events import Collected, Event, Metrics, Notice, Weights
+from tom.metrics import MODEL, require_finite
+from tom.nn.lockstep import Work
+
+EXPLODED_SHARE = 1e-3
+"""share of modelled steps far outside the data from which on a notice says so"""
+NAMED = 8
+"""dimensions that a notice names one by one"""
+SHORT_EPISODES = 10
+"""episodes of one step in a row from which on a notice says so"""
+
+
+class Watch:
+    """Looks at every event of one training; its state is part of a checkpoint."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self._config = config
+        self._said: set[str] = set()
+        self._short = 0  # episodes of one step in a row
+        self._low: Tensor | None = None  # (O,) smallest obs so far
+        self._high: Tensor | None = None
+
+    def over(self, events: Iterable[Event | Work]) -> Iterator[Event | Work]:
+        """The events, each followed by the notices that it calls for. Raises DivergedError.
+
+        Work is passed on as it comes.
+        """
+        for event in events:
+            yield event  # first recorded, then judged
+            if not isinstance(event, Work):
+                yield from self.look(event)
+
+    def look(self, event: Event) -> Iterator[Notice]:
+        """What `event` gives reason to say."""
+        match event:
+            case Collected():
+                self._widen(torch.as_tensor(event.transitions.obs))
+            case Weights():
+                yield from self._once(event.env_step, "constant-dimension", self._constant())
+                yield from self._once(event.env_step, "small-buffer", self._small())
+            case Metrics():
+                yield from self._metrics(event.env_step, event.values)
+            case _:
+                return
+
+    def _metrics(self, env_step: int, values: Mapping[str, float]) -> Iterator[Notice]:
+        require_finite(values, env_step)
+        if "critic/loss" in values:
+            yield from self._once(env_step, "small-buffer", self._small())
+        if "train/length" in values:
+            self._short = self._short + 1 if values["train/length"] == 1 else 0
+            yield from self._once(env_step, "short-episodes", self._short_episodes())
+        if values.get("discriminator/accuracy", 0.0) >= 1.0:
+            yield from self._once(env_step, "perfect-discriminator", PERFECT)
+        yield from _rollouts(env_step, values)
+
+    def _once(self, env_step: int, kind: str, message: str) -> Iterator[Notice]:
+        if message and kind not in self._said:
+            self._said.add(kind)
+            yield Notice(env_step, kind, message)
+
+    def _widen(self, obs: Tensor) -> None:
+        low, high = obs.amin(0), obs.amax(0)
+        self._low = low if self._low is None else torch.minimum(self._low, low)
+        self._high = high if self._high is None else torch.maximum(self._high, high)
+
+    def _constant(self) -> str:
+        if self._low is None or self._high is None:
+            return ""
+        still = torch.nonzero(self._low == self._high).flatten().tolist()
+        if not still or len(still) == len(self._low):
+            return ""
+        named = ", ".join(map(str, still[:NAMED])) + (", ..." if len(still) > NAMED else "")
+        return (
+            f"{len(still)} of {len(self._low)} observation dimensions ({named}) have never "
+            "changed: they are predicted to stay as they are; leave them out of the observation "
+            "if they carry nothing"
+        )
+
+    def _small(self) -> str:
+        rows, batch = _first_batch(self._config)
+        if rows >= batch:
+            return ""
+        return (
+            f"the buffer holds {rows} rows at first, fewer than a minibatch of {batch}: rows are "
+            f"drawn with replacement; try --exploration-steps {batch} or more"
+        )
+
+    def _short_episodes(self) -> str:
+        if self._short < SHORT_EPISODES:
+            return ""
+        return (
+            f"the last {SHORT_EPISODES} episodes ended after one step: nothing can be learnt of "
+            "what comes later; look at the task's termination and its start states"
+        )
+
+    # Where it stands
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            "said": sorted(self._said),
+            "short": self._short,
+            "low": self._low,
+            "high": self._high,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        self._said, self._short = set(state["said"]), state["short"]
+        self._low, self._high = state["low"], state["high"]
+
+
+PERFECT = (
+    "the discriminator tells the policy's transitions from all others without a mistake: its "
+    "log ratio has no scale and the weights follow it; try a larger policy buffer, or "
+    "--tom.label-smoothing 0.1"
+)
+
+
+def _rollouts(env_step: int, values: Mapping[str, float]) -> Iterator[Notice]:
+    diverged = values.get("rollout/diverged", 0.0)
+    if diverged >= 1.0:
+        raise DivergedError(f"step {env_step}: no modelled step is finite: {MODEL}")
+    if diverged > 0.0:
+        yield Notice(
+            env_step,
+            "rollout-diverged",
+            f"{diverged:.2%} of the modelled steps were not finite and were left out: "
+            f"{MODEL} or a shorter --rollout.length",
+        )
+    exploded = values.get("rollout/exploded", 0.0)
+    if exploded > EXPLODED_SHARE:
+        yield Notice(
+            env_step,
+            "rollout-exploded",
+            f"{exploded:.2%} of the modelled steps lead far outside the data (100 times its "
+            f"largest observation): {MODEL} or a shorter --rollout.length",
+        )
+
+
+def _first_batch(config: RunConfig) -> tuple[int, int]:
+    """Rows that the first minibatch is drawn from, and the smallest minibatch."""
+    match config:
+        case OnlineConfig():
+            return config.exploration_steps, min(config.model.batch_size, config.sac.batch_size)
+        case SacRecordingConfig():
+            return max(config.exploration_steps, 1), config.sac.batch_size
+        case _:
+            return 1, 1
