@@ -16,7 +16,7 @@ def frame(runs: Sequence[RunInfo], watched: Sequence[RunInfo]) -> None:
     """The viewer, and the choice of what it shows. A rerun of the page does not reload it."""
     links = session.links()
     st.subheader("Recording", anchor=False)
-    if not links.rerun_web_port:
+    if not links.rerun_port:
         st.caption("The Rerun viewer runs when the studio is started with `tom studio`.")
         return
     recorded = [run.run_id for run in runs if readers.recordings(run)]
@@ -43,7 +43,7 @@ def frame(runs: Sequence[RunInfo], watched: Sequence[RunInfo]) -> None:
 def episode(run_id: str, step: int, index: int, horizon: int, height: int) -> None:
     """One evaluation episode, its ghost and its rewards in the viewer."""
     links = session.links()
-    if not links.rerun_web_port:
+    if not links.rerun_port:
         st.caption("The Rerun viewer runs when the studio is started with `tom studio`.")
         return
     where = links.rerun_episode(session.host(), run_id, step, index, horizon, session.mode())

@@ -16,6 +16,7 @@ from app.parts.plot import chart
 from app.views.compare import measure
 from app.views.compare.measure import Measure
 from tom.analysis import statistics
+from tom.harmless import as_csv
 
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
@@ -139,7 +140,7 @@ def downloads(files: Mapping[str, tuple[Callable[[], pd.DataFrame], str]], name:
         for label, (make, suffix) in files.items():
             st.download_button(
                 label,
-                lambda make=make: make().to_csv(index=False),
+                lambda make=make: as_csv(make()),
                 f"{name.replace('/', '-')}-{suffix}.csv",
                 "text/csv",
                 icon=":material/download:",

@@ -17,8 +17,8 @@ from tom.record.store import Store
 def draw(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> None:
     """Every run that passes the filters as a table; below it what can be done with some."""
     st.dataframe(overview(runs), hide_index=True, column_config=_columns())
-    if not session.may_act():
-        st.caption("This studio is open to other machines, so its pages change nothing.")
+    if why := session.looks_on():
+        st.caption(why)
         return
     names = called(everything)
     picked = st.multiselect(

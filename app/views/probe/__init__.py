@@ -162,8 +162,8 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
         store = session.links().store
         words = command(run.run_id, str(policy), learners, str(preset), seeds, store, step)
         st.code(form.shown(words), language="bash", wrap_lines=True)
-        if not session.may_act():
-            st.caption("This studio is open to other machines, so its pages change nothing.")
+        if why := session.looks_on():
+            st.caption(why)
         elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
             st.session_state["weighing"] = trainings.start(words)
         if run.run_id not in policies and not empty.left_out(run, "policy"):

@@ -19,14 +19,12 @@ from studio_runs import ROAD_MLE, ROAD_TOM
 
 from app.data import pictures
 from app.data.roadmap import CELLS, on_road
-from app.links import Links
 from app.scenes import arrays, solids
 from app.scenes import road as scene
 from app.scenes.control import Replay, Road, Selection, States, listen, packed, tell, unpacked
 from app.scenes.export import FRAME_S, REST_S, STRIDE, as_html
 from app.scenes.road import RoadScene
 from app.scenes.road_frame import LAYERS
-from app.scenes.server import trusted
 from app.servers.processes import free_port
 from tom.record.reader import RunReader
 
@@ -257,26 +255,6 @@ def test_of_two_selections_of_a_page_the_later_connection_counts(tmp_path: Path)
 def test_a_message_says_what_was_chosen(choice: Road | Replay | States) -> None:
     selection = Selection(choice, "dark", compact=True)
     assert unpacked(packed("page", selection)) == ("page", selection)
-
-
-@pytest.mark.parametrize(
-    ("host", "origin", "taken"),
-    [
-        ("127.0.0.1:8080", "http://127.0.0.1:8080", True),
-        ("localhost:8080", "http://localhost:8080", True),
-        ("127.0.0.1:8080", "http://evil.example", False),
-        ("evil.example:8080", "http://evil.example", False),
-        ("127.0.0.1:8080", "", False),
-    ],
-)
-def test_only_the_studios_own_pages_get_a_scene(host: str, origin: str, taken: bool) -> None:
-    headers = {"Host": host} | ({"Origin": origin} if origin else {})
-    assert trusted(headers, Links().allowed_hosts) == taken
-
-
-def test_on_every_interface_only_the_origin_counts() -> None:
-    headers = {"Host": "studio.lan:1", "Origin": "http://studio.lan:1"}
-    assert trusted(headers, Links(host="0.0.0.0").allowed_hosts)
 
 
 def test_a_server_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def weighed(
     there = tmp_path / "store"
     shutil.copytree(store, there, copy_function=os.link)
     shutil.copytree(results, there / "weighings" / "made")
-    for name, value in Links(store=str(there)).environment().items():
+    for name, value in Links(store=str(there), key="key").environment().items():
         monkeypatch.setenv(name, value)
     return there / "weighings" / "made"
 
@@ -190,7 +190,7 @@ def test_a_buffer_that_cannot_be_read_is_no_error(
     if torn == "the first of two":
         shutil.copy(segment, segment.with_name("000000400.npz"))
     segment.write_bytes(b"torn")
-    for name, value in Links(store=str(tmp_path / "store")).environment().items():
+    for name, value in Links(store=str(tmp_path / "store"), key="key").environment().items():
         monkeypatch.setenv(name, value)
     app = draw("probe", run="torn")
     assert bool(app.warning) == (torn == "every segment")

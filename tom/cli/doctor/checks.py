@@ -28,7 +28,7 @@ from tom.record.rerun import hub
 State = Literal["ok", "note", "bad"]
 
 PYTHON = (3, 11)
-HOST, SERVERS = "127.0.0.1", 4  # where the studio listens, on so many ports
+HOST, SERVERS = "127.0.0.1", 3  # where the studio listens, on so many ports
 LOW_GB, FULL_GB = 10.0, 1.0
 
 

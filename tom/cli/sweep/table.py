@@ -8,6 +8,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from tom.harmless import terminal
 from tom.record import RunReader
 from tom.sweep.driver import Driver, Seat
 
@@ -65,7 +66,8 @@ class Watcher:
             return
         for seat in self._changed():
             note = f" ({seat.note.splitlines()[0]})" if seat.note else ""
-            print(f"{seat.run_id}: {seat.state}{note}", file=self._console.file, flush=True)
+            line = terminal(f"{seat.run_id}: {seat.state}{note}")
+            print(line, file=self._console.file, flush=True)
         if monotonic() - self._shown >= LINE_EVERY_S:
             self._shown = monotonic()
             print(self._summary(), file=self._console.file, flush=True)
@@ -92,7 +94,7 @@ class Watcher:
         seats = sorted(self._driver.seats, key=lambda seat: ORDER.index(seat.state))
         room = max(self._console.height - 8, 3)
         for seat in seats[:room]:
-            table.add_row(*map(Text, self._cells(seat)))
+            table.add_row(*(Text(terminal(cell)) for cell in self._cells(seat)))
         more = f", {len(seats) - room} more not shown" if len(seats) > room else ""
         return Group(table, Text(self._summary() + more))
 

@@ -43,7 +43,7 @@ class RerunView:
         env: str,
         learner: str,
         every: int,
-        sink: rr.FileSink | rr.GrpcSink | None = None,
+        sink: rr.FileSink | None = None,
         layout: rrb.Blueprint | None = None,
     ) -> None:
         """`every` env steps lie between two evaluations; without a sink, `read` the bytes.
