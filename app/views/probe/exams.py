@@ -108,10 +108,10 @@ def verdict(result: Outcome) -> str:
     first, second = result.ranked[:2]
     beats = result.first_beats_second
     one, other = (text.markdown(standing.name) for standing in (first, second))
+    less = 100 * (1 - first.typical / second.typical)
     errors = (
-        f"{_short(first.typical)}, {1 - first.typical / second.typical:.0%} less than {other}, "
-        f"the next, with {_short(second.typical)}, up to step {result.until:,.0f} (n: "
-        f"{_runs(first)}; {_runs(second)})"
+        f"{_short(first.typical)}, {less:.0f} % less than {other}, the next, with {_short(second.typical)}, "
+        f"up to step {result.until:,.0f} (n: {_runs(first)}; {_runs(second)})"
     )
     chance = (
         f"a run of {one} errs less than one of {other} with probability {beats.value:.2f} "
