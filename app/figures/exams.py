@@ -56,7 +56,7 @@ def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
         mode="markers",
         marker={
             "size": 6,
-            "color": faded(colour, 0.6),
+            "color": faded(colour, 0.8),
             "symbol": learner_symbol(learner),
             "line": {"width": 0},
         },

@@ -28,8 +28,8 @@ WHAT = (
 )
 OWN = (
     "Each run is examined on what its own policy met, in units of its own buffer, so learners "
-    "differ in policy and data too: on one buffer compare them `tom reproduce footprint` and "
-    "`tom reproduce capacity`."
+    "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
+    "them on the same buffers."
 )
 _OUTCOMES: Kept[tuple[list[Exams], Outcome]] = Kept(16)
 
@@ -110,8 +110,8 @@ def verdict(result: Outcome) -> str:
     one, other = (text.markdown(standing.name) for standing in (first, second))
     less = 100 * (1 - first.typical / second.typical)
     errors = (
-        f"{_short(first.typical)}, {less:.0f} % less than {other}, the next, with {_short(second.typical)}, "
-        f"up to step {result.until:,.0f} (n: {_runs(first)}; {_runs(second)})"
+        f"{_short(first.typical)}, {less:.0f} % less than {other}, the next, "
+        f"with {_short(second.typical)}, up to step {result.until:,.0f} (n: {_runs(first)}; {_runs(second)})"
     )
     chance = (
         f"a run of {one} errs less than one of {other} with probability {beats.value:.2f} "

@@ -37,7 +37,7 @@ def test_every_fit_is_a_point_in_its_learners_colour() -> None:
     assert list(right["x"])[:2] == [10, 20]
     assert list(right["y"]) == [0.5, 0.25, 0.125]
     assert left["marker"]["symbol"] == learner_symbol("tom")
-    keys = [trace for trace in figure.data if trace.meta is None]
+    keys: list[Any] = [one for one in figure.select_traces() if one.meta is None]
     assert [key["marker"]["color"] for key in keys] == [
         learner_colour("tom"),
         learner_colour("mle"),
