@@ -55,13 +55,16 @@ def upright(x: float, width: float, dash: str | None = None) -> dict[str, Any]:
     return {"type": "line", **ends, "line": {"color": NEUTRAL, "width": width, "dash": dash}}
 
 
-def note(figure: go.Figure, text: str) -> go.Figure:
-    """A remark in the figure's corner: what a reader must know about what is drawn."""
+def note(figure: go.Figure, text: str, right: float = 1) -> go.Figure:
+    """A remark in the figure's corner: what a reader must know about what is drawn.
+
+    It ends at `right`, a share of the figure's width.
+    """
     figure.add_annotation(
         text=text,
         xref="paper",
         yref="paper",
-        x=1,
+        x=right,
         y=0,
         xanchor="right",
         yanchor="bottom",

@@ -29,6 +29,8 @@ PREFERRED = (
     "weights/road_share",
     "model/error_expert",
     "model/error_road",
+    "exam/footprint",
+    "exam/error",
     "model/holdout_nll",
     "weights/ess",
     "critic/loss",

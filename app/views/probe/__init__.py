@@ -17,7 +17,7 @@ from app.figures.probe import probe_profiles
 from app.parts import empty, form, widgets
 from app.parts.plot import chart
 from app.theme import learner_label
-from app.views.probe import model_error
+from app.views.probe import exams, model_error
 from tom.analysis.progression import Progression
 from tom.analysis.weighing import RANDOM
 from tom.learners import LEARNER_NAMES
@@ -60,6 +60,8 @@ def page() -> None:
     _weigh(run, kept, folded=chosen is not None)
     st.subheader("Does it help?", anchor=False)
     same = [other for other in kept if other.env == run.env]
+    exams.draw([other for other in online if other.env == run.env])
+    st.subheader("In sample: on rows that the models were fitted to", anchor=False)
     model_error.on_one_buffer(run, same)
     model_error.recorded(same)
     widgets.show_problems(run)
