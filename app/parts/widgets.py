@@ -11,6 +11,7 @@ from app import text
 from app.data import readers
 from app.data.aggregate import Curve, curve_points
 from app.data.readers import RunInfo
+from app.parts import asked
 
 
 def curve(run: RunInfo, metric: str) -> Curve:
@@ -28,9 +29,17 @@ UNIFORM = {"mle", "sac"}
 def pick_run(runs: Sequence[RunInfo], label: str = "Run") -> RunInfo:
     """A run, chosen here or by the address (`?run=...`); else the most telling one."""
     by_id = {run.run_id: run for run in runs}
+    asked.tell("run", by_id)
     first = most_telling(runs)
-    index = list(by_id).index(first.run_id)
-    chosen = st.selectbox(label, list(by_id), index=index, key="run", bind="query-params")
+    chosen = st.selectbox(
+        label,
+        list(by_id),
+        index=list(by_id).index(first.run_id),
+        key="run",
+        bind="query-params",
+        on_change=asked.answered,
+        args=("run",),
+    )
     return by_id.get(chosen or "", first)
 
 

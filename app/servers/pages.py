@@ -10,6 +10,7 @@ from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import (
     FileResponse,
+    HTMLResponse,
     JSONResponse,
     PlainTextResponse,
     RedirectResponse,
@@ -69,9 +70,10 @@ def routes(links: Links) -> list[Route]:
         return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
 
     def short(request: Request) -> Response:
-        found = shortlinks.target(links.store, request.path_params["code"])
+        code = request.path_params["code"]
+        found = shortlinks.target(links.store, code)
         if found is None:
-            return PlainTextResponse("no such view", status_code=404)
+            return HTMLResponse(shortlinks.nowhere(code), status_code=404)
         return RedirectResponse(found, status_code=302)
 
     return [

@@ -155,6 +155,7 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
         learners = row[2].multiselect(
             "Learners", LEARNER_NAMES, ["tom", "pmac", "mle"], key="weigh learners",
             format_func=learner_label,
+            filter_mode="contains", select_all=False,
         )  # fmt: skip
         preset = row[3].selectbox(
             "TOM's preset", PRESETS, key="weigh preset",

@@ -7,6 +7,7 @@ from app import session, text
 from app.data import buffer_reader, pictures, readers
 from app.data.buffer import Floats, against
 from app.data.readers import RunInfo
+from app.figures.base import steps_in_words
 from app.figures.regions import weights_against
 from app.figures.weights import effective_sample, weight_map, weight_profile
 from app.parts import empty, widgets
@@ -67,10 +68,11 @@ def page() -> None:
 
 def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -> None:
     """The map of all fits, and the profile of the chosen one."""
+    x = steps_in_words([run.env])
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown("**Every fit**: click one to look at it")
-        figure = weight_map(profiles, chosen, session.mode(), 400, relative=relative)
+        figure = weight_map(profiles, chosen, session.mode(), 400, relative=relative, x=x)
         chart(figure, "weight map", "weight of each part of the buffer at every fit", _choose)
     with right, st.container(border=True):
         step = profiles.env_step[chosen]
@@ -82,7 +84,8 @@ def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -
 def _effective_sample(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     with st.container(border=True):
         st.markdown("**How much of the buffer is left**")
-        figure = effective_sample(profiles, run.learner, chosen, 250)
+        x = steps_in_words([run.env])
+        figure = effective_sample(profiles, run.learner, chosen, 250, x)
         chart(
             figure, "effective sample", "effective sample size and share of zero weights", _choose
         )

@@ -37,7 +37,7 @@ def picture(store: Path) -> pictures.Picture:
 
 
 def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
-    columns = arrays.columns(picture.grid)
+    columns = arrays.columns(picture.grid, "light")
     heavy = np.nan_to_num(picture.grid) >= 1 / 16
     assert len(columns.position) == heavy.sum() > 100
     i = int(np.argmax(columns.scale[:, 2]))
@@ -48,7 +48,7 @@ def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
 
 
 def test_toms_columns_stand_on_the_road(picture: pictures.Picture) -> None:
-    columns = arrays.columns(picture.grid)
+    columns = arrays.columns(picture.grid, "light")
     tall = columns.scale[:, 2] > arrays.TALLEST / 2
     assert on_road(columns.position[tall, :2], picture.road).mean() > 0.9
 
@@ -56,7 +56,7 @@ def test_toms_columns_stand_on_the_road(picture: pictures.Picture) -> None:
 def test_height_and_colour_grow_with_the_weight() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, :4] = [0.01, 1, 4, 100]
-    columns = arrays.columns(grid)
+    columns = arrays.columns(grid, "light")
     assert len(columns.scale) == 3
     assert columns.scale[:, 2] == pytest.approx(arrays.TALLEST * np.array([0.25, 0.5, 1]))
     assert columns.colour[2].tolist() == [194, 44, 6]
@@ -125,7 +125,7 @@ def test_cars_drive_the_recorded_ways(picture: pictures.Picture) -> None:
 def test_the_flat_picture_is_clear_where_nothing_was_recorded() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, 3] = 100
-    flat = arrays.flat(grid)
+    flat = arrays.flat(grid, "light")
     assert flat[0, 3].tolist() == [194, 44, 6, 235]
     assert flat[..., 3].sum() == 235
 

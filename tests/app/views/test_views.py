@@ -213,7 +213,7 @@ def test_road_shows_the_weights_over_the_map(store: Path) -> None:
     assert metric_values(app)["weight on the road"] == f"{100 * share:.1f} %"
     table = app.dataframe[0].value.set_index("run")
     assert table.loc[ROAD_TOM, "weight on the road"] == pytest.approx(share)
-    assert table.loc[ROAD_MLE, "road : rocks"] == pytest.approx(1, abs=0.01)
+    assert table.loc[ROAD_MLE, "road : rocks, random data"] == pytest.approx(1, abs=0.01)
 
 
 def test_road_shows_the_chosen_step(store: Path) -> None:
