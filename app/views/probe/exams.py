@@ -111,7 +111,8 @@ def verdict(result: Outcome) -> str:
     less = 100 * (1 - first.typical / second.typical)
     errors = (
         f"{_short(first.typical)}, {less:.0f} % less than {other}, the next, "
-        f"with {_short(second.typical)}, up to step {result.until:,.0f} (n: {_runs(first)}; {_runs(second)})"
+        f"with {_short(second.typical)}, up to step {result.until:,.0f} "
+        f"(n: {_runs(first)}; {_runs(second)})"
     )
     chance = (
         f"a run of {one} errs less than one of {other} with probability {beats.value:.2f} "
