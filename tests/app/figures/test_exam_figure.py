@@ -37,7 +37,8 @@ def test_every_fit_is_a_point_in_its_learners_colour() -> None:
     assert list(right["x"])[:2] == [10, 20]
     assert list(right["y"]) == [0.5, 0.25, 0.125]
     assert left["marker"]["symbol"] == learner_symbol("tom")
-    keys: list[Any] = [one for one in figure.select_traces() if one.meta is None]
+    every: list[Any] = list(figure.data)
+    keys = [one for one in every if one.meta is None]
     assert [key["marker"]["color"] for key in keys] == [
         learner_colour("tom"),
         learner_colour("mle"),
