@@ -192,8 +192,8 @@ def _middle(group: Group, name: str, dash: str, axes: Axes) -> list[go.Scatter]:
                 "dash": dash if i == 0 else "dot",
             },
             marker={"size": 6, "symbol": learner_symbol(group.learner)},
-            hovertemplate=f"<b>{text.plotly(learner_label(group.learner))}</b> {statistic} of "
-            f"%{{customdata}} runs<br>{_at(axes.x)}: %{{y:.4g}}<extra></extra>",
+            hovertemplate=f"<b>{text.plotly(learner_label(group.learner))}</b> {statistic}, "
+            f"n = %{{customdata}}<br>{_at(axes.x)}: %{{y:.4g}}<extra></extra>",
             legendgroup=_identity(group),
             showlegend=i == 0,
         )

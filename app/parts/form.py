@@ -75,9 +75,15 @@ def command(
         level = reduce(lambda at, group: at.setdefault(group, {}), groups, nested)
         level[name] = None if words.lower() == "none" else words
     try:
-        resolve(env, learner, preset, nested)
+        config = resolve(env, learner, preset, nested)
     except ValidationError as error:
         raise one_line(error) from None
+    explored = getattr(config, "exploration_steps", 0)  # a fixed data set is not explored
+    if config.steps <= explored:
+        raise UserError(
+            f"{config.steps:,} steps are all exploration, and nothing is learnt: ask for more than "
+            f"{explored:,}, or set exploration steps lower"
+        )
     options = [f"--{path.replace('_', '-')}={words}" for path, words in given.items()]
     chosen = ["--env", env, "--learner", learner, "--preset", preset, "--seed", str(seed)]
     return ["train", *chosen, *options, "--store", store]

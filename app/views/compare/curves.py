@@ -105,7 +105,8 @@ def _remarks(grouped: Sequence[Group], found: Sequence[Curve], how: Measure) -> 
     if any(len({c.seed for c in g.curves}) < g.n for g in grouped):
         words.append("A seed that was run twice counts twice.")
     if empty := sum(not len(curve.step) for curve in found):
-        words.append(f"{empty} runs have recorded nothing of this yet.")
+        have = "1 run has" if empty == 1 else f"{empty} runs have"
+        words.append(f"{have} recorded nothing of this yet.")
     st.caption(" ".join(words))
 
 

@@ -83,8 +83,11 @@ def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
 
 
 def usual(runs: Sequence[RunInfo]) -> list[str]:
-    """Three metrics worth watching: those that go on changing, of the preferred ones first."""
-    names = available(runs)
+    """Three metrics worth watching: those that go on changing, of the preferred ones first.
+
+    What only says how the machine does is none of them: a run that explores has nothing else yet.
+    """
+    names = [name for name in available(runs) if not name.startswith("time/")]
     lines = [name for name in names if any(readers.points(r).get(name, 0) > 1 for r in runs)]
     return (lines or names)[:3]
 
