@@ -1,8 +1,8 @@
 """A small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
 
 Numbers keep fewer digits and series fewer points; checkpoints and recordings are left out, and
-what is large of OPTIONAL unless it is asked for. `config.json` of the copy names under `thinned` what
-of the run it lacks.
+what is large of OPTIONAL unless it is asked for. `config.json` of the copy names under `thinned`
+what of the run it lacks.
 """
 
 import json
@@ -77,7 +77,7 @@ def _copy(reader: RunReader, to: Path) -> None:
 
 
 def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
-    """Which parts beside OPTIONAL the run has and its copy lacks; `other`: it holds some of them."""
+    """Which parts besides OPTIONAL the copy lacks; `other`: it holds some of them."""
     snapshots, evaluations = copy.snapshot_steps(), copy.evaluation_steps()
     fields = run.field_names()
     return {
