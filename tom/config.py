@@ -291,10 +291,14 @@ class OnlineConfig(RunConfig):
     evaluation: EvaluationConfig = EvaluationConfig()
 
 
+SAC_ALONE = "sac"
+"""what a recording of SAC has in the place of a learner: it fits no model"""
+
+
 class SacRecordingConfig(RunConfig):
     """SAC alone in a MuJoCo task after as many random steps, its whole replay kept in order."""
 
-    learner: str = "sac"
+    learner: str = SAC_ALONE
     steps: Count = 200_000
     """environment steps of SAC; as many random ones come before them"""
     exploration_steps: Whole = 1000

@@ -33,7 +33,7 @@ from tom.exams.exam import Exam, Fitted, critic_metrics, model_metrics, weight_m
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting, weighing
 from tom.metrics import require_finite
-from tom.nn.lockstep import Beside, Work, alone
+from tom.nn.lockstep import Call, Work, alone
 from tom.policy.evaluate import Evaluator
 from tom.policy.rollout import roll_out, start_states
 from tom.policy.sac import Sac
@@ -159,7 +159,7 @@ class Mbpo:
         """Line 21: one step of pi in the environment, into D_env (whose end is D_pol)."""
         obs = self._begin_episode() if self._obs is None else self._obs
         action = self._explore_action() if explore else (yield from self._policy_action(obs))
-        stepped = Beside(partial(self.env.step, action))
+        stepped = Call(partial(self.env.step, action))
         yield stepped
         next_obs, reward, terminated, truncated, _ = stepped.result()
         version = 0 if explore else self.policy_version
@@ -197,7 +197,7 @@ class Mbpo:
         yield Tick(self.env_step, "evaluate")
         yield Metrics(self.env_step, self._sac_losses())
         seed = self.streams.integer(f"evaluation {self.env_step}")
-        played = Beside(partial(self.evaluator.run, self.policy.mean, seed))
+        played = Call(partial(self.evaluator.run, self.policy.mean, seed))
         yield played
         yield Evaluation(self.env_step, played.result())
 

@@ -10,10 +10,17 @@ from numpy.typing import NDArray
 
 from app.data import pictures, readers, regions
 from app.data.buffer import Floats, Rows, rows_at
-from app.data.cache import Kept
+from app.data.cache import VersionedCache
 from app.data.readers import RunInfo, Stamp
 from app.data.regions import Plane
-from tom.analysis.imagine import KeptModel, Stamps, kept_model, kept_stamps, kept_step, step_errors
+from tom.analysis.imagine import (
+    Stamps,
+    StoredModel,
+    step_errors,
+    stored_model,
+    stored_stamps,
+    stored_step,
+)
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.record import layout
@@ -46,7 +53,7 @@ def model_errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, in
 
     The reason in words where there is no model.
     """
-    weighed, model = readers.stamp(_snapshot(run, step)), kept_stamps(RunReader(run.path))
+    weighed, model = readers.stamp(_snapshot(run, step)), stored_stamps(RunReader(run.path))
     return _errors(run.path, run.env, step, _stamp(run), weighed, model)
 
 
@@ -56,9 +63,9 @@ def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
     None where `other` kept no model.
     """
     reader = RunReader(other.path)
-    if kept_step(reader) is None:
+    if stored_step(reader) is None:
         return None
-    return _errors_on(run.path, _stamp(run), other.path, kept_stamps(reader))
+    return _errors_on(run.path, _stamp(run), other.path, stored_stamps(reader))
 
 
 def principal_plane(run: RunInfo, rows: Rows) -> Plane:
@@ -94,11 +101,11 @@ class _Recorded:
 
     rows: Transitions
     version: NDArray[np.int64]
-    at_fits: Kept[Rows | None] = field(default_factory=lambda: Kept(4))
-    planes: Kept[Plane] = field(default_factory=lambda: Kept(2))
+    at_fits: VersionedCache[Rows | None] = field(default_factory=lambda: VersionedCache(4))
+    planes: VersionedCache[Plane] = field(default_factory=lambda: VersionedCache(2))
 
 
-_RECORDED: Kept[_Recorded] = Kept(4)
+_RECORDED: VersionedCache[_Recorded] = VersionedCache(4)
 
 
 def _recorded(path: str, changed: Stamp) -> _Recorded:
@@ -122,7 +129,7 @@ def _errors_on(path: str, changed: Stamp, other: str, model: Stamps) -> Floats |
     if not len(recorded):
         return None
     try:
-        kept = kept_model(RunReader(other))
+        kept = stored_model(RunReader(other))
     except UserError:
         return None
     part = recorded[np.unique(np.linspace(0, len(recorded) - 1, SHARED_ROWS).astype(np.int64))]
@@ -149,14 +156,14 @@ def _errors(
     if found is None:
         return "its buffer cannot be read"
     try:
-        kept = kept_model(RunReader(path))
+        kept = stored_model(RunReader(path))
     except UserError as error:
         return str(error)
     index = np.unique(np.linspace(0, len(found) - 1, ERROR_ROWS).astype(np.int64))
     return index, _one_step(kept, found.rows[index]), kept.env_step
 
 
-def _one_step(kept: KeptModel, rows: Transitions) -> Floats:
+def _one_step(kept: StoredModel, rows: Transitions) -> Floats:
     part = rows.numpy()
     parts = (np.asarray(x) for x in (part.obs, part.action, part.next_obs))
     return step_errors(kept.predictor, *parts).astype(np.float64)

@@ -1,4 +1,4 @@
-"""What was computed last, kept for the next drawing of a page."""
+"""A cache of results that change with a version, such as the time stamp of a file."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -8,10 +8,10 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Kept(Generic[T]):
-    """The `most` results that were asked for last, one for each key. Shared by threads.
+class VersionedCache(Generic[T]):
+    """The `most` results used last, one for each key. Safe for threads.
 
-    Of what changes (a file of a run in training) only the version asked for last is kept.
+    A key holds one version: a new one (its file has changed) replaces the old.
     """
 
     def __init__(self, most: int) -> None:

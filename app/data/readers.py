@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from app.data import pictures, trainings
-from app.data.cache import Kept
+from app.data.cache import VersionedCache
 from app.data.pictures import Picture
 from app.data.settings import Settings, in_words
 from tom.errors import UserError
@@ -164,12 +164,12 @@ def _as_it_is(run: RunInfo) -> RunInfo:
 # find what they hold, which 200 runs notice.
 
 
-_INFOS: Kept[RunInfo] = Kept(4096)
-_METRICS: Kept[tuple[pd.DataFrame, list[str]]] = Kept(1024)
-_POINTS: Kept[dict[str, int]] = Kept(1024)
-_PROFILES: Kept[tuple[Profiles, list[str]]] = Kept(1024)
-_NOTICES: Kept[tuple[list[dict], list[str]]] = Kept(1024)
-_ROAD_PICTURES: Kept[Picture | None] = Kept(64)
+_INFOS: VersionedCache[RunInfo] = VersionedCache(4096)
+_METRICS: VersionedCache[tuple[pd.DataFrame, list[str]]] = VersionedCache(1024)
+_POINTS: VersionedCache[dict[str, int]] = VersionedCache(1024)
+_PROFILES: VersionedCache[tuple[Profiles, list[str]]] = VersionedCache(1024)
+_NOTICES: VersionedCache[tuple[list[dict], list[str]]] = VersionedCache(1024)
+_ROAD_PICTURES: VersionedCache[Picture | None] = VersionedCache(64)
 
 
 def _info(store: str, name: str) -> RunInfo:
@@ -212,18 +212,18 @@ def _notices(run: RunInfo) -> tuple[list[dict], list[str]]:
 
 
 def _read(
-    kept: Kept[tuple[T, list[str]]],
+    cache: VersionedCache[tuple[T, list[str]]],
     run: RunInfo,
     read: Callable[[RunReader], T],
     version: tuple[Stamp, ...],
 ) -> tuple[T, list[str]]:
-    """A part of a run and what is damaged in it, from `kept` where its files are in `version`."""
+    """A part of a run and what is damaged in it, from `cache` where its files are in `version`."""
 
     def make() -> tuple[T, list[str]]:
         reader = RunReader(run.path)
         return read(reader), reader.problems
 
-    return kept.get(run.path, make, version)
+    return cache.get(run.path, make, version)
 
 
 def _count(frame: pd.DataFrame) -> dict[str, int]:

@@ -11,12 +11,12 @@ from app.data.readers import Stamp, stamp
 from app.data.roadmap import RoadMap
 from tom.analysis.imagine import (
     Imagined,
-    KeptModel,
     Stamps,
+    StoredModel,
     imagine,
     joint_positions,
-    kept_model,
-    kept_stamps,
+    stored_model,
+    stored_stamps,
 )
 from tom.envs import scene, task
 from tom.errors import UserError
@@ -76,7 +76,7 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     the episode or the run's model is another one, and shared: nobody may change it.
     """
     episode = stamp(run.path / layout.episodes(step))
-    return _load(str(run.path), step, index, horizon, episode, kept_stamps(run))
+    return _load(str(run.path), step, index, horizon, episode, stored_stamps(run))
 
 
 def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | None:
@@ -132,7 +132,7 @@ def _road(run: RunReader) -> RoadMap | None:
         return None
 
 
-def _kept(run: RunReader, model: Stamps) -> tuple[KeptModel | None, str]:
+def _kept(run: RunReader, model: Stamps) -> tuple[StoredModel | None, str]:
     try:
         return _kept_at(str(run.path), model), ""
     except UserError as error:
@@ -140,5 +140,5 @@ def _kept(run: RunReader, model: Stamps) -> tuple[KeptModel | None, str]:
 
 
 @lru_cache(maxsize=16)
-def _kept_at(path: str, model: Stamps) -> KeptModel:
-    return kept_model(RunReader(path))
+def _kept_at(path: str, model: Stamps) -> StoredModel:
+    return stored_model(RunReader(path))

@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 from tom.cli.parser import leaf_fields, one_line
 from tom.config import RunConfig
 from tom.errors import UserError
+from tom.learners import others_groups
 from tom.training.presets import config_type, resolve
 
 LEFT_OUT = {"env", "learner", "preset", "seed", "steps"}
@@ -42,7 +43,7 @@ def sections(env: str, learner: str, preset: str) -> dict[str, list[Setting]]:
         if path in LEFT_OUT:
             continue
         group, _, name = path.rpartition(".")
-        if group in ("tom", "pmac", "vagram") and group != learner.split("-")[0]:
+        if group in others_groups(learner):
             continue
         found.setdefault(group or GENERAL, []).append(_setting(path, name, info, config))
     return found

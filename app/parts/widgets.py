@@ -12,6 +12,7 @@ from app.data import readers
 from app.data.aggregate import Curve, curve_points
 from app.data.readers import RunInfo
 from app.parts import asked
+from tom.learners import LEARNERS
 
 
 def curve(run: RunInfo, metric: str) -> Curve:
@@ -22,8 +23,6 @@ def curve(run: RunInfo, metric: str) -> Curve:
 
 TOWERS = 20.0
 """times uniform: on a linear axis with this, one sees next to nothing of the others"""
-UNIFORM = {"mle", "sac"}
-"""learners whose weights are all the same: no need to look"""
 
 
 def pick_run(runs: Sequence[RunInfo], label: str = "Run") -> RunInfo:
@@ -60,8 +59,8 @@ def _rank(run: RunInfo) -> tuple[bool, bool, int, int]:
 
 def differs(run: RunInfo) -> bool:
     """The last fit of a run did not count all transitions the same."""
-    if run.learner in UNIFORM:
-        return False
+    if run.learner in LEARNERS and LEARNERS[run.learner].uniform:
+        return False  # no need to look
     profiles = readers.profiles(run)
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
 

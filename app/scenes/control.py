@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Road:
+class RoadChoice:
     """Fits of road-and-rocks runs side by side; no run means the newest."""
 
     runs: tuple[str, ...] = ()
@@ -31,7 +31,7 @@ class Road:
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayChoice:
     """An evaluation episode from `frame` on, its ghost starting again every `horizon` steps.
 
     `played` counts how often the page has asked for it to be played from its beginning.
@@ -46,7 +46,7 @@ class Replay:
 
 
 @dataclass(frozen=True)
-class States:
+class StatesChoice:
     """Robots in states of a run's replay buffer: two groups of its rows, side by side."""
 
     run: str
@@ -56,8 +56,12 @@ class States:
     light_weights: tuple[float, ...]
 
 
-Choice = Road | Replay | States
-KINDS: dict[str, type[Choice]] = {"road": Road, "replay": Replay, "states": States}
+Choice = RoadChoice | ReplayChoice | StatesChoice
+KINDS: dict[str, type[Choice]] = {
+    "road": RoadChoice,
+    "replay": ReplayChoice,
+    "states": StatesChoice,
+}
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ import viser
 
 from app.data import replays
 from app.data.replays import Replay
-from app.scenes.control import Replay as Choice
-from app.scenes.control import Selection
+from app.scenes.control import ReplayChoice, Selection
 from app.scenes.frame import Frame, Vector
 from app.scenes.replay import ReplayScene
 from app.scenes.words import Words
@@ -32,7 +31,7 @@ class ReplayFrame(Frame):
     def _build_panel(self) -> None:
         self._replay: Replay | None = None
         self._scene: ReplayScene | None = None
-        self._choice: Choice | None = None
+        self._choice: ReplayChoice | None = None
         self._at = 0.0
         self._since = 0.0
         gui = self.client.gui
@@ -54,7 +53,7 @@ class ReplayFrame(Frame):
 
     def _show(self, selection: Selection) -> None:
         choice = selection.choice
-        assert isinstance(choice, Choice)
+        assert isinstance(choice, ReplayChoice)
         before, self._choice = self._choice, choice
         run = Store(self.store).run(choice.run)
         replay = replays.load(run, choice.step, choice.episode, choice.horizon)

@@ -10,7 +10,7 @@ from app.data.called import told_apart
 from app.data.pictures import Picture
 from app.data.readers import Stamp, stamp
 from app.scenes import road as scene
-from app.scenes.control import Road, Selection
+from app.scenes.control import RoadChoice, Selection
 from app.scenes.frame import Frame
 from app.scenes.road import RoadScene
 from app.scenes.stage import sky
@@ -70,7 +70,7 @@ class RoadFrame(Frame):
 
     def _show(self, selection: Selection) -> None:
         choice = selection.choice
-        assert isinstance(choice, Road)
+        assert isinstance(choice, RoadChoice)
         store = Store(self.store)
         newest = (run.run_id for run in store.runs() if run.env == pictures.ENV)
         self._runs = choice.runs or tuple(newest)[:1]

@@ -14,7 +14,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from app.links import Links
-from app.scenes.control import Choice, Replay, Road, Selection, States, listen
+from app.scenes.control import Choice, ReplayChoice, RoadChoice, Selection, StatesChoice, listen
 from app.scenes.frame import Frame
 from app.scenes.replay_frame import ReplayFrame
 from app.scenes.road_frame import RoadFrame
@@ -26,9 +26,9 @@ Answer = Callable[[ServerConnection, Request], Response | None]
 
 TICK_S = 1 / 30
 FRAMES: dict[type[Choice], type[Frame]] = {
-    Road: RoadFrame,
-    Replay: ReplayFrame,
-    States: StatesFrame,
+    RoadChoice: RoadFrame,
+    ReplayChoice: ReplayFrame,
+    StatesChoice: StatesFrame,
 }
 """which frame shows what a page can choose"""
 
@@ -72,7 +72,7 @@ class SceneServer:
 
         So a page's wish waits for its first frame, and a frame that comes back does not begin anew.
         """
-        asked = choice.played if isinstance(choice, Replay) else 0
+        asked = choice.played if isinstance(choice, ReplayChoice) else 0
         begun, self.begun[name] = self.begun.get(name, 0), asked
         return asked > begun
 
@@ -94,7 +94,7 @@ class SceneServer:
         if request is None:  # it has gone
             return
         name = request.path.strip("/")
-        selection = self.chosen.get(name, Selection(Road(), self.links.theme or "light"))
+        selection = self.chosen.get(name, Selection(RoadChoice(), self.links.theme or "light"))
         frame = self._frame(client, selection)
         if not self._insert(client.client_id, name, frame):
             return

@@ -11,7 +11,7 @@ from app.data.readers import Stamp, stamp
 from app.figures.scales import OCTAVES, octaves
 from app.scenes import states
 from app.scenes.colours import on_scale
-from app.scenes.control import Selection, States
+from app.scenes.control import Selection, StatesChoice
 from app.scenes.frame import Frame
 from app.scenes.states import WINDOW, StatesScene
 from app.scenes.words import Words
@@ -41,7 +41,7 @@ class StatesFrame(Frame):
 
     def _build_panel(self) -> None:
         self._scene: StatesScene | None = None
-        self._drawn: States | None = None
+        self._drawn: StatesChoice | None = None
         self._env = ""
         self._dt = 0.01
         self._at = float(WINDOW)
@@ -54,7 +54,7 @@ class StatesFrame(Frame):
 
     def _show(self, selection: Selection) -> None:
         choice = selection.choice
-        assert isinstance(choice, States)
+        assert isinstance(choice, StatesChoice)
         if choice == self._drawn:
             return
         run = Store(self.store).run(choice.run)

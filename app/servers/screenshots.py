@@ -9,7 +9,7 @@ from types import ModuleType
 from PIL import Image
 from streamlit.logger import get_logger
 
-from app.servers import moving
+from app.servers import screen_capture
 from app.servers.browser import chromium, settled_picture
 from app.servers.launcher import Studio, servers
 from app.theme import Mode
@@ -44,8 +44,8 @@ def take(store: Path, folder: Path) -> int:
                     print(target, flush=True)
                     page.close()
                 context.close()
-        for story in moving.stories(store):
-            moving.film(browser, links.address, story, folder / f"{story.view}.webp")
+        for story in screen_capture.stories(store):
+            screen_capture.film(browser, links.address, story, folder / f"{story.view}.webp")
     return 0
 
 

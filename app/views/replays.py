@@ -13,7 +13,7 @@ from app.figures.replay import error_curve, return_curve, reward_curve
 from app.parts import empty, rerun, widgets
 from app.parts.plot import Point, chart
 from app.parts.stage import stage
-from app.scenes.control import Replay as Choice
+from app.scenes.control import ReplayChoice
 from app.theme import learner_label
 from tom.record import layout
 from tom.record.reader import RunReader
@@ -62,7 +62,7 @@ def page() -> None:
         if viewer == RERUN:
             rerun.episode(run.run_id, step, index, horizon, STAGE_HEIGHT)
         else:
-            stage(Choice(run.run_id, step, index, frame, horizon), STAGE_HEIGHT)
+            stage(ReplayChoice(run.run_id, step, index, frame, horizon), STAGE_HEIGHT)
     with right:
         _curves(run, replay, returns, index, frame)
     empty.left_out(run, "other evaluations", "other episodes")

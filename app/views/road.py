@@ -13,7 +13,7 @@ from app.figures.road import road_map
 from app.parts import asked, empty, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
-from app.scenes.control import Road
+from app.scenes.control import RoadChoice
 from app.scenes.export import as_html
 from app.theme import learner_label
 from tom.metrics import describe
@@ -98,7 +98,7 @@ def _pictures(together: list[RunInfo], step: int) -> None:
     """The 3D scene, and the map of each run: below it, or beside it where there is one run."""
     ids = tuple(each.run_id for each in together)
     if len(together) > 1:
-        stage(Road(ids, step), HEIGHT)
+        stage(RoadChoice(ids, step), HEIGHT)
         called = told_apart(together)
         for column, each in zip(st.columns(len(together)), together, strict=True):
             with column, st.container(border=True):
@@ -106,7 +106,7 @@ def _pictures(together: list[RunInfo], step: int) -> None:
         return
     left, right = st.columns([5, 4])
     with left:
-        stage(Road(ids, step), HEIGHT)
+        stage(RoadChoice(ids, step), HEIGHT)
     with right:
         _flat_map(together[0], step, HEIGHT)
 

@@ -14,11 +14,11 @@ from studio_pages import array, draw, figures, trace
 from app import text
 from app.links import Links
 from app.theme import learner_label
-from tom.analysis.imagine import kept_step
+from tom.analysis.imagine import stored_step
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
 from tom.record.files import read_json, size_of
-from tom.record.health import verify
+from tom.record.integrity import verify
 from tom.reports.index import index, small_copies
 from tom.reports.origin import run_hours
 from tom.reports.weighing_files import REPORT, of_run
@@ -133,7 +133,7 @@ def test_replays_plays_its_last_episode(run: RunReader) -> None:
     shown = {metric.label: metric.value for metric in app.metric}
     episode = run.episodes(run.evaluation_steps()[-1])[0]
     assert shown["return"] == text.number(episode.undiscounted_return)
-    assert (shown["return, imagined"] != "-") == (kept_step(run) is not None)
+    assert (shown["return, imagined"] != "-") == (stored_step(run) is not None)
 
 
 @pytest.mark.parametrize("run", [param for param in EACH if param.id == ROAD])

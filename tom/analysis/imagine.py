@@ -37,7 +37,7 @@ class Predictor(Protocol):
 
 
 @dataclass(frozen=True)
-class KeptModel:
+class StoredModel:
     """The dynamics model that a run ended with, fitted last at or before `env_step`."""
 
     env_step: int
@@ -52,14 +52,14 @@ class Imagined:
     reward: Floats  # (H,)
 
 
-def kept_step(run: RunReader) -> int | None:
-    """The step of the model that `kept_model` gives, whole or not; None where there is none."""
+def stored_step(run: RunReader) -> int | None:
+    """The step of the model that `stored_model` gives, whole or not; None where there is none."""
     found = (checkpoint.newest(run.path / folder) for folder in PLACES)
     return next((step for step in found if step is not None), None)
 
 
-def kept_stamps(run: RunReader) -> Stamps:
-    """What `kept_model` depends on: changes whenever the run keeps another model."""
+def stored_stamps(run: RunReader) -> Stamps:
+    """What `stored_model` depends on: changes whenever the run keeps another model."""
     try:
         config = (run.path / layout.CONFIG).stat()
     except OSError:  # deleted at this moment
@@ -68,9 +68,9 @@ def kept_stamps(run: RunReader) -> Stamps:
     return ((0, config.st_mtime_ns, config.st_size), *found[0], *found[1])
 
 
-def kept_model(run: RunReader) -> KeptModel:
+def stored_model(run: RunReader) -> StoredModel:
     """The model in the newest checkpoint, or in a small copy. Raises UserError without one."""
-    if run.learner == "sac":
+    if not run.fits_model:
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
     found = (checkpoint.load(run.path / folder) for folder in PLACES)
     held = next((one for one in found if one is not None), None)
@@ -79,7 +79,7 @@ def kept_model(run: RunReader) -> KeptModel:
         why = "left out of this small copy" if small else "it has no checkpoint that is whole"
         raise UserError(f"run '{run.run_id}' kept no dynamics model: {why}")
     try:
-        return KeptModel(held.env_step, _predictor(run, held.state["training"]))
+        return StoredModel(held.env_step, _predictor(run, held.state["training"]))
     except (KeyError, RuntimeError, ValueError) as error:  # ValidationError is a ValueError
         raise UserError(
             f"the model in the checkpoint of run '{run.run_id}' is another version's: "

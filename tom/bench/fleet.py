@@ -21,7 +21,7 @@ from tom.dynamics.fitting import Fit
 from tom.envs import task
 from tom.learners.base import FitContext, weighing
 from tom.learners.tom import TomLearner
-from tom.nn.lockstep import Beside, Lockstep
+from tom.nn.lockstep import Call, Lockstep
 from tom.policy.rollout import roll_out
 from tom.policy.sac import Sac
 from tom.policy.sac_work import SacUpdates
@@ -207,7 +207,7 @@ def _env(members: int) -> _Part:
     action, steps, lockstep = np.zeros(ACTION, np.float32), 20, Lockstep()
 
     def step() -> None:
-        works = [Beside(partial(env.step, action)) for env in envs]
+        works = [Call(partial(env.step, action)) for env in envs]
         lockstep.do(works)
         for env, work in zip(envs, works, strict=True):
             if work.result()[2]:

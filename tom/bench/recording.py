@@ -32,7 +32,7 @@ OBS, ACTION, NQ = 11, 3, 6
 
 
 @dataclass(frozen=True)
-class Cost:
+class RecordingCost:
     """CPU milliseconds that a part of recording takes per 250 env steps, and its share."""
 
     part: str
@@ -40,7 +40,7 @@ class Cost:
     share_percent: float | None
 
 
-def cost(train_s: float | None = None) -> list[Cost]:
+def cost(train_s: float | None = None) -> list[RecordingCost]:
     """The cost of each part and of all of it, without and with Rerun.
 
     `train_s` is the CPU time that training itself needs for 250 env steps; shares are of that.
@@ -53,7 +53,7 @@ def cost(train_s: float | None = None) -> list[Cost]:
         files = sum(ms.values())
         both = _all(store, rng, with_rerun=True) - _all(store, rng, with_rerun=False)
     ms |= {"all files": files, "Rerun": both, "all files and Rerun": files + both}
-    return [Cost(name, value, _share(value, train_s)) for name, value in ms.items()]
+    return [RecordingCost(name, value, _share(value, train_s)) for name, value in ms.items()]
 
 
 def recorded(store: Store) -> None:

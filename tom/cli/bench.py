@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import signal
 import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -13,6 +14,7 @@ import torch
 
 from tom.cli import studio
 from tom.cli.parser import folder
+from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.errors import UserError, unknown
 from tom.learners import LEARNER_NAMES
@@ -20,7 +22,7 @@ from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store
-from tom.sweep import Job, run_jobs
+from tom.sweep import Command, run_commands
 
 LEARN_ENV = "inverted-pendulum"
 LEARN_STEPS = 6000
@@ -66,6 +68,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     if args.what == "learn":
         _check_learn(args)
+        on_stopping(signal.default_int_handler)  # its trainings end with it
         rows = learn(args.learner, args.seeds, args.steps, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         reached = [row for row in rows if row["reached_at"] is not None]
@@ -86,7 +89,7 @@ NOT_MEASURED = (
 
 
 def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
-    from tom.bench import kept, parts, peers, projection, report, targets, timing
+    from tom.bench import last, parts, peers, projection, report, targets, timing
 
     if into is not None:
         report.require_place(into)
@@ -101,7 +104,7 @@ def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
         wanted, met = targets.target(timed) or (None, None)
         rows.append({**asdict(timed), "target": wanted, "met": met})
     ms = {timed.part: timed.ms for timed in timings}
-    kept.keep(ms)
+    last.save(ms)
     hours = projection.hours(ms)
     missing = [*NOT_MEASURED, *peers.missing()]
     found = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
@@ -198,17 +201,19 @@ def learn(
     with tempfile.TemporaryDirectory() as scratch:
         path = store or Path(scratch)
         before = {run.run_id for run in Store(path).runs()}
-        run_jobs(list(_learn_jobs(learners, seeds, steps, path)))
+        run_commands(list(_learn_commands(learners, seeds, steps, path)))
         rows = [_learn_row(r) for r in Store(path).runs() if r.run_id not in before]
     return sorted(rows, key=lambda row: (row["learner"], row["seed"]))
 
 
-def _learn_jobs(learners: list[str], seeds: list[int], steps: int, store: Path) -> Iterator[Job]:
+def _learn_commands(
+    learners: list[str], seeds: list[int], steps: int, store: Path
+) -> Iterator[Command]:
     for learner in learners:
         for seed in seeds:
             shared = ("--store", str(store), "--no-rerun", "--steps", str(steps))
             which = ("--env", LEARN_ENV, "--learner", learner, "--seed", str(seed))
-            yield Job(f"{learner} {seed}", (*which, *shared))
+            yield Command(f"{learner} {seed}", (*which, *shared))
 
 
 def _learn_row(run: RunReader) -> dict[str, Any]:

@@ -32,8 +32,8 @@ class Parser(argparse.ArgumentParser):
     Options are written out: `--seed 3` is not short for `--seeds 3`.
     """
 
-    def __init__(self, *args: Any, **how: Any) -> None:
-        super().__init__(*args, allow_abbrev=False, **how)
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, allow_abbrev=False, **options)
 
     def error(self, message: str) -> NoReturn:
         print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)

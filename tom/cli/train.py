@@ -22,9 +22,9 @@ from tom.harmless import terminal
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store, checkpoint
 from tom.record.files import size_of
+from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
-from tom.sweep.home import FolderHome
 from tom.training.presets import PRESETS, config_type, resolve
 from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import AnyConfig, Stop, train
@@ -106,13 +106,13 @@ def _train_many(args: argparse.Namespace) -> int:
         return train_many.run_fleets(args.store, [trials], stop, rerun=rerun, as_json=args.json)
     store.ensure_writable()
     engine = LocalEngine(len(os.sched_getaffinity(0)))
-    return drive(args, Driver(FolderHome(store), trials, engine))
+    return drive(args, Driver(FolderBackend(store), trials, engine))
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
     """Run `config` under the options that every recorded run shares; the exit code."""
     store = Store(args.store)
-    return _watched(args, config, lambda **how: train(config, store, args.run_id, **how))
+    return _watched(args, config, lambda **options: train(config, store, args.run_id, **options))
 
 
 def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> int:
@@ -120,7 +120,7 @@ def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> 
     config = recorded_config(store.run(run_id))
     if steps is not None:
         config = config.but(steps=steps)
-    return _watched(args, config, lambda **how: resume(store, run_id, steps, **how))
+    return _watched(args, config, lambda **options: resume(store, run_id, steps, **options))
 
 
 def _watched(

@@ -12,7 +12,7 @@ from tom.errors import UserError
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[h5py.File]:
-    """The file at `path`, open for reading; a UserError where it is none."""
+    """The file at `path`, open for reading; a UserError where it is not HDF5."""
     if not path.is_file():
         raise UserError(f"no file {path}: give the path of an HDF5 file")
     try:

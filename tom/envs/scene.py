@@ -62,7 +62,7 @@ class Model:
 
 @cache
 def model(env: str) -> Model:
-    """The model of a MuJoCo task. Raises UserError for a task that is none."""
+    """The model of a MuJoCo task. Raises UserError for an unknown task."""
     made = task(env).make()
     inner = made.unwrapped
     assert isinstance(inner, MujocoEnv)

@@ -75,7 +75,7 @@ def choose_matmul(wanted: Literal["auto", "default", "onednn"] = "auto") -> Matm
     `auto` takes oneDNN where it is at least 1.15 times faster (median of interleaved repeats) and
     its error against float64 stays fp32-like.
     """
-    found = _of_this_machine(kept_in())
+    found = _of_this_machine(cache_file())
     report = found if wanted == "auto" else replace(found, chosen=wanted)
     use(report.chosen)
     return report
@@ -102,7 +102,7 @@ def probe() -> MatmulReport:
     return MatmulReport("onednn" if better else "default", default_ms, onednn_ms, error)
 
 
-def kept_in(what: str = "matmul") -> Path:
+def cache_file(what: str = "matmul") -> Path:
     """The file that keeps the probe's answer, or another's, for this kind of CPU and this torch."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tom-studio"
     kind = hashlib.sha256(f"{_cpu()}\n{torch.__version__}".encode()).hexdigest()

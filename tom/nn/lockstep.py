@@ -43,8 +43,8 @@ class Work:
         raise NotImplementedError
 
 
-class Beside(Work, Generic[Result]):
-    """Work: a call of a member's own that moves no network; in a fleet each has a thread.
+class Call(Work, Generic[Result]):
+    """Work that is one member's own call and trains no network; in a fleet each has a thread.
 
     What it takes of the processor must be done without Python's lock, as MuJoCo does, for threads
     to bring something. An error is the member's own: `result` raises it.
@@ -62,7 +62,7 @@ class Beside(Work, Generic[Result]):
         return None
 
     @classmethod
-    def do(cls, works: "Sequence[Beside[Any]]", subject: None) -> None:
+    def do(cls, works: "Sequence[Call[Any]]", subject: None) -> None:
         if len(works) == 1:
             works[0].run()
         else:
@@ -82,7 +82,7 @@ class Beside(Work, Generic[Result]):
 @cache
 def _threads() -> ThreadPoolExecutor:
     """One a core; torch in them takes no further ones."""
-    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "beside", torch.set_num_threads, (1,))
+    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "call", torch.set_num_threads, (1,))
 
 
 def alone(steps: Generator[Told | Work, None, Result]) -> Generator[Told, None, Result]:

@@ -25,8 +25,8 @@ class LostError(OSError):
 
 
 @dataclass
-class Hold:
-    """The writer's place in the run folder `path`, until it is closed or taken over."""
+class RunLock:
+    """A writer's lock on the run folder `path`, until it is closed or taken over."""
 
     path: Path
     name: bytes
@@ -46,13 +46,13 @@ class Hold:
             raise LostError(f"run '{self.path.name}' was taken over by another writer")
 
     def close(self) -> None:
-        """Let go of the folder."""
+        """Release the lock."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
 
 
-def hold(path: Path) -> Hold:
+def acquire(path: Path) -> RunLock:
     """Lock the run folder `path`; the lock lasts until what is returned is closed.
 
     Raises UserError when another process holds it, or when the folder cannot be written.
@@ -74,7 +74,7 @@ def hold(path: Path) -> Hold:
     with suppress(OSError):  # a full disk: the lock holds all the same
         os.pwrite(lock, name, 0)
         os.ftruncate(lock, len(name))
-    return Hold(path, os.pread(lock, 4096, 0), lock)
+    return RunLock(path, os.pread(lock, 4096, 0), lock)
 
 
 def _lock(file: int) -> None:

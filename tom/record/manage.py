@@ -94,11 +94,11 @@ def unwritten(reader: RunReader) -> Iterator[None]:
     """
     if reader.status.alive:
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
-    holding = lock.hold(reader.path)
+    held = lock.acquire(reader.path)
     try:
         yield
     finally:
-        holding.close()
+        held.close()
 
 
 @contextmanager

@@ -38,7 +38,7 @@ class Store:
         return [n for n in self._names() if n != layout.WEIGHINGS and not n.startswith(".")]
 
     def look(self, name: str) -> RunReader:
-        """The run in the folder `name`. Raises UserError, saying why, when it is none."""
+        """The run in the folder `name`. Raises UserError, saying why, when it is not a run."""
         reader = RunReader(self.resolve(name))
         if not reader.is_run:
             raise UserError(f"{name}: no run ({_why(reader)})")

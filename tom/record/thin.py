@@ -1,8 +1,8 @@
 """A small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
 
 Numbers keep fewer digits and series fewer points; checkpoints and recordings are left out, and
-what is large of PARTS unless it is asked for. `config.json` of the copy names under `thinned` what
-of the run it lacks.
+what is large of OPTIONAL unless it is asked for. `config.json` of the copy names under `thinned`
+what of the run it lacks.
 """
 
 import json
@@ -37,14 +37,14 @@ SHRINKS = 20
 def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
     """Write a small copy of the run to `path`, which appears whole or not at all.
 
-    Those of PARTS that are in `keep` are kept whatever their size.
+    Those of OPTIONAL that are in `keep` are kept whatever their size.
     """
     status = reader.status  # before the rest: a training may end meanwhile
     with whole_folder(path) as unfinished:
         for folder in layout.FOLDERS:
             (unfinished / folder).mkdir()
         _copy(reader, unfinished)
-        lacks = [part for part in PARTS if _leave_out(reader, unfinished, part, keep)]
+        lacks = [part for part in OPTIONAL if _leave_out(reader, unfinished, part, keep)]
         found = _lost(reader, RunReader(unfinished))
         lacks += [part for part, lost in found.items() if lost]
         left_out = dict.fromkeys([*reader.left_out, *lacks])  # of a small copy, what that lacks
@@ -77,7 +77,7 @@ def _copy(reader: RunReader, to: Path) -> None:
 
 
 def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
-    """Which parts beside PARTS the run has and its copy lacks; `other`: it holds some of them."""
+    """Which parts besides OPTIONAL the copy lacks; `other`: it holds some of them."""
     snapshots, evaluations = copy.snapshot_steps(), copy.evaluation_steps()
     fields = run.field_names()
     return {
@@ -181,7 +181,7 @@ def _policies(reader: RunReader, to: Path) -> None:
         _arrays(reader.path, to, layout.policy(step))
 
 
-PARTS: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
+OPTIONAL: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
     "buffer": ("buffer", _buffer),
     "model": (layout.MODEL, _model),
     "policy": (layout.POLICY, _policy),
@@ -191,8 +191,8 @@ PARTS: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
 
 
 def _leave_out(reader: RunReader, to: Path, part: str, keep: Collection[str]) -> bool:
-    """Write one of PARTS; True where the run has it and it is neither small nor wanted."""
-    name, write = PARTS[part]
+    """Write one of OPTIONAL; True where the run has it and it is neither small nor wanted."""
+    name, write = OPTIONAL[part]
     hopeless = _bytes(reader.path / name) > SHRINKS * SMALL
     if hopeless and part not in keep:
         return True

@@ -13,12 +13,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.config import RunConfig
+from tom.data.sampling import bin_means, ess
 from tom.data.transitions import Transitions
 from tom.events import Episode, Weights
 from tom.record import decode, layout, lock, opening
 from tom.record.creating import make_folder
 from tom.record.files import JsonLines, read_json, replace, replace_json, sync
-from tom.record.profiles import effective_share, profile, zero_share
+from tom.record.profiles import zero_share
 from tom.record.rows import read_metrics
 from tom.record.status import Status
 from tom.record.store import Store
@@ -49,7 +50,7 @@ class RunWriter:
         self.config = config
         self.run_id = path.name
         taken_over = lock.written_here(path) is False
-        self._hold = lock.hold(path)
+        self._lock = lock.acquire(path)
         opening.drop_unfinished(path)
         opening.make_folders(path)
         if taken_over:
@@ -100,7 +101,7 @@ class RunWriter:
 
     def sync(self) -> None:
         """Wait until the rows that a checkpoint counts on are on the disk."""
-        self._hold.check()
+        self._lock.check()
         for lines in self._lines():
             lines.sync()
         for path in self._unsynced:
@@ -110,7 +111,7 @@ class RunWriter:
 
     def throw_off_ballast(self) -> None:
         """Make room for the last words of a run on a full disk."""
-        if not self._hold.lost:
+        if not self._lock.lost:
             (self.path / layout.BALLAST).unlink(missing_ok=True)
 
     def _take_ballast(self) -> None:
@@ -136,7 +137,7 @@ class RunWriter:
 
     def status(self, status: Status) -> None:
         """Replace `status.json`; a final state is also synced to the disk."""
-        self._hold.check()
+        self._lock.check()
         content = asdict(status)
         replace_json(self.path / layout.STATUS, content, sync=status.state != "running")
 
@@ -151,12 +152,12 @@ class RunWriter:
 
     def profile(self, weights: Weights, bins: int) -> NDArray[np.float64]:
         """Append the weight profile of a fit and return it, (bins,)."""
-        means = profile(weights.weight, bins)
+        means = bin_means(weights.weight, bins).numpy()
         row = {
             "env_step": weights.env_step,
             "count": len(weights.weight),
             "bins": means,
-            "ess": effective_share(weights.weight),
+            "ess": ess(weights.weight),
             "zeros": zero_share(weights.weight),
         }
         self._append(self._profiles, row)
@@ -223,17 +224,17 @@ class RunWriter:
         for lines in self._lines():
             lines.close()
         self.throw_off_ballast()
-        self._hold.close()
+        self._lock.close()
 
     def _append(self, lines: JsonLines, row: Mapping[str, Any]) -> None:
-        self._hold.check()
+        self._lock.check()
         lines.append(row)
 
     def _arrays(self, name: str, arrays: Mapping[str, NDArray]) -> None:
         def write(file: BinaryIO) -> None:
             np.savez(file, allow_pickle=False, **arrays)
 
-        self._hold.check()
+        self._lock.check()
         replace(self.path / name, write, sync=False)
 
     def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
@@ -242,5 +243,5 @@ class RunWriter:
                 table, file, compression="zstd", use_dictionary=False, use_byte_stream_split=True
             )
 
-        self._hold.check()
+        self._lock.check()
         replace(self.path / name, write, sync=sync)

@@ -31,11 +31,11 @@ LOG_RATIO = "-log_ratio"
 MATCH = ("footprint", "footprint_se", "footprint_noise", "footprint_uniform")
 """how near the weighted data is to fresh episodes of the policy; null where it cannot be said"""
 NEEDED = {"data", "policy", "rows", "results"}
-"""without these a report is none"""
+"""the files a report must have"""
 
 
 def of_run(store: Path, run_id: str) -> list[Path]:
-    """The weighings in `store` of the buffer of a run, by name; what cannot be read is none."""
+    """The weighings in `store` of the buffer of a run, by name; unreadable ones are left out."""
     found = sorted(path.parent for path in (store / layout.WEIGHINGS).glob(f"*/{REPORT}"))
     return [path for path in found if path.name[0] != "." and _data(path) == run_id]
 

@@ -18,7 +18,7 @@ import torch
 from tom.machine.matmul import choose_matmul
 from tom.machine.parent import end_with_parent
 from tom.record.versions import versions
-from tom.studies.kept import keep, kept
+from tom.studies.outcomes import load, save
 
 Case = TypeVar("Case")
 Outcome = TypeVar("Outcome")
@@ -41,7 +41,7 @@ def each(
     code = code_hash()
     paths = [folder / f"{_name(work, case, code)}.pt" for case in cases]
     kind = get_type_hints(work)["return"]
-    found = {path: kept(path, kind) for path in paths}
+    found = {path: load(path, kind) for path in paths}
     others = set(active_children())
     pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare, (os.getpid(),))
     try:
@@ -74,7 +74,7 @@ def _name(work: Callable[[Case], Outcome], case: Case, code: str) -> str:
 
 def _keep(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
     outcome = work(case)
-    keep(outcome, path)
+    save(outcome, path)
     return outcome
 
 

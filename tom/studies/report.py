@@ -18,12 +18,12 @@ def write_study(
     checks: Rows,
     figures: Sequence[tuple[str, Path]],
     tables: Sequence[tuple[str, Rows]] = (),
-    **how: str,
+    **details: str,
 ) -> Path:
     """Write `report.html`: `checks` are rows with `name` and `met` (None where it is not judged).
 
     `verdict` holds the result against the paper's `claim`, `checks` against our own acceptance.
-    `how` adds to the origin, such as n and seeds. The hours are those of this process.
+    `details` are added to the origin, such as n and seeds. The hours are those of this process.
     """
     judged = [row for row in checks if row["met"] is not None]
     failed = [str(row["name"]) for row in judged if not row["met"]]
@@ -35,10 +35,14 @@ def write_study(
         found.append(f"Not met: {'; '.join(failed)}.")
     shown = [{**row, "met": {True: "yes", False: "NO", None: ""}[row["met"]]} for row in checks]  # pyright: ignore[reportArgumentType]
     tables = [("Acceptance", shown), *tables]
-    return write_report(Report(title, claim, found, figures, tables, study_origin(**how)), folder)
+    return write_report(
+        Report(title, claim, found, figures, tables, study_origin(**details)), folder
+    )
 
 
-def study_origin(**how: str) -> dict[str, str]:
-    """What a study was made with; `how` adds to it, such as n and seeds."""
+def study_origin(**details: str) -> dict[str, str]:
+    """What a study was made with; `details` are added, such as n and seeds."""
     hours = (time.monotonic() - _BEGUN) / 3600
-    return origin() | {"hours": f"{hours:.2f} (cases kept from an earlier call not counted)"} | how
+    return (
+        origin() | {"hours": f"{hours:.2f} (cases kept from an earlier call not counted)"} | details
+    )

@@ -21,12 +21,12 @@ from tom.studies.settings import unlike
 
 Array = NDArray[np.float64]
 PAPER_SEEDS = 4
-PAPER_ENVS = tuple(env for env in ENVS if env != "inverted-pendulum")
+PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
 RIVAL = "mle"
 
 
 @dataclass(frozen=True)
-class Curve:
+class ReturnCurve:
     """One run: evaluations at `step` (T,), their return and its running maximum (T,)."""
 
     run: RunReader
@@ -48,7 +48,7 @@ class Cell:
 
     env: str
     learner: str
-    curves: tuple[Curve, ...]
+    curves: tuple[ReturnCurve, ...]
 
     @property
     def n(self) -> int:
@@ -220,21 +220,21 @@ def _tom_is_first(cells: Sequence[Cell], step: float) -> bool:
     return all(means["tom"] > mean for learner, mean in means.items() if learner != "tom")
 
 
-def _curve(run: RunReader) -> Curve | None:
+def _curve(run: RunReader) -> ReturnCurve | None:
     table = run.metrics()
     if "eval/return" not in table:
         return None
     known = table[["env_step", "eval/return"]].dropna().to_numpy(np.float64)
-    return Curve(run, known[:, 0], known[:, 1]) if len(known) else None
+    return ReturnCurve(run, known[:, 0], known[:, 1]) if len(known) else None
 
 
-def _key(curve: Curve) -> tuple[str, str]:
+def _key(curve: ReturnCurve) -> tuple[str, str]:
     return curve.run.env, curve.run.learner
 
 
-def _largest(curves: Sequence[Curve]) -> tuple[Curve, ...]:
+def _largest(curves: Sequence[ReturnCurve]) -> tuple[ReturnCurve, ...]:
     """The seeds of the settings that most seeds share; the longer ones where it is a draw."""
-    groups: dict[str, dict[int, Curve]] = {}
+    groups: dict[str, dict[int, ReturnCurve]] = {}
     for curve in sorted(curves, key=lambda c: (c.step[-1], c.run.created)):
         settings = {**curve.run.config["config"], "seed": None, "steps": None}
         groups.setdefault(repr(sorted(settings.items())), {})[curve.run.seed] = curve

@@ -51,7 +51,7 @@ def _draw(ax: Axes, cell: Cell, rng: np.random.Generator) -> None:
     for curve in cell.curves:
         ax.plot(curve.step, curve.best, color=colour, alpha=0.3, linewidth=0.7)
     label = f"{LEARNERS[cell.learner].label} (n = {cell.n})"
-    marker = "o" if len(steps) < FEW_POINTS else None  # a line of one point is none
+    marker = "o" if len(steps) < FEW_POINTS else None  # a line needs two points
     ax.plot(steps, values.mean(0), color=colour, label=label, marker=marker, markersize=3)
     if cell.n > 1 and len(steps):
         low, high = st.band(values, st.mean, rng)

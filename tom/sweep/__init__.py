@@ -1,5 +1,5 @@
-"""Many trainings: running them (driver), where (engine, home, slurm), how long (projection)."""
+"""Many trainings: running them (driver), where (engine, backend, slurm), how long (projection)."""
 
-from tom.sweep.jobs import Job, run_jobs
+from tom.sweep.commands import Command, run_commands
 
-__all__ = ["Job", "run_jobs"]
+__all__ = ["Command", "run_commands"]

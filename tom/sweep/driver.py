@@ -3,7 +3,7 @@
 The run folders are the only memory: a driver that is killed and started again finds what is done,
 what can go on, and what another process is writing. Ctrl-C asks the trainings to stop; the kernel
 does the same when the driver itself is killed. Where the trainings run is the engine's business,
-where the runs lie the home's.
+where the runs lie is the backend's.
 """
 
 import shutil
@@ -17,9 +17,9 @@ from typing import Literal
 
 from tom.errors import UserError
 from tom.record import RunReader, checkpoint
+from tom.sweep.backend import LOGS, Backend
 from tom.sweep.engine import Engine, Exit, Process, lives
-from tom.sweep.home import LOGS, Home
-from tom.sweep.silence import lost
+from tom.sweep.watchdog import lost
 from tom.training.plan import Trial, same_run
 
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
@@ -34,7 +34,7 @@ TAIL_LINES = 5
 
 
 @dataclass
-class Seat:
+class Job:
     """Where one training of the sweep stands."""
 
     trial: Trial
@@ -50,33 +50,33 @@ class Seat:
 
 
 class Driver:
-    """Runs `trials` whose runs lie in `home`. Call `poll` until it says that all is done."""
+    """Runs `trials` whose runs lie in `backend`. Call `poll` until it says that all is done."""
 
     def __init__(
         self,
-        home: Home,
+        backend: Backend,
         trials: Sequence[Trial],
         engine: Engine,
         low_bytes: float = LOW_BYTES,
         back_off_s: float = BACK_OFF_S,
     ) -> None:
-        self.home = home
-        self.store = home.store
+        self.backend = backend
+        self.store = backend.store
         self.engine = engine
         self.low_bytes = low_bytes
         self.back_off_s = back_off_s
         runs = self.store.runs()
         logs = self.store.path / LOGS
-        self.seats: list[Seat] = []
+        self.jobs: list[Job] = []
         for trial in trials:
             run = same_run(trial, runs)
             run_id = run.run_id if run else trial.run_id
-            seat = Seat(trial, logs / f"{run_id}.log", run_id)
+            job = Job(trial, logs / f"{run_id}.log", run_id)
             if run and run.status.state == "finished":
                 copy = "a small copy, " if run.small_copy else ""
-                seat.state, seat.note = "finished", f"{copy}was there already"
-            self.seats.append(seat)
-        self._order = list(self.seats)
+                job.state, job.note = "finished", f"{copy}was there already"
+            self.jobs.append(job)
+        self._order = list(self.jobs)
         """in which they are looked after"""
         self.full = False
         self.trouble = ""
@@ -85,104 +85,104 @@ class Driver:
     def poll(self) -> bool:
         """Look after every training once; True when there is nothing left to do.
 
-        One that cannot be reached is not judged, and ends the round: its home may be away, and then
+        One out of reach is not judged, and ends the round: its backend may be down, and then
         every question takes its time. The others come before it in the next poll.
         """
         self.trouble = ""
-        for seat in tuple(self._order):
-            if not self._reached(self._attend, seat):
+        for job in tuple(self._order):
+            if not self._reached(self._attend, job):
                 break
         self._start_some()
-        return all(seat.state in ("finished", "failed", "stopped") for seat in self.seats)
+        return all(job.state in ("finished", "failed", "stopped") for job in self.jobs)
 
     def stop(self, wait_s: float = KILL_AFTER_S) -> None:
         """Ask every training to stop and wait for them; those that do not are killed.
 
         KeyboardInterrupt while it waits kills them at once.
         """
-        running = [(seat, seat.process) for seat in self.seats if seat.process]
+        running = [(job, job.process) for job in self.jobs if job.process]
         for _, process in running:
             process.signal(signal.SIGTERM)
         until = time.monotonic() + wait_s
         with suppress(KeyboardInterrupt):  # asked twice: the checkpoints they have must do
             while time.monotonic() < until and any(lives(process) for _, process in running):
                 time.sleep(0.1)
-        for seat, process in running:
+        for job, process in running:
             process.end()
-            seat.process = None
+            job.process = None
             with suppress(OSError):  # out of reach: what was last seen of it must do
-                self.home.look(seat.run_id, now=True)
-            finished = self._reader(seat).status.state == "finished"
-            seat.state = "finished" if finished else "stopped"
+                self.backend.look(job.run_id, now=True)
+            finished = self._reader(job).status.state == "finished"
+            job.state = "finished" if finished else "stopped"
 
-    def _reached(self, look: Callable[[Seat], None], seat: Seat) -> bool:
+    def _reached(self, look: Callable[[Job], None], job: Job) -> bool:
         """Do `look`; False where the training cannot be reached: it is the last one from now on."""
         try:
-            look(seat)
+            look(job)
         except OSError as error:
             self.trouble = str(error)
-            self._order.remove(seat)
-            self._order.append(seat)
+            self._order.remove(job)
+            self._order.append(job)
             return False
         return True
 
-    def _attend(self, seat: Seat) -> None:
+    def _attend(self, job: Job) -> None:
         """Look after one training."""
-        if seat.state not in ("running", "elsewhere"):
+        if job.state not in ("running", "elsewhere"):
             return
-        self.home.look(seat.run_id)
-        if seat.process is None:
-            self._watch(seat)
+        self.backend.look(job.run_id)
+        if job.process is None:
+            self._watch(job)
             return
-        ended = seat.process.poll() or lost(seat.process.silent_s(), self._reader(seat).status)
+        ended = job.process.poll() or lost(job.process.silent_s(), self._reader(job).status)
         if ended is not None:
-            self.home.look(seat.run_id, now=True)
-            seat.process.end()
-            seat.process = None
-            self._ended(seat, ended)
+            self.backend.look(job.run_id, now=True)
+            job.process.end()
+            job.process = None
+            self._ended(job, ended)
 
     def _start_some(self) -> None:
         with suppress(OSError):  # not there yet, or out of reach: a start will find out
             self.full = shutil.disk_usage(self.store.path).free < self.low_bytes
-        busy = sum(seat.state in ("running", "elsewhere") for seat in self.seats)
+        busy = sum(job.state in ("running", "elsewhere") for job in self.jobs)
         slots = self.engine.slots
         now = time.monotonic()
         due = [s for s in self._order if s.state == "waiting" and now >= s.not_before]
-        for seat in due:
-            if busy >= slots or self.full or not self._reached(self._start, seat):
+        for job in due:
+            if busy >= slots or self.full or not self._reached(self._start, job):
                 return
             busy += 1
 
-    def _start(self, seat: Seat) -> None:
-        self.home.look(seat.run_id, now=True)
-        run = self._reader(seat)
+    def _start(self, job: Job) -> None:
+        self.backend.look(job.run_id, now=True)
+        run = self._reader(job)
         if run.status.state == "finished":
-            seat.state, seat.note = "finished", "by another process"
+            job.state, job.note = "finished", "by another process"
             return
-        if self.home.written(run):
-            seat.state, seat.note = "elsewhere", "another process is writing it"
+        if self.backend.written(run):
+            job.state, job.note = "elsewhere", "another process is writing it"
             return
         at = checkpoint.newest(run.path / checkpoint.FOLDER)
-        if seat.attempts and at is not None and at > seat.step:
-            seat.attempts = 0  # it got further: this is not what always fails
-        seat.attempts += 1
-        seat.step = -1 if at is None else at
+        if job.attempts and at is not None and at > job.step:
+            job.attempts = 0  # it got further: this is not what always fails
+        job.attempts += 1
+        job.step = -1 if at is None else at
         try:
-            words = self.home.words(seat.run_id, self._words(seat, at))
-            seat.process = self._spawn(words, seat.log)
-            seat.state = "running"
+            words = self.backend.words(job.run_id, self._words(job, at))
+            job.process = self._spawn(words, job.log)
+            job.state = "running"
         except (UserError, OSError) as error:
-            self._judge(seat, str(error), hopeless=isinstance(error, UserError))
+            self._judge(job, str(error), hopeless=isinstance(error, UserError))
 
-    def _words(self, seat: Seat, at: int | None) -> list[str]:
+    def _words(self, job: Job, at: int | None) -> list[str]:
         """The words of `tom train` that take a training up, or begin it."""
-        if at is not None and not seat.anew:
-            return [f"--resume={seat.run_id}"]
-        seat.run_id, seat.anew = seat.trial.run_id, False
-        if (self.store.path / seat.run_id).is_dir():  # nothing in it to go on from
-            where = self.home.begin_anew(seat.run_id)
-            seat.note = f"began anew; what was there is in {where}"
-        return [*seat.trial.options(), f"--run-id={seat.run_id}"]
+        if at is not None and not job.anew:
+            return [f"--resume={job.run_id}"]
+        job.run_id, job.anew = job.trial.run_id, False
+        if (self.store.path / job.run_id).is_dir():  # nothing in it to go on from
+            where = self.backend.begin_anew(job.run_id)
+            job.note = f"began anew; what was there is in {where}"
+        return [*job.trial.options(), f"--run-id={job.run_id}"]
 
     def _spawn(self, words: Sequence[str], log: Path) -> Process:
         log.parent.mkdir(parents=True, exist_ok=True)
@@ -190,37 +190,37 @@ class Driver:
             out.write(f"$ {' '.join(words)}\n")
         return self.engine.start(words, log)
 
-    def _ended(self, seat: Seat, ended: Exit) -> None:
-        run = self._reader(seat)
+    def _ended(self, job: Job, ended: Exit) -> None:
+        run = self._reader(job)
         if run.status.state == "finished":  # also where nobody saw its process end
-            seat.state, seat.note = "finished", ""
-        elif self.home.written(run):
-            seat.state, seat.note = "elsewhere", "another process is writing it"
+            job.state, job.note = "finished", ""
+        elif self.backend.written(run):
+            job.state, job.note = "elsewhere", "another process is writing it"
         else:
             why = ended.why or run.status.reason or f"exit code {ended.code}"
-            seat.anew = ended.code == 2 and seat.step >= 0
-            refused = ended.code == 2 and not seat.anew
-            self._judge(seat, f"{why}\n{_tail(seat.log)}", refused)
+            job.anew = ended.code == 2 and job.step >= 0
+            refused = ended.code == 2 and not job.anew
+            self._judge(job, f"{why}\n{_tail(job.log)}", refused)
 
-    def _judge(self, seat: Seat, why: str, hopeless: bool) -> None:
+    def _judge(self, job: Job, why: str, hopeless: bool) -> None:
         """It ended before its time: once more, later, or never again."""
-        seat.note = why.strip()
+        job.note = why.strip()
         full = shutil.disk_usage(self.store.path).free < self.low_bytes
         if full:
-            seat.attempts -= 1  # no fault of its own, also where it was refused: it waits for room
-        given_up = not full and (hopeless or seat.attempts >= ATTEMPTS)
-        seat.state = "failed" if given_up else "waiting"
-        seat.not_before = time.monotonic() + self.back_off_s * 2 ** max(seat.attempts - 1, 0)
+            job.attempts -= 1  # no fault of its own, also where it was refused: it waits for room
+        given_up = not full and (hopeless or job.attempts >= ATTEMPTS)
+        job.state = "failed" if given_up else "waiting"
+        job.not_before = time.monotonic() + self.back_off_s * 2 ** max(job.attempts - 1, 0)
 
-    def _watch(self, seat: Seat) -> None:
-        run = self._reader(seat)
+    def _watch(self, job: Job) -> None:
+        run = self._reader(job)
         if run.status.state == "finished":
-            seat.state, seat.note = "finished", "by another process"
-        elif not self.home.written(run) and not run.status.alive:
-            seat.state, seat.note = "waiting", ""
+            job.state, job.note = "finished", "by another process"
+        elif not self.backend.written(run) and not run.status.alive:
+            job.state, job.note = "waiting", ""
 
-    def _reader(self, seat: Seat) -> RunReader:
-        return RunReader(self.store.path / seat.run_id)
+    def _reader(self, job: Job) -> RunReader:
+        return RunReader(self.store.path / job.run_id)
 
 
 def _tail(log: Path) -> str:

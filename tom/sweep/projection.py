@@ -48,9 +48,9 @@ def steps_to_train(trial: Trial, done: int) -> int:
     return max(trial.config.total_steps - begun, 0)
 
 
-def makespan(hours: Sequence[float], seats: int) -> float:
+def makespan(hours: Sequence[float], slots: int) -> float:
     """Hours until the last of these runs is done, begun in order, so many at a time."""
-    ends = [0.0] * seats
+    ends = [0.0] * slots
     for run in hours:
         heapreplace(ends, ends[0] + run)
     return max(ends)
@@ -59,7 +59,7 @@ def makespan(hours: Sequence[float], seats: int) -> float:
 def _alike(run: RunReader, trial: Trial) -> bool:
     same = run.env == trial.env and run.config.get("preset") == trial.preset
     done = run.status.state == "finished" and not run.small_copy  # whose bytes are not a run's
-    return same and done and run.learner != "sac"
+    return same and done and run.fits_model
 
 
 def _per_step(run: RunReader) -> tuple[float, float] | None:

@@ -20,7 +20,7 @@ from ray.exceptions import ActorUnavailableError, RayError
 
 from tom.errors import UserError
 from tom.sweep.engine import KILL_S, Exit, LocalProcess, lives, spawn
-from tom.sweep.silence import Silence
+from tom.sweep.watchdog import Watchdog
 
 _JOIN = (
     "cannot join the Ray cluster at {address} ({reason}): has it another token (RAY_AUTH_TOKEN or "
@@ -103,7 +103,7 @@ class RayProcess:
         """`actor` is the handle of a `Remote`; Ray's types do not know its methods."""
         self._actor = actor
         self._log = log
-        self._silence = Silence()
+        self._watchdog = Watchdog()
         self._ended: Exit | None = None
         self._asked = actor.look.remote()
 
@@ -113,14 +113,14 @@ class RayProcess:
         return self._ended
 
     def signal(self, number: signal.Signals) -> None:
-        if self.poll() is None and not self._silence.begun:
+        if self.poll() is None and not self._watchdog.started:
             ray.kill(self._actor)
             self._ended = Exit(None, "had not begun")
         elif self._ended is None:
             self._actor.signal.remote(int(number))
 
     def silent_s(self) -> float:
-        return self._silence.seconds
+        return self._watchdog.silent_s
 
     def end(self) -> None:
         self.signal(signal.SIGKILL)
@@ -133,7 +133,7 @@ class RayProcess:
             ended, output = ray.get(self._asked)
             with self._log.open("ab") as log:
                 log.write(output)
-            self._silence.broken()
+            self._watchdog.reset()
             self._ended = ended
         except RayError as error:
             self._ended = ended_by(error)

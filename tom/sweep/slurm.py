@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from math import ceil
 from pathlib import Path
 
-from tom.sweep.home import LOGS
+from tom.sweep.backend import LOGS
 from tom.training.plan import Trial
 
 DEFAULT_HOURS = 24

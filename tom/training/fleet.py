@@ -15,7 +15,7 @@ from tom.nn.lockstep import Lockstep
 from tom.record import RunReader, Store
 from tom.training.plan import Trial, same_run
 from tom.training.resume import resumed, unfinished
-from tom.training.run import Consumer, How, Recorded, Stop, recorded
+from tom.training.run import Consumer, Recorded, RecordingOptions, Stop, recorded
 
 
 def train_fleet(
@@ -53,15 +53,17 @@ def check(trials: Sequence[Trial]) -> None:
         require_device(trial.config.device)
 
 
-def _member(trial: Trial, runs: Sequence[RunReader], store: Store, **how: Unpack[How]) -> Recorded:
+def _member(
+    trial: Trial, runs: Sequence[RunReader], store: Store, **options: Unpack[RecordingOptions]
+) -> Recorded:
     """The training of one member: new, from its checkpoint, or nothing where it is finished."""
     found = same_run(trial, runs)
     if found is not None and found.status.state == "finished":
         return _finished(found)
     begun = unfinished(store, trial.config)
     if begun is not None:
-        return resumed(store, begun, **how)
-    return recorded(trial.config, store, None if found else trial.run_id, **how)
+        return resumed(store, begun, **options)
+    return recorded(trial.config, store, None if found else trial.run_id, **options)
 
 
 def _finished(run: RunReader) -> Recorded:

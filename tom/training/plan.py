@@ -17,7 +17,7 @@ from tom.record import RunReader
 from tom.training.presets import resolve
 
 Seed = Annotated[int, Field(ge=0)]
-FILE_BYTES = 100_000  # a plan is a page long; a file that expands without end is none
+FILE_BYTES = 100_000  # a plan is a page long; a file that expands without end is refused
 
 
 class Plan(Config):

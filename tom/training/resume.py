@@ -18,20 +18,24 @@ from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, 
 from tom.record.checkpoint import Checkpoint
 from tom.record.heartbeat import BEAT_S
 from tom.training.presets import config_type
-from tom.training.run import AnyConfig, How, Recorded, Training, make_training, record
+from tom.training.run import AnyConfig, Recorded, RecordingOptions, Training, make_training, record
 from tom.training.watch import Watch
 
 
-def resume(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> RunReader:
+def resume(
+    store: Store, run_id: str, steps: int | None = None, **options: Unpack[RecordingOptions]
+) -> RunReader:
     """Go on with a run from its newest whole checkpoint, to `steps` where given.
 
     On the same machine with the same versions the result is bit for bit that of a run never
     interrupted. Raises UserError where the run cannot go on.
     """
-    return finished(resumed(store, run_id, steps, **how))
+    return finished(resumed(store, run_id, steps, **options))
 
 
-def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[How]) -> Recorded:
+def resumed(
+    store: Store, run_id: str, steps: int | None = None, **options: Unpack[RecordingOptions]
+) -> Recorded:
     """`resume` as a member of a fleet runs it: its heavy work is handed out."""
     keep_freed_memory()
     reader = store.run(run_id)
@@ -57,12 +61,12 @@ def resumed(store: Store, run_id: str, steps: int | None = None, **how: Unpack[H
         writer.close()
         raise
     held.drop_unusable()
-    sink = open_sink(writer) if how.get("rerun", True) else None
+    sink = open_sink(writer) if options.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
-        writer.resumed(config, how.get("command", ""))
+        writer.resumed(config, options.get("command", ""))
         for problem in held.problems:
             recorder.consume(Notice(held.env_step, "checkpoint", problem))
-        yield from record(training, watch, recorder, writer, how)
+        yield from record(training, watch, recorder, writer, options)
     return RunReader(writer.path)
 
 
@@ -78,7 +82,7 @@ def unfinished(store: Store, config: AnyConfig) -> str | None:
             continue  # damaged
         if given["steps"] > config.steps:
             continue
-        if reader.learner == "sac" and given["steps"] != config.steps:
+        if not reader.fits_model and given["steps"] != config.steps:
             continue  # the halves of a recording depend on them
         if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
             continue
@@ -93,7 +97,7 @@ def recorded_config(reader: RunReader, otherwise: str = "start it again") -> Any
 
     Raises UserError where it is another version's; `otherwise` says what to do then.
     """
-    kind = SacRecordingConfig if reader.learner == "sac" else config_type(reader.env)
+    kind = config_type(reader.env) if reader.fits_model else SacRecordingConfig
     try:
         return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
     except (KeyError, ValidationError) as error:

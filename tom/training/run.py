@@ -39,8 +39,8 @@ class Training(Protocol):
     ) -> None: ...
 
 
-class How(TypedDict, total=False):
-    """How a training is recorded and watched; nothing of it changes what is learnt."""
+class RecordingOptions(TypedDict, total=False):
+    """How a training is recorded and watched; no option changes what is learnt."""
 
     rerun: bool  # a recording for Rerun beside the files [True]
     watchers: Sequence[Consumer]  # see every event
@@ -72,7 +72,7 @@ def make_training(config: AnyConfig) -> Training:
 
 
 def train(
-    config: AnyConfig, store: Store, run_id: str | None = None, **how: Unpack[How]
+    config: AnyConfig, store: Store, run_id: str | None = None, **options: Unpack[RecordingOptions]
 ) -> RunReader:
     """Train and record; returns the run.
 
@@ -80,42 +80,46 @@ def train(
     it as `stopped` at once, any other error as `failed` with its reason; both go on to the
     caller. What was recorded until then stays. Raises UserError without the config's device.
     """
-    return finished(recorded(config, store, run_id, **how))
+    return finished(recorded(config, store, run_id, **options))
 
 
 def recorded(
-    config: AnyConfig, store: Store, run_id: str | None = None, **how: Unpack[How]
+    config: AnyConfig, store: Store, run_id: str | None = None, **options: Unpack[RecordingOptions]
 ) -> Recorded:
     """`train` as a member of a fleet runs it: its heavy work is handed out."""
     require_device(config.device)
     keep_freed_memory()
     torch.set_num_threads(config.threads)
     matmul = choose_matmul(config.matmul).record()
-    writer = _new_writer(store, run_id, config, matmul=matmul, command=how.get("command", ""))
-    sink = open_sink(writer) if how.get("rerun", True) else None
+    writer = _new_writer(store, run_id, config, matmul=matmul, command=options.get("command", ""))
+    sink = open_sink(writer) if options.get("rerun", True) else None
     with Recorder(writer, sink) as recorder:
-        yield from record(make_training(config), Watch(config), recorder, writer, how)
+        yield from record(make_training(config), Watch(config), recorder, writer, options)
     return RunReader(writer.path)
 
 
-def _new_writer(store: Store, run_id: str | None, config: AnyConfig, **how: Any) -> RunWriter:
+def _new_writer(store: Store, run_id: str | None, config: AnyConfig, **options: Any) -> RunWriter:
     """The writer of a new run; a name that is made up here is free, also when two start at once."""
     if run_id is not None:
-        return RunWriter.create(store, run_id, config, **how)
+        return RunWriter.create(store, run_id, config, **options)
     while True:
         made_up = store.new_run_id(config.env, config.learner, config.seed)
         try:
-            return RunWriter.create(store, made_up, config, **how)
+            return RunWriter.create(store, made_up, config, **options)
         except TakenError:
             continue
 
 
 def record(
-    training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, how: How
+    training: Training,
+    watch: Watch,
+    recorder: Recorder,
+    writer: RunWriter,
+    options: RecordingOptions,
 ) -> Generator[Work, None, None]:
     """Take a training to its end, or to where `stop` asks: every event into the record."""
     every, total = writer.config.checkpoint_every, writer.config.total_steps
-    listening, stop = list(how.get("watchers", ())), how.get("stop")
+    listening, stop = list(options.get("watchers", ())), options.get("stop")
     steps = training.algorithm() if isinstance(training, Mbpo) else training.events()
     for event in watch.over(steps):
         if isinstance(event, Work):

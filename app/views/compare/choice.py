@@ -60,7 +60,7 @@ def tagged(run: RunInfo, tags: Sequence[str]) -> bool:
 
 
 def matching(runs: Sequence[RunInfo], words: str) -> list[RunInfo]:
-    """The runs whose name or id the regular expression finds; all, and a word, if it is none."""
+    """The runs whose name or id the regular expression finds; all, and why, if it is malformed."""
     try:
         pattern = re.compile(words, re.IGNORECASE)
     except re.error as error:

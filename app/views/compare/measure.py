@@ -8,7 +8,7 @@ import streamlit as st
 
 from app.data import readers, settings
 from app.data.aggregate import Band, Curve, Group, Statistic, curve_points, groups, points_against
-from app.data.cache import Kept
+from app.data.cache import VersionedCache
 from app.data.readers import RunInfo
 from app.figures.curves import Axes
 
@@ -27,7 +27,7 @@ FIRST = ("exam/error", "exam/rollout_error", "exam/footprint")
 IQM = "interquartile mean: the mean of the middle half of the runs; of fewer than four the mean"
 
 
-_GROUPED: Kept[tuple[list[Curve], list[Group]]] = Kept(32)
+_GROUPED: VersionedCache[tuple[list[Curve], list[Group]]] = VersionedCache(32)
 
 
 @dataclass(frozen=True)

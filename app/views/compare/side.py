@@ -11,7 +11,7 @@ from app.figures.side import side_by_side
 from app.parts import asked
 from app.parts.plot import chart
 from app.parts.stage import stage
-from app.scenes.control import Replay
+from app.scenes.control import ReplayChoice
 from app.theme import learner_label
 from app.views.compare import measure
 from app.views.compare.choice import called
@@ -89,5 +89,5 @@ def _replays(chosen: Sequence[RunInfo]) -> None:
             name = f"{learner_label(run.learner)} seed {run.seed}"
             st.caption(f"{text.markdown(name)}, {words}")
             if before:
-                choice = Replay(run.run_id, before[-1], 0, 0, HORIZON, played)
+                choice = ReplayChoice(run.run_id, before[-1], 0, 0, HORIZON, played)
                 stage(choice, STAGE_HEIGHT, f"side{i}", compact=True)

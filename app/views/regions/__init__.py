@@ -13,7 +13,7 @@ from app.figures.regions import region_map
 from app.parts import empty, widgets
 from app.parts.plot import Region, chart
 from app.parts.stage import stage
-from app.scenes.control import States
+from app.scenes.control import StatesChoice
 from app.theme import learner_label
 from app.views.regions import region_tables
 
@@ -188,7 +188,7 @@ def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
         return
     heavy, light, words = _sides(rows, mask)
     st.markdown(f"**The scenes themselves**: {words}")
-    choice = States(
+    choice = StatesChoice(
         run.run_id,
         tuple(rows.first + row for row in heavy),
         tuple(rows.first + row for row in light),

@@ -59,7 +59,7 @@ def test_a_new_status_is_seen(own: Path) -> None:
     path = own / PENDULUM_TOM / "status.json"
     status = json.loads(path.read_text())
     path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time()}))
-    writer = lock.hold(own / PENDULUM_TOM)
+    writer = lock.acquire(own / PENDULUM_TOM)
     assert info(own, PENDULUM_TOM).status.alive
     writer.close()
     run = info(own, PENDULUM_TOM)

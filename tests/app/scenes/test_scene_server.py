@@ -14,7 +14,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from app.links import Links
-from app.scenes.control import Replay, Selection
+from app.scenes.control import ReplayChoice, Selection
 from app.scenes.frame import Frame
 from app.scenes.replay_frame import ReplayFrame
 from app.scenes.server import SceneServer
@@ -68,7 +68,7 @@ def only_frame(served: SceneServer) -> ReplayFrame | None:
 
 
 def asked(times: int) -> Selection:
-    return Selection(Replay(PENDULUM_TOM, 400, 0, 0, 25, played=times), compact=True)
+    return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, 0, 25, played=times), compact=True)
 
 
 def test_what_was_to_play_before_its_frame_connected_plays_then(served: SceneServer) -> None:

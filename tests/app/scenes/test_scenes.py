@@ -21,7 +21,16 @@ from app.data import pictures
 from app.data.roadmap import CELLS, on_road
 from app.scenes import arrays, solids
 from app.scenes import road as scene
-from app.scenes.control import Replay, Road, Selection, States, listen, packed, tell, unpacked
+from app.scenes.control import (
+    ReplayChoice,
+    RoadChoice,
+    Selection,
+    StatesChoice,
+    listen,
+    packed,
+    tell,
+    unpacked,
+)
 from app.scenes.export import FRAME_S, REST_S, STRIDE, as_html
 from app.scenes.road import RoadScene
 from app.scenes.road_frame import LAYERS
@@ -160,7 +169,7 @@ def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(path)
     threading.Thread(target=listen, args=(path, select), daemon=True).start()
-    wanted = Selection(Road((ROAD_TOM,), 60), "dark")
+    wanted = Selection(RoadChoice((ROAD_TOM,), 60), "dark")
     for _ in range(100):
         try:
             tell(path, "page", wanted)
@@ -199,10 +208,10 @@ def test_messages_that_fail_do_not_end_the_listening(
         time.sleep(0.02)
     with Client(path) as broken:
         broken.send_bytes(b"{")
-    tell(path, "rewound", Selection(Road()))
-    tell(path, "page", Selection(Road(step=3)))
+    tell(path, "rewound", Selection(RoadChoice()))
+    tell(path, "page", Selection(RoadChoice(step=3)))
     assert shown.wait(10)
-    assert got == [Selection(Road(step=3))]
+    assert got == [Selection(RoadChoice(step=3))]
     while len(caplog.records) < 3 and time.monotonic() < until + 10:
         time.sleep(0.02)
     kinds = [type(record.exc_info[1]).__name__ for record in caplog.records if record.exc_info]
@@ -231,36 +240,40 @@ def test_a_client_that_does_not_finish_holds_up_nobody(tmp_path: Path, said: byt
     got, shown = heard(path)
     with Client(path) as halting:
         os.write(halting.fileno(), said)
-        tell(path, "page", Selection(Road(step=3)))
+        tell(path, "page", Selection(RoadChoice(step=3)))
         assert shown.wait(10)
-    assert got == [Selection(Road(step=3))]
+    assert got == [Selection(RoadChoice(step=3))]
 
 
 def test_of_two_selections_of_a_page_the_later_connection_counts(tmp_path: Path) -> None:
     path = str(tmp_path / "control")
     got, shown = heard(path)
     with Client(path) as late:
-        tell(path, "page", Selection(Road(step=2)))
+        tell(path, "page", Selection(RoadChoice(step=2)))
         assert shown.wait(10)
-        late.send_bytes(packed("page", Selection(Road(step=1))))
+        late.send_bytes(packed("page", Selection(RoadChoice(step=1))))
         with pytest.raises(EOFError):  # it was heard to its end
             late.recv_bytes()
-    assert got == [Selection(Road(step=2))]
+    assert got == [Selection(RoadChoice(step=2))]
 
 
 @pytest.mark.parametrize(
     "choice",
-    [Road(("a", "b"), 3), Replay("a", 1, 2, 3, 4), States("a", (1, 2), (), (2.5, 3.0), ())],
+    [
+        RoadChoice(("a", "b"), 3),
+        ReplayChoice("a", 1, 2, 3, 4),
+        StatesChoice("a", (1, 2), (), (2.5, 3.0), ()),
+    ],
 )
-def test_a_message_says_what_was_chosen(choice: Road | Replay | States) -> None:
+def test_a_message_says_what_was_chosen(choice: RoadChoice | ReplayChoice | StatesChoice) -> None:
     selection = Selection(choice, "dark", compact=True)
     assert unpacked(packed("page", selection)) == ("page", selection)
 
 
 def test_a_server_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
-        tell(str(tmp_path / "none"), "page", Selection(Road()))
+        tell(str(tmp_path / "none"), "page", Selection(RoadChoice()))
     with socket.socket(socket.AF_UNIX) as lone:
         lone.bind(str(tmp_path / "deaf"))
         with pytest.raises(ConnectionRefusedError):
-            tell(str(tmp_path / "deaf"), "page", Selection(Road()))
+            tell(str(tmp_path / "deaf"), "page", Selection(RoadChoice()))

@@ -19,7 +19,7 @@ from app.data.aggregate import Curve, aggregate
 from app.data.scores import BEST, FINAL, HEIGHT, default_level, reached, scores_of
 from app.links import Links
 from app.parts import shortlinks
-from app.scenes.control import Replay, Selection, listen
+from app.scenes.control import ReplayChoice, Selection, listen
 from app.servers.pages import routes
 from tom.errors import UserError
 from tom.record import manage
@@ -177,7 +177,7 @@ def test_play_all_starts_every_replay_of_the_page(
     for selections, played in ((before, 0), (after, 1)):
         for selection in selections.values():
             assert selection.compact
-            assert isinstance(selection.choice, Replay)
+            assert isinstance(selection.choice, ReplayChoice)
             assert (selection.choice.step, selection.choice.played) == (400, played)
 
 

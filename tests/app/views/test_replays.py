@@ -18,7 +18,7 @@ from app.links import Links
 from app.scenes import solids
 from app.scenes.replay import track
 from app.servers import pages
-from tom.analysis.imagine import kept_model
+from tom.analysis.imagine import stored_model
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -118,7 +118,7 @@ def test_road_and_rocks_is_replayed_on_its_map(store: Path) -> None:
     assert replay.road is not None
     assert replay.dt == ROAD_DT
     assert replay.ghost is not None
-    _, following = kept_model(run).predictor.predict(*first_step(replay))
+    _, following = stored_model(run).predictor.predict(*first_step(replay))
     assert replay.ghost[1] == pytest.approx(following[0].numpy(), abs=1e-6)
     driven = track(replay.env, replay.real)
     assert driven.root[:, :2] == pytest.approx(replay.real, abs=0.01)

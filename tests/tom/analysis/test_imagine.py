@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tom.analysis.imagine import imagine, joint_positions, kept_model, kept_step, step_errors
+from tom.analysis.imagine import imagine, joint_positions, step_errors, stored_model, stored_step
 from tom.analysis.ordered_data import of_run
 from tom.envs import task
 from tom.errors import UserError
@@ -17,7 +17,7 @@ from tom.policy.evaluate import Evaluator
 from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.export import export_small
-from tom.record.health import verify
+from tom.record.integrity import verify
 from tom.road import task as road
 from tom.training.presets import resolve
 from tom.training.resume import resume
@@ -67,7 +67,7 @@ def test_errors_are_in_standard_deviations_of_a_steps_change():
 
 
 def test_the_kept_model_predicts_as_the_run_measured(hopper: RunReader):
-    kept = kept_model(hopper)
+    kept = stored_model(hopper)
     assert kept.env_step == 360
     rows, _ = hopper.buffer()
     arrays = rows.numpy()
@@ -82,7 +82,7 @@ def test_the_kept_model_predicts_as_the_run_measured(hopper: RunReader):
 
 
 def test_one_imagined_step_is_the_models_prediction(hopper: RunReader):
-    model = kept_model(hopper).predictor
+    model = stored_model(hopper).predictor
     episode = hopper.episodes(hopper.evaluation_steps()[-1])[0]
     found = imagine(model, episode, 1)
     reward, following = model.predict(
@@ -112,7 +112,7 @@ def test_a_road_runs_model_is_its_linear_one(tmp_path: Path):
         "road-and-rocks", "mle", "smoke", {"steps": 4, "fit_every": 4, "matmul": "default"}
     )
     run = train(config, Store(tmp_path), "road", rerun=False)
-    model = kept_model(run).predictor
+    model = stored_model(run).predictor
     field = run.field("model", 4)
     points, action = (torch.from_numpy(field[name]) for name in ("points", "action"))
     reward, following = model.predict(points, action)
@@ -126,16 +126,16 @@ def test_a_run_without_a_model_says_so(hopper: RunReader, tmp_path: Path):
     bare = shutil.copytree(hopper.path, tmp_path / "bare")
     shutil.rmtree(bare / "checkpoint")
     with pytest.raises(UserError, match="kept no dynamics model"):
-        kept_model(RunReader(bare))
+        stored_model(RunReader(bare))
 
 
 def test_a_small_copy_keeps_the_model_and_cannot_go_on(hopper: RunReader, tmp_path: Path):
     store = Store(tmp_path / "kept")
     small = RunReader(export_small(hopper, store.path, keep=("model", "policy")))
-    assert kept_step(small) == kept_step(hopper) == 360
+    assert stored_step(small) == stored_step(hopper) == 360
     episode = hopper.episodes(hopper.evaluation_steps()[-1])[0]
     obs, action = torch.from_numpy(episode.obs[:-1]), torch.from_numpy(episode.action)
-    ours, theirs = (kept_model(run).predictor.predict(obs, action)[1] for run in (small, hopper))
+    ours, theirs = (stored_model(run).predictor.predict(obs, action)[1] for run in (small, hopper))
     change = (theirs - obs).std(0)
     assert ((ours - theirs).abs() / change).mean() < 0.01
     held = checkpoint.load(small.path / layout.MODEL)
@@ -155,9 +155,9 @@ def test_a_small_copy_without_its_model_says_so(
 ):
     monkeypatch.setattr("tom.record.thin.SMALL", 100)
     small = RunReader(export_small(hopper, tmp_path))
-    assert kept_step(small) is None
+    assert stored_step(small) is None
     assert "model" in small.left_out
     with pytest.raises(UserError, match="left out of this small copy"):
-        kept_model(small)
+        stored_model(small)
     with pytest.raises(UserError, match="cannot be used: left out of this small copy"):
         of_run(small)

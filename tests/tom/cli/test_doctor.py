@@ -67,7 +67,7 @@ def test_ports_that_cannot_be_opened_are_named_with_a_fix(monkeypatch: pytest.Mo
 
 
 def test_a_check_that_breaks_is_a_finding():
-    def broken() -> checks.Finding:
+    def broken() -> checks.CheckResult:
         socket.create_server(("127.0.0.1", 0), family=-5)  # pyright: ignore[reportArgumentType]
         raise AssertionError
 

@@ -18,7 +18,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """An own folder for what is kept, and this process's product as before."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     before = matmul.current()
-    yield matmul.kept_in()
+    yield matmul.cache_file()
     matmul.use(before)
 
 
@@ -31,12 +31,12 @@ def test_a_machine_is_probed_once(kept: Path):
 def test_another_torch_or_another_cpu_is_another_machine(
     kept: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    assert matmul.kept_in() == kept
+    assert matmul.cache_file() == kept
     with monkeypatch.context() as another:
         another.setattr("torch.__version__", "1.0")
-        assert matmul.kept_in() != kept
+        assert matmul.cache_file() != kept
     monkeypatch.setattr(matmul, "CPU_LINES", ())  # a CPU of which nothing is known
-    assert matmul.kept_in() != kept
+    assert matmul.cache_file() != kept
 
 
 X86 = "vendor_id\t: AuthenticAMD\ncpu family\t: 25\nmodel\t: 17\ncpu MHz\t: 2596.142\nflags\t: avx2"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from tom.nn.lockstep import Beside, Lockstep, Work, alone, finished
+from tom.nn.lockstep import Call, Lockstep, Work, alone, finished
 
 
 class Counter:
@@ -144,7 +144,7 @@ def test_an_interrupt_closes_all():
 
 
 def calling(call) -> Generator[Work, None, str]:
-    work = Beside(call)
+    work = Call(call)
     yield work
     return work.result()
 
@@ -161,7 +161,7 @@ def test_calls_of_several_members_have_threads_of_their_own():
     assert isinstance(found[1], ArithmeticError)
     for name in (found[0], found[2]):
         assert isinstance(name, str)
-        assert name.startswith("beside")
+        assert name.startswith("call")
 
 
 def test_a_call_of_one_alone_stays_in_its_thread():

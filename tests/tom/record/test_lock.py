@@ -11,20 +11,20 @@ from tom.record import lock
 
 
 def test_a_second_writer_is_refused_until_the_first_has_ended(tmp_path: Path):
-    first = lock.hold(tmp_path)
+    first = lock.acquire(tmp_path)
     with pytest.raises(UserError, match="being written by another process"):
-        lock.hold(tmp_path)
+        lock.acquire(tmp_path)
     assert lock.held(tmp_path)
     first.close()
     assert not lock.held(tmp_path)
-    lock.hold(tmp_path).close()
+    lock.acquire(tmp_path).close()
 
 
 def test_who_only_looks_is_waited_for(tmp_path: Path):
-    lock.hold(tmp_path).close()
+    lock.acquire(tmp_path).close()
     with (tmp_path / ".writer").open() as look:
         fcntl.flock(look, fcntl.LOCK_SH)
         timer = Timer(0.1, look.close)
         timer.start()
-        lock.hold(tmp_path).close()
+        lock.acquire(tmp_path).close()
         timer.join()

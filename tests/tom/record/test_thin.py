@@ -11,7 +11,7 @@ from recorded import FIT, STEPS, Config, episodes, events, transitions
 from tom.events import Collected, Evaluation, Field, Metrics, Tick, Weights
 from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, decode
 from tom.record.export import export_small
-from tom.record.health import verify
+from tom.record.integrity import verify
 from tom.record.rounding import half
 
 

@@ -15,7 +15,7 @@ from tom.analysis.weighing import Weighed
 from tom.studies import each as module
 from tom.studies.each import FOLDER, each
 from tom.studies.focus import Focus
-from tom.studies.kept import keep, kept
+from tom.studies.outcomes import load, save
 from tom.studies.progression import Result
 from tom.studies.road import Outcome, Story
 from tom.studies.tabular import Case, Estimate, Score
@@ -138,5 +138,5 @@ OUTCOMES = (
 
 @pytest.mark.parametrize("outcome", OUTCOMES, ids=lambda outcome: type(outcome).__name__)
 def test_the_outcomes_of_all_studies_can_be_kept(tmp_path: Path, outcome: object):
-    keep(outcome, tmp_path / "case.pt")
-    assert repr(kept(tmp_path / "case.pt", type(outcome))) == repr(outcome)
+    save(outcome, tmp_path / "case.pt")
+    assert repr(load(tmp_path / "case.pt", type(outcome))) == repr(outcome)

@@ -11,10 +11,10 @@ from tom.cli import main
 from tom.record import Store
 from tom.record.bucket.fetching import FETCHED, fetch_run
 from tom.record.bucket.objects import Bucket
-from tom.sweep.bucket_home import BucketHome
+from tom.sweep.backend import FolderBackend
+from tom.sweep.bucket_backend import BucketBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
-from tom.sweep.home import FolderHome
 
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "60")
 
@@ -63,19 +63,19 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     planned, bucket = plan(learner=["mle"], seeds=1, steps=1500), Bucket.open(bucket_url)
-    with BucketHome(bucket, planned) as home:
-        driver = Driver(home, planned, LocalEngine(1), back_off_s=0.1)
-        (seat,) = driver.seats
-        until(lambda: beyond_a_checkpoint(home.store), driver.poll)
-        assert seat.process
-        seat.process.signal(signal.SIGKILL)
+    with BucketBackend(bucket, planned) as backend:
+        driver = Driver(backend, planned, LocalEngine(1), back_off_s=0.1)
+        (job,) = driver.jobs
+        until(lambda: beyond_a_checkpoint(backend.store), driver.poll)
+        assert job.process
+        job.process.signal(signal.SIGKILL)
         finish(driver)
-        assert seat.state == "finished", seat.note
-        assert f"{seat.run_id} --resume={seat.run_id}\n" in seat.log.read_text()
+        assert job.state == "finished", job.note
+        assert f"{job.run_id} --resume={job.run_id}\n" in job.log.read_text()
     fetched, undisturbed = Store(tmp_path / "fetched"), Store(tmp_path / "undisturbed")
     fetched.ensure_writable()
-    assert fetch_run(bucket, seat.run_id, fetched) == FETCHED
-    finish(Driver(FolderHome(undisturbed), planned, LocalEngine(1)))
+    assert fetch_run(bucket, job.run_id, fetched) == FETCHED
+    finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(1)))
     assert_same_runs(fetched, undisturbed)
 
 
@@ -83,12 +83,12 @@ def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
     planned = plan(learner=["mle"], seeds=1)
-    with BucketHome(Bucket.open(bucket_url), planned) as home:
-        driver = Driver(home, planned, LocalEngine(1), back_off_s=1e6)
+    with BucketBackend(Bucket.open(bucket_url), planned) as backend:
+        driver = Driver(backend, planned, LocalEngine(1), back_off_s=1e6)
         with monkeypatch.context() as away:
             away.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
             driver.poll()
-        (seat,) = driver.seats
-        until(lambda: seat.process is None, driver.poll)
-        assert (seat.state, seat.attempts) == ("waiting", 1)
-        assert "cannot reach the bucket" in seat.note
+        (job,) = driver.jobs
+        until(lambda: job.process is None, driver.poll)
+        assert (job.state, job.attempts) == ("waiting", 1)
+        assert "cannot reach the bucket" in job.note

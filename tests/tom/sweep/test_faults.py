@@ -21,9 +21,9 @@ from sweeping import (
 )
 
 from tom.record import Store
+from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import ATTEMPTS, Driver
 from tom.sweep.engine import LocalEngine
-from tom.sweep.home import FolderHome
 
 pytestmark = pytest.mark.fault
 
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.fault
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """The whole sweep, run in peace."""
     store = Store(tmp_path_factory.mktemp("undisturbed"))
-    finish(Driver(FolderHome(store), plan(), LocalEngine(2)))
+    finish(Driver(FolderBackend(store), plan(), LocalEngine(2)))
     return store
 
 
@@ -43,14 +43,14 @@ def command(store: Path) -> list[str]:
 
 
 def test_trainings_of_a_sweep_killed__go_on_to_the_same_numbers(tmp_path: Path, undisturbed: Store):
-    driver = Driver(FolderHome(Store(tmp_path)), plan(), LocalEngine(2), back_off_s=0.1)
+    driver = Driver(FolderBackend(Store(tmp_path)), plan(), LocalEngine(2), back_off_s=0.1)
     until(lambda: beyond_a_checkpoint(driver.store), driver.poll)
-    killed = [seat for seat in driver.seats if seat.process]
-    for seat in killed:
-        assert seat.process
-        seat.process.signal(signal.SIGKILL)
+    killed = [job for job in driver.jobs if job.process]
+    for job in killed:
+        assert job.process
+        job.process.signal(signal.SIGKILL)
     finish(driver)
-    assert [seat.state for seat in driver.seats] == ["finished"] * 6
+    assert [job.state for job in driver.jobs] == ["finished"] * 6
     assert_same_runs(driver.store, undisturbed)
 
 
@@ -92,9 +92,9 @@ def test_a_training_that_always_fails__is_reported_and_stops_nobody(tmp_path: Pa
     """Networks that no memory holds: every attempt ends at once."""
     bad = plan(learner=["mle"], seeds=1, settings={"sac": {"hidden": 10**8}})
     good = plan(learner=["mle"], seeds=1)
-    driver = Driver(FolderHome(Store(tmp_path)), [*bad, *good], LocalEngine(1), back_off_s=0.1)
+    driver = Driver(FolderBackend(Store(tmp_path)), [*bad, *good], LocalEngine(1), back_off_s=0.1)
     finish(driver)
-    failed, finished = driver.seats
+    failed, finished = driver.jobs
     assert (failed.state, finished.state) == ("failed", "finished")
     assert failed.attempts == ATTEMPTS
     assert "memory" in failed.note
@@ -103,28 +103,28 @@ def test_a_training_that_always_fails__is_reported_and_stops_nobody(tmp_path: Pa
 
 def test_death_before_the_first_checkpoint__begins_anew(tmp_path: Path):
     (trial,) = plan(learner=["mle"], seeds=1)
-    driver = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
+    driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
     until(lambda: (tmp_path / trial.run_id / "metrics.jsonl").exists(), driver.poll)
-    (seat,) = driver.seats
-    assert seat.process
-    seat.process.signal(signal.SIGKILL)
+    (job,) = driver.jobs
+    assert job.process
+    job.process.signal(signal.SIGKILL)
     finish(driver)
-    assert seat.state == "finished"
+    assert job.state == "finished"
     trash = tmp_path / ".trash" / trial.run_id
     assert not trash.exists() or (trash / "config.json").exists()
 
 
 def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one(tmp_path: Path):
     (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
-    first = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
+    first = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
     until(lambda: beyond_a_checkpoint(first.store), first.poll)
     first.stop()
-    assert first.seats[0].state == "stopped"
+    assert first.jobs[0].state == "stopped"
     for path in (tmp_path / trial.run_id / "checkpoint").rglob("state.pt"):
         path.write_bytes(path.read_bytes()[:-10])
-    second = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
+    second = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
     finish(second)
-    assert second.seats[0].state == "finished"
+    assert second.jobs[0].state == "finished"
     assert (tmp_path / ".trash" / trial.run_id / "config.json").exists()
 
 
@@ -149,13 +149,13 @@ def test_disk_full_during_a_sweep__waits_for_room_and_ends_with_the_same_numbers
     small_disk: Path, undisturbed: Store
 ):
     store = Store(small_disk / "store")
-    driver = Driver(FolderHome(store), plan(), LocalEngine(2), low_bytes=500_000, back_off_s=0.1)
+    driver = Driver(FolderBackend(store), plan(), LocalEngine(2), low_bytes=500_000, back_off_s=0.1)
     until(lambda: beyond_a_checkpoint(store), driver.poll)
     ballast = small_disk / "somebody's film"
     fill(ballast)
-    until(lambda: not any(seat.process for seat in driver.seats), driver.poll)
+    until(lambda: not any(job.process for job in driver.jobs), driver.poll)
     assert driver.full
-    assert "failed" not in [seat.state for seat in driver.seats]
+    assert "failed" not in [job.state for job in driver.jobs]
     ballast.unlink()
     finish(driver)
     assert_same_runs(store, undisturbed)

@@ -11,9 +11,9 @@ from tom.cli import main
 from tom.events import Metrics, Tick
 from tom.record import Recorder, RunWriter, Store, checkpoint, lock
 from tom.record.export import export_small
+from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
-from tom.sweep.home import FolderHome
 from tom.sweep.projection import cost
 from tom.training.plan import Trial, checked, trials
 
@@ -143,31 +143,31 @@ def finished(store: Store, trial: Trial) -> Path:
 
 def test_a_run_that_was_finished_before_its_turn_came_is_done(tmp_path: Path):
     (trial,) = trials(checked(PLAN))
-    driver = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
+    driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
     path = finished(driver.store, trial)
     assert driver.poll()
-    assert (driver.seats[0].state, driver.seats[0].note) == ("finished", "by another process")
+    assert (driver.jobs[0].state, driver.jobs[0].note) == ("finished", "by another process")
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_finished_run_is_done_however_its_process_ended(tmp_path: Path):
     (trial,) = trials(checked(PLAN))
-    driver = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
-    (seat,) = driver.seats
-    seat.log.parent.mkdir()
-    seat.state, seat.process = "running", driver.engine.start(["no_such_module"], seat.log)
+    driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
+    (job,) = driver.jobs
+    job.log.parent.mkdir()
+    job.state, job.process = "running", driver.engine.start(["no_such_module"], job.log)
     finished(driver.store, trial)
-    until(lambda: seat.process is None, driver.poll)
-    assert "no_such_module" in seat.log.read_text()
-    assert (seat.state, seat.note) == ("finished", "")
+    until(lambda: job.process is None, driver.poll)
+    assert "no_such_module" in job.log.read_text()
+    assert (job.state, job.note) == ("finished", "")
 
 
 def test_nothing_is_started_on_a_full_disk(tmp_path: Path):
     planned = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
-    driver = Driver(FolderHome(Store(tmp_path)), planned, LocalEngine(1), low_bytes=1e18)
+    driver = Driver(FolderBackend(Store(tmp_path)), planned, LocalEngine(1), low_bytes=1e18)
     assert not driver.poll()
     assert driver.full
-    assert [seat.state for seat in driver.seats] == ["waiting"]
+    assert [job.state for job in driver.jobs] == ["waiting"]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -175,17 +175,17 @@ def test_a_run_that_another_process_writes_is_left_to_it(tmp_path: Path):
     (trial,) = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
     writer = RunWriter.create(Store(tmp_path), trial.run_id, trial.config)
     try:
-        driver = Driver(FolderHome(Store(tmp_path)), [trial], LocalEngine(1))
+        driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
         assert not driver.poll()
-        assert driver.seats[0].state == "elsewhere"
+        assert driver.jobs[0].state == "elsewhere"
         assert lock.held(writer.path)
         assert not driver.poll()
-        assert driver.seats[0].process is None
+        assert driver.jobs[0].process is None
     finally:
         writer.close()
 
 
-class Patchy(FolderHome):
+class Patchy(FolderBackend):
     """Folders of which some cannot be reached."""
 
     away: str | None = None
@@ -200,17 +200,17 @@ class Patchy(FolderHome):
 def test_a_run_out_of_reach_holds_up_no_other(
     state: Literal["elsewhere", "waiting"], away: int, tmp_path: Path
 ):
-    planned, home = trials(checked({**PLAN, "seeds": 3})), Patchy(Store(tmp_path))
-    driver = Driver(home, planned, LocalEngine(3))
-    for seat in driver.seats:
-        finished(driver.store, seat.trial)
-        seat.state = state
-    lost = driver.seats[away]
-    home.away = lost.run_id
+    planned, backend = trials(checked({**PLAN, "seeds": 3})), Patchy(Store(tmp_path))
+    driver = Driver(backend, planned, LocalEngine(3))
+    for job in driver.jobs:
+        finished(driver.store, job.trial)
+        job.state = state
+    lost = driver.jobs[away]
+    backend.away = lost.run_id
     assert not driver.poll()
     assert not driver.poll()
     assert driver.trouble == "this one is out of reach"
-    assert [seat.run_id for seat in driver.seats if seat.state != "finished"] == [lost.run_id]
-    home.away = None
+    assert [job.run_id for job in driver.jobs if job.state != "finished"] == [lost.run_id]
+    backend.away = None
     assert driver.poll()
     assert (lost.state, driver.trouble) == ("finished", "")

@@ -19,9 +19,9 @@ from sweeping import WAIT_S, assert_same_runs, beyond_a_checkpoint, finish, plan
 
 from tom.cli import main
 from tom.record import Store
+from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
-from tom.sweep.home import FolderHome
 
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke")
 RAY = Path(sysconfig.get_path("scripts")) / "ray"
@@ -156,5 +156,5 @@ def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_number
     assert f"--resume={lost[0].run_id}" in log.read_text()
     undisturbed = Store(tmp_path / "undisturbed")
     planned = plan(learner=["mle"], steps=1500)
-    finish(Driver(FolderHome(undisturbed), planned, LocalEngine(2)))
+    finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(2)))
     assert_same_runs(store, undisturbed)

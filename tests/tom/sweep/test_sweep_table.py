@@ -8,9 +8,9 @@ import pytest
 from tom.cli.sweep.table import Watcher
 from tom.events import Tick
 from tom.record import Recorder, RunWriter, Store
+from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
-from tom.sweep.home import FolderHome
 from tom.training.plan import checked, trials
 
 PLAN = {"env": "hopper", "learner": ["mle", "tom"], "seeds": 2, "steps": 6_000}
@@ -30,8 +30,8 @@ def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Driver:
     store = Store(tmp_path)
     with Recorder(RunWriter.create(store, first.run_id, first.config)) as recorder:
         recorder.consume(Tick(6_000, "optimise"))
-    found = Driver(FolderHome(store), [first, *others], LocalEngine(1))
-    found.seats[2].state, found.seats[2].note = "failed", "no memory\nand what came before"
+    found = Driver(FolderBackend(store), [first, *others], LocalEngine(1))
+    found.jobs[2].state, found.jobs[2].note = "failed", "no memory\nand what came before"
     return found
 
 
@@ -43,7 +43,7 @@ def shown(driver: Driver, stream: io.StringIO) -> str:
 
 def test_the_live_table_has_every_run(driver: Driver):
     text = shown(driver, Terminal())
-    assert all(seat.run_id in text for seat in driver.seats)
+    assert all(job.run_id in text for job in driver.jobs)
     assert "was there already" in text
     assert "no memory" in text
     assert "and what came before" not in text  # that is reported at the end
@@ -55,8 +55,8 @@ def test_where_the_terminal_is_small_what_matters_is_shown_and_the_rest_counted(
 ):
     monkeypatch.setenv("LINES", "11")
     text = shown(driver, Terminal())
-    assert driver.seats[2].run_id in text  # the failed one
-    assert driver.seats[0].run_id not in text  # the finished one
+    assert driver.jobs[2].run_id in text  # the failed one
+    assert driver.jobs[0].run_id not in text  # the finished one
     assert "1 more not shown" in text
 
 
@@ -65,11 +65,11 @@ def test_in_a_log_a_line_is_a_change(driver: Driver):
     with Watcher(driver, stream) as watcher:
         watcher.look()
         watcher.look()
-        driver.seats[1].state = "running"
+        driver.jobs[1].state = "running"
         watcher.look()
     lines = stream.getvalue().splitlines()
-    assert lines[0] == f"{driver.seats[0].run_id}: finished (was there already)"
-    assert [line.split(": ")[1] for line in lines if driver.seats[1].run_id in line] == [
+    assert lines[0] == f"{driver.jobs[0].run_id}: finished (was there already)"
+    assert [line.split(": ")[1] for line in lines if driver.jobs[1].run_id in line] == [
         "waiting",
         "running",
     ]

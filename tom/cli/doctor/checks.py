@@ -21,7 +21,7 @@ from packaging.requirements import Requirement
 
 from tom.envs import ENVS, scene
 from tom.errors import UserError, reason
-from tom.machine.matmul import choose_matmul, kept_in
+from tom.machine.matmul import cache_file, choose_matmul
 from tom.record import Store
 from tom.record.rerun import hub
 
@@ -33,7 +33,7 @@ LOW_GB, FULL_GB = 10.0, 1.0
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """What a check found: `bad` needs its fix, `note` is worth knowing."""
 
     check: str
@@ -42,9 +42,9 @@ class Finding:
     fix: str = ""
 
 
-def examine(store: Path) -> list[Finding]:
+def examine(store: Path) -> list[CheckResult]:
     """Every check, in order; one that breaks is itself a finding."""
-    checks: list[tuple[str, Callable[[], Finding]]] = [
+    checks: list[tuple[str, Callable[[], CheckResult]]] = [
         ("python", _python),
         ("packages", _packages),
         ("cores", _cores),
@@ -60,28 +60,28 @@ def examine(store: Path) -> list[Finding]:
     return [_guarded(name, check) for name, check in checks]
 
 
-def _guarded(name: str, check: Callable[[], Finding]) -> Finding:
+def _guarded(name: str, check: Callable[[], CheckResult]) -> CheckResult:
     try:
         return check()
     except Exception as error:  # a doctor that dies of the illness helps nobody
         text = f"{type(error).__name__}: {reason(error)}"
-        return Finding(name, "bad", text, "see docs/troubleshooting.md")
+        return CheckResult(name, "bad", text, "see docs/troubleshooting.md")
 
 
-def _python() -> Finding:
+def _python() -> CheckResult:
     version = platform.python_version()
     if tuple(map(int, version.split(".")[:2])) < PYTHON:
-        return Finding("python", "bad", version, "make the virtual environment with python3.11")
-    return Finding("python", "ok", f"{version} on {platform.system()} {platform.machine()}")
+        return CheckResult("python", "bad", version, "make the virtual environment with python3.11")
+    return CheckResult("python", "ok", f"{version} on {platform.system()} {platform.machine()}")
 
 
-def _packages() -> Finding:
+def _packages() -> CheckResult:
     """Every requirement of the package against what is installed."""
     wrong = [text for line in metadata.requires("tom-studio") or [] if (text := _unmet(line))]
     if wrong:
-        return Finding("packages", "bad", "; ".join(wrong), "pip install -e . (in the clone)")
+        return CheckResult("packages", "bad", "; ".join(wrong), "pip install -e . (in the clone)")
     named = ("tom-studio", "torch", "mujoco", "gymnasium", "numpy")
-    return Finding("packages", "ok", ", ".join(f"{n} {metadata.version(n)}" for n in named))
+    return CheckResult("packages", "ok", ", ".join(f"{n} {metadata.version(n)}" for n in named))
 
 
 def _unmet(line: str) -> str | None:
@@ -97,57 +97,61 @@ def _unmet(line: str) -> str | None:
     return f"{needed.name} {held} is not {needed.specifier}"
 
 
-def _cores() -> Finding:
+def _cores() -> CheckResult:
     cores = len(os.sched_getaffinity(0))
     threads = os.environ.get("OMP_NUM_THREADS", "unset")
     text = f"{cores} for this process: `tom sweep` trains {cores} runs at a time"
-    return Finding("cores", "ok", f"{text} (OMP_NUM_THREADS {threads}; a training sets its own)")
+    return CheckResult(
+        "cores", "ok", f"{text} (OMP_NUM_THREADS {threads}; a training sets its own)"
+    )
 
 
-def _gpu() -> Finding:
+def _gpu() -> CheckResult:
     fix = "install the CUDA build of the torch version above, and a driver as new as it asks for"
     if torch.cuda.is_available():
         card = torch.cuda.get_device_properties(0)
         try:
             float(torch.ones(8, 8, device="cuda").mm(torch.ones(8, 8, device="cuda")).sum())
         except RuntimeError as error:  # this build has no code for the card
-            return Finding("gpu", "bad", f"{card.name}: {reason(error)}", fix)
-        return Finding("gpu", "ok", f"{card.name}, {card.total_memory / 1e9:.0f} GB")
+            return CheckResult("gpu", "bad", f"{card.name}: {reason(error)}", fix)
+        return CheckResult("gpu", "ok", f"{card.name}, {card.total_memory / 1e9:.0f} GB")
     if Path("/dev/nvidia0").exists():
-        return Finding("gpu", "bad", f"there is one, but torch {torch.__version__} sees none", fix)
-    return Finding("gpu", "note", "none: trainings run on the CPU, one core each")
+        return CheckResult(
+            "gpu", "bad", f"there is one, but torch {torch.__version__} sees none", fix
+        )
+    return CheckResult("gpu", "note", "none: trainings run on the CPU, one core each")
 
 
-def _matmul() -> Finding:
+def _matmul() -> CheckResult:
     found = choose_matmul()
     gain = found.default_ms / found.onednn_ms
     text = f"{found.chosen}: oneDNN is {gain:.2f} times as fast, error {found.onednn_error:.1e}"
-    if kept_in().exists():
-        text += f" (measured once; delete {kept_in()} to measure anew)"
-    return Finding("matmul", "ok", text)
+    if cache_file().exists():
+        text += f" (measured once; delete {cache_file()} to measure anew)"
+    return CheckResult("matmul", "ok", text)
 
 
-def _scenes() -> Finding:
+def _scenes() -> CheckResult:
     """Every task's geometry, drawn as the studio draws it: no display, no OpenGL."""
     for env in ENVS:
         mj = scene.model(env).mj
         made = scene.geometry(mj, mj.qpos0[None])
         if not np.isfinite(made.capsules.center).all():
-            return Finding(
+            return CheckResult(
                 "scenes", "bad", f"{env}: its geometry is not finite", "reinstall mujoco"
             )
-    return Finding("scenes", "ok", f"{len(ENVS)} tasks drawn from geometry, no display needed")
+    return CheckResult("scenes", "ok", f"{len(ENVS)} tasks drawn from geometry, no display needed")
 
 
-def _rerun() -> Finding:
+def _rerun() -> CheckResult:
     binary = hub.binary()
     if not os.access(binary, os.X_OK):
-        return Finding("rerun", "bad", f"{binary} cannot be run", "pip install --force-reinstall "
-                       f"rerun-sdk=={metadata.version('rerun-sdk')}")  # fmt: skip
-    return Finding("rerun", "ok", f"viewer {metadata.version('rerun-sdk')}")
+        fix = f"pip install --force-reinstall rerun-sdk=={metadata.version('rerun-sdk')}"
+        return CheckResult("rerun", "bad", f"{binary} cannot be run", fix)
+    return CheckResult("rerun", "ok", f"viewer {metadata.version('rerun-sdk')}")
 
 
-def _ports() -> Finding:
+def _ports() -> CheckResult:
     """The studio's servers each need a port of this machine."""
     try:
         with ExitStack() as opened:
@@ -155,19 +159,19 @@ def _ports() -> Finding:
                 opened.enter_context(socket.create_server((HOST, 0)))
     except OSError as error:
         fix = "`ip link set lo up` brings the loopback up, `ulimit -n 4096` allows more open files"
-        return Finding("ports", "bad", f"none can be opened on {HOST}: {error.strerror}", fix)
-    return Finding("ports", "ok", f"{SERVERS} could be opened on {HOST}")
+        return CheckResult("ports", "bad", f"none can be opened on {HOST}: {error.strerror}", fix)
+    return CheckResult("ports", "ok", f"{SERVERS} could be opened on {HOST}")
 
 
-def _chromium() -> Finding:
+def _chromium() -> CheckResult:
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path:
-        return Finding("chromium", "ok", path)
+        return CheckResult("chromium", "ok", path)
     text = "none: `tom studio --screenshots` and the browser tests need it, nothing else does"
-    return Finding("chromium", "note", text, "apt-get install chromium")
+    return CheckResult("chromium", "note", text, "apt-get install chromium")
 
 
-def _disk(store: Path) -> Finding:
+def _disk(store: Path) -> CheckResult:
     folder = next(path for path in (store, *store.resolve().parents) if path.is_dir())
     try:
         with TemporaryFile(dir=folder) as file:
@@ -175,23 +179,25 @@ def _disk(store: Path) -> Finding:
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        return Finding("disk", "bad", f"cannot write into {folder}: {error.strerror}",
+        return CheckResult("disk", "bad", f"cannot write into {folder}: {error.strerror}",
                        "name another store with --store")  # fmt: skip
     free = shutil.disk_usage(folder).free / 1e9
     text = f"{free:.0f} GB free for {store}/"
     fix = "`tom runs size`, `tom runs prune` and `rm -r STORE/.trash` make room"
     if free < FULL_GB:
-        return Finding("disk", "bad", text, fix)
-    return Finding("disk", "note" if free < LOW_GB else "ok", text, fix if free < LOW_GB else "")
+        return CheckResult("disk", "bad", text, fix)
+    return CheckResult(
+        "disk", "note" if free < LOW_GB else "ok", text, fix if free < LOW_GB else ""
+    )
 
 
-def _store(path: Path) -> Finding:
+def _store(path: Path) -> CheckResult:
     """What can be seen of each run without reading its arrays."""
     store = Store(path)
     try:
         runs = store.runs()
     except UserError as error:
-        return Finding("store", "bad", str(error), "name another store with --store")
+        return CheckResult("store", "bad", str(error), "name another store with --store")
     for run in runs:
         _ = run.status, run.labels
     damaged = [run.run_id for run in runs if run.problems]
@@ -200,11 +206,11 @@ def _store(path: Path) -> Finding:
     if damaged or store.problems:
         about = [*damaged, *store.problems]
         fix = "`tom runs verify` says what, `tom runs repair RUN` mends it"
-        return Finding("store", "bad", f"{text}; with problems: {_some(about)}", fix)
+        return CheckResult("store", "bad", f"{text}; with problems: {_some(about)}", fix)
     if dead:
         fix = "`tom train --resume RUN` goes on, `tom runs repair RUN` ends it"
-        return Finding("store", "note", f"{text}; died without a word: {_some(dead)}", fix)
-    return Finding("store", "ok", text)
+        return CheckResult("store", "note", f"{text}; died without a word: {_some(dead)}", fix)
+    return CheckResult("store", "ok", text)
 
 
 def _some(names: Iterable[str]) -> str:

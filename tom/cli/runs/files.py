@@ -12,9 +12,9 @@ from tom.errors import UserError
 from tom.harmless import terminal
 from tom.record import RunReader, Store, sizes
 from tom.record.export import EXPORTERS, export, export_small
-from tom.record.health import repair, verify
+from tom.record.integrity import repair, verify
 from tom.record.layout import WEIGHINGS
-from tom.record.thin import PARTS
+from tom.record.thin import OPTIONAL
 from tom.reports.index import NAME as README
 from tom.reports.index import index, small_copies, write
 from tom.reports.weighing_files import copy_small, of_run
@@ -38,8 +38,8 @@ def add_verbs(verbs, add_verb) -> None:
         "--small", action="store_true", help="a small copy of the run folder, to show and share"
     )
     verb.add_argument(
-        "--keep", nargs="+", choices=tuple(PARTS), default=[], metavar="PART",
-        help="what a small copy keeps whatever its size: " + ", ".join(PARTS),
+        "--keep", nargs="+", choices=tuple(OPTIONAL), default=[], metavar="PART",
+        help="what a small copy keeps whatever its size: " + ", ".join(OPTIONAL),
     )  # fmt: skip
     verb.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
     text = "write the store's README.md: its small copies, and how each was made"

@@ -12,8 +12,8 @@ from typing import Any
 from tom.cli.parser import add_config_options, overrides
 from tom.cli.signals import on_stopping
 from tom.cli.sweep.dry import dry_run, longest
-from tom.cli.sweep.places import open_engine, open_home, place, refuse_mismatch
-from tom.cli.sweep.table import Watcher, seat_row
+from tom.cli.sweep.places import open_backend, open_engine, place, refuse_mismatch
+from tom.cli.sweep.table import Watcher, job_row
 from tom.cli.train_many import run_fleets
 from tom.config import OnlineConfig, merged
 from tom.envs import ENV_NAMES
@@ -75,19 +75,19 @@ def run(args: argparse.Namespace) -> int:
     refuse_mismatch(args.engine, args.address, args.store, on_gpu)
     if args.engine == "slurm" and args.only is not None:
         raise UserError("--only is given to each task of the array: leave it out")
-    with open_home(args.store, planned) as home:
+    with open_backend(args.store, planned) as backend:
         if args.dry_run:
-            return dry_run(args, home.store, planned, jobs)
+            return dry_run(args, backend.store, planned, jobs)
         if args.engine == "slurm":
-            print(script(planned, args.store, _own_words(), longest(home.store, planned)))
+            print(script(planned, args.store, _own_words(), longest(backend.store, planned)))
             return 0
         if args.engine == "fleet" or on_gpu:
             stop = Stop()
             on_stopping(stop)
             return run_fleets(args.store, _by_env(planned), stop, rerun=False, as_json=args.json)
         with open_engine(args.engine, args.address, args.jobs) as engine:
-            home.store.ensure_writable()
-            return drive(args, Driver(home, planned, engine))
+            backend.store.ensure_writable()
+            return drive(args, Driver(backend, planned, engine))
 
 
 def _planned(args: argparse.Namespace) -> list[Trial]:
@@ -138,14 +138,14 @@ def drive(args: argparse.Namespace, driver: Driver) -> int:
 
 
 def _report(args: argparse.Namespace, driver: Driver) -> int:
-    states = [seat.state for seat in driver.seats]
+    states = [job.state for job in driver.jobs]
     if args.json:
-        print(json.dumps([seat_row(driver, seat) for seat in driver.seats]))
-    failed = [seat for seat in driver.seats if seat.state == "failed"]
-    for seat in failed:
-        text = seat.note.replace("\n", "\n    ")
+        print(json.dumps([job_row(driver, job) for job in driver.jobs]))
+    failed = [job for job in driver.jobs if job.state == "failed"]
+    for job in failed:
+        text = job.note.replace("\n", "\n    ")
         print(
-            f"{seat.run_id} failed: {text}\n    log: {driver.home.keep_log(seat.log)}",
+            f"{job.run_id} failed: {text}\n    log: {driver.backend.keep_log(job.log)}",
             file=sys.stderr,
         )
     done = states.count("finished")

@@ -55,13 +55,13 @@ def longest(store: Store, planned: Sequence[Trial]) -> float | None:
 def _cost(trial: Trial, runs: Sequence[RunReader], run: RunReader | None) -> Cost | None:
     """What is left of a training: by runs like it, else by the last `tom bench` of this machine."""
     # Imported here: it brings every part of a training.
-    from tom.bench.kept import bench_cost, kept
+    from tom.bench.last import bench_cost, last_bench
 
     at = None if run is None else checkpoint.newest(run.path / checkpoint.FOLDER)
     found = cost(trial, runs, at or 0)
     if found is not None:
         return found
-    ms = kept()
+    ms = last_bench()
     return None if ms is None else bench_cost(trial, ms, at or 0)
 
 

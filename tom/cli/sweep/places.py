@@ -8,10 +8,10 @@ from pathlib import Path
 from tom.errors import UserError
 from tom.record import Store
 from tom.record.bucket.objects import Bucket
-from tom.sweep.bucket_home import BucketHome
+from tom.sweep.backend import Backend, FolderBackend
+from tom.sweep.bucket_backend import BucketBackend
 from tom.sweep.cluster import open_ray
 from tom.sweep.engine import Engine, LocalEngine
-from tom.sweep.home import FolderHome, Home
 from tom.training.plan import Trial
 
 
@@ -33,12 +33,12 @@ def refuse_mismatch(engine: str, address: str | None, store: Path | str, on_gpu:
         raise UserError(f"{which} needs a folder: --store {store} goes with local and ray on a CPU")
 
 
-def open_home(store: Path | str, trials: list[Trial]) -> AbstractContextManager[Home]:
+def open_backend(store: Path | str, trials: list[Trial]) -> AbstractContextManager[Backend]:
     """Where the runs lie. Raises UserError where an object store cannot be reached."""
     if isinstance(store, Path):
-        return nullcontext(FolderHome(Store(store)))
+        return nullcontext(FolderBackend(Store(store)))
     try:
-        return BucketHome(Bucket.open(store), trials)
+        return BucketBackend(Bucket.open(store), trials)
     except OSError as error:
         raise UserError(f"{store}: {error}") from error
 

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from tom.harmless import terminal
 from tom.record import RunReader
-from tom.sweep.driver import Driver, Seat
+from tom.sweep.driver import Driver, Job
 
 LINE_EVERY_S = 30.0
 LOOK_EVERY_S = 1.0
@@ -18,19 +18,19 @@ ORDER = ("running", "elsewhere", "failed", "stopped", "waiting", "finished")
 COLUMNS = ("run", "state", "step", "of", "last return", "best return", "steps/s", "left", "note")
 
 
-def seat_row(driver: Driver, seat: Seat) -> dict[str, Any]:
+def job_row(driver: Driver, job: Job) -> dict[str, Any]:
     """Where one training stands, for a script."""
-    status = RunReader(driver.store.path / seat.run_id).status
+    status = RunReader(driver.store.path / job.run_id).status
     return {
-        "run_id": seat.run_id,
-        "env": seat.trial.env,
-        "learner": seat.trial.learner,
-        "seed": seat.trial.seed,
-        "state": seat.state,
+        "run_id": job.run_id,
+        "env": job.trial.env,
+        "learner": job.trial.learner,
+        "seed": job.trial.seed,
+        "state": job.state,
         "env_step": status.env_step,
         "last_return": status.last_return,
         "best_return": status.best_return,
-        "note": seat.note,
+        "note": job.note,
     }
 
 
@@ -64,22 +64,22 @@ class Watcher:
                 self._shown = monotonic()
                 self._live.update(self._picture(), refresh=True)
             return
-        for seat in self._changed():
-            note = f" ({seat.note.splitlines()[0]})" if seat.note else ""
-            line = terminal(f"{seat.run_id}: {seat.state}{note}")
+        for job in self._changed():
+            note = f" ({job.note.splitlines()[0]})" if job.note else ""
+            line = terminal(f"{job.run_id}: {job.state}{note}")
             print(line, file=self._console.file, flush=True)
         if monotonic() - self._shown >= LINE_EVERY_S:
             self._shown = monotonic()
             print(self._summary(), file=self._console.file, flush=True)
 
-    def _changed(self) -> list[Seat]:
+    def _changed(self) -> list[Job]:
         """The trainings whose state is another than at the last look."""
-        new = [s for s in self._driver.seats if self._states.get(s.trial.run_id) != s.state]
-        self._states |= {seat.trial.run_id: seat.state for seat in new}
+        new = [s for s in self._driver.jobs if self._states.get(s.trial.run_id) != s.state]
+        self._states |= {job.trial.run_id: job.state for job in new}
         return new
 
     def _summary(self) -> str:
-        states = [seat.state for seat in self._driver.seats]
+        states = [job.state for job in self._driver.jobs]
         parts = [f"{states.count(name)} {name}" for name in ORDER if name in states]
         full = "; the disk is full: waiting for room" if self._driver.full else ""
         trouble = f"; {self._driver.trouble}" if self._driver.trouble else ""
@@ -91,28 +91,28 @@ class Watcher:
         for column in COLUMNS:
             left = column in ("run", "state", "note")
             table.add_column(column, justify="left" if left else "right", no_wrap=column != "note")
-        seats = sorted(self._driver.seats, key=lambda seat: ORDER.index(seat.state))
+        jobs = sorted(self._driver.jobs, key=lambda job: ORDER.index(job.state))
         room = max(self._console.height - 8, 3)
-        for seat in seats[:room]:
-            table.add_row(*(Text(terminal(cell)) for cell in self._cells(seat)))
-        more = f", {len(seats) - room} more not shown" if len(seats) > room else ""
+        for job in jobs[:room]:
+            table.add_row(*(Text(terminal(cell)) for cell in self._cells(job)))
+        more = f", {len(jobs) - room} more not shown" if len(jobs) > room else ""
         return Group(table, Text(self._summary() + more))
 
-    def _cells(self, seat: Seat) -> tuple[str, ...]:
-        note = seat.note.splitlines()[0][:60] if seat.note else ""
-        if seat.state == "waiting":
-            steps = str(seat.trial.config.total_steps)
-            return (seat.run_id, seat.state, "", steps, "", "", "", "", note)
-        status = RunReader(self._driver.store.path / seat.run_id).status
+    def _cells(self, job: Job) -> tuple[str, ...]:
+        note = job.note.splitlines()[0][:60] if job.note else ""
+        if job.state == "waiting":
+            steps = str(job.trial.config.total_steps)
+            return (job.run_id, job.state, "", steps, "", "", "", "", note)
+        status = RunReader(self._driver.store.path / job.run_id).status
         return (
-            seat.run_id,
-            status.phase if seat.state == "running" and status.phase else seat.state,
+            job.run_id,
+            status.phase if job.state == "running" and status.phase else job.state,
             str(status.env_step),
             str(status.total),
             _number(status.last_return),
             _number(status.best_return),
             _number(status.env_steps_per_s),
-            _clock(status.eta_s) if seat.state in ("running", "elsewhere") else "",
+            _clock(status.eta_s) if job.state in ("running", "elsewhere") else "",
             note,
         )
 

@@ -27,7 +27,7 @@ class Bucket:
     def open(cls, url: str) -> "Bucket":
         """The store at `url`; credentials, region and endpoint are those of the environment.
 
-        Raises UserError where the URL is none, or where its bucket cannot be reached.
+        Raises UserError where the URL is malformed, or its bucket cannot be reached.
         """
         match = URL.fullmatch(url)
         if match is None:

@@ -1,4 +1,4 @@
-"""Moving pictures of a page that goes through the fits of a run, for a README."""
+"""Screen captures: an animation of a page that steps through the fits of a run, for a README."""
 
 import io
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Where a sweep's runs lie, as its driver sees it: a folder, or a bucket (`bucket_home`)."""
+"""Where a sweep's runs lie, as its driver sees it: a folder, or a bucket (`bucket_backend`)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from tom.record import RunReader, Store, lock, manage
 LOGS = ".sweep"
 
 
-class Home(Protocol):
+class Backend(Protocol):
     """The runs of a sweep. `store` holds them, or as much of each as a driver has to know."""
 
     store: Store
@@ -38,7 +38,7 @@ class Home(Protocol):
         ...
 
 
-class FolderHome:
+class FolderBackend:
     """A run store on a disk that everybody who trains can write."""
 
     def __init__(self, store: Store) -> None:

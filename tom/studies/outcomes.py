@@ -26,12 +26,12 @@ ARRAYS: tuple[Any, ...] = (
 )
 
 
-def keep(outcome: object, path: Path) -> None:
+def save(outcome: object, path: Path) -> None:
     """Write an outcome: a dataclass of primitives, arrays and other dataclasses."""
     replace(path, lambda file: torch.save(outcome, file), sync=True)
 
 
-def kept(path: Path, kind: type) -> Any:
+def load(path: Path, kind: type) -> Any:
     """The outcome of type `kind` at `path`; None where there is none that can be read."""
     try:
         with torch.serialization.safe_globals([*ARRAYS, *classes(kind)]):

@@ -8,7 +8,7 @@ from math import isfinite
 from tom.bench.projection import NEEDED, per_step_ms, written_bytes
 from tom.config import OnlineConfig
 from tom.envs import task
-from tom.machine.matmul import kept_in
+from tom.machine.matmul import cache_file
 from tom.record.files import replace
 from tom.sweep.projection import Cost, steps_to_train
 from tom.training.plan import Trial
@@ -16,18 +16,18 @@ from tom.training.plan import Trial
 SOURCE = "tom bench, at most"
 
 
-def keep(ms: Mapping[str, float]) -> None:
+def save(ms: Mapping[str, float]) -> None:
     """Keep CPU milliseconds by part in the user's cache, where that can be written."""
-    path = kept_in("bench")
+    path = cache_file("bench")
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         replace(path, lambda file: file.write(json.dumps(dict(ms)).encode()), sync=False)
 
 
-def kept() -> dict[str, float] | None:
+def last_bench() -> dict[str, float] | None:
     """What was kept last; None where that is nothing, damaged, or lacks a part."""
     try:
-        content = json.loads(kept_in("bench").read_text())
+        content = json.loads(cache_file("bench").read_text())
         ms = {name: float(content[name]) for name in NEEDED}
     except (OSError, ValueError, TypeError, KeyError):
         return None

@@ -10,13 +10,13 @@ from pathlib import Path
 from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.bucket import attempts
 from tom.record.bucket.objects import Bucket
-from tom.sweep.home import LOGS
+from tom.sweep.backend import LOGS
 from tom.training.plan import Trial
 
 LOOK_S = 5.0  # between two looks at a run
 
 
-class BucketHome(AbstractContextManager["BucketHome", None]):
+class BucketBackend(AbstractContextManager["BucketBackend", None]):
     """The runs of `trials` in `bucket`.
 
     `store` is a folder of this machine, gone with the sweep, that holds of every run its settings,

@@ -1,4 +1,4 @@
-"""Is a run whole? `verify` reads every file of it; `repair` mends what can be and loses nothing.
+"""Integrity of a run: `verify` reads every file of it; `repair` mends what it can, losing nothing.
 
 What is damaged is moved into the run's `damaged/` folder, never deleted.
 """

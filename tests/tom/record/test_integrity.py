@@ -9,7 +9,7 @@ from recorded import Config, events
 
 from tom.errors import UserError
 from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, sizes
-from tom.record.health import repair, verify
+from tom.record.integrity import repair, verify
 
 
 def truncate(path: Path) -> None:

@@ -7,7 +7,7 @@ from ray.exceptions import ActorDiedError, ActorUnavailableError
 
 from tom.record.status import Status
 from tom.sweep.ray_engine import ended_by
-from tom.sweep.silence import LOST_AFTER_S, Silence, lost
+from tom.sweep.watchdog import LOST_AFTER_S, Watchdog, lost
 
 DEAD = Status("running", heartbeat=0.0)
 
@@ -28,14 +28,14 @@ def test_a_heart_that_beats_is_proof_of_life():
 
 def test_silence_is_counted_from_the_last_word_on():
     now = 100.0
-    silence = Silence(lambda: now)
+    watchdog = Watchdog(lambda: now)
     now = 200.0  # waits for a free core
-    assert (silence.begun, silence.seconds) == (False, 0.0)
-    silence.broken()
+    assert (watchdog.started, watchdog.silent_s) == (False, 0.0)
+    watchdog.reset()
     now = 259.5
-    assert (silence.begun, silence.seconds) == (True, 59.5)
-    silence.broken()
-    assert silence.seconds == 0.0
+    assert (watchdog.started, watchdog.silent_s) == (True, 59.5)
+    watchdog.reset()
+    assert watchdog.silent_s == 0.0
 
 
 def test_a_machine_that_may_answer_later_has_not_ended_and_a_dead_one_has():

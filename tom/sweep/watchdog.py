@@ -9,25 +9,25 @@ from tom.sweep.engine import Exit
 LOST_AFTER_S = 60.0  # neither its machine nor its heart was heard for so long: it is given up
 
 
-class Silence:
-    """How long nothing was heard from a machine, by `clock` (s)."""
+class Watchdog:
+    """Measures how long a machine has been silent, by `clock` (s)."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._heard: float | None = None
 
     @property
-    def begun(self) -> bool:
-        """Something was heard at all: until then it waits for a free core."""
+    def started(self) -> bool:
+        """Something was heard at least once; before that the training waits for a free core."""
         return self._heard is not None
 
     @property
-    def seconds(self) -> float:
-        """Since something was heard; 0 before it has begun."""
+    def silent_s(self) -> float:
+        """Seconds since something was last heard; 0 before it has started."""
         return 0.0 if self._heard is None else self._clock() - self._heard
 
-    def broken(self) -> None:
-        """Something is heard now."""
+    def reset(self) -> None:
+        """Something was heard just now: count from here."""
         self._heard = self._clock()
 
 
