@@ -8,7 +8,7 @@ import streamlit as st
 
 from app import text
 from app.data import readers, settings
-from app.data.cache import Kept
+from app.data.cache import VersionedCache
 from app.data.exams import RANKED, Exams, Outcome, Standing, exams_of, middle, outcome
 from app.data.readers import RunInfo
 from app.figures.exams import footprint_error_return
@@ -31,7 +31,7 @@ OWN = (
     "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
     "them on the same buffers."
 )
-_OUTCOMES: Kept[tuple[list[Exams], Outcome]] = Kept(16)
+_OUTCOMES: VersionedCache[tuple[list[Exams], Outcome]] = VersionedCache(16)
 
 
 def draw(runs: Sequence[RunInfo]) -> None:

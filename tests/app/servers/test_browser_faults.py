@@ -22,23 +22,23 @@ pytestmark = [
 def test_a_link_to_a_run_that_is_not_there_says_so(visit: Visit, own: Path) -> None:  # noqa: F811
     manage.trash(Store(own), PENDULUM_TOM)
     page = visit.page
-    page.goto(f"{visit.address}/weights?run={PENDULUM_TOM}")
+    page.goto(f"{visit.links.address}/weights?run={PENDULUM_TOM}")
     trash = page.get_by_text(f"Run {PENDULUM_TOM} is in the trash")
     trash.wait_for()
     page.get_by_text("Log axis").or_(page.get_by_text("effective sample")).first.wait_for()
     assert trash.is_visible()  # also once the address has been put right
     way_back = page.get_by_role("link", name="Compare, under Runs").get_attribute("href")
-    page.goto(f"{visit.address}{way_back}")
+    page.goto(f"{visit.links.address}{way_back}")
     page.get_by_text("1 in the trash").wait_for()
 
-    page.goto(f"{visit.address}/replays?run=no-such-run")
+    page.goto(f"{visit.links.address}/replays?run=no-such-run")
     said = page.get_by_text("There is no run no-such-run in this store")
     said.wait_for()
     page.get_by_label("Run", exact=True).click()
     page.get_by_role("option", name="pendulum-mle-0").click()
     said.wait_for(state="detached")
 
-    page.goto(f"{visit.address}/v/0123abcd")
+    page.goto(f"{visit.links.address}/v/0123abcd")
     page.get_by_text("No view is kept as 0123abcd").wait_for()
     page.get_by_role("link", name="open the studio").click()
     page.get_by_text("Nothing is training now").wait_for()
@@ -51,7 +51,7 @@ def set_status(run: Path, **changed: object) -> None:
 
 def test_an_open_page_takes_up_a_training_that_starts(visit: Visit, own: Path) -> None:  # noqa: F811
     page = visit.page
-    page.goto(visit.address)
+    page.goto(visit.links.opened())
     page.get_by_text("Nothing is training now").wait_for()
     page.locator("iframe").wait_for(state="attached")
     asked_by = page.locator("iframe").get_attribute("src")
@@ -70,7 +70,7 @@ def test_an_open_page_takes_up_a_training_that_starts(visit: Visit, own: Path) -
 
 def test_enter_takes_one_run_and_not_every_match(visit: Visit) -> None:  # noqa: F811
     page = visit.page
-    page.goto(f"{visit.address}/compare?show=Runs")
+    page.goto(visit.links.opened("compare?show=Runs"))
     field = page.get_by_role("combobox", name="Runs to label or to move to the trash")
     field.click()
     field.press_sequentially("pendulum")

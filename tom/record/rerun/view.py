@@ -76,7 +76,8 @@ class RerunView:
         self._stream.send_recording_name(run_id)
         # Without one the viewer takes a colour of its own, and that is another learner's.
         entry = LEARNERS.get(learner)
-        self._colour = [*bytes.fromhex((entry.colour if entry else "")[1:] or NEUTRAL)]
+        colour = entry.colour if entry else None
+        self._colour = [*bytes.fromhex(colour.removeprefix("#") if colour else NEUTRAL)]
 
     def read(self) -> bytes:
         """What was recorded since the last call, where there is no sink."""

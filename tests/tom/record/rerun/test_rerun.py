@@ -60,7 +60,7 @@ def test_the_profile_is_bars(hopper: RunReader):
     assert table["env_step"].tolist() == hopper.profiles().env_step.tolist()
     bars = table["BarChart:values"].iloc[1][0]["buffer"]
     np.testing.assert_allclose(bars, hopper.profiles().bins[1])
-    colour = int(LEARNERS[hopper.learner].colour[1:] + "ff", 16)
+    colour = int((LEARNERS[hopper.learner].colour or "")[1:] + "ff", 16)
     assert table["BarChart:color"].iloc[1] == [colour]
 
 
