@@ -9,6 +9,7 @@ from app.links import LOOPBACK
 from app.servers.launcher import Studio, run
 from tom.cli.parser import Parser, folder
 from tom.errors import UserError
+from tom.harmless import terminal
 from tom.record.store import Store
 
 
@@ -32,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         studio = Studio(store=store, host=args.host, port=args.port, theme=args.theme)
         return run(studio, browser=not args.no_browser)
     except UserError as error:
-        print(f"tom studio: {error}", file=sys.stderr)
+        print(f"tom studio: {terminal(error)}", file=sys.stderr)
         return 2
 
 

@@ -3,12 +3,12 @@
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Self
 from urllib.parse import quote
 
 from app.theme import Mode
-from tom.machine.address import in_url, local_host, names
+from tom.machine.address import in_url, local_host
 from tom.record.rerun import hub
 
 VARIABLE = "TOM_STUDIO"
@@ -23,13 +23,13 @@ class Links:
     host: str = "127.0.0.1"
     port: int = 0
     rerun_port: int = 0
-    """the Rerun hub, where trainings send and viewers listen"""
-    rerun_web_port: int = 0
-    """the Rerun web viewer's page"""
+    """the Rerun hub: the web viewer's page and what trains"""
     viser_port: int = 0
     control: str = ""
     """the socket where the pages tell the viser server what to show"""
     theme: Mode | None = None
+    key: str = field(default="", repr=False)
+    """whose pages may act; made anew by each launch, and without one none may"""
 
     @classmethod
     def from_environment(cls) -> Self:
@@ -51,33 +51,33 @@ class Links:
         return self.host in LOOPBACK
 
     @property
-    def allowed_hosts(self) -> list[str]:
-        """The names that a browser may use for this host; empty means any."""
-        return names(self.host)
-
-    @property
     def address(self) -> str:
-        """What a user opens."""
+        """Where the pages are."""
         return f"http://{in_url(self.local_host)}:{self.port}"
+
+    def opened(self, path: str = "") -> str:
+        """What a user opens: a page's address, with the key where its holder may act."""
+        fragment = f"#key={self.key}" if self.local_only else ""
+        return f"{self.address}/{path}{fragment}"
 
     def rerun_live(self, host: str, mode: Mode) -> str:
         """The web viewer, following what trains now."""
-        source = hub.hub_url(host, self.rerun_port)
-        return hub.viewer_url(host, self.rerun_web_port, source, mode)
+        source = hub.live_url(host, self.rerun_port)
+        return hub.viewer_url(host, self.rerun_port, source, mode)
 
     def rerun_files(self, host: str, run_id: str, names: Sequence[str], mode: Mode) -> str:
         """The web viewer, showing a run's recordings (one more after each resume)."""
         folder = f"http://{host}:{self.port}/rrd/{quote(run_id)}"
         first, *rest = [f"{folder}/{quote(name)}" for name in names]
         more = "".join(f"&url={quote(url, safe='')}" for url in rest)
-        return hub.viewer_url(host, self.rerun_web_port, first, mode) + more
+        return hub.viewer_url(host, self.rerun_port, first, mode) + more
 
     def rerun_episode(
         self, host: str, run_id: str, step: int, index: int, horizon: int, mode: Mode
     ) -> str:
         """The web viewer, showing one evaluation episode and its ghost."""
         file = f"http://{host}:{self.port}/rrd/{quote(run_id)}/episode-{step}-{index}-{horizon}.rrd"
-        return hub.viewer_url(host, self.rerun_web_port, file, mode)
+        return hub.viewer_url(host, self.rerun_port, file, mode)
 
     def viser(self, host: str, client: str) -> str:
         """The viser page of the client named `client`, which the control socket speaks of."""

@@ -23,7 +23,9 @@ LOGO = (
         for i, (h, colour) in enumerate(BARS)
     )
     + '<text x="32" y="18" font-family="Source Sans, sans-serif" font-size="17" '
-    f'font-weight="700" fill="{LEARNER_COLOURS["tom"]}">TOM Studio</text></svg>'
+    # As wide in any font: the one that is named is not on every machine.
+    'font-weight="700" textLength="97" lengthAdjust="spacingAndGlyphs" '
+    f'fill="{LEARNER_COLOURS["tom"]}">TOM Studio</text></svg>'
 )
 
 

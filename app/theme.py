@@ -43,8 +43,12 @@ DIVERGING: dict[Mode, list[tuple[float, str]]] = {
         (1.0, "#ffc48f"),
     ],
 }
-# The same for solid things under light, on either background.
-COLUMNS = [(0.0, "#6f9fe8"), (0.5, "#c6cad3"), (0.75, "#f0803c"), (1.0, "#c22c06")]
+# The same for solid things under light and for points: like areas, but far from the background
+# at every weight.
+COLUMNS: dict[Mode, list[tuple[float, str]]] = {
+    "light": [(0.0, "#6f9fe8"), (0.5, "#c6cad3"), (0.75, "#f0803c"), (1.0, "#c22c06")],
+    "dark": [(0.0, "#3d6fbe"), (0.5, "#687084"), (0.75, "#dd6a2c"), (1.0, "#ffcd9c")],
+}
 SEQUENTIAL: dict[Mode, list[tuple[float, str]]] = {
     "light": [(0.0, "#f6f5f2"), (0.35, "#f3b48f"), (0.7, "#d65a26"), (1.0, "#6b1a02")],
     "dark": [(0.0, "#20242e"), (0.35, "#7a3415"), (0.7, "#e0682f"), (1.0, "#ffd9a8")],

@@ -130,6 +130,9 @@ class TomConfig(Config):
     """of the flow (a stationary one has none)"""
     discriminator: bool = True
     """off: r is 1 on the policy buffer and 0 elsewhere (the paper's ablation)"""
+    discriminator_input: Literal["transitions", "state-actions"] = "transitions"
+    """what r is a ratio of: (s, a, s') as in the paper, or (s, a), which is the same r with less
+    noise where one environment made both buffers"""
     discriminator_steps: Whole = 100
     discriminator_batch: Count = 256
     discriminator_lr: Positive = 3e-4
@@ -172,6 +175,7 @@ class TomConfig(Config):
         # Measured against exact solutions of small MDPs: see docs/learners/tom.md.
         "exact": {
             "action_samples": 10,
+            "discriminator_input": "state-actions",
             "discriminator_steps": 2000,
             "parameter_average": 0.999,
             "q_bias_step": 0.1,
@@ -216,7 +220,13 @@ class EvaluationConfig(Config):
 
 
 ADDED: dict[str, dict[str, Any]] = {
-    "tom": {"flow": "discounted", "q_holdout": 0.0, "q_check_every": 100, "q_patience": 5},
+    "tom": {
+        "flow": "discounted",
+        "discriminator_input": "transitions",
+        "q_holdout": 0.0,
+        "q_check_every": 100,
+        "q_patience": 5,
+    },
     "model": {"uniform_share": 0.0},
     "rollout": {"uniform_share": 0.0},
 }
@@ -281,10 +291,14 @@ class OnlineConfig(RunConfig):
     evaluation: EvaluationConfig = EvaluationConfig()
 
 
+SAC_ALONE = "sac"
+"""what a recording of SAC has in the place of a learner: it fits no model"""
+
+
 class SacRecordingConfig(RunConfig):
     """SAC alone in a MuJoCo task after as many random steps, its whole replay kept in order."""
 
-    learner: str = "sac"
+    learner: str = SAC_ALONE
     steps: Count = 200_000
     """environment steps of SAC; as many random ones come before them"""
     exploration_steps: Whole = 1000

@@ -43,10 +43,11 @@ METRICS: dict[str, str] = {
     "model/error_road": "one-step error on the road under random actions, in full steps",
     "model/error_rocks": "one-step error on the rocks under random actions, in full steps",
     "exam/footprint": "energy distance of (s, a, s' - s) between the weighted buffer and the exam, over exam/footprint_uniform "
-    f"(1: no better than no weights, 0: like the policy itself; noise where exam/footprint_noise is not far below 1); {EXAM}",
+    f"(1: no better than no weights, 0: like the policy itself; noise where that is not well above zero); {EXAM}",
+    "exam/footprint_se": "standard error of exam/footprint, by a jackknife over ten stretches of the exam",
     "exam/footprint_uniform": "energy distance (z-scored, unbiased) between the buffer without weights and the exam",
-    "exam/footprint_noise": "energy distance between two halves of the exam (by episode, else by time), over exam/footprint_uniform: "
-    "differences of that size say nothing",
+    "exam/footprint_noise": "energy distance between two halves of the exam, over exam/footprint_uniform: a bound for the noise "
+    "where they are whole episodes, far too large where they are the halves of one",
     "exam/error": f"one-step error of the predicted next state, in standard deviations of a step's change in the buffer; {EXAM}",
     "exam/reward_error": f"one-step error of the predicted reward, in standard deviations of the buffer's reward; {EXAM}",
     "exam/nll": f"negative log-likelihood, unweighted, {NLL_UNITS}; mean-ensemble has none; {EXAM}",

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data.buffer import Floats, Rows
+from tom.data.sampling import ess
 from tom.data.transitions import Transitions
-from tom.record.profiles import effective_share
 
 Mask = NDArray[np.bool_]
 
@@ -117,7 +117,7 @@ def summary(rows: Rows, mask: Mask) -> dict[str, float]:
         100 * weight.sum() / total if total > 0 else np.nan,
         weight.mean(),
         100 * (weight == 0).mean(),
-        100 * effective_share(weight),
+        100 * ess(weight),
         np.asarray(rows.rows.reward)[mask].mean(),
         rows.episode_return[mask].mean(),
         rows.age[mask].mean(),

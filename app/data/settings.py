@@ -6,13 +6,13 @@ from typing import Protocol
 import pandas as pd
 
 from tom.config import flat
+from tom.learners import others_groups
 
 Settings = Mapping[str, str]
 
 # They change nothing in a run's numbers, or not those that two runs of another length share.
 NO_MATTER = {"seed", "steps", "checkpoint_every", "snapshots", "bins", "threads"}
 NO_MATTER |= {"device", "matmul", "env", "learner", "preset"}
-OF_LEARNERS = ("tom", "pmac", "vagram")
 NONE = "-"
 
 
@@ -83,5 +83,4 @@ def _distinct(names: Sequence[str]) -> list[str]:
 
 
 def _matters(path: str, learner: str) -> bool:
-    group = path.partition(".")[0]
-    return group not in OF_LEARNERS or group == learner.split("-")[0]
+    return path.partition(".")[0] not in others_groups(learner)

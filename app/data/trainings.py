@@ -4,17 +4,18 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
+from typing import BinaryIO
 
 from app.links import VARIABLE
 from tom.errors import UserError
 from tom.record import layout, lock
 from tom.record.store import Store
 
-LOG_TAIL = 8
+LOG_TAIL, LOG_TAIL_BYTES = 8, 64_000
 
 
 @dataclass
@@ -24,7 +25,8 @@ class Started:
     words: tuple[str, ...]
     """what follows `tom` on the command line"""
     process: subprocess.Popen[bytes]
-    log: Path
+    log: BinaryIO
+    """what it prints: a file without a name, which ends with the last process that has it open"""
     recorded: bool = False
     """a run that it writes has been seen: from then on that run says how it goes"""
 
@@ -35,26 +37,27 @@ class Started:
 
     def tail(self) -> str:
         """The last lines of what it printed."""
-        try:
-            return "\n".join(self.log.read_text(errors="replace").splitlines()[-LOG_TAIL:])
-        except OSError:
-            return f"its output, {self.log}, is gone"
+        handle = self.log.fileno()
+        size = os.fstat(handle).st_size
+        start = max(size - LOG_TAIL_BYTES, 0)
+        # pread, as the training writes at the place that both share
+        output = os.pread(handle, size - start, start).decode(errors="replace")
+        return "\n".join(output.splitlines()[-LOG_TAIL:])
 
 
 def start(words: Sequence[str]) -> Started:
     """Run `tom WORDS` in a session of its own: it outlives the studio."""
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
-    handle, name = tempfile.mkstemp(prefix="tom-train-", suffix=".log")
-    with os.fdopen(handle, "wb") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tom", *words],
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-            start_new_session=True,
-        )
-    return Started(tuple(words), process, Path(name))
+    log = TemporaryFile(buffering=0)  # noqa: SIM115 (open as long as somebody may look at it)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tom", *words],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=log,
+        start_new_session=True,
+    )
+    return Started(tuple(words), process, log)
 
 
 def stop(store: Store, run_id: str) -> None:

@@ -1,12 +1,14 @@
 """What all figures share: margins, axes, hover. Text colours follow the page's own theme."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import plotly.graph_objects as go
 
+from app.data.pictures import ENV as OFFLINE
 from app.theme import NEUTRAL
 
+ENV_STEPS = "env steps"
 DASHES = ("solid", "dash", "dot", "dashdot")
 """for lines of one colour"""
 GRID = "rgba(128, 138, 158, 0.22)"
@@ -21,6 +23,11 @@ LAYOUT = {
 _AXIS = {"gridcolor": GRID, "zeroline": False, "automargin": True}
 X_AXIS = {"showgrid": False, "ticks": "outside", "tickcolor": GRID, **_AXIS}
 Y_AXIS = {"title": {"standoff": 8}, **_AXIS}  # without, wide ticks run into the title
+
+
+def steps_in_words(envs: Iterable[str]) -> str:
+    """What a step is along an axis: on a fixed data set no step is taken in the environment."""
+    return "steps of policy optimisation" if set(envs) == {OFFLINE} else ENV_STEPS
 
 
 def styled(
@@ -55,13 +62,16 @@ def upright(x: float, width: float, dash: str | None = None) -> dict[str, Any]:
     return {"type": "line", **ends, "line": {"color": NEUTRAL, "width": width, "dash": dash}}
 
 
-def note(figure: go.Figure, text: str) -> go.Figure:
-    """A remark in the figure's corner: what a reader must know about what is drawn."""
+def note(figure: go.Figure, text: str, right: float = 1) -> go.Figure:
+    """A remark in the figure's corner: what a reader must know about what is drawn.
+
+    It ends at `right`, a share of the figure's width.
+    """
     figure.add_annotation(
         text=text,
         xref="paper",
         yref="paper",
-        x=1,
+        x=right,
         y=0,
         xanchor="right",
         yanchor="bottom",

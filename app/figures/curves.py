@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.aggregate import GRID, Curve, Group, decimate, smoothed
-from app.figures.base import DASHES, note, styled
+from app.figures.base import DASHES, ENV_STEPS, note, steps_in_words, styled
 from app.figures.logs import cut_bands, left_out
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 from tom.metrics import describe
@@ -23,7 +23,7 @@ POINTS = 1500
 class Axes:
     """How the figure's axes are drawn."""
 
-    x: str = "env steps"
+    x: str = ENV_STEPS
     log_x: bool = False
     log_y: bool = False
 
@@ -66,7 +66,7 @@ def run_curves(
                 showlegend=legend,
             )
         )
-    _draw_axes(figure, metric, height, axes)
+    _draw_axes(figure, metric, height, axes, [curve.env for curve in curves])
     words += left_out([(c.step, c.value) for c in curves], log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, "<br>".join(words)) if words else figure
 
@@ -99,7 +99,7 @@ def group_curves(
         dash = DASHES[kinds.index((group.preset, group.variant)) % len(DASHES)]
         name = group_name(group, several_presets=presets > 1)
         figure.add_traces(_middle(smooth, name, dash, axes))
-    _draw_axes(figure, metric, height, axes)
+    _draw_axes(figure, metric, height, axes, [group.env for group in groups])
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
         words.append(f"thinned to {GRID} points a line")
@@ -122,8 +122,11 @@ def _identity(group: Group | Curve) -> str:
     return text.plotly(f"{group.env} {group.learner} {group.preset} {group.variant}")
 
 
-def _draw_axes(figure: go.Figure, metric: str, height: int, axes: Axes) -> None:
-    styled(figure, axes.x, height, keep=f"{metric} {axes}")
+def _draw_axes(
+    figure: go.Figure, metric: str, height: int, axes: Axes, envs: Sequence[str]
+) -> None:
+    x = steps_in_words(envs) if axes.x == ENV_STEPS else axes.x
+    styled(figure, x, height, keep=f"{metric} {axes}")
     figure.update_xaxes(type="log" if axes.log_x else "linear")
     figure.update_yaxes(type="log" if axes.log_y else "linear")
     lines: list[Any] = list(figure.data)
@@ -189,8 +192,8 @@ def _middle(group: Group, name: str, dash: str, axes: Axes) -> list[go.Scatter]:
                 "dash": dash if i == 0 else "dot",
             },
             marker={"size": 6, "symbol": learner_symbol(group.learner)},
-            hovertemplate=f"<b>{text.plotly(learner_label(group.learner))}</b> {statistic} of "
-            f"%{{customdata}} runs<br>{_at(axes.x)}: %{{y:.4g}}<extra></extra>",
+            hovertemplate=f"<b>{text.plotly(learner_label(group.learner))}</b> {statistic}, "
+            f"n = %{{customdata}}<br>{_at(axes.x)}: %{{y:.4g}}<extra></extra>",
             legendgroup=_identity(group),
             showlegend=i == 0,
         )
@@ -205,10 +208,10 @@ def _beside(here: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return wider
 
 
-def _hover(curve: Curve, x: str = "env steps") -> str:
+def _hover(curve: Curve, x: str = ENV_STEPS) -> str:
     name = f"{text.plotly(learner_label(curve.learner))}</b> seed {curve.seed}"
     return f"<b>{name}<br>{text.plotly(curve.run_id)}<br>{_at(x)}: %{{y:.4g}}<extra></extra>"
 
 
 def _at(x: str) -> str:
-    return "%{x:,} steps" if x == "env steps" else f"{text.plotly(x)} %{{x:.4g}}"
+    return "%{x:,} steps" if x == ENV_STEPS else f"{text.plotly(x)} %{{x:.4g}}"

@@ -41,7 +41,7 @@ def region_map(
                 "color": octaves(weight[shown]),
                 "cmin": scale["zmin"],
                 "cmax": scale["zmax"],
-                "colorscale": COLUMNS,  # points, unlike areas, must stand out at every weight
+                "colorscale": COLUMNS[mode],  # points, unlike areas, must stand out at every weight
                 "colorbar": scale["colorbar"],
                 "line": {"width": 0},
             },

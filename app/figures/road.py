@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app.data.pictures import Picture
 from app.data.roadmap import cell_centres, circle, outline
 from app.figures.base import styled
-from app.figures.scales import octaves, relative_scale
+from app.figures.scales import OCTAVES, octaves, relative_scale
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 
 NO_DATA: dict[Mode, str] = {"light": "#c4c9d3", "dark": "#414858"}
@@ -32,7 +32,8 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
             customdata=picture.grid,
             hovertemplate="(%{x:.2f}, %{y:.2f})<br>weight %{customdata:.3g}<extra></extra>",
             name="weights",
-            **relative_scale(picture.grid, mode, flat=True),
+            # The reach of the columns in 3D: one scale for every run and every fit.
+            **relative_scale(picture.grid, mode, flat=True, reach=OCTAVES),
         )
     )
     figure.add_trace(_lines(outline(picture.road), "road", TEXT[mode], 1.5))

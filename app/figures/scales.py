@@ -23,12 +23,15 @@ def span(weight: NDArray[np.float64]) -> float:
     return float(np.clip(needed, 1.0, OCTAVES))
 
 
-def relative_scale(weight: NDArray[np.float64], mode: Mode, *, flat: bool = False) -> dict:
+def relative_scale(
+    weight: NDArray[np.float64], mode: Mode, *, flat: bool = False, reach: float | None = None
+) -> dict:
     """A heatmap's colours for log2 of these weights; `flat` lays the colour bar below.
 
-    An end of the bar beyond which there are weights says so.
+    They go as far as these weights do, or `reach` octaves, by which figures can be compared. An
+    end of the bar beyond which there are weights says so.
     """
-    reach = span(weight)
+    reach = span(weight) if reach is None else reach
     ticks = np.arange(-reach, reach + 1, 2 if reach == OCTAVES else 1)
     words = [f"{2**t:g}" if t >= 0 else f"1/{2**-t:g}" for t in ticks]
     if (weight < 2**-reach).any():

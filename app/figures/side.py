@@ -9,7 +9,7 @@ from plotly.subplots import make_subplots
 
 from app import text
 from app.data.aggregate import Curve, decimate
-from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note
+from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, steps_in_words
 from app.figures.curves import POINTS
 from app.figures.scales import octaves, relative_scale
 from app.figures.weights import bin_centres, shown_fits
@@ -44,7 +44,7 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
             _say_empty(figure, len(parts) + column)
     figure.update_layout(**LAYOUT, height=height, uirevision="side by side")
     figure.update_layout(margin={"t": 34})
-    _link_axes(figure, len(parts))
+    _link_axes(figure, len(parts), steps_in_words(curve.env for _, curve, _ in parts))
     figure.update_traces(
         selector={"type": "heatmap"},
         colorbar={"len": 0.48, "y": 0, "yanchor": "bottom"},
@@ -81,14 +81,14 @@ def _map(profiles: Profiles, scale: Mapping[str, Any], *, bar: bool) -> go.Heatm
     )
 
 
-def _link_axes(figure: go.Figure, columns: int) -> None:
+def _link_axes(figure: go.Figure, columns: int, x: str) -> None:
     """All columns zoom together; words stand at the left and at the foot only."""
     figure.update_xaxes(matches="x", title_text="", **X_AXIS)
     figure.update_yaxes(**Y_AXIS)
     for row, first in ((1, "y"), (2, f"y{columns + 1}")):
         figure.update_yaxes(matches=first, showticklabels=False, row=row)
         figure.update_yaxes(showticklabels=True, row=row, col=1)
-    figure.update_xaxes(title_text="env steps", row=2)
+    figure.update_xaxes(title_text=x, row=2)
     figure.update_xaxes(ticks="", showticklabels=False, row=1)
     figure.update_yaxes(title_text="return", row=1, col=1)
     figure.update_yaxes(

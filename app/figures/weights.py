@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import DASHES, across, note, styled, upright
+from app.figures.base import DASHES, ENV_STEPS, across, note, styled, upright
 from app.figures.scales import linear_scale, octaves, relative_scale
 from app.theme import Mode, learner_colour, learner_label
 from tom.record.profiles import Profiles
@@ -20,7 +20,13 @@ MAP_COLUMNS = 400
 
 
 def weight_map(
-    profiles: Profiles, chosen: int, mode: Mode, height: int, *, relative: bool
+    profiles: Profiles,
+    chosen: int,
+    mode: Mode,
+    height: int,
+    *,
+    relative: bool,
+    x: str = ENV_STEPS,
 ) -> go.Figure:
     """Mean weight of each part of the buffer (upwards: newer) at each fit (to the right).
 
@@ -45,7 +51,7 @@ def weight_map(
         )
     )
     marks = [upright(int(profiles.env_step[chosen]), 2)]
-    styled(figure, "env steps", height, keep="weight-map", marks=marks)
+    styled(figure, x, height, keep="weight-map", marks=marks)
     figure.update_yaxes(
         range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
     )
@@ -118,7 +124,9 @@ def on_log_axis(figure: go.Figure) -> go.Figure:
     return figure
 
 
-def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int) -> go.Figure:
+def effective_sample(
+    profiles: Profiles, learner: str, chosen: int, height: int, x: str = ENV_STEPS
+) -> go.Figure:
     """Effective sample size and share of zero weights over training, in % of the buffer."""
     figure = go.Figure()
     for values, name, dash in (
@@ -137,7 +145,7 @@ def effective_sample(profiles: Profiles, learner: str, chosen: int, height: int)
             )
         )
     marks = [upright(int(profiles.env_step[chosen]), 2)]
-    styled(figure, "env steps", height, keep="effective-sample", marks=marks)
+    styled(figure, x, height, keep="effective-sample", marks=marks)
     figure.update_yaxes(range=[-3, 103], ticksuffix=" %")
     return figure
 

@@ -1,6 +1,7 @@
 """A run at a glance: who it is, how far it is, how well it does."""
 
 import html
+import shlex
 import time
 from collections.abc import Sequence
 
@@ -45,7 +46,7 @@ def card(run: RunInfo) -> None:
         st.html(head(run))
     st.progress(status.share, text=text.markdown(progress_line(run)))
     numbers = st.columns(4, gap="small")
-    speed = status.env_steps_per_s if status.alive else None
+    speed = (status.env_steps_per_s or None) if status.alive else None  # a fit takes no steps
     for column, (label, value) in zip(
         numbers,
         (
@@ -68,7 +69,7 @@ def _stop(run: RunInfo) -> None:
         return
     with st.popover("Stop", key=f"stop {run.run_id}", width="stretch"):
         st.write("The training ends after this step and writes a checkpoint. To go on with it:")
-        st.code(f"tom train --resume {run.run_id}", language="bash")
+        st.code(resume(run, session.links().store), language="bash")
         if st.button("Stop this training", key=f"stop {run.run_id} now", type="primary"):
             try:
                 trainings.stop(Store(session.links().store), run.run_id)
@@ -76,6 +77,11 @@ def _stop(run: RunInfo) -> None:
                 st.rerun(scope="fragment")
             except UserError as error:
                 st.error(text.markdown(error))
+
+
+def resume(run: RunInfo, store: str) -> str:
+    """The command that goes on with a run, from any folder of a terminal."""
+    return shlex.join(["tom", "train", "--resume", run.run_id, "--store", store])
 
 
 def _asked() -> set[str]:

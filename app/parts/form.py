@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 from tom.cli.parser import leaf_fields, one_line
 from tom.config import RunConfig
 from tom.errors import UserError
+from tom.learners import others_groups
 from tom.training.presets import config_type, resolve
 
 LEFT_OUT = {"env", "learner", "preset", "seed", "steps"}
@@ -42,7 +43,7 @@ def sections(env: str, learner: str, preset: str) -> dict[str, list[Setting]]:
         if path in LEFT_OUT:
             continue
         group, _, name = path.rpartition(".")
-        if group in ("tom", "pmac", "vagram") and group != learner.split("-")[0]:
+        if group in others_groups(learner):
             continue
         found.setdefault(group or GENERAL, []).append(_setting(path, name, info, config))
     return found
@@ -75,9 +76,15 @@ def command(
         level = reduce(lambda at, group: at.setdefault(group, {}), groups, nested)
         level[name] = None if words.lower() == "none" else words
     try:
-        resolve(env, learner, preset, nested)
+        config = resolve(env, learner, preset, nested)
     except ValidationError as error:
         raise one_line(error) from None
+    explored = getattr(config, "exploration_steps", 0)  # a fixed data set is not explored
+    if config.steps <= explored:
+        raise UserError(
+            f"{config.steps:,} steps are all exploration, and nothing is learnt: ask for more than "
+            f"{explored:,}, or set exploration steps lower"
+        )
     options = [f"--{path.replace('_', '-')}={words}" for path, words in given.items()]
     chosen = ["--env", env, "--learner", learner, "--preset", preset, "--seed", str(seed)]
     return ["train", *chosen, *options, "--store", store]

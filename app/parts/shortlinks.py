@@ -4,6 +4,7 @@ The views lie in `<store>/.views`, one small file each, named by what they hold.
 """
 
 import hashlib
+import html
 import json
 import re
 from pathlib import Path
@@ -53,6 +54,19 @@ def target(store: Path | str, code: str) -> str | None:
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return f"/{page}?{query}" if re.fullmatch(r"[a-z]*", page) and query.isprintable() else None
+
+
+def nowhere(code: str) -> str:
+    """The page, as HTML, of a code that leads nowhere: why that may be, and a way on."""
+    return (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>TOM Studio: no such link'
+        '</title><meta name="color-scheme" content="light dark">'
+        '<body style="font: 1rem/1.6 sans-serif; max-width: 36rem; margin: 15vh auto; '
+        f'padding: 0 1rem"><h1>This short link leads nowhere</h1><p>No view is kept as '
+        f"<b>{html.escape(code[:40])}</b> in this studio's store. A short link works only where "
+        "it was made: with the same store, and as long as its folder <code>.views</code> is "
+        'there. Ask for the long address, or <a href="/">open the studio</a>.</p>'
+    )
 
 
 def button() -> None:

@@ -11,6 +11,8 @@ from app import text
 from app.data import readers
 from app.data.aggregate import Curve, curve_points
 from app.data.readers import RunInfo
+from app.parts import asked
+from tom.learners import LEARNERS
 
 
 def curve(run: RunInfo, metric: str) -> Curve:
@@ -21,16 +23,22 @@ def curve(run: RunInfo, metric: str) -> Curve:
 
 TOWERS = 20.0
 """times uniform: on a linear axis with this, one sees next to nothing of the others"""
-UNIFORM = {"mle", "sac"}
-"""learners whose weights are all the same: no need to look"""
 
 
 def pick_run(runs: Sequence[RunInfo], label: str = "Run") -> RunInfo:
     """A run, chosen here or by the address (`?run=...`); else the most telling one."""
     by_id = {run.run_id: run for run in runs}
+    asked.tell("run", by_id)
     first = most_telling(runs)
-    index = list(by_id).index(first.run_id)
-    chosen = st.selectbox(label, list(by_id), index=index, key="run", bind="query-params")
+    chosen = st.selectbox(
+        label,
+        list(by_id),
+        index=list(by_id).index(first.run_id),
+        key="run",
+        bind="query-params",
+        on_change=asked.answered,
+        args=("run",),
+    )
     return by_id.get(chosen or "", first)
 
 
@@ -51,8 +59,8 @@ def _rank(run: RunInfo) -> tuple[bool, bool, int, int]:
 
 def differs(run: RunInfo) -> bool:
     """The last fit of a run did not count all transitions the same."""
-    if run.learner in UNIFORM:
-        return False
+    if run.learner in LEARNERS and LEARNERS[run.learner].uniform:
+        return False  # no need to look
     profiles = readers.profiles(run)
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
 

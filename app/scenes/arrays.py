@@ -29,7 +29,7 @@ class Columns:
     colour: NDArray[np.uint8]  # (C, 3)
 
 
-def columns(grid: NDArray[np.float64]) -> Columns:
+def columns(grid: NDArray[np.float64], mode: Mode) -> Columns:
     """The weights as columns: height by the square root, so that light cells are seen too."""
     y, x = np.nonzero(np.nan_to_num(grid) >= 2**-OCTAVES)
     weight = grid[y, x]
@@ -38,16 +38,16 @@ def columns(grid: NDArray[np.float64]) -> Columns:
     return Columns(
         position=np.stack([middle[x], middle[y], height / 2], -1).astype(np.float32),
         scale=np.stack([np.full(len(x), 0.86 / CELLS)] * 2 + [height], -1).astype(np.float32),
-        colour=on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS),
+        colour=on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS[mode]),
     )
 
 
-def flat(grid: NDArray[np.float64]) -> NDArray[np.uint8]:
+def flat(grid: NDArray[np.float64], mode: Mode) -> NDArray[np.uint8]:
     """The weights as a picture (CELLS, CELLS, 4), row 0 at the lowest y; empty cells are clear."""
     known = np.isfinite(grid)
     share = octaves(np.where(known, grid, 1.0)) / (2 * OCTAVES) + 0.5
     alpha = np.where(known, 235, 0).astype(np.uint8)
-    return np.concatenate([on_scale(share, COLUMNS), alpha[..., None]], -1)
+    return np.concatenate([on_scale(share, COLUMNS[mode]), alpha[..., None]], -1)
 
 
 def ground(road: RoadMap, mode: Mode) -> NDArray[np.uint8]:

@@ -22,8 +22,10 @@ REST_S = 1.0
 """how long a fit stays when the cars have arrived"""
 
 
-def as_html(fits: Sequence[Sequence[Picture]], mode: Mode) -> str:
+def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, called: Sequence[str] = ()) -> str:
     """The pictures of R runs at F fits, (F, R), as a page that needs nothing else.
+
+    `called`: a name for each run (R,), its learner's where none is given.
 
     Its time line shows fit after fit; in each the cars drive all their way. It is made by a viser
     server of this process that nobody is told of and that ends with the call.
@@ -37,9 +39,10 @@ def as_html(fits: Sequence[Sequence[Picture]], mode: Mode) -> str:
         server.scene.world_axes.visible = False
         server.initial_camera.position, server.initial_camera.look_at = road.view(len(fits[0]))
         sky(server.scene, mode)
+        names = called or [""] * len(fits[0])
         scenes = [
-            RoadScene(server.scene, picture, mode, str(i), road.place(i))
-            for i, picture in enumerate(fits[0])
+            RoadScene(server.scene, picture, mode, str(i), road.place(i), name)
+            for i, (picture, name) in enumerate(zip(fits[0], names, strict=True))
         ]
         serializer = _record(server, scenes, fits)
         return serializer.as_html(dark_mode=mode == "dark")

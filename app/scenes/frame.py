@@ -1,11 +1,13 @@
 """What every browser frame of the viser server has: a panel, a scene, light, a camera."""
 
 import threading
+from collections.abc import Sequence
 
 import viser
 
 from app.scenes.colours import rgb
 from app.scenes.control import Selection
+from app.scenes.words import Words
 from app.theme import ACCENT, Mode
 
 GLOW: dict[Mode, float] = {"light": 1.7, "dark": 1.1}
@@ -68,6 +70,9 @@ class Frame:
         with self._lock:
             if not self._closed:  # the clock may still hold a frame that was just replaced
                 self._tick(seconds)
+                camera = self.client.camera.position
+                for words in self._words():
+                    words.face(camera)
 
     def look(self, position: Vector, at: Vector) -> None:
         """Put the reader's camera somewhere."""
@@ -113,3 +118,7 @@ class Frame:
 
     def _tick(self, seconds: float) -> None:
         """Nothing plays."""
+
+    def _words(self) -> Sequence[Words]:
+        """What is to be read in the scene, wherever the camera is."""
+        return ()

@@ -14,6 +14,7 @@ from app.scenes.road import draw_map
 from app.scenes.robot import Robot
 from app.scenes.solids import Solids
 from app.scenes.stage import floor, sky, under
+from app.scenes.words import Words
 from app.theme import Mode, learner_colour
 from tom.envs import scene as geometry
 
@@ -53,8 +54,9 @@ class ReplayScene:
         self._ghost = None if replay.ghost is None else track(replay.env, replay.ghost)
         sky(scene, mode)
         self._floor = None if replay.road else floor(scene, self._real.floor, mode)
+        self.words: list[Words] = []
         if replay.road:
-            draw_map(scene, replay.road, mode)
+            self.words = draw_map(scene, replay.road, mode)
         self.robot = Robot(scene, "/real", self._real.solids, [rgb(REAL[mode])])
         self.ghost = None
         if self._ghost is not None:

@@ -1,5 +1,6 @@
 """The browser frame that plays evaluation episodes."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from app.data.replays import Replay
 from app.scenes.control import ReplayChoice, Selection
 from app.scenes.frame import Frame, Vector
 from app.scenes.replay import ReplayScene
+from app.scenes.words import Words
 from tom.errors import UserError
 from tom.record.store import Store
 
@@ -93,6 +95,9 @@ class ReplayFrame(Frame):
         away = 1.6 + 0.9 * height
         beside = 0.0 if self.compact else 0.25 * away
         return (0.45 * away, -away, 0.5 + 0.6 * height), (beside, 0.0, 0.5 * height)
+
+    def _words(self) -> Sequence[Words]:
+        return () if self._scene is None else self._scene.words
 
     def _draw_curve(self, replay: Replay) -> None:
         if self.compact:

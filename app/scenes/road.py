@@ -11,7 +11,7 @@ from app.data.roadmap import RoadMap, circle, outline
 from app.scenes import arrays, solids
 from app.scenes.colours import linear, rgb
 from app.scenes.robot import Robot
-from app.scenes.words import add_words, extent
+from app.scenes.words import Words, add_words, extent
 from app.theme import NEUTRAL, Mode, learner_colour, learner_label
 
 CAMERA = (0.5, -0.12, 0.82)
@@ -39,13 +39,23 @@ class RoadScene:
     """One run's map: the ground once, then fit after fit by `update`."""
 
     def __init__(
-        self, scene: viser.SceneApi, picture: Picture, mode: Mode, name: str = "", x: float = 0.0
+        self,
+        scene: viser.SceneApi,
+        picture: Picture,
+        mode: Mode,
+        name: str = "",
+        x: float = 0.0,
+        called: str = "",
     ) -> None:
-        """`name` begins the names of its nodes; the map's corner stands at `x`."""
+        """`name` begins the names of its nodes; the map's corner stands at `x`.
+
+        `called` is what the run is called above its map, its learner where nothing is given.
+        """
         self._scene, self._name = scene, f"/road{name}"
         self.mode: Mode = mode
         scene.add_frame(self._name, show_axes=False, position=(x, 0.0, 0.0))
-        draw_map(scene, picture.road, mode, self._name)
+        self._called = called or learner_label(picture.learner)
+        self._names = draw_map(scene, picture.road, mode, self._name)
         self._rocks = _draw_boulders(scene, picture.road, mode, self._name)
         self.update(picture)
 
@@ -60,8 +70,8 @@ class RoadScene:
         over = arrays.TALLEST + LIFT
         field = picture.points, picture.true, picture.modelled
         self.layers: dict[str, list[Shown]] = {
-            "columns": [_columns(scene, f"{name}/weights", picture)],
-            "flat": [_flat(scene, f"{name}/flat", picture)],
+            "columns": [_columns(scene, f"{name}/weights", picture, self.mode)],
+            "flat": [_flat(scene, f"{name}/flat", picture, self.mode)],
             "expert": [_lines(scene, f"{name}/expert", picture.expert, rgb(NEUTRAL), over, 1.4)],
             "learnt": [_lines(scene, f"{name}/learnt", picture.learnt, colour, over + LIFT, 3.5)],
             "cars": [*self.cars],
@@ -69,8 +79,13 @@ class RoadScene:
             "modelled": [_arrows(scene, f"{name}/modelled", field[0], field[2], colour)],
             "boulders": [self._rocks],
         }
-        words = f"{learner_label(picture.learner)}, fit of step {picture.step:,}"
-        add_words(scene, f"{name}/title", words, self.mode, (0.5, 1.03, 0.02), TITLE, TILT)
+        words, foot = f"{self._called}, fit of step {picture.step:,}", (0.5, 1.03, 0.02)
+        self._title = add_words(scene, f"{name}/title", words, self.mode, foot, TITLE, TILT)
+
+    @property
+    def words(self) -> list[Words]:
+        """What is to be read on the map."""
+        return [self._title, *self._names]
 
     def show(self, layers: Mapping[str, bool]) -> None:
         """Show and hide layers by name."""
@@ -146,8 +161,10 @@ def view(count: int) -> tuple[tuple[float, float, float], tuple[float, float, fl
     return (middle, at + (y - at) * away, z * away), (middle, at, ground)
 
 
-def _columns(scene: viser.SceneApi, name: str, picture: Picture) -> viser.SceneNodeHandle:
-    bars = arrays.columns(picture.grid)
+def _columns(
+    scene: viser.SceneApi, name: str, picture: Picture, mode: Mode
+) -> viser.SceneNodeHandle:
+    bars = arrays.columns(picture.grid, mode)
     vertices, faces = arrays.unit_box()
     return scene.add_batched_meshes_simple(
         name,
@@ -162,15 +179,16 @@ def _columns(scene: viser.SceneApi, name: str, picture: Picture) -> viser.SceneN
     )
 
 
-def _flat(scene: viser.SceneApi, name: str, picture: Picture) -> viser.SceneNodeHandle:
-    fine = np.kron(arrays.flat(picture.grid), np.ones((PIXELS, PIXELS, 1), np.uint8))
+def _flat(scene: viser.SceneApi, name: str, picture: Picture, mode: Mode) -> viser.SceneNodeHandle:
+    fine = np.kron(arrays.flat(picture.grid, mode), np.ones((PIXELS, PIXELS, 1), np.uint8))
     return scene.add_image(
         name, fine, 1.0, 1.0, format="png", position=(0.5, 0.5, LIFT / 2), visible=False
     )
 
 
-def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str = "") -> None:
-    """The floor with the road, its start and its goal."""
+def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str = "") -> list[Words]:
+    """The floor with the road, its start and its goal, whose names are given back."""
+    names = []
     scene.add_image(
         f"{root}/ground", arrays.ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
     )
@@ -184,7 +202,8 @@ def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str = "") -
         _lines(scene, f"{root}/{name}", ring, colour, 2 * LIFT, 3.5)
         half = extent(name, mode, NAME)[0] / 2 + MARGIN
         beside = (-half if x < 0.5 else 1 + half, y - NAME / 2, LIFT)
-        add_words(scene, f"{root}/{name}/name", name, mode, beside, NAME, TILT)
+        names.append(add_words(scene, f"{root}/{name}/name", name, mode, beside, NAME, TILT))
+    return names
 
 
 def _draw_boulders(

@@ -1,10 +1,12 @@
 """The browser frame that shows road-and-rocks in 3D."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import viser
 
 from app.data import pictures
+from app.data.called import told_apart
 from app.data.pictures import Picture
 from app.data.readers import Stamp, stamp
 from app.scenes import road as scene
@@ -12,6 +14,7 @@ from app.scenes.control import RoadChoice, Selection
 from app.scenes.frame import Frame
 from app.scenes.road import RoadScene
 from app.scenes.stage import sky
+from app.scenes.words import Words
 from tom.errors import UserError
 from tom.record import layout
 from tom.record.reader import RunReader
@@ -113,7 +116,7 @@ class RoadFrame(Frame):
                 for each, (_, picture) in zip(self._scenes, shown, strict=True):
                     each.update(picture)
             else:
-                self._draw([picture for _, picture in shown])
+                self._draw(shown)
             self._apply_layers()
             self._drive()
         self._drawn = drawn
@@ -132,15 +135,20 @@ class RoadFrame(Frame):
         picture = _picture(str(path), at, changed) if steps else None
         return None if picture is None else (run, picture)
 
-    def _draw(self, shown: list[Picture]) -> None:
+    def _draw(self, shown: list[tuple[str, Picture]]) -> None:
         if len(shown) != len(self._scenes):
             self.look(*scene.view(len(shown)))
         self.clear()
         sky(self.client.scene, self.mode)
+        store = Store(self.store)
+        called = told_apart([store.run(run) for run, _ in shown])
         self._scenes = [
-            RoadScene(self.client.scene, picture, self.mode, str(i), scene.place(i))
-            for i, picture in enumerate(shown)
+            RoadScene(self.client.scene, picture, self.mode, str(i), scene.place(i), called[run])
+            for i, (run, picture) in enumerate(shown)
         ]
+
+    def _words(self) -> Sequence[Words]:
+        return [words for each in self._scenes for words in each.words]
 
     def _drive(self) -> None:
         for each in self._scenes:

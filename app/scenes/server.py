@@ -2,11 +2,16 @@
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
-from urllib.parse import urlsplit
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from http import HTTPStatus
+from typing import Any
 
 import viser
-from websockets.http11 import Request
+from websockets.asyncio import server
+from websockets.asyncio.server import ServerConnection
+from websockets.http11 import Request, Response
 
 from app.links import Links
 from app.scenes.control import Choice, ReplayChoice, RoadChoice, Selection, StatesChoice, listen
@@ -15,6 +20,9 @@ from app.scenes.replay_frame import ReplayFrame
 from app.scenes.road_frame import RoadFrame
 from app.scenes.states_frame import StatesFrame
 from tom.errors import UserError
+from tom.machine.address import framing, refusal
+
+Answer = Callable[[ServerConnection, Request], Response | None]
 
 TICK_S = 1 / 30
 FRAMES: dict[type[Choice], type[Frame]] = {
@@ -34,7 +42,8 @@ class SceneServer:
         self.begun: dict[str, int] = {}
         """how often what a page shows was played from its beginning"""
         self.frames: dict[int, tuple[str, Frame]] = {}
-        self.server = viser.ViserServer(links.host, links.viser_port, verbose=False)
+        with guarded(links):
+            self.server = viser.ViserServer(links.host, links.viser_port, verbose=False)
         if self.server.get_port() != links.viser_port:  # viser takes the next one in silence
             raise SystemExit(f"port {links.viser_port} is taken")
         self.server.scene.set_up_direction("+z")
@@ -82,8 +91,8 @@ class SceneServer:
 
     def _connected(self, client: viser.ClientHandle) -> None:
         request = self._request(client)
-        if request is None or not trusted(request.headers, self.links.allowed_hosts):
-            return  # an empty scene: nothing of the store goes to a foreign page
+        if request is None:  # it has gone
+            return
         name = request.path.strip("/")
         selection = self.chosen.get(name, Selection(RoadChoice(), self.links.theme or "light"))
         frame = self._frame(client, selection)
@@ -114,14 +123,35 @@ class SceneServer:
         return self.server._websock_server._live_connections[client.client_id].request
 
 
-def trusted(headers: Mapping[str, str], allowed: Sequence[str]) -> bool:
-    """The page that connects was served by this host, under a name that this host goes by.
+@contextmanager
+def guarded(links: Links) -> Iterator[None]:
+    """Servers of websockets that begin meanwhile answer the studio's own pages alone.
 
-    viser itself takes connections from every page that a browser shows. No allowed names: any.
+    viser itself answers every page that a browser shows, and has no option for it.
     """
-    host = urlsplit(f"//{headers.get('Host', '')}").hostname
-    origin = urlsplit(headers.get("Origin", "")).hostname
-    return host == origin and (not allowed or host in allowed)
+    serve = server.serve
+
+    def guarded_serve(*arguments: Any, process_request: Answer, **options: Any) -> server.serve:
+        first = partial(_admit, links, process_request)
+        return serve(*arguments, process_request=first, **options)
+
+    server.serve = guarded_serve  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        server.serve = serve
+
+
+def _admit(
+    links: Links, answer: Answer, connection: ServerConnection, request: Request
+) -> Response | None:
+    """viser's answer to a request, or a refusal; only the studio's pages may show it in a frame."""
+    if why := refusal(request.headers.get, links.host, links.viser_port):
+        return connection.respond(HTTPStatus.FORBIDDEN, why)
+    answered = answer(connection, request)
+    if answered is not None:
+        answered.headers["Content-Security-Policy"] = framing(links.host, links.port)
+    return answered
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from app.scenes import solids
 from app.scenes.robot import Robot
 from app.scenes.solids import Solids
 from app.scenes.stage import floor, sky
-from app.scenes.words import add_words
+from app.scenes.words import Words, add_words
 from app.theme import Mode
 from tom.data.transitions import Transitions
 from tom.envs import scene as geometry
@@ -119,6 +119,7 @@ class StatesScene:
         sky(scene, mode)
         floor(scene, height, mode)
         self.size = footprint([one for _, one, _ in groups])
+        self.words: list[Words] = []
         self._robots: list[tuple[Robot, Group, NDArray[np.float32]]] = []
         for (words, one, colours), side in zip(groups, (-1, 1), strict=False):
             at = places(one.count, self.size, side)
@@ -128,7 +129,8 @@ class StatesScene:
             top = float(one.frame(WINDOW)[0][..., 2].max()) + 0.35
             foot = (float(middle[0]), float(at[:, 1].max()), top)
             letters = LETTERS * float(self.size[0] + MARGIN)
-            add_words(scene, f"/{name} label", words, mode, foot, letters, TILT)
+            label = f"/{name} label"
+            self.words.append(add_words(scene, label, words, mode, foot, letters, TILT))
 
     def pose(self, at: int) -> None:
         """Show frame `at` of every moment; WINDOW is the moment itself."""

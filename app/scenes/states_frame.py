@@ -14,7 +14,8 @@ from app.scenes.colours import on_scale
 from app.scenes.control import Selection, StatesChoice
 from app.scenes.frame import Frame
 from app.scenes.states import WINDOW, StatesScene
-from app.theme import COLUMNS
+from app.scenes.words import Words
+from app.theme import COLUMNS, Mode
 from tom.data.transitions import Transitions
 from tom.envs import scene as geometry
 from tom.errors import UserError
@@ -74,7 +75,7 @@ class StatesFrame(Frame):
             if rows:
                 qpos = states.poses(env, recorded, state, states.moments(ended, rows))
                 one, height = states.group(env, qpos)
-                groups.append((_label(words, weights), one, _colours(weights)))
+                groups.append((_label(words, weights), one, _colours(weights, self.mode)))
         self._draw(groups, height, env)
         self._drawn = choice
 
@@ -105,6 +106,9 @@ class StatesFrame(Frame):
             self.offset.value = int(self._at) - WINDOW
             self._pose()
 
+    def _words(self) -> Sequence[Words]:
+        return () if self._scene is None else self._scene.words
+
     def _pose(self) -> None:
         if self._scene is not None:
             with self.client.atomic():
@@ -121,6 +125,6 @@ def _short(weight: float) -> str:
     return f"{weight:.0f}" if weight >= 10 else f"{weight:.2g}"
 
 
-def _colours(weights: Sequence[float]) -> list[tuple[int, int, int]]:
+def _colours(weights: Sequence[float], mode: Mode) -> list[tuple[int, int, int]]:
     share = octaves(np.asarray(weights, np.float64)) / (2 * OCTAVES) + 0.5
-    return [(int(r), int(g), int(b)) for r, g, b in on_scale(share, COLUMNS)]
+    return [(int(r), int(g), int(b)) for r, g, b in on_scale(share, COLUMNS[mode])]

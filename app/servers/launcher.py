@@ -1,6 +1,7 @@
 """Starts Streamlit, the Rerun hub and the viser server, links them, and ends them together."""
 
 import os
+import secrets
 import signal
 import sys
 import tempfile
@@ -46,9 +47,9 @@ def run(studio: Studio, *, browser: bool) -> int:
             return 0
         if running is None:
             return 1
-        print(f"tom studio: {links.address}  (store {studio.store}; Ctrl-C stops it)", flush=True)
+        print(f"tom studio: {links.opened()}  (store {studio.store}; Ctrl-C stops it)", flush=True)
         if browser and _has_display():
-            webbrowser.open(links.address)
+            webbrowser.open(_leading_to(links).as_uri())
         return watch(running, stopping, time.monotonic)
 
 
@@ -72,7 +73,7 @@ def plan(studio: Studio, folder: Path) -> Links:
         port = _studio_port(studio.host, studio.port)
         taken = {port}
         others = []
-        while len(others) < 3:
+        while len(others) < 2:
             candidate = free_port(studio.host)
             if candidate not in taken:
                 taken.add(candidate)
@@ -87,10 +88,10 @@ def plan(studio: Studio, folder: Path) -> Links:
         host=studio.host,
         port=port,
         rerun_port=others[0],
-        rerun_web_port=others[1],
-        viser_port=others[2],
+        viser_port=others[1],
         control=str(folder / "control"),
         theme=studio.theme,
+        key=secrets.token_urlsafe(),
     )
 
 
@@ -103,9 +104,9 @@ def build(links: Links, folder: Path) -> list[Server]:
         log = folder / f"{name}.log"
         return Server(name, command, environment, links.local_host, port, health, log)
 
-    hub_command = hub.command(links.host, links.rerun_port, links.rerun_web_port, links.store)
+    hub_command = hub.command(links.host, links.rerun_port, links.store, links.port)
     return [
-        server("rerun", hub_command, links.rerun_web_port, "/"),
+        server("rerun", hub_command, links.rerun_port, "/"),
         server("viser", [*python, "app.scenes.server"], links.viser_port, "/"),
         server("streamlit", [*python, "app.servers.pages"], links.port, "/_stcore/health"),
     ]
@@ -167,6 +168,13 @@ def watch(running: Sequence[Server], stopping: Event, clock: Callable[[], float]
                 file=sys.stderr,
             )
     return 0
+
+
+def _leading_to(links: Links) -> Path:
+    """A file that leads a browser to the studio: everybody sees the words a browser starts with."""
+    path = Path(links.control).with_name("studio.html")
+    path.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
+    return path
 
 
 def _has_display() -> bool:

@@ -2,14 +2,15 @@
 
 import logging
 import re
-from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 
 import streamlit as st
+from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import (
     FileResponse,
+    HTMLResponse,
     JSONResponse,
     PlainTextResponse,
     RedirectResponse,
@@ -18,6 +19,7 @@ from starlette.responses import (
 from starlette.routing import Route
 
 from app.data import readers, replays, studies
+from app.guard import Guard
 from app.links import Links
 from app.parts import shortlinks
 from app.parts.plot import LIBRARY, LIBRARY_PATH
@@ -25,15 +27,13 @@ from app.router import VIEWS
 from app.servers.shell import page_routes
 from app.theme import streamlit_options
 from tom.errors import UserError
-from tom.machine.address import allowed, in_url
+from tom.machine.address import in_url
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """an evaluation episode on its own: step, number from 0, steps after which the ghost starts anew"""
-
-Answer = Callable[[Request], Response]
 
 ENTRY = Path(__file__).with_name("main.py")
 
@@ -70,35 +70,26 @@ def routes(links: Links) -> list[Route]:
         return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
 
     def short(request: Request) -> Response:
-        found = shortlinks.target(links.store, request.path_params["code"])
+        code = request.path_params["code"]
+        found = shortlinks.target(links.store, code)
         if found is None:
-            return PlainTextResponse("no such view", status_code=404)
+            return HTMLResponse(shortlinks.nowhere(code), status_code=404)
         return RedirectResponse(found, status_code=302)
 
     return [
-        Route("/v/{code}", under_own_names(short, links)),
-        Route("/reports/{study}", under_own_names(report, links)),
-        Route("/rrd/{run}/{name}", under_own_names(recording, links)),
-        Route("/api/health", under_own_names(health, links)),
+        Route("/v/{code}", short),
+        Route("/reports/{study}", report),
+        Route("/rrd/{run}/{name}", recording),
+        Route("/api/health", health),
         Route(LIBRARY_PATH, library),
         *page_routes([view.PATH for view in VIEWS]),
     ]
 
 
-def under_own_names(answer: Answer, links: Links) -> Answer:
-    """`answer`, but only to a request for this host under a name that it goes by.
-
-    Else a page whose name was made to point here could read the store.
-    """
-
-    def checked(request: Request) -> Response:
-        if not allowed(request.headers.get("host", ""), links.allowed_hosts):
-            return PlainTextResponse(
-                "this address is served under its own name only", status_code=403
-            )
-        return answer(request)
-
-    return checked
+def app(links: Links) -> st.App:
+    """What this process serves, to those who may ask."""
+    guard = Middleware(Guard, links=links)
+    return st.App(ENTRY.resolve(), routes=routes(links), middleware=[guard])
 
 
 def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
@@ -122,7 +113,7 @@ def recording_path(store: str, run_id: str, name: str) -> Path | None:
 
 def viewer_origin(request: Request, links: Links) -> str:
     """The one origin that may read recordings: the Rerun viewer on the host that was asked."""
-    return f"http://{in_url(request.url.hostname or '')}:{links.rerun_web_port}"
+    return f"http://{in_url(request.url.hostname or '')}:{links.rerun_port}"
 
 
 def options(links: Links) -> dict:
@@ -132,9 +123,15 @@ def options(links: Links) -> dict:
         "server.port": links.port,
         "server.headless": True,
         "server.fileWatcherType": "none",
-        "server.allowedHosts": links.allowed_hosts,
         "server.showEmailPrompt": False,
         "browser.gatherUsageStats": False,
+        # Streamlit's cloud may else send messages to a page that it has opened.
+        "client.allowedOrigins": [],
+        # Whatever a user's own settings of Streamlit open:
+        "server.enableAgentApi": False,
+        "server.enableCORS": True,
+        "server.enableStaticServing": False,
+        "server.enableXsrfProtection": True,
         "client.toolbarMode": "minimal",
         "client.showErrorDetails": "full",
         "client.showErrorLinks": False,
@@ -153,7 +150,7 @@ def main() -> None:
     logging.getLogger("streamlit").setLevel(logging.WARNING)
     links = Links.from_environment()
     Thread(target=warm, args=(links.store,), daemon=True).start()
-    st.App(ENTRY.resolve(), routes=routes(links)).run(config=options(links))
+    app(links).run(config=options(links))
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tom.harmless import terminal
 from tom.machine import address
 from tom.machine.parent import end_with_parent
 
@@ -71,7 +72,7 @@ class Server:
     def tail(self) -> str:
         """The last lines of what it printed."""
         lines = self.log.read_text(errors="replace").splitlines() if self.log.exists() else []
-        return "\n".join(lines[-LOG_TAIL:])
+        return "\n".join(map(terminal, lines[-LOG_TAIL:]))
 
 
 def stop(servers: Sequence[Server]) -> None:

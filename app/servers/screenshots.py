@@ -37,7 +37,7 @@ def take(store: Path, folder: Path) -> int:
                 )
                 for view in views:
                     page = context.new_page()
-                    page.goto(f"{links.address}/{view.PATH}")
+                    page.goto(links.opened(view.PATH))
                     name = view.PATH or "live"
                     target = folder / f"{name}-{width}-{mode}.png"
                     target.write_bytes(compact(settled_picture(page)))

@@ -1,4 +1,4 @@
-"""The page in which the browser runs Streamlit, told where Streamlit is.
+"""The page in which the browser runs Streamlit, told where Streamlit is and given the studio's key.
 
 By itself Streamlit's page asks for its server below the address that was opened
 (`/compare/_stcore/health`) before it asks at the root: two errors in the console of each visit.
@@ -12,10 +12,25 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 from streamlit import file_util
 
-_WHERE = """<head>
+_HEAD = """<head>
     <script>
-      const origin = location.origin;
-      window.__streamlit = { BACKEND_BASE_URL: origin, MAIN_PAGE_BASE_URL: origin };
+      {
+        const origin = location.origin;
+        window.__streamlit = { BACKEND_BASE_URL: origin, MAIN_PAGE_BASE_URL: origin };
+        // The key stands behind the # of the address that the terminal printed. It is kept where
+        // this port's pages alone read it: a browser gives a cookie to every port of a host.
+        const given = /^#key=([\\w-]+)$/.exec(location.hash);
+        if (given) {
+          localStorage.setItem("tom-studio-key", given[1]);
+          history.replaceState(null, "", location.pathname + location.search);
+        }
+        const key = localStorage.getItem("tom-studio-key");
+        window.WebSocket = class extends window.WebSocket {
+          constructor(address, offered) {
+            super(address, key ? [...offered, `tom-studio-key.${key}`] : offered);
+          }
+        };
+      }
     </script>"""
 
 
@@ -30,5 +45,5 @@ def page_routes(paths: Sequence[str]) -> list[Route]:
 
 
 def html() -> str:
-    """Streamlit's page with the studio's line in its head."""
-    return Path(file_util.get_static_dir(), "index.html").read_text().replace("<head>", _WHERE, 1)
+    """Streamlit's page with the studio's script in its head."""
+    return Path(file_util.get_static_dir(), "index.html").read_text().replace("<head>", _HEAD, 1)

@@ -6,10 +6,11 @@ import streamlit as st
 from app import session, text
 from app.data import readers
 from app.data.aggregate import curve_points
+from app.data.called import told_apart
 from app.data.pictures import ENV, Picture
 from app.data.readers import RunInfo
 from app.figures.road import road_map
-from app.parts import empty, widgets
+from app.parts import asked, empty, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import RoadChoice
@@ -29,7 +30,7 @@ BESIDE = 3
 """runs at most beside the first one"""
 TABLE = {
     "weights/road_share": "weight on the road",
-    "weights/road_ratio": "road : rocks",
+    "weights/road_ratio": "road : rocks, random data",
     "model/error_expert": "error, expert",
     "model/error_road": "error, road",
     "model/error_rocks": "error, rocks",
@@ -37,6 +38,11 @@ TABLE = {
     "eval/return": "policy return",
     "eval/success": "success",
 }
+SHARE = "of all data, the expert's too; the road is 30 % of the map"
+RATIO = (
+    "mean weight on the road over mean weight on the rocks, of the random data alone: the expert's "
+    "data, all of it on the road, does not count here"
+)
 
 
 def page() -> None:
@@ -55,7 +61,7 @@ def page() -> None:
     with top[0]:
         run = widgets.pick_run(shown)
     with top[1]:
-        beside = _pick_others([other for other in shown if other.run_id != run.run_id])
+        beside = _pick_others(run, shown)
     with top[2]:
         step = widgets.pick_step("Record at step", readers.road_steps(run))
     picture = readers.road_picture(run, step)
@@ -76,10 +82,14 @@ def page() -> None:
         widgets.show_problems(each, found)
 
 
-def _pick_others(others: list[RunInfo]) -> list[RunInfo]:
+def _pick_others(run: RunInfo, shown: list[RunInfo]) -> list[RunInfo]:
+    asked.tell("beside", {each.run_id for each in shown})
+    others = [other for other in shown if other.run_id != run.run_id]
     chosen = st.multiselect(
         "Side by side with", [other.run_id for other in others], max_selections=BESIDE,
         key="beside", bind="query-params", placeholder="no other run",
+        on_change=asked.answered, args=("beside",),
+        filter_mode="contains", select_all=False,
     )  # fmt: skip
     return [other for name in chosen for other in others if other.run_id == name]
 
@@ -89,9 +99,10 @@ def _pictures(together: list[RunInfo], step: int) -> None:
     ids = tuple(each.run_id for each in together)
     if len(together) > 1:
         stage(RoadChoice(ids, step), HEIGHT)
+        called = told_apart(together)
         for column, each in zip(st.columns(len(together)), together, strict=True):
             with column, st.container(border=True):
-                _flat_map(each, step, SMALL)
+                _flat_map(each, step, SMALL, called[each.run_id])
         return
     left, right = st.columns([5, 4])
     with left:
@@ -110,13 +121,13 @@ def _every_learner(shown: list[RunInfo]) -> None:
     )
 
 
-def _flat_map(run: RunInfo, step: int, height: int) -> None:
+def _flat_map(run: RunInfo, step: int, height: int, called: str = "") -> None:
     picture = _fit(run, step)
     if picture is None:
         st.caption(f"The map of {text.markdown(run.run_id)} cannot be read.")
         return
-    if height == SMALL:
-        st.markdown(f"**{text.markdown(learner_label(run.learner))}**, step {picture.step:,}")
+    if called:
+        st.markdown(f"**{text.markdown(called)}**, step {picture.step:,}")
     figure = road_map(picture, session.mode(), height)
     words = "mean weight over the map, with road and trajectories"
     chart(figure, f"road map {run.run_id}", words)
@@ -134,7 +145,11 @@ def _export(runs: list[RunInfo]) -> None:
 
     def page_of_it() -> str:
         fits = [[_fit(run, step) for run in runs] for step in steps]
-        return as_html([[p for p in fit if p is not None] for fit in fits if all(fit)], mode)
+        return as_html(
+            [[p for p in fit if p is not None] for fit in fits if all(fit)],
+            mode,
+            list(told_apart(runs).values()),
+        )
 
     st.download_button(
         "Share the scene as one HTML file",
@@ -174,9 +189,9 @@ def _numbers(run: RunInfo, picture: Picture) -> None:
         columns[at].metric(label, f"{text.number(value, digits)}{unit}", help=words)
 
     columns[0].metric("learner", text.markdown(learner_label(run.learner)))
-    show(1, "weight on the road", 100 * picture.share, 1, " %", "the road is 30 % of the map")
+    show(1, "weight on the road", 100 * picture.share, 1, " %", SHARE)
     ratio = last_value(frame, "weights/road_ratio", picture.step)
-    show(2, "road : rocks", ratio, 1, "", "mean weight on the road over rocks, random data only")
+    show(2, "road : rocks, random data", ratio, 1, "", RATIO)
     expert = last_value(frame, "model/error_expert", picture.step)
     show(3, "error, expert data", expert, 2, "", "one-step error in full steps")
     rocks = last_value(frame, "model/error_rocks", picture.step)

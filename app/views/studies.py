@@ -9,6 +9,7 @@ import streamlit as st
 from app import text
 from app.data import studies
 from app.data.studies import QUESTIONS, Study
+from tom.harmless import as_csv
 
 TITLE = "Studies"
 ICON = ":material/lab_profile:"
@@ -73,7 +74,7 @@ def _lines(study: Study, name: str, table: pd.DataFrame) -> None:
     shown = table.head(LISTED).replace(np.inf, np.nan)  # a level that was never reached
     st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-")
     st.download_button(
-        "CSV", table.to_csv(index=False), f"{study.name}-{name}", "text/csv",
+        "CSV", as_csv(table), f"{study.name}-{name}", "text/csv",
         icon=":material/download:", on_click="ignore", key=f"download {study.name} {name}",
     )  # fmt: skip
 

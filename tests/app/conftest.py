@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 import streamlit as st
 from streamlit.components.v2 import manifest_scanner
+from streamlit.runtime.context import ContextProxy
 from studio_runs import RUNS
 
+from app.guard import KEY
 from app.links import Links
 from tom.record.store import Store
 from tom.training.presets import resolve
@@ -44,10 +46,16 @@ def packages_are_looked_through_once() -> None:
     manifest_scanner.scan_component_manifests = cache(manifest_scanner.scan_component_manifests)
 
 
+@pytest.fixture(autouse=True)
+def pages_are_asked_for_with_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    """AppTest draws a page for no request, so it has no headers of its own."""
+    monkeypatch.setattr(ContextProxy, "headers", {KEY: "key"})
+
+
 @pytest.fixture
 def studio(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Links]:
-    """Pages of this process show the store; no other server is there."""
-    links = Links(store=str(store))
+    """Pages of this process show the store to a browser with the key; no other server is there."""
+    links = Links(store=str(store), key="key")
     for name, value in links.environment().items():
         monkeypatch.setenv(name, value)
     yield links

@@ -51,7 +51,7 @@ def gallery(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def shown(gallery: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    for name, value in Links(store=str(gallery)).environment().items():
+    for name, value in Links(store=str(gallery), key="key").environment().items():
         monkeypatch.setenv(name, value)
     yield gallery
     st.cache_data.clear()

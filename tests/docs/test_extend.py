@@ -15,10 +15,8 @@ STEP = re.compile(
     r"```python\n(?P<code>.*?)```",
     re.DOTALL,
 )
-TRAIN = (
-    "-m tom train --env swimmer --learner reward --preset smoke --steps 250 "
-    "--no-rerun --run-id example --store"
-)
+TRAIN = "-m tom train --env swimmer --preset smoke --steps 250 --no-rerun"
+LEARNERS = {"example": "--learner reward", "other": "--learner surprise --surprise.steps 50"}
 PAGE = """
 from streamlit.testing.v1 import AppTest
 from app.links import Links
@@ -26,12 +24,26 @@ import os, sys
 os.environ |= Links(store=sys.argv[1]).environment()
 app = AppTest.from_string("from app.views import pace\\npace.page()", default_timeout=60).run()
 assert not app.exception, app.exception[0].message
-assert app.dataframe[0].value["run"].to_list() == ["example"]
+assert sorted(app.dataframe[0].value["run"]) == ["example", "other"]
 from app.router import VIEWS
 assert VIEWS[-1].PATH == "pace"
 from tom.record import RunReader
 profiles = RunReader(sys.argv[1] + "/example").profiles()
 assert 0 < profiles.ess[-1] < 0.999
+from app.data import readers
+from app.figures.surprise import reward_error
+from app.parts import widgets
+run = {run.run_id: run for run in readers.listing(sys.argv[1]).runs}["other"]
+assert widgets.differs(run)
+curve = widgets.curve(run, "surprise/error")
+assert list(reward_error([curve], 300).data[0].y) == list(curve.value) and curve.value[-1] > 0
+from tom.metrics import METRICS
+assert "surprise/error" in METRICS
+from app.parts.form import sections
+shown = {name: sections("swimmer", name, "paper") for name in ("surprise", "reward", "tom")}
+assert [name for name, groups in shown.items() if "surprise" in groups] == ["surprise"]
+from tom.studies.returns import PAPER_ENVS
+assert len(PAPER_ENVS) == 5 and "swimmer" not in PAPER_ENVS
 """
 
 
@@ -67,13 +79,15 @@ def extended(tmp_path: Path) -> Path:
     for package in ("tom", "app"):
         shutil.copytree(ROOT / package, tmp_path / package)
     steps = list(STEP.finditer((ROOT / "docs/extend.md").read_text()))
-    assert len(steps) == 7
+    assert len(steps) == 16
     for step in steps:
         apply(step, tmp_path)
     return tmp_path
 
 
-def test_a_new_learner_env_and_page_work_as_the_page_says(extended: Path):
+def test_what_is_added_as_the_page_says_works(extended: Path):
     store = str(extended / "store")
-    python([*TRAIN.split(), store], extended)
+    for name, learner in LEARNERS.items():
+        words = f"{TRAIN} {learner} --run-id {name}".split()
+        python([*words, "--store", store], extended)
     python(["-c", PAGE, store], extended)

@@ -39,15 +39,13 @@ def studio(store: Path, *arguments: object) -> Iterator[tuple[subprocess.Popen[s
 
 
 @contextmanager
-def live_hub(store: Path) -> Iterator[tuple[subprocess.Popen[bytes], int, int]]:
-    """A hub as the studio runs it: the process, the port of SDKs and that of its page."""
-    port, web_port = (hub.free_port("127.0.0.1") for _ in range(2))
-    process = subprocess.Popen(
-        hub.command("127.0.0.1", port, web_port, store), stderr=subprocess.DEVNULL
-    )
+def live_hub(store: Path) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+    """A hub as the studio runs it: the process and its port."""
+    port = hub.free_port("127.0.0.1")
+    process = subprocess.Popen(hub.command("127.0.0.1", port, store), stderr=subprocess.DEVNULL)
     try:
-        wait_until(lambda: answers(web_port))
-        yield process, port, web_port
+        wait_until(lambda: answers(port))
+        yield process, port
     finally:
         process.terminate()
         try:
@@ -76,8 +74,3 @@ def is_taken(port: int) -> bool:
 
 def command_of(pid: int) -> str:
     return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-
-
-def environment_of(pid: int) -> dict[str, str]:
-    entries = Path(f"/proc/{pid}/environ").read_bytes().decode().split("\0")
-    return dict(entry.split("=", 1) for entry in entries if "=" in entry)

@@ -4,20 +4,25 @@ import ast
 import hashlib
 import json
 import pickle
+import re
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from faults import stopped
 
+from tom.cli import main
 from tom.data.hdf5 import column, open_hdf5
 from tom.errors import UserError
 from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint
+from tom.record.export import export
+from tom.reports.index import index
 from tom.training.resume import resume
 
 pytestmark = pytest.mark.fault
@@ -120,3 +125,84 @@ def test_an_archive_that_names_files_outside__writes_nothing(tmp_path: Path):
         archive.writestr("../../../escaped.npy", b"x")
     RunReader(run.path).episodes(80)
     assert not list(tmp_path.rglob("escaped*"))
+
+
+ESCAPES = "\x1b]0;owned\x07\x1b[2J\x9b31mred\r\nfake line\u202edrow"
+MARKUP = (
+    "<img src=x onerror=alert(1)> [x](http://evil.example) ```\n</pre><script>alert(1)</script>"
+)
+FORMULA = "=cmd|'/C calc'!A1"
+
+
+def crafted(store: Path, words: str) -> RunReader:
+    """A run whose every text is `words`."""
+    run = stopped(Store(store), 130)
+    description = json.loads((run.path / "config.json").read_text())
+    for key in ("learner", "preset", "command", "git_commit"):
+        description[key] = words
+    description["versions"] = {words: words}
+    (run.path / "config.json").write_text(json.dumps(description))
+    status = json.loads((run.path / "status.json").read_text())
+    status |= {"state": "failed", "phase": words, "reason": words, "warnings": [words]}
+    (run.path / "status.json").write_text(json.dumps(status))
+    notice = {"env_step": 1, "kind": words, "message": words}
+    (run.path / "notices.jsonl").write_text(json.dumps(notice) + "\n")
+    with (run.path / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"env_step": 131, words: 1.0}) + "\n")
+    (run.path / "labels.json").write_text(
+        json.dumps({"name": words, "tags": [words], "note": words})
+    )
+    (store / f"folder {words.replace('/', '')}").mkdir()
+    (run.path / "buffer" / f"0{words.replace('/', '')}.npz").touch()
+    return run
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    "verb", [("runs", "list"), ("runs", "show", "a"), ("runs", "verify"), ("doctor",), ("runs",)]
+)
+def test_terminal_escapes_in_a_run_and_in_folder_names__are_printed_as_plain_words(
+    verb: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    crafted(tmp_path, ESCAPES)
+    main([*verb, "--store", str(tmp_path)])
+    said = capsys.readouterr()
+    for line in (said.out + said.err).split("\n"):
+        assert line.isprintable(), line
+        assert not line.startswith("fake line")
+
+
+@pytest.mark.quick
+def test_terminal_escapes_in_what_is_asked_for__are_printed_as_plain_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["runs", "show", ESCAPES, "--store", str(tmp_path)]) == 2
+    assert main(["runs", "list", "--store", str(tmp_path / ESCAPES.replace("/", ""))]) == 2
+    assert all(line.isprintable() for line in capsys.readouterr().err.split("\n"))
+
+
+@pytest.mark.quick
+def test_markup_in_the_settings_of_small_copies__is_plain_words_in_the_page_about_them(
+    tmp_path: Path,
+):
+    run = crafted(tmp_path, MARKUP)
+    page = index([run], [])
+    outside, inside = [], ""
+    for line in page.split("\n"):
+        ticks = re.match("`{3,}", line)
+        if ticks and not inside:
+            inside = ticks[0]
+        elif inside and line.startswith(inside):
+            inside = ""
+        elif not inside:
+            outside.append(line)
+    assert not re.search(r"(?<!\\)[<\[]", "\n".join(outside))
+    assert inside == ""
+
+
+@pytest.mark.quick
+def test_a_metric_named_as_a_formula__is_a_text_in_the_csv(tmp_path: Path):
+    run = crafted(tmp_path, FORMULA)
+    table = pd.read_csv(export(run, "csv", tmp_path / "out"))
+    assert "'" + FORMULA in table.columns
+    assert not [name for name in table.columns if name[0] in "=+-@"]

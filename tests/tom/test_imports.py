@@ -37,6 +37,7 @@ ROOMS = {  # from the top down; README.md draws the same tree
         "config",
         "metrics",
         "rng",
+        "harmless",
         "errors",
     ),
     "app": (
@@ -49,6 +50,7 @@ ROOMS = {  # from the top down; README.md draws the same tree
         "figures",
         "data",
         "session",
+        "guard",
         "links",
         "theme",
         "text",

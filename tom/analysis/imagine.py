@@ -70,7 +70,7 @@ def stored_stamps(run: RunReader) -> Stamps:
 
 def stored_model(run: RunReader) -> StoredModel:
     """The model in the newest checkpoint, or in a small copy. Raises UserError without one."""
-    if run.learner == "sac":
+    if not run.fits_model:
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
     found = (checkpoint.load(run.path / folder) for folder in PLACES)
     held = next((one for one in found if one is not None), None)

@@ -95,7 +95,7 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
         raise UserError(f"the replay buffer of run {run.run_id} cannot be used: {reason}")
     _check_dims(run.run_id, rows, task(run.env))
     settings = run.config.get("config", {})
-    random_rows = int(settings.get("steps" if run.learner == "sac" else "exploration_steps", 0))
+    random_rows = int(settings.get("exploration_steps" if run.fits_model else "steps", 0))
     kept = slice(None) if step is None else _held_at(step, run, len(rows))
     starts = initial_obs(rows[: kept.stop])  # of episodes whose rows may have been dropped, too
     rows, version = rows[kept], version[kept]
@@ -154,8 +154,8 @@ def find_run(name: str, store: Store) -> RunReader | None:
 
 def _held_at(step: int, run: RunReader, rows: int) -> slice:
     """Which of its recorded `rows` a run's replay buffer held at env step `step`."""
-    if run.learner == "sac" or not 0 < step <= rows:
-        has = f"{rows} steps" if run.learner != "sac" else "no fits of a model"
+    if not run.fits_model or not 0 < step <= rows:
+        has = f"{rows} steps" if run.fits_model else "no fits of a model"
         raise UserError(f"run {run.run_id} has {has}: --step {step} is none of them")
     capacity = int(run.config.get("config", {}).get("replay_capacity", rows))
     return slice(max(step - capacity, 0), step)

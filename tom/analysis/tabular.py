@@ -2,6 +2,10 @@
 
 What `occupancy_weights` estimates from samples is here a linear solve and a convex programme in
 S A variables. States and actions are one-hot vectors to a learner.
+
+A flow (`tom/learners/flows.py`) says what comes after the end of an episode. Its own occupancy is
+the one that obeys it: discounted visits until the end, discounted visits with a new start after
+every end, or the stream of transitions as it is collected, resets included.
 """
 
 from __future__ import annotations
@@ -41,14 +45,35 @@ class Mdp:
 
 
 def random_mdp(
-    states: int, actions: int, successors: int, discount: float, rng: np.random.Generator
+    states: int,
+    actions: int,
+    successors: int,
+    discount: float,
+    rng: np.random.Generator,
+    concentration: float = 1.0,
 ) -> Mdp:
-    """Each (s, a) leads to `successors` random states; one makes the MDP deterministic."""
-    transition = np.zeros((states, actions, states))
+    """Each (s, a) leads to `successors` random states; one makes the MDP deterministic.
+
+    Their probabilities are a Dirichlet draw: the less its concentration, the fewer matter.
+    """
+    transition, alpha = np.zeros((states, actions, states)), np.full(successors, concentration)
     for row in transition.reshape(-1, states):
-        row[rng.choice(states, successors, replace=False)] = rng.dirichlet(np.ones(successors))
+        row[rng.choice(states, successors, replace=False)] = rng.dirichlet(alpha)
     start = rng.dirichlet(np.ones(states))
     return Mdp(transition, start, discount, np.zeros(states, bool))
+
+
+def with_endings(mdp: Mdp, share: float, rng: np.random.Generator) -> Mdp:
+    """The same MDP with one more state, its last, that ends an episode; none starts there.
+
+    An exponential draw of mean `share` says with which probability each (s, a) leads to it, so
+    that about that share of all steps ends, at some (s, a) more often than at others.
+    """
+    ends = np.minimum(share * rng.exponential(size=(mdp.states, mdp.actions, 1)), 1.0)
+    end = np.eye(mdp.states + 1)[-1]
+    transition = np.tile(end, (mdp.states + 1, mdp.actions, 1))
+    transition[:-1] = np.concatenate(((1 - ends) * mdp.transition, ends), axis=2)
+    return Mdp(transition, np.append(mdp.start, 0.0), mdp.discount, end > 0)
 
 
 def random_policy(mdp: Mdp, rng: np.random.Generator, uniform: float = 0.0) -> Array:
@@ -57,19 +82,45 @@ def random_policy(mdp: Mdp, rng: np.random.Generator, uniform: float = 0.0) -> A
     return (1 - uniform) * drawn + uniform / mdp.actions
 
 
-def occupancy(mdp: Mdp, policy: Array) -> Array:
-    """d^pi(s, a) (S, A), the solution of the Bellman flow constraint (paper, eq. 4)."""
-    alive = mdp.transition * ~mdp.terminal  # (S, A, S')
-    flow = np.einsum("ij,kli->ijkl", policy, alive)  # into (i, j) out of (k, l)
-    size = policy.size
-    system = np.eye(size) - mdp.discount * flow.reshape(size, size)
+FlowName = Literal["discounted", "restart", "stationary"]
+
+
+def occupancy(mdp: Mdp, policy: Array, flow: FlowName = "discounted") -> Array:
+    """d^pi(s, a) (S, A), the solution of a flow constraint (discounted: paper, eq. 4).
+
+    Stationary is the stream as it is collected: no discount, mass 1. Raises ArithmeticError where
+    the stream depends on its past for good: more than one closed set of states and no end.
+    """
+    into = np.einsum("ij,kli->ijkl", policy, _following(mdp, flow))  # (i, j) out of (k, l)
+    step = into.reshape(policy.size, policy.size)
+    if flow == "stationary":
+        return _stationary(step).reshape(policy.shape)
     start = (1 - mdp.discount) * mdp.start[:, None] * policy
+    system = np.eye(policy.size) - mdp.discount * step
     return np.linalg.solve(system, start.ravel()).reshape(policy.shape)
 
 
-def transition_occupancy(mdp: Mdp, policy: Array) -> Array:
+def transition_occupancy(mdp: Mdp, policy: Array, flow: FlowName = "discounted") -> Array:
     """d^pi(s, a, s') (S, A, S) = T(s'|s, a) d^pi(s, a) (paper, eq. 8)."""
-    return occupancy(mdp, policy)[:, :, None] * mdp.transition
+    return occupancy(mdp, policy, flow)[:, :, None] * mdp.transition
+
+
+def _following(mdp: Mdp, flow: FlowName) -> Array:
+    """Where the next step is taken, (S, A, S): nowhere after an end, or at a new start."""
+    alive = mdp.transition * ~mdp.terminal
+    if flow == "discounted":
+        return alive
+    ends = (mdp.transition * mdp.terminal).sum(2, keepdims=True)
+    return alive + ends * mdp.start
+
+
+def _stationary(step: Array) -> Array:
+    """The distribution d (N,) with d = step d, the columns of `step` (N, N) summing to 1."""
+    system = np.eye(len(step)) - step
+    system[0] = 1.0  # the rows sum to zero: any one of them may give way to the mass
+    if np.linalg.matrix_rank(system) < len(step):
+        raise ArithmeticError("the stream has no distribution of its own: no episode ends")
+    return np.linalg.solve(system, np.eye(len(step))[0]).clip(min=0.0)
 
 
 @dataclass(frozen=True)
@@ -78,6 +129,9 @@ class OccupancyProblem:
 
     `flow` (R, S A) is the operator of the dual: y = r + flow Q with
     (flow Q)(s, a, s') = g E_{a'~pi}[Q(s', a')] - Q(s, a); `inflow` (S A) = (1-g) mu0(s) pi(a|s).
+    After an end, E_{mu0,pi}[Q] stands for Q(s', a') where the flow restarts, else 0. A stationary
+    flow has g = 1 and one more dual variable, the last: the multiplier lambda of the mass, whose
+    column is -1 and whose inflow is 1.
     """
 
     index: tuple[NDArray[np.intp], ...]  # s, a and s' of each, (R,)
@@ -87,22 +141,28 @@ class OccupancyProblem:
     inflow: Array
 
     @staticmethod
-    def of(mdp: Mdp, policy: Array, replay: Array) -> OccupancyProblem:
-        """The problem of `policy` against the replay distribution q (S, A, S)."""
+    def of(
+        mdp: Mdp,
+        policy: Array,
+        replay: Array,
+        flow: FlowName = "discounted",
+        made: Array | None = None,
+    ) -> OccupancyProblem:
+        """The problem of `policy` against the replay distribution q (S, A, S).
+
+        `made` (S, A, S) is the distribution p of the policy's own samples, for r = log p/q; by
+        default the flow's own occupancy (of mass below 1 where discounted episodes end).
+        """
         index = np.nonzero(replay)
-        s, a, s_next = index
-        q = replay[index]
-        rows = np.arange(len(q))
-        flow = np.zeros((len(q), *policy.shape))
-        flow[rows, s_next] = mdp.discount * (policy * ~mdp.terminal[:, None])[s_next]
-        flow[rows, s, a] -= 1
-        inflow = (1 - mdp.discount) * mdp.start[:, None] * policy
+        q = replay[index] / replay.sum()
+        p = transition_occupancy(mdp, policy, flow) if made is None else made / made.sum()
         with np.errstate(divide="ignore"):  # a transition the policy never makes: r = -inf
-            log_ratio = np.log(transition_occupancy(mdp, policy)[index] / q)
-        return OccupancyProblem(index, q, log_ratio, flow.reshape(len(q), -1), inflow.ravel())
+            log_ratio = np.log(p[index] / q)
+        operator, inflow = _constraint(mdp, policy, index, flow)
+        return OccupancyProblem(index, q, log_ratio, operator, inflow)
 
     def residual(self, weights: Array) -> Array:
-        """How far q w is from satisfying the Bellman transition flow constraint, (S A)."""
+        """How far q w is from satisfying the flow constraint, (S A), and from mass 1, last."""
         return self.inflow + self.flow.T @ (self.replay * weights)
 
     def fitted_model(self, weights: Array, mdp: Mdp) -> Array:
@@ -116,12 +176,30 @@ class OccupancyProblem:
             return mass / mass.sum(2, keepdims=True)
 
 
+def _constraint(
+    mdp: Mdp, policy: Array, index: tuple[NDArray[np.intp], ...], flow: FlowName
+) -> tuple[Array, Array]:
+    """`flow` and `inflow` of an `OccupancyProblem` over the transitions at `index`."""
+    s, a, s_next = index
+    rows, discount = np.arange(len(s)), 1.0 if flow == "stationary" else mdp.discount
+    start = mdp.start[:, None] * policy
+    operator = np.zeros((len(s), *policy.shape))
+    operator[rows, s_next] = discount * (policy * ~mdp.terminal[:, None])[s_next]
+    if flow != "discounted":
+        operator[mdp.terminal[s_next]] += discount * start
+    operator[rows, s, a] -= 1
+    operator = operator.reshape(len(s), -1)
+    if flow != "stationary":
+        return operator, (1 - discount) * start.ravel()
+    return np.column_stack((operator, -np.ones(len(s)))), np.eye(policy.size + 1)[-1]
+
+
 Name = Literal["chi2", "kl"]
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Optimal weights (R,) and dual Q (S A), with both problems' values there."""
+    """Optimal weights (R,) and dual Q (S A), lambda last under a stationary flow; both values."""
 
     weights: Array
     q: Array
@@ -219,12 +297,37 @@ def sample_transitions(
     """n draws of (s, a, s') (S, A, S) with one-hot features, and the three indices, (n, 3)."""
     p = distribution.ravel() / distribution.sum()
     flat = rng.choice(len(p), size=n, p=p)
-    s, a, s_next = np.unravel_index(flat, distribution.shape)
+    index = np.stack(np.unravel_index(flat, distribution.shape), axis=1)
+    return _one_hot(mdp, index), index
+
+
+def sample_stream(
+    mdp: Mdp, policy: Array, n: int, rng: np.random.Generator
+) -> tuple[Transitions, NDArray[np.intp]]:
+    """n steps of the policy in order, a new start after every end, as `sample_transitions`."""
+    starts, actions, moves = (_ladder(p) for p in (mdp.start, policy, mdp.transition))
+    index = np.empty((n, 3), np.intp)
+    s = starts.searchsorted(rng.random(), "right")
+    for row, (u, v, w) in zip(index, rng.random((n, 3)), strict=True):
+        a = actions[s].searchsorted(u, "right")
+        s_next = moves[s, a].searchsorted(v, "right")
+        row[:] = s, a, s_next
+        s = starts.searchsorted(w, "right") if mdp.terminal[s_next] else s_next
+    return _one_hot(mdp, index), index
+
+
+def _ladder(p: Array) -> Array:
+    """Cumulative probabilities over the last axis whose last is 1 to the bit."""
+    total = p.cumsum(-1)
+    return total / total[..., -1:]
+
+
+def _one_hot(mdp: Mdp, index: NDArray[np.intp]) -> Transitions:
+    s, a, s_next = index.T
     state, action = np.eye(mdp.states, dtype=np.float32), np.eye(mdp.actions, dtype=np.float32)
-    zeros = np.zeros(n, np.float32)
+    zeros = np.zeros(len(index), np.float32)
     terminated = mdp.terminal[s_next].astype(np.float32)
-    rows = Transitions(state[s], action[a], zeros, state[s_next], terminated, zeros)
-    return rows, np.stack((s, a, s_next), axis=1)
+    return Transitions(state[s], action[a], zeros, state[s_next], terminated, zeros)
 
 
 def sample_starts(mdp: Mdp, n: int, rng: np.random.Generator) -> NDArray[np.float32]:

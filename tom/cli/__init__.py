@@ -9,6 +9,7 @@ from tom import __version__
 from tom.cli import bench, demo, doctor, record_sac, reproduce, runs, studio, sweep, train, weigh
 from tom.cli.parser import Parser
 from tom.errors import UserError
+from tom.harmless import terminal
 
 COMMANDS = (demo, train, studio, record_sac, weigh, sweep, reproduce, bench, runs, doctor)
 
@@ -24,7 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except UserError as error:
-        print(f"tom: {error}", file=sys.stderr)
+        print(f"tom: {terminal(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("tom: stopped", file=sys.stderr)

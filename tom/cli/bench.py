@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import signal
 import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -13,6 +14,7 @@ import torch
 
 from tom.cli import studio
 from tom.cli.parser import folder
+from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.errors import UserError, unknown
 from tom.learners import LEARNER_NAMES
@@ -66,6 +68,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     if args.what == "learn":
         _check_learn(args)
+        on_stopping(signal.default_int_handler)  # its trainings end with it
         rows = learn(args.learner, args.seeds, args.steps, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         reached = [row for row in rows if row["reached_at"] is not None]

@@ -9,8 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tom.cli.parser import folder
+from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.cli.train import number, summary
+from tom.machine.parent import end_with_parent
 from tom.record import RunReader, Store
 from tom.sweep import Command, run_commands
 
@@ -37,7 +39,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 def run(args: argparse.Namespace) -> int:
     store = Store(args.store)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    on_stopping(signal.default_int_handler)
     try:
         if args.headless:
             return _train_all(store, args)
@@ -51,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
 
 
-def jobs(store: Path, seed: int, headless: bool) -> list[Command]:
+def commands(store: Path, seed: int, headless: bool) -> list[Command]:
     """The five trainings of the demo."""
     road = [("road-and-rocks", learner, ()) for learner in ROAD_LEARNERS]
     online = [(ONLINE_ENV, name, ("--steps", str(ONLINE_STEPS))) for name in ONLINE_LEARNERS]
@@ -65,7 +67,7 @@ def jobs(store: Path, seed: int, headless: bool) -> list[Command]:
 
 def _train_all(store: Store, args: argparse.Namespace) -> int:
     before = {r.run_id for r in store.runs()}
-    codes = run_commands(jobs(store.path, args.seed, args.headless))
+    codes = run_commands(commands(store.path, args.seed, args.headless))
     done = [r for r in store.runs() if r.run_id not in before]
     _print_table(sorted(done, key=lambda r: (r.env, r.learner)))
     failed = [name for name, code in codes.items() if code]
@@ -93,7 +95,10 @@ def _print_table(runs: list[RunReader]) -> None:
 @contextmanager
 def _studio(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
     command = [sys.executable, "-m", "app", "--store", str(args.store)]
-    studio = subprocess.Popen(command + (["--no-browser"] if args.no_browser else []))
+    studio = subprocess.Popen(
+        command + (["--no-browser"] if args.no_browser else []),
+        preexec_fn=end_with_parent if sys.platform == "linux" else None,
+    )
     try:
         yield studio
     finally:

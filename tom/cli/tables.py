@@ -6,6 +6,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from tom.harmless import terminal, terminal_lines
+
 WIDTH = 160  # where nobody says how wide the output is
 
 
@@ -15,11 +17,13 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     table = Table()
     for i, column in enumerate(columns):
         numeric = bool(listed) and all(_is_number(row[i]) for row in listed)
-        table.add_column(column, justify="right" if numeric else "left", overflow="fold")
+        table.add_column(terminal(column), justify="right" if numeric else "left", overflow="fold")
     for row in listed:
-        table.add_row(*map(Text, row))  # not a string: brackets in it would be markup
+        # Not strings: brackets in them would be markup.
+        table.add_row(*(Text(terminal_lines(cell)) for cell in row))
     console = Console(width=None if Console().is_terminal else WIDTH)
-    console.print(Text(title, style="italic"))  # the table's own title is as narrow as the table
+    # The table's own title would be as narrow as the table.
+    console.print(Text(terminal(title), style="italic"))
     console.print(table)
 
 

@@ -18,6 +18,7 @@ from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
 from tom.envs import ENV_NAMES
 from tom.errors import DivergedError, UserError
+from tom.harmless import terminal
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store, checkpoint
 from tom.record.files import size_of
@@ -218,7 +219,7 @@ def _print_summary(done: RunReader, as_json: bool) -> None:
         f"checkpoints, which took {checkpoint_share(done):.1%} of the time"
     )
     if done.status.state == "failed":
-        print(f"failed: {done.status.reason}", file=sys.stderr)
+        print(f"failed: {terminal(done.status.reason)}", file=sys.stderr)
 
 
 def checkpoint_share(done: RunReader) -> float:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from tom.cli.fleet_progress import FleetReport
 from tom.cli.parser import one_line, overrides
 from tom.errors import UserError
+from tom.harmless import terminal
 from tom.record import RunReader, Store
 from tom.training.fleet import check, train_fleet
 from tom.training.plan import Trial
@@ -108,7 +109,7 @@ def _say(rows: Sequence[dict[str, Any]], stream: TextIO) -> None:
         after = f"{row['state']} after {row['env_step']} steps"
         print(f"{row['run_id']}: {after}, last return {last}, best {best}", file=stream)
         if row["error"]:
-            print(f"{row['run_id']} failed: {row['error']}", file=sys.stderr)
+            print(terminal(f"{row['run_id']} failed: {row['error']}"), file=sys.stderr)
 
 
 def _row(trial: Trial, found: RunReader | Exception) -> dict[str, Any]:

@@ -29,10 +29,10 @@ from tom.training.resume import recorded_config
 
 OWN = "own"
 PRESETS = ("exact", "paper", OWN)
-COLUMNS = ("footprint", "footprint_noise")
+COLUMNS = ("footprint", "footprint_se", "footprint_noise")
 FOOTPRINT = (
     "footprint: distance to fresh episodes of the policy, 1 without weights, 0 for its own; "
-    "differences of the size of the noise say nothing"
+    "se: its standard error; noise: the distance of two halves of those episodes"
 )
 SETTINGS = ("tom.", "pmac.", "vagram.", "threads", "matmul")
 

@@ -26,7 +26,8 @@ class MujocoTask:
 
     `terminated` maps next_obs (B, O) to a bool tensor (B,); `steps` is the paper's number of
     environment steps; an observation is qpos without its `root_dims` leading entries (the place
-    on the ground), then qvel; `obs_names` names each of its O dimensions.
+    on the ground), then qvel; `obs_names` names each of its O dimensions. `of_paper`: the paper
+    compares learners on it.
     """
 
     name: str
@@ -39,6 +40,7 @@ class MujocoTask:
     obs_names: tuple[str, ...]
     kwargs: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
     max_episode_steps: int = 1000
+    of_paper: bool = False
 
     action_low: ClassVar[float] = -1.0
     action_high: ClassVar[float] = 1.0
@@ -123,6 +125,7 @@ TASKS = (
         nq=6,
         action_dim=3,
         obs_names=_planar(_LEG),
+        of_paper=True,
     ),
     MujocoTask(
         name="walker2d",
@@ -133,6 +136,7 @@ TASKS = (
         nq=9,
         action_dim=6,
         obs_names=_planar([f"{side} {part}" for side in ("right", "left") for part in _LEG]),
+        of_paper=True,
     ),
     MujocoTask(
         name="halfcheetah",
@@ -143,6 +147,7 @@ TASKS = (
         nq=9,
         action_dim=6,
         obs_names=_planar(_CHEETAH),
+        of_paper=True,
     ),
     MujocoTask(
         name="ant",
@@ -154,6 +159,7 @@ TASKS = (
         action_dim=8,
         obs_names=_free(_ANT),
         kwargs=_without("cfrc_ext"),
+        of_paper=True,
     ),
     MujocoTask(
         name="humanoid",
@@ -165,5 +171,6 @@ TASKS = (
         action_dim=17,
         obs_names=_free(_HUMANOID),
         kwargs=_without("cinert", "cvel", "qfrc_actuator", "cfrc_ext"),
+        of_paper=True,
     ),
 )

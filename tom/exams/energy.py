@@ -16,24 +16,35 @@ from tom.data.transitions import TensorTransitions
 
 DRAWS = 2000
 """draws that stand for a buffer, and the rows of a footprint that are compared at most"""
+STRETCHES = 10
+"""parts in time of a footprint, each left out once: steps near each other are much alike"""
 MOMENTS = 20_000
 """rows of a buffer that its moments are taken of at most"""
 
 
-def energy_distance(x: Tensor, y: Tensor, rows: Tensor | None = None) -> float:
+def energy_distance(x: Tensor, y: Tensor) -> float:
     """E of samples x (N, D) and y (M, D) by U-statistics: no pair of a row with itself.
 
-    So it is unbiased, and may be below zero. Where x are draws of a table that may hold a row more
-    than once, `rows` (N,) says of which row each is. NaN where a sample has no two rows.
+    So it is unbiased, and may be below zero. NaN where a sample has no two rows.
     """
     x, y = x.double(), y.double()  # distances are found by products, which lose half the digits
-    return float(2 * torch.cdist(x, y).mean() - _within(x, rows) - _within(y))
+    cross = torch.cdist(x, y).mean()
+    within = [torch.cdist(z, z).sum() / (len(z) * (len(z) - 1)) for z in (x, y) if len(z) > 1]
+    return float(2 * cross - sum(within)) if len(within) == 2 else float("nan")
 
 
-def _within(x: Tensor, rows: Tensor | None = None) -> Tensor:
-    """E|x - x'| over pairs of different rows."""
-    same = len(x) if rows is None else rows.unique(return_counts=True)[1].square().sum()
-    return torch.cdist(x, x).sum() / (len(x) ** 2 - same)
+def drawn_distance(x: Tensor, rows: Tensor) -> Tensor:
+    """E|x - x'| over pairs of different rows of a weighted table, by draws x (N, D) of its `rows`.
+
+    Draws 2 k and 2 k + 1 are of the k-th of N / 2 equal parts of the weight. Two of one part count
+    twice, because a draw makes no pair with itself: so parts pair with themselves as often as with
+    others. Not finite where all draws are of one row.
+    """
+    first, second = slice(0, None, 2), slice(1, None, 2)
+    total = torch.cdist(x, x).sum() + 2 * (x[first] - x[second]).norm(dim=1).sum()
+    same = rows.unique(return_counts=True)[1].square().sum() - len(x)
+    same = same + 2 * (rows[first] == rows[second]).sum()
+    return total / (len(x) ** 2 - same)
 
 
 def step_scaling(buffer: TensorTransitions) -> Scaling:
@@ -51,28 +62,49 @@ def footprint_match(
 ) -> dict[str, float]:
     """How far a buffer weighted by (N,) lies from a policy's footprint, over z (`step_scaling`).
 
-    `footprint_uniform` is E between the buffer without weights and the footprint, `footprint` that
-    of the weighted buffer and `footprint_noise` that of two halves of the footprint, both over
-    `footprint_uniform`: 1 is no better than no weights, 0 like the policy itself, and differences
-    of the size of the noise say nothing. What cannot be measured is left out: all with fewer than
-    two rows, and the two ratios where `footprint_uniform` is not above zero.
+    `footprint_uniform` is E between the buffer without weights and the footprint (rows in order).
+    Over it are `footprint`, E of the weighted buffer: 1 is no better than no weights, 0 like the
+    policy itself; `footprint_se`, its standard error by a jackknife over `STRETCHES` of the
+    footprint; `footprint_noise`, E of two halves of the footprint (`first_half`). What cannot be
+    measured is left out: with too few rows, and ratios where `footprint_uniform` is not above 0.
     """
     met = _thinned(footprint, DRAWS)
-    z = _steps(met, scaling)
+    z, first = _steps(met, scaling).double(), first_half(met)
     u = torch.rand(DRAWS, dtype=torch.float64, generator=generator, device=generator.device)
+    u = (torch.arange(DRAWS, device=u.device) // 2 + u) / (DRAWS // 2)  # `drawn_distance`
+    apart, kept = torch.cdist(z, z), _selections(len(z), z.device)
 
-    def distance(by: Tensor) -> float:
+    def distances(by: Tensor) -> Tensor:
         """Both by the same random numbers: equal weights are equal to the last bit."""
         rows = WeightedSampler(by, generator).at(u)
-        return energy_distance(_steps(buffer[rows], scaling), z, rows)
+        x = _steps(buffer[rows], scaling).double()
+        count = kept.sum(0)
+        within = (kept * (apart @ kept)).sum(0) / (count * (count - 1))
+        cross = torch.cdist(x, z).mean(0) @ kept / count
+        return 2 * cross - drawn_distance(x, rows) - within
 
-    uniform = distance(torch.ones_like(weights))
-    found = {"footprint_uniform": uniform}
-    if uniform > 0:
-        found["footprint"] = distance(weights) / uniform
-        first = first_half(met)
-        found["footprint_noise"] = energy_distance(z[first], z[~first]) / uniform
+    uniform = distances(torch.ones_like(weights))
+    found = {"footprint_uniform": float(uniform[0])}
+    if uniform[0] > 0:
+        ratio = distances(weights) / uniform
+        found["footprint"] = float(ratio[0])
+        if len(ratio) > 1:
+            found["footprint_se"] = float((ratio[1:].var(correction=0) * (STRETCHES - 1)).sqrt())
+        found["footprint_noise"] = energy_distance(z[first], z[~first]) / float(uniform[0])
     return {name: value for name, value in found.items() if isfinite(value)}
+
+
+def _selections(n: int, device: torch.device) -> Tensor:
+    """Of n rows all, and all but each of `STRETCHES` in turn, (n, 1 + STRETCHES) of 0 and 1.
+
+    All alone where a stretch would hold fewer than two rows.
+    """
+    every = torch.ones(n, 1, dtype=torch.float64, device=device)
+    if n < 2 * STRETCHES:
+        return every
+    stretch = torch.arange(n, device=device) * STRETCHES // n
+    without = stretch[:, None] != torch.arange(STRETCHES, device=device)
+    return torch.cat((every, without.double()), 1)
 
 
 def first_half(rows: TensorTransitions) -> Tensor:

@@ -23,13 +23,17 @@ Build = Callable[[RunConfig, int, int, torch.Generator], Learner]
 class LearnerEntry:
     """How a learner is shown and built, and what else goes by its name.
 
-    `colour` is its own in every figure. `follows_value`: its weights come from a value function and
-    change with it. `settings` change the preset of its online runs.
+    `colour` is its own in every figure. `group` names the settings it reads (a field of
+    `RunConfig`); they are shown for it alone and set only its runs apart. `uniform`: it counts all
+    transitions the same. `follows_value`: its weights come from a value function and change with
+    it. `settings` change the preset of its online runs.
     """
 
     label: str
     build: Build
     colour: str | None = None
+    group: str | None = None
+    uniform: bool = False
     follows_value: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
 
@@ -37,20 +41,24 @@ class LearnerEntry:
 # Colours: at least 3:1 against light and dark; any two differ by 14 or more (CIE 1976) under
 # normal, red-blind, green-blind and blue-blind vision. tests/app/test_theme.py measures both.
 LEARNERS: dict[str, LearnerEntry] = {
-    "mle": LearnerEntry("MLE", lambda c, o, a, g: MleLearner(), "#2b6fe0"),
-    "pmac": LearnerEntry("PMAC", lambda c, o, a, g: PmacLearner(c.pmac), "#0c8577"),
-    "tom": LearnerEntry("TOM", lambda c, o, a, g: TomLearner(c.tom, o, a, g), "#c8441c"),
-    "ratio": LearnerEntry("Ratio", lambda c, o, a, g: RatioLearner(c.tom, o, a, g), "#849060"),
+    "mle": LearnerEntry("MLE", lambda *_: MleLearner(), "#2b6fe0", uniform=True),
+    "pmac": LearnerEntry("PMAC", lambda c, o, a, g: PmacLearner(c.pmac), "#0c8577", "pmac"),
+    "tom": LearnerEntry("TOM", lambda c, o, a, g: TomLearner(c.tom, o, a, g), "#c8441c", "tom"),
+    "ratio": LearnerEntry(
+        "Ratio", lambda c, o, a, g: RatioLearner(c.tom, o, a, g), "#849060", "tom"
+    ),
     "vagram": LearnerEntry(
         "VaGram (MDN)",
         lambda c, o, a, g: VagramLearner(c.vagram),
         "#e056c0",
+        "vagram",
         follows_value=True,
     ),
     "vagram-ensemble": LearnerEntry(
         "VaGram (Ensemble)",
         lambda c, o, a, g: VagramLearner(c.vagram),
         "#bd8d12",
+        "vagram",
         follows_value=True,
         settings={"model": {"kind": "mean-ensemble"}},
     ),
@@ -58,6 +66,13 @@ LEARNERS: dict[str, LearnerEntry] = {
 
 LEARNER_NAMES: tuple[str, ...] = tuple(LEARNERS)
 FOLLOW_THE_VALUE = tuple(name for name, entry in LEARNERS.items() if entry.follows_value)
+
+
+def others_groups(learner: str) -> frozenset[str]:
+    """The groups of settings that only other learners read: they change nothing in its runs."""
+    groups = {entry.group for entry in LEARNERS.values() if entry.group}
+    own = LEARNERS[learner].group if learner in LEARNERS else None
+    return frozenset(groups - {own})
 
 
 def make_learner(

@@ -2,11 +2,15 @@
 
 Trained with label 1 on the policy buffer and 0 on the replay buffer in balanced batches, its best
 logit is log(p/q), p the policy's and q the replay's distribution (paper, eq. 26).
+
+Where one environment made both buffers, p(s'|s, a) = q(s'|s, a) and log p(s, a, s')/q(s, a, s') is
+log p(s, a)/q(s, a). A discriminator that reads (s, a) alone then has the same best logit, and far
+fewer cells to tell apart by the same rows.
 """
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -25,13 +29,17 @@ from tom.nn.trained import Trained
 CHUNK = 1024  # rows judged at once; they stay in the processor's cache
 BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once
 
+Inputs = Literal["transitions", "state-actions"]
+
 
 def discriminator_net(
     obs_dim: int, action_dim: int, config: TomConfig, generator: torch.Generator
 ) -> StackedMLP:
-    """A fresh network over (s, a, s' - s) with two Tanh layers: (1, B, 2 O + A) -> (1, B, 1)."""
+    """A fresh network with two Tanh layers over (s, a, s' - s), D = 2 O + A, or (s, a), D = O + A:
+    (1, B, D) -> (1, B, 1)."""
     hidden = config.discriminator_hidden
-    return StackedMLP(1, [2 * obs_dim + action_dim, hidden, hidden, 1], torch.tanh, [generator])
+    inputs = (2 if config.discriminator_input == "transitions" else 1) * obs_dim + action_dim
+    return StackedMLP(1, [inputs, hidden, hidden, 1], torch.tanh, [generator])
 
 
 class Discriminator(Trained):
@@ -72,12 +80,18 @@ class RatioProblem:
     policy_buffer: TensorTransitions
     replay: TensorTransitions
     scaling: Scaling  # of (s, a, s' - s)
+    inputs: Inputs = "transitions"
 
     @classmethod
-    def of(cls, policy_buffer: TensorTransitions, replay: TensorTransitions) -> "RatioProblem":
+    def of(
+        cls,
+        policy_buffer: TensorTransitions,
+        replay: TensorTransitions,
+        inputs: Inputs = "transitions",
+    ) -> "RatioProblem":
         """The problem whose inputs are z-scored by the replay buffer's moments."""
         scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
-        return cls(policy_buffer, replay, scaling)
+        return cls(policy_buffer, replay, scaling, inputs)
 
     def solve(
         self, discriminator: Discriminator, generator: torch.Generator
@@ -112,7 +126,10 @@ class RatioProblem:
             yield from zip(*drawn, strict=True)
 
     def _inputs(self, rows: TensorTransitions) -> Tensor:
-        """z-scored (s, a, s' - s), (B, 2 O + A)."""
+        """z-scored (s, a, s' - s), (B, 2 O + A), or (s, a), (B, O + A)."""
+        if self.inputs == "state-actions":
+            now = torch.cat((rows.obs, rows.action), dim=1)
+            return self.scaling.first(now.shape[1])(now)
         return self.scaling(torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), dim=1))
 
 

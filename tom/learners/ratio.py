@@ -44,7 +44,9 @@ class RatioLearner:
         if self.config.discriminator_reset:
             fresh = discriminator_net(*self.dims, self.config, context.generator)
             self.discriminator.restart(fresh)
-        ratio = RatioProblem.of(context.policy_buffer, context.replay)
+        ratio = RatioProblem.of(
+            context.policy_buffer, context.replay, self.config.discriminator_input
+        )
         training = TrainDiscriminator(ratio, self.discriminator, context.generator)
         yield training
         log_ratio = ratio.log_ratio(training.net)

@@ -92,7 +92,7 @@ def estimate(
     config = networks.config
     metrics: dict[str, float] = {}
     if config.discriminator:
-        ratio = RatioProblem.of(policy_buffer, replay)
+        ratio = RatioProblem.of(policy_buffer, replay, config.discriminator_input)
         training = TrainDiscriminator(ratio, networks.discriminator, generator)
         yield training
         metrics |= training.metrics

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tom.errors import UserError
+from tom.harmless import as_csv
 from tom.record.files import replace, replace_json, whole_folder
 from tom.record.reader import RunReader
 from tom.record.thin import thin
@@ -60,7 +61,7 @@ def description(reader: RunReader) -> dict[str, Any]:
 
 
 def _csv(reader: RunReader, path: Path) -> None:
-    text = reader.metrics().to_csv(index=False, lineterminator="\n")
+    text = as_csv(reader.metrics())
     replace(path, lambda file: file.write(text.encode()), sync=False)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tom.config import completed
+from tom.config import SAC_ALONE, completed
 from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import reason
@@ -80,6 +80,11 @@ class RunReader:
     @property
     def learner(self) -> str:
         return str(self.config.get("learner", "?"))
+
+    @property
+    def fits_model(self) -> bool:
+        """False for a recording of SAC alone."""
+        return self.learner != SAC_ALONE
 
     @property
     def seed(self) -> int:

@@ -1,8 +1,8 @@
 """A small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
 
 Numbers keep fewer digits and series fewer points; checkpoints and recordings are left out, and
-what is large of OPTIONAL unless it is asked for. `config.json` of the copy names under `thinned` what
-of the run it lacks.
+what is large of OPTIONAL unless it is asked for. `config.json` of the copy names under `thinned`
+what of the run it lacks.
 """
 
 import json
@@ -24,7 +24,7 @@ from tom.record.reader import RunReader, at_or_before
 from tom.record.rounding import coarse, half, short
 from tom.record.status import Status
 
-ROWS = 250  # of metrics; every row of an evaluation is kept beyond them
+ROWS = 250  # of metrics; every row of an evaluation is kept beyond them, and FITS with exams
 FITS = 120  # weight profiles
 SNAPSHOTS = 3
 EVALUATIONS = 3
@@ -77,7 +77,7 @@ def _copy(reader: RunReader, to: Path) -> None:
 
 
 def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
-    """Which parts beside OPTIONAL the run has and its copy lacks; `other`: it holds some of them."""
+    """Which parts besides OPTIONAL the copy lacks; `other`: it holds some of them."""
     snapshots, evaluations = copy.snapshot_steps(), copy.evaluation_steps()
     fields = run.field_names()
     return {
@@ -111,6 +111,8 @@ def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:
     keep[_spread(range(len(table)), ROWS)] = True
     if "eval/return" in table:
         keep |= table["eval/return"].notna().to_numpy()
+    if "exam/error" in table:
+        keep[_spread(np.flatnonzero(table["exam/error"].notna()).tolist(), FITS)] = True
     for row in table.loc[keep].to_dict("records"):
         step = int(row.pop("env_step"))
         yield {"env_step": step, **{k: short(v) for k, v in row.items() if v == v}}

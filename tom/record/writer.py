@@ -13,13 +13,14 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.config import RunConfig
+from tom.data.sampling import bin_means, ess
 from tom.data.transitions import Transitions
 from tom.data.unpack import read_arrays
 from tom.events import Episode, Weights
 from tom.record import decode, layout, lock, opening
 from tom.record.creating import make_folder
 from tom.record.files import JsonLines, read_json, replace, replace_json, sync
-from tom.record.profiles import effective_share, profile, zero_share
+from tom.record.profiles import zero_share
 from tom.record.reader import RunReader
 from tom.record.rows import read_metrics
 from tom.record.status import Status
@@ -154,12 +155,12 @@ class RunWriter:
 
     def profile(self, weights: Weights, bins: int) -> NDArray[np.float64]:
         """Append the weight profile of a fit and return it, (bins,)."""
-        means = profile(weights.weight, bins)
+        means = bin_means(weights.weight, bins).numpy()
         row = {
             "env_step": weights.env_step,
             "count": len(weights.weight),
             "bins": means,
-            "ess": effective_share(weights.weight),
+            "ess": ess(weights.weight),
             "zeros": zero_share(weights.weight),
         }
         self._append(self._profiles, row)

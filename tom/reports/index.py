@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tom.errors import UserError
+from tom.harmless import code, fenced, markdown
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.record import RunReader, Store
 from tom.record.files import read_json, replace
@@ -41,7 +42,7 @@ def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
     parts = [HEAD]
     for env, group in groupby(runs, key=lambda run: run.env):
         of = list(group)
-        parts += [f"## {env}\n", _table(map(_row, of)), _made([run.config for run in of])]
+        parts += [f"## {markdown(env)}\n", _table(map(_row, of)), _made([run.config for run in of])]
     if weighings:
         reports = [read_json(path / REPORT) for path in weighings]
         rows = map(_weighing, weighings, reports)
@@ -72,7 +73,7 @@ def write(path: Path, page: str) -> None:
 def _row(run: RunReader) -> dict[str, str]:
     status = run.status
     return {
-        "run": f"`{run.run_id}`",
+        "run": code(run.run_id),
         "learner": _label(run.learner),
         "seed": str(run.seed),
         "steps": f"{status.env_step:,}",
@@ -87,9 +88,9 @@ def _weighing(path: Path, report: Mapping[str, Any]) -> dict[str, str]:
     learners = dict.fromkeys(_label(row["learner"]) for row in report["results"])
     made = report.get("made", {})
     return {
-        "weighing": f"`{path.name}`",
-        "buffer of": f"`{report['data']}`",
-        "by the policy of": f"`{report['policy']}`",
+        "weighing": code(path.name),
+        "buffer of": code(report["data"]),
+        "by the policy of": code(report["policy"]),
         "learners": ", ".join(learners),
         "seeds": seeds([row["seed"] for row in report["results"]]),
         "rows": f"{report['rows']:,}",
@@ -105,8 +106,8 @@ def _made(origins: Sequence[Mapping[str, Any]]) -> str:
         ", ".join(f"{name} {text}" for name, text in made.get("versions", {}).items())
         for made in origins
     )
-    lines = "\n".join(commands)
-    return f"```bash\n{lines}\n```\n\nMade with {'; '.join(versions)}.\n"
+    block = fenced("\n".join(commands), "bash")
+    return f"{block}\nMade with {markdown('; '.join(versions))}.\n"
 
 
 def short_command(command: str) -> str:
@@ -137,7 +138,7 @@ def _commits(run: RunReader) -> list[str]:
 
 def _commit(commit: object) -> str:
     text = str(commit or "unknown")
-    return text[:COMMIT] + ("-dirty" if text.endswith("-dirty") else "")
+    return markdown(text[:COMMIT]) + ("-dirty" if text.endswith("-dirty") else "")
 
 
 def _rank(learner: str) -> int:
@@ -145,7 +146,7 @@ def _rank(learner: str) -> int:
 
 
 def _label(learner: str) -> str:
-    return LEARNERS[learner].label if learner in LEARNERS else learner
+    return LEARNERS[learner].label if learner in LEARNERS else markdown(learner)
 
 
 def _number(value: float | None) -> str:

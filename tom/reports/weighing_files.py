@@ -30,7 +30,7 @@ from tom.reports.style import save
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 LOG_RATIO = "-log_ratio"
 """ends the name of a column that holds the discriminator's output beside the weights"""
-MATCH = ("footprint", "footprint_noise", "footprint_uniform")
+MATCH = ("footprint", "footprint_se", "footprint_noise", "footprint_uniform")
 """how near the weighted data is to fresh episodes of the policy; null where it cannot be said"""
 NEEDED = {"data", "policy", "rows", "results"}
 """the files a report must have"""

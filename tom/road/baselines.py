@@ -41,7 +41,7 @@ def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) ->
 def discriminate(context: FitContext, config: TomConfig) -> tuple[Tensor, dict[str, float]]:
     """The logit (N,) of a fresh discriminator between policy buffer and replay, and metrics."""
     net = discriminator_net(*_dims(context), config, context.generator)
-    ratio = RatioProblem.of(context.policy_buffer, context.replay)
+    ratio = RatioProblem.of(context.policy_buffer, context.replay, config.discriminator_input)
     trained, metrics = ratio.solve(Discriminator(net, config), context.generator)
     return ratio.log_ratio(trained), metrics
 

@@ -48,7 +48,7 @@ def held_out(road_map: task.RoadMap, generator: torch.Generator) -> HeldOut:
     )
 
 
-def one_step_error(model: LinearModel, rows: TensorTransitions) -> float:
+def position_error(model: LinearModel, rows: TensorTransitions) -> float:
     """Root mean squared distance between predicted and real next position, in full steps."""
     error = model.next_obs(rows.obs, rows.action) - rows.next_obs
     return float(error.square().sum(-1).mean().sqrt()) / task.STEP
@@ -57,9 +57,9 @@ def one_step_error(model: LinearModel, rows: TensorTransitions) -> float:
 def model_errors(model: LinearModel, test: HeldOut) -> dict[str, float]:
     """One-step errors, in full steps; the task's noise alone makes 0.07."""
     return {
-        "model/error_expert": one_step_error(model, test.expert),
-        "model/error_road": one_step_error(model, test.on_road),
-        "model/error_rocks": one_step_error(model, test.on_rocks),
+        "model/error_expert": position_error(model, test.expert),
+        "model/error_road": position_error(model, test.on_road),
+        "model/error_rocks": position_error(model, test.on_rocks),
     }
 
 

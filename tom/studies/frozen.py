@@ -126,7 +126,7 @@ def moments(run: RunReader, most: int) -> list[int]:
     """The fits, `most` at most and evenly spread, at which a run kept its policy on policy."""
     settings = run.config["config"]
     first = int(settings["exploration_steps"]) + NEWEST
-    if run.learner == "sac":
+    if not run.fits_model:
         first += int(settings["steps"])
     steps = [step for step in run.policy_steps() if step >= first]
     if len(steps) <= most:
@@ -181,7 +181,7 @@ def examined(case: Case) -> Outcome:
 
 def _buffer(run: RunReader, step: int) -> OrderedData:
     """The replay buffer of a training at `step`, or what stands for one in a recording of SAC."""
-    if run.learner != "sac":
+    if run.fits_model:
         return of_run(run, step)
     data = of_run(run)
     first = max(data.ordered_from - RANDOM, 0)

@@ -21,7 +21,7 @@ from tom.studies.settings import unlike
 
 Array = NDArray[np.float64]
 PAPER_SEEDS = 4
-PAPER_ENVS = tuple(env for env in ENVS if env != "inverted-pendulum")
+PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
 RIVAL = "mle"
 
 

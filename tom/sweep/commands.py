@@ -6,8 +6,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from tom.machine.parent import end_with_parent
 
 POLL_S = 0.1
 GRACE_S = 20.0  # a training stops within this once it is asked to
@@ -24,42 +27,44 @@ class Command:
 
 
 def run_commands(
-    jobs: Sequence[Command],
+    commands: Sequence[Command],
     workers: int | None = None,
-    finished: Callable[[Command, int], None] = lambda job, code: None,
+    finished: Callable[[Command, int], None] = lambda command, code: None,
 ) -> dict[str, int]:
-    """Run all jobs, `workers` at a time (default: one a core); exit codes by job name.
+    """Run all commands, `workers` at a time (default: one a core); exit codes by command name.
 
-    `finished` is told of every job as it ends. On Ctrl-C or an error all running trainings are
+    `finished` is told of every command as it ends. On Ctrl-C or an error all running trainings are
     asked to stop (they end as `stopped`, their folders whole) before the error goes on.
     """
     workers = workers or len(os.sched_getaffinity(0))
-    waiting, running, codes = list(jobs), {}, {}
+    waiting, running, codes = list(commands), {}, {}
     try:
         while waiting or running:
             while waiting and len(running) < workers:
-                job = waiting.pop(0)
-                running[job.name] = (job, _start(job))
-            for name, (job, process) in list(running.items()):
+                command = waiting.pop(0)
+                running[command.name] = (command, _start(command))
+            for name, (command, process) in list(running.items()):
                 code = process.poll()
                 if code is not None:
                     del running[name]
                     codes[name] = code
-                    finished(job, code)
+                    finished(command, code)
             time.sleep(POLL_S)
     finally:
         _stop([process for _, process in running.values()])
     return codes
 
 
-def _start(job: Command) -> subprocess.Popen[bytes]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", **job.environment}
-    command = [sys.executable, "-m", "tom", "train", *job.arguments]
-    if job.log is None:
-        return subprocess.Popen(command, env=environment, start_new_session=True)
-    with job.log.open("wb") as log:
+def _start(command: Command) -> subprocess.Popen[bytes]:
+    """Start a training that the kernel asks to stop when this process dies."""
+    with command.log.open("wb") if command.log else nullcontext() as log:
         return subprocess.Popen(
-            command, env=environment, start_new_session=True, stdout=log, stderr=log
+            [sys.executable, "-m", "tom", "train", *command.arguments],
+            env={**os.environ, "OMP_NUM_THREADS": "1", **command.environment},
+            start_new_session=True,
+            stdout=log,
+            stderr=log,
+            preexec_fn=end_with_parent if sys.platform == "linux" else None,
         )
 
 

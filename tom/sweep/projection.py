@@ -59,7 +59,7 @@ def makespan(hours: Sequence[float], slots: int) -> float:
 def _alike(run: RunReader, trial: Trial) -> bool:
     same = run.env == trial.env and run.config.get("preset") == trial.preset
     done = run.status.state == "finished" and not run.small_copy  # whose bytes are not a run's
-    return same and done and run.learner != "sac"
+    return same and done and run.fits_model
 
 
 def _per_step(run: RunReader) -> tuple[float, float] | None:

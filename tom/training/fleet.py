@@ -35,10 +35,12 @@ def train_fleet(
     check(trials)
     watching = watchers or [()] * len(trials)
     runs = store.runs()
-    hows = [How(rerun=rerun, watchers=own, command=command, stop=stop) for own in watching]
+    each = [
+        RecordingOptions(rerun=rerun, watchers=own, command=command, stop=stop) for own in watching
+    ]
     members = [
         _member(trial, runs, store, accept_versions, **options)
-        for trial, options in zip(trials, hows, strict=True)
+        for trial, options in zip(trials, each, strict=True)
     ]
     return Lockstep().run(members)
 

@@ -99,7 +99,7 @@ def unfinished(store: Store, config: AnyConfig) -> str | None:
             continue  # damaged
         if given["steps"] > config.steps:
             continue
-        if reader.learner == "sac" and given["steps"] != config.steps:
+        if not reader.fits_model and given["steps"] != config.steps:
             continue  # the halves of a recording depend on them
         if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
             continue
@@ -114,7 +114,7 @@ def recorded_config(reader: RunReader, otherwise: str = "start it again") -> Any
 
     Raises UserError where it is another version's; `otherwise` says what to do then.
     """
-    kind = SacRecordingConfig if reader.learner == "sac" else config_type(reader.env)
+    kind = config_type(reader.env) if reader.fits_model else SacRecordingConfig
     try:
         return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
     except (KeyError, ValidationError) as error:

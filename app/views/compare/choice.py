@@ -24,7 +24,14 @@ def chosen(runs: Sequence[RunInfo]) -> list[RunInfo]:
         for column, (field, (label, shown)) in zip(row, FIELDS.items(), strict=False):
             options = sorted({getattr(run, field) for run in runs})
             picked = column.multiselect(
-                label, options, key=field, bind="query-params", placeholder="all", format_func=shown
+                label,
+                options,
+                key=field,
+                bind="query-params",
+                placeholder="all",
+                format_func=shown,
+                filter_mode="contains",
+                select_all=False,
             )
             kept = [run for run in kept if not picked or getattr(run, field) in picked]
         tags = row[3].multiselect(
@@ -33,6 +40,8 @@ def chosen(runs: Sequence[RunInfo]) -> list[RunInfo]:
             key="tag",
             bind="query-params",
             placeholder="any",
+            filter_mode="contains",
+            select_all=False,
         )
         words = row[4].text_input(
             "Name",
@@ -71,6 +80,8 @@ def _by_hand(runs: Sequence[RunInfo], kept: Sequence[RunInfo]) -> list[RunInfo]:
             bind="query-params",
             format_func=lambda run_id: names.get(run_id, run_id),
             placeholder="none",
+            filter_mode="contains",
+            select_all=False,
         )
         hidden = left.multiselect(
             "Hidden",
@@ -79,6 +90,8 @@ def _by_hand(runs: Sequence[RunInfo], kept: Sequence[RunInfo]) -> list[RunInfo]:
             bind="query-params",
             format_func=lambda run_id: names.get(run_id, run_id),
             placeholder="none",
+            filter_mode="contains",
+            select_all=False,
         )
     ids = {run.run_id for run in kept} - set(hidden) | set(pinned)
     return [run for run in runs if run.run_id in ids]

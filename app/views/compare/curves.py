@@ -16,6 +16,7 @@ from app.parts.plot import chart
 from app.views.compare import measure
 from app.views.compare.measure import Measure
 from tom.analysis import statistics
+from tom.harmless import as_csv
 
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
@@ -35,7 +36,7 @@ def draw(runs: Sequence[RunInfo]) -> None:
     _remarks(grouped, found, how)
     if how.axes.x == measure.STEPS:
         replay_link.show(runs)
-    table = tables.summary(grouped)
+    table = named(tables.summary(grouped), how.metric)
     st.dataframe(shown(table), hide_index=True, column_config=columns())
     downloads(
         {
@@ -104,17 +105,25 @@ def _remarks(grouped: Sequence[Group], found: Sequence[Curve], how: Measure) -> 
     if any(len({c.seed for c in g.curves}) < g.n for g in grouped):
         words.append("A seed that was run twice counts twice.")
     if empty := sum(not len(curve.step) for curve in found):
-        words.append(f"{empty} runs have recorded nothing of this yet.")
+        have = "1 run has" if empty == 1 else f"{empty} runs have"
+        words.append(f"{have} recorded nothing of this yet.")
     st.caption(" ".join(words))
+
+
+def named(table: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """The table, with no talk of the best where the highest value may be the worst: an error's."""
+    if metric in measure.METRICS.values():
+        return table
+    return table.rename(columns=lambda name: name.replace("best", "highest", 1))
 
 
 def shown(table: pd.DataFrame) -> pd.DataFrame:
     """The table with each interval in one column of words, without columns that say nothing."""
     found = table.copy()
-    for name in ("final", "best"):
+    for name in [name.removesuffix(" low") for name in table if name.endswith(" low")]:
         low, high = found.pop(f"{name} low"), found.pop(f"{name} high")
         words = [
-            f"{text.number(a)} to {text.number(b)}" if np.isfinite(a) else "-"
+            f"{a:,.4g} to {b:,.4g}" if np.isfinite(a) else "-"
             for a, b in zip(low, high, strict=True)
         ]
         found.insert(list(found.columns).index(name) + 1, f"{name}, 95 %", words)
@@ -129,7 +138,12 @@ def columns() -> dict:
         "final": number(
             "final", format="%.4g", help="over runs, of the last value up to that step"
         ),
-        "best": number("best", format="%.4g", help="over runs, of the best value up to that step"),
+        **{
+            name: number(
+                name, format="%.4g", help=f"over runs, of the {name} value up to that step"
+            )
+            for name in ("best", "highest")
+        },
     }
 
 
@@ -139,7 +153,7 @@ def downloads(files: Mapping[str, tuple[Callable[[], pd.DataFrame], str]], name:
         for label, (make, suffix) in files.items():
             st.download_button(
                 label,
-                lambda make=make: make().to_csv(index=False),
+                lambda make=make: as_csv(make()),
                 f"{name.replace('/', '-')}-{suffix}.csv",
                 "text/csv",
                 icon=":material/download:",

@@ -17,8 +17,8 @@ from tom.record.store import Store
 def draw(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> None:
     """Every run that passes the filters as a table; below it what can be done with some."""
     st.dataframe(overview(runs), hide_index=True, column_config=_columns())
-    if not session.may_act():
-        st.caption("This studio is open to other machines, so its pages change nothing.")
+    if why := session.looks_on():
+        st.caption(why)
         return
     names = called(everything)
     picked = st.multiselect(
@@ -27,6 +27,8 @@ def draw(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> None:
         key="labelled",
         format_func=lambda run_id: names.get(run_id, run_id),
         placeholder="none",
+        filter_mode="contains",
+        select_all=False,
     )
     chosen = [run for run in runs if run.run_id in picked]
     if chosen:
@@ -76,6 +78,7 @@ def _label(chosen: Sequence[RunInfo]) -> None:
             "Tags" if one else f"Tags of these {len(chosen)} runs", held, shared,
             accept_new_options=True, placeholder="type a tag and press Enter",
             help=None if one else "those that all of them have; other tags of each run stay",
+            filter_mode="contains", select_all=False,
         )  # fmt: skip
         if not st.form_submit_button("Save", icon=":material/save:", type="primary"):
             return
@@ -109,7 +112,14 @@ def _restore() -> None:
     if not there:
         return
     with st.expander(f"{len(there)} in the trash"):
-        back = st.multiselect("Runs to bring back", there, key="restored", placeholder="none")
+        back = st.multiselect(
+            "Runs to bring back",
+            there,
+            key="restored",
+            placeholder="none",
+            filter_mode="contains",
+            select_all=False,
+        )
         if st.button("Bring back", icon=":material/restore_from_trash:", disabled=not back):
             _try(lambda: [manage.restore(store, run_id) for run_id in back], "Brought back")
 

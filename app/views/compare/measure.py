@@ -1,6 +1,6 @@
 """What is measured, along which axis, and how runs are put together: choices of the page."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,8 @@ BANDS: dict[str, Band] = {
     "none": "none",
 }
 WINDOWS = (1, 3, 5, 9, 15, 25, 51, 101)
+FIRST = ("exam/error", "exam/rollout_error", "exam/footprint")
+"""what is asked for most, in front of the other metrics"""
 IQM = "interquartile mean: the mean of the middle half of the runs; of fewer than four the mean"
 
 
@@ -47,7 +49,7 @@ def choose(runs: Sequence[RunInfo]) -> Measure:
         "Measure", [*METRICS, OTHER], default=RETURN, required=True, key="measure",
         bind="query-params",
     )  # fmt: skip
-    names = sorted({name for run in runs for name in readers.metrics(run).columns} - {"env_step"})
+    names = in_order(name for run in runs for name in readers.metrics(run).columns)
     other = row[1].selectbox(
         "Metric", names, key="metric", bind="query-params", disabled=kind != OTHER,
         help="any metric that these runs recorded",
@@ -78,6 +80,13 @@ def choose(runs: Sequence[RunInfo]) -> Measure:
         int(window),
         singles,
     )
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """The metrics of runs by name, each once, those of `FIRST` in front."""
+    found = set(names) - {"env_step"}
+    first = [name for name in FIRST if name in found]
+    return [*first, *sorted(found.difference(first))]
 
 
 def grouped(

@@ -100,20 +100,18 @@ def _profiles(
         share = statistics.performance_profile(values[:, None], at)
         low, high = statistics.profile_band(values[:, None], at, draws, resamples=300)
         found.append(Profile(name, group.learner, share, low, high))
-    left, right = st.columns([3, 2])
-    with left, st.container(border=True):
+    with st.container(border=True):
         st.markdown("**Performance profile**: share of runs above a score, 95 % bootstrap band")
         label = f"share of runs whose {score} is above a threshold"
         chart(profiles(found, at, score, 340), "performance profile", label)
-    with right:
-        rows = []
-        for name, values in zip(names, scores, strict=True):
-            row: dict[str, object] = {"group": name, "n": len(values)}
-            for statistic in ("mean", "median", "iqm"):
-                row[statistic] = str(interval(values, statistic))
-            rows.append(row)
-        st.markdown(f"**{score.capitalize()}** of the runs, with 95 % bootstrap intervals")
-        st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"})
+    rows = []
+    for name, values in zip(names, scores, strict=True):
+        row: dict[str, object] = {"group": name, "n": len(values)}
+        for statistic in ("mean", "median", "iqm"):
+            row[statistic] = str(interval(values, statistic))
+        rows.append(row)
+    st.markdown(f"**{score.capitalize()}** of the runs, with 95 % bootstrap intervals")
+    st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"})
 
 
 def _improvement(

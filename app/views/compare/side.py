@@ -8,6 +8,7 @@ from app import session, text
 from app.data import readers
 from app.data.readers import RunInfo
 from app.figures.side import side_by_side
+from app.parts import asked
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
@@ -25,9 +26,12 @@ STAGE_HEIGHT = 480
 def draw(runs: Sequence[RunInfo]) -> None:
     """Which runs, then their figures and their robots in as many columns."""
     names = called(runs)
+    asked.tell("side", names)
     picked = st.multiselect(
         f"Two to {MOST} runs", list(names), usual(runs), key="side", bind="query-params",
         max_selections=MOST, format_func=lambda run_id: names.get(run_id, run_id),
+        on_change=asked.answered, args=("side",),
+        filter_mode="contains", select_all=False,
     )  # fmt: skip
     chosen = [run for run_id in picked for run in runs if run.run_id == run_id]
     if len(chosen) < 2:

@@ -10,7 +10,7 @@ from app.data import readers
 from app.data.readers import RunInfo
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
-from app.parts import replay_link, rerun, widgets
+from app.parts import asked, replay_link, rerun, widgets
 from app.parts.cards import cards
 from app.parts.plot import chart
 from app.theme import learner_label
@@ -29,6 +29,8 @@ PREFERRED = (
     "weights/road_share",
     "model/error_expert",
     "model/error_road",
+    "exam/footprint",
+    "exam/error",
     "model/holdout_nll",
     "weights/ess",
     "critic/loss",
@@ -41,13 +43,18 @@ PREFERRED = (
 def page() -> None:
     """Cards, curves and weight profiles that refresh by themselves; Rerun below."""
     runs = readers.listing(session.links().store).runs
+    asked.tell("runs", {run.run_id for run in runs})
     top = st.columns([3, 2], vertical_alignment="bottom")
     chosen = top[0].multiselect(
         "Runs",
         [run.run_id for run in runs],
         key="runs",
         bind="query-params",
+        on_change=asked.answered,
+        args=("runs",),
         placeholder="whatever is training (else the last runs)",
+        filter_mode="contains",
+        select_all=False,
     )
     metrics = top[1].multiselect(
         "Curves",
@@ -55,11 +62,14 @@ def page() -> None:
         key="curves",
         bind="query-params",
         placeholder="the usual ones",
+        filter_mode="contains",
+        select_all=False,
     )
     start.panel()
+    rerun.settle(runs, watched(runs, chosen))
     _followed(chosen, metrics)
     st.space("small")
-    rerun.frame(runs, watched(runs, chosen))
+    rerun.frame(runs)
 
 
 def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
@@ -73,8 +83,11 @@ def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
 
 
 def usual(runs: Sequence[RunInfo]) -> list[str]:
-    """Three metrics worth watching: those that go on changing, of the preferred ones first."""
-    names = available(runs)
+    """Three metrics worth watching: those that go on changing, of the preferred ones first.
+
+    What only says how the machine does is none of them: a run that explores has nothing else yet.
+    """
+    names = [name for name in available(runs) if not name.startswith("time/")]
     lines = [name for name in names if any(readers.points(r).get(name, 0) > 1 for r in runs)]
     return (lines or names)[:3]
 
@@ -121,7 +134,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
                 figure = run_curves(curves, name, 230, legend=False)
                 chart(figure, f"curve {name}", f"{name} against env steps")
     _warnings(shown)
-    rerun.look_again(runs)
+    rerun.look_again(runs, shown)
 
 
 def _headline(alive: int, shown: Sequence[RunInfo]) -> str:

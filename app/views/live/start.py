@@ -34,8 +34,8 @@ def panel() -> None:
         return
     st.session_state[OPENED] = True
     with fold:
-        if not session.may_act():
-            st.caption("This studio is open to other machines, so its pages change nothing.")
+        if why := session.looks_on():
+            st.caption(why)
             return
         row = st.columns([3, 3, 2, 2, 2])
         env = row[0].selectbox("Environment", ENV_NAMES, key="start env")

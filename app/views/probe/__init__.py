@@ -17,7 +17,7 @@ from app.figures.probe import probe_profiles
 from app.parts import empty, form, widgets
 from app.parts.plot import chart
 from app.theme import learner_label
-from app.views.probe import model_error
+from app.views.probe import exams, model_error
 from tom.analysis.progression import Progression
 from tom.analysis.weighing import RANDOM
 from tom.learners import LEARNER_NAMES
@@ -60,6 +60,8 @@ def page() -> None:
     _weigh(run, kept, folded=chosen is not None)
     st.subheader("Does it help?", anchor=False)
     same = [other for other in kept if other.env == run.env]
+    exams.draw([other for other in online if other.env == run.env])
+    st.subheader("In sample: on rows that the models were fitted to", anchor=False)
     model_error.on_one_buffer(run, same)
     model_error.recorded(same)
     widgets.show_problems(run)
@@ -153,6 +155,7 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
         learners = row[2].multiselect(
             "Learners", LEARNER_NAMES, ["tom", "pmac", "mle"], key="weigh learners",
             format_func=learner_label,
+            filter_mode="contains", select_all=False,
         )  # fmt: skip
         preset = row[3].selectbox(
             "TOM's preset", PRESETS, key="weigh preset",
@@ -162,8 +165,8 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
         store = session.links().store
         words = command(run.run_id, str(policy), learners, str(preset), seeds, store, step)
         st.code(form.shown(words), language="bash", wrap_lines=True)
-        if not session.may_act():
-            st.caption("This studio is open to other machines, so its pages change nothing.")
+        if why := session.looks_on():
+            st.caption(why)
         elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
             st.session_state["weighing"] = trainings.start(words)
         if run.run_id not in policies and not empty.left_out(run, "policy"):

@@ -7,12 +7,13 @@ from app import session, text
 from app.data import buffer_reader, pictures, readers
 from app.data.buffer import Floats, against
 from app.data.readers import RunInfo
+from app.figures.base import steps_in_words
 from app.figures.regions import weights_against
 from app.figures.weights import effective_sample, weight_map, weight_profile
 from app.parts import empty, widgets
 from app.parts.plot import Point, chart
 from app.theme import learner_label
-from app.views.weights import same_buffer
+from app.views.weights import exam, same_buffer
 from tom.record.profiles import Profiles
 from tom.record.reader import at_or_before
 
@@ -30,7 +31,7 @@ AGAINST = (
 
 
 def page() -> None:
-    """The step x bin map; beside it the profile at a step; below what is left of the sample."""
+    """The step x bin map; beside it the profile at a step; below its exam and the sample left."""
     listing = readers.listing(session.links().store)
     with_weights = [run for run in listing.runs if readers.has_profiles(run)]
     # Offline weights hardly change and have a page of their own.
@@ -56,28 +57,35 @@ def page() -> None:
         return
     chosen = _chosen_fit(profiles)
     _numbers(run, profiles, chosen)
-    _figures(run, profiles, chosen, relative=scale == RELATIVE)
     step = int(profiles.env_step[chosen])
+    _figures(run, profiles, chosen, relative=scale == RELATIVE)
+    exam.of_fit(run, step)
+    _effective_sample(run, profiles, chosen)
     same_buffer.at_fit(run, step)
     _against(run, step)
     widgets.show_problems(run)
 
 
 def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -> None:
-    """The map of all fits, the profile of the chosen one, the effective sample of all."""
+    """The map of all fits, and the profile of the chosen one."""
+    x = steps_in_words([run.env])
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown("**Every fit**: click one to look at it")
-        figure = weight_map(profiles, chosen, session.mode(), 400, relative=relative)
+        figure = weight_map(profiles, chosen, session.mode(), 400, relative=relative, x=x)
         chart(figure, "weight map", "weight of each part of the buffer at every fit", _choose)
     with right, st.container(border=True):
         step = profiles.env_step[chosen]
         st.markdown(f"**The fit at step {step:,}**: dashed: every transition counts the same")
         figure = weight_profile(profiles.bins[chosen], run.learner, 400)
         chart(figure, "profile", "mean weight, oldest to newest transitions")
+
+
+def _effective_sample(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     with st.container(border=True):
         st.markdown("**How much of the buffer is left**")
-        figure = effective_sample(profiles, run.learner, chosen, 250)
+        x = steps_in_words([run.env])
+        figure = effective_sample(profiles, run.learner, chosen, 250, x)
         chart(
             figure, "effective sample", "effective sample size and share of zero weights", _choose
         )

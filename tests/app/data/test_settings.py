@@ -2,7 +2,12 @@
 
 from dataclasses import dataclass
 
+import pytest
+
 from app.data.settings import NONE, differences, in_words, table, variants
+from app.parts.form import sections
+from tom.learners import LEARNERS, LearnerEntry
+from tom.learners.mle import MleLearner
 
 
 @dataclass(frozen=True)
@@ -49,3 +54,31 @@ def test_another_learner_is_no_variant() -> None:
         "a": "",
         "b": "",
     }
+
+
+@pytest.fixture
+def newcomer(monkeypatch: pytest.MonkeyPatch) -> str:
+    """A registered learner that reads a group of settings of its own."""
+    entry = LearnerEntry("New", lambda c, o, a, g: MleLearner(), group="rollout")
+    monkeypatch.setitem(LEARNERS, "new", entry)
+    monkeypatch.setattr("tom.training.presets.LEARNER_NAMES", tuple(LEARNERS))
+    return "new"
+
+
+def test_a_new_learners_settings_set_only_its_own_runs_apart(newcomer: str) -> None:
+    for learner, apart in ((newcomer, ["rollout.x 1", "rollout.x 2"]), ("mle", ["", ""])):
+        runs = [Run(name, {"rollout.x": name}, learner=learner) for name in ("1", "2")]
+        assert list(variants(runs).values()) == apart
+
+
+def test_a_new_learners_settings_are_shown_for_it_alone(newcomer: str) -> None:
+    shown = {name: sections("hopper", name, "paper") for name in (newcomer, "mle", "tom")}
+    assert [name for name, groups in shown.items() if "rollout" in groups] == [newcomer]
+
+
+def test_every_learner_is_shown_the_settings_that_it_reads() -> None:
+    groups = {name: set(sections("hopper", name, "paper")) for name in LEARNERS}
+    own = {name: groups[name] & {"tom", "pmac", "vagram"} for name in LEARNERS}
+    assert own["mle"] == set()
+    assert own["ratio"] == own["tom"] == {"tom"}
+    assert own["vagram"] == own["vagram-ensemble"] == {"vagram"}

@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -61,8 +62,17 @@ def test_a_training_that_dies_before_it_has_a_run_is_named(monkeypatch: pytest.M
     assert begun.process.wait(WAIT_S) == 1
     assert begun.failed({os.getpid()})
     assert "PYTHONHASHSEED" in begun.tail()
-    begun.log.unlink()
-    assert str(begun.log) in begun.tail()
+
+
+def test_what_a_training_printed_leaves_no_file_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONHASHSEED", "no number")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    begun = trainings.start(["train", *SMALL])
+    begun.process.wait(WAIT_S)
+    assert begun.tail()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_process_that_does_not_write_the_run_is_not_signalled(

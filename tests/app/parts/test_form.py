@@ -1,8 +1,11 @@
 """The form is the configuration: every setting, its default, and its own complaints."""
 
-import pytest
+from pathlib import Path
 
-from app.parts import form
+import pytest
+from studio_runs import PENDULUM_TOM, info
+
+from app.parts import cards, form
 from tom.cli.parser import leaf_fields
 from tom.config import OnlineConfig
 from tom.errors import UserError
@@ -50,3 +53,16 @@ def test_the_command_is_what_a_terminal_takes() -> None:
 def test_a_value_out_of_bounds_is_refused_before_anything_runs() -> None:
     with pytest.raises(UserError, match=r"sac\.discount 2"):
         form.command("hopper", "tom", "paper", 0, {"sac.discount": "2"}, "runs")
+
+
+def test_a_training_that_only_explores_is_refused() -> None:
+    with pytest.raises(UserError, match="all exploration"):
+        form.command("hopper", "tom", "paper", 0, {"steps": "12"}, "runs")
+    few = {"steps": "12", "exploration_steps": "10"}
+    assert "--steps=12" in form.command("hopper", "tom", "paper", 0, few, "runs")
+    assert form.command("road-and-rocks", "tom", "paper", 0, {"steps": "12"}, "runs")
+
+
+def test_the_command_to_go_on_names_the_store(store: Path) -> None:
+    words = cards.resume(info(store, PENDULUM_TOM), "my runs")
+    assert words == f"tom train --resume {PENDULUM_TOM} --store 'my runs'"

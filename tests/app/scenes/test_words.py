@@ -42,11 +42,28 @@ def test_words_stand_on_their_foot(server: viser.ViserServer) -> None:
     across, high = extent("goal", "light", 0.1)
     assert across / high == pytest.approx(np.divide(*painted("goal", "light").shape[1::-1]))
     assert high > 0.1 * (painted("goal", "light").shape[0] - 20) / PIXELS
-    standing = add_words(server.scene, "/a", "goal", "light", (1.0, 2.0, 3.0), 0.1, np.pi / 2)
+    standing = add_words(server.scene, "/a", "goal", "light", (1.0, 2.0, 3.0), 0.1, np.pi / 2).node
     assert standing.position == pytest.approx([1.0, 2.0, 3.0 + high / 2])
     # The picture's last axis to the letters' top is its own y, which now points up.
     turn = viser.transforms.SO3(standing.wxyz)
     assert turn.apply(np.array([0.0, 1.0, 0.0])) == pytest.approx([0.0, 0.0, 1.0])
-    lying = add_words(server.scene, "/b", "goal", "light", (1.0, 2.0, 3.0), 0.1, 0.0)
+    lying = add_words(server.scene, "/b", "goal", "light", (1.0, 2.0, 3.0), 0.1, 0.0).node
     assert lying.position == pytest.approx([1.0, 2.0 + high / 2, 3.0])
     assert (standing.render_width, standing.render_height) == (across, high)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.7, np.pi / 2])
+def test_words_are_never_seen_from_behind(server: viser.ViserServer, tilt: float) -> None:
+    foot = (0.5, 1.0, 0.02)
+    words = add_words(server.scene, "/turning", "TOM s0", "dark", foot, 0.05, tilt)
+    draws = np.random.default_rng(0)
+    for camera in foot + 3 * draws.normal(size=(100, 3)):
+        words.face(camera)
+        turn = viser.transforms.SO3(words.node.wxyz)
+        front = turn.apply(np.array([0.0, 0.0, 1.0]))
+        assert front @ (camera - foot) > 0
+        assert turn.apply(np.array([0.0, 1.0, 0.0]))[2] >= -1e-9  # and never upside down
+        lower = words.node.position - words.node.render_height / 2 * turn.apply(
+            np.array([0.0, 1.0, 0.0])
+        )
+        assert lower == pytest.approx(np.array(foot))

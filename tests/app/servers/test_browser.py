@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 from studio_runs import PENDULUM_TOM, RUNS
 
+from app.links import Links
 from app.servers.browser import chromium
 from app.servers.launcher import Studio, servers
 from tom.record.reader import RunReader
@@ -38,7 +39,7 @@ class Visit:
     """A browser tab that remembers what went wrong and where it asked."""
 
     page: "Page"
-    address: str
+    links: Links
     errors: list[str] = field(default_factory=list)
     asked: set[str] = field(default_factory=set)
 
@@ -82,7 +83,7 @@ def visit(own: Path) -> Iterator[Visit]:
         assert running
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(1000 * DRAWN_S)
-        yield Visit(page, links.address)
+        yield Visit(page, links)
 
 
 def colourful(element: "Locator") -> float:
@@ -129,7 +130,8 @@ def record_another_return(run: Path, step: int) -> None:
 
 def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     page = visit.page
-    page.goto(f"{visit.address}/?recording={PENDULUM_TOM}&runs={PENDULUM_TOM}")
+    page.goto(visit.links.opened(f"?recording={PENDULUM_TOM}&runs={PENDULUM_TOM}"))
+    page.wait_for_url(lambda address: "key" not in address)
     see_a_curve_follow_its_run(visit, own / PENDULUM_TOM)
     wait_until_drawn(page.locator("iframe"), 0.03)  # Rerun: the robot, the bars, the curves
 
@@ -241,7 +243,7 @@ def see_it_in_rerun(page: "Page") -> None:
 def follow_a_short_link(visit: Visit) -> None:
     """Who opens it sees the same."""
     page = visit.page
-    page.goto(f"{visit.address}/compare?env=inverted-pendulum&logy=true")
+    page.goto(f"{visit.links.address}/compare?env=inverted-pendulum&logy=true")
     page.get_by_text("1000 resamples").wait_for()
     page.get_by_role("button", name="Link").click()
     page.get_by_role("button", name="Make a short link").click()

@@ -13,9 +13,8 @@ from tom.record.reader import RunReader
 
 
 def test_a_story_goes_through_a_runs_fits(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [story.view for story in screen_capture.stories(store)] == [
-        "road"
-    ]  # the others have two fits
+    views = [story.view for story in screen_capture.stories(store)]
+    assert views == ["road"]  # the others have two fits
     monkeypatch.setattr(screen_capture, "FEWEST", 2)
     weights, road = screen_capture.stories(store)
     assert weights.view == "weights"

@@ -39,7 +39,7 @@ def recorded(store: Path, run_id: str, metric: str = "eval/return") -> tuple[lis
 def own(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the store that a page may write to."""
     path = shutil.copytree(store, tmp_path / "own")
-    for name, value in Links(store=str(path)).environment().items():
+    for name, value in Links(store=str(path), key="key").environment().items():
         monkeypatch.setenv(name, value)
     return path
 

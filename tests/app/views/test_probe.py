@@ -45,7 +45,7 @@ def weighed(
     there = tmp_path / "store"
     shutil.copytree(store, there, copy_function=os.link)
     shutil.copytree(results, there / "weighings" / "made")
-    for name, value in Links(store=str(there)).environment().items():
+    for name, value in Links(store=str(there), key="key").environment().items():
         monkeypatch.setenv(name, value)
     return there / "weighings" / "made"
 
@@ -177,7 +177,7 @@ def test_every_kept_model_is_asked_about_the_same_buffer(store: Path) -> None:
     assert own is not None
     assert theirs is not None
     assert len(own) == len(theirs) == ROWS
-    line = trace(figures(draw("probe", run=PENDULUM_TOM))[1], name="TOM s0 (its own)")
+    line = trace(figures(draw("probe", run=PENDULUM_TOM))[2], name="TOM s0 (its own)")
     assert array(line["y"]) == pytest.approx(own.reshape(20, -1).mean(1))
 
 
@@ -190,7 +190,7 @@ def test_a_buffer_that_cannot_be_read_is_no_error(
     if torn == "the first of two":
         shutil.copy(segment, segment.with_name("000000400.npz"))
     segment.write_bytes(b"torn")
-    for name, value in Links(store=str(tmp_path / "store")).environment().items():
+    for name, value in Links(store=str(tmp_path / "store"), key="key").environment().items():
         monkeypatch.setenv(name, value)
     app = draw("probe", run="torn")
     assert bool(app.warning) == (torn == "every segment")
@@ -212,7 +212,7 @@ def test_does_it_help_shows_what_the_runs_measured(store: Path) -> None:
     assert {name: len(values) for name, values in found.items()} == {"tom": 2, "mle": 1}
     recorded = RunReader(store / "pendulum-mle-0").metrics()["model/error_policy"].dropna()
     assert found["mle"][0][1] == recorded.iloc[-1]
-    one_step = figures(draw("probe", run=PENDULUM_TOM))[2]
+    one_step = figures(draw("probe", run=PENDULUM_TOM))[3]
     line = trace(one_step, meta="pendulum-mle-0")
     assert array(line["y"]).tolist() == list(found["mle"][0][1:])
 

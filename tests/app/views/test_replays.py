@@ -163,7 +163,7 @@ def test_the_page_shows_the_chosen_episode_in_rerun(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in (
-        Links(store=str(store), port=8600, rerun_web_port=9090).environment().items()
+        Links(store=str(store), port=8600, rerun_port=9090, key="key").environment().items()
     ):
         monkeypatch.setenv(name, value)
     app = draw("replays", run=PENDULUM_TOM, episode="2", ghost="10 steps", viewer="Rerun")

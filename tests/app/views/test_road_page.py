@@ -1,14 +1,18 @@
 """Road and rocks: several runs side by side, each with its own weights."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures, trace
-from studio_runs import ROAD_MLE, ROAD_TOM
+from studio_runs import ROAD_MLE, ROAD_TOM, info
 
 from app.data import pictures
+from app.data.called import told_apart
+from app.scenes.colours import rgb
+from app.theme import COLUMNS, DIVERGING
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -27,6 +31,41 @@ def test_two_runs_are_drawn_side_by_side(store: Path) -> None:
         assert shown == pytest.approx(picture.grid, nan_ok=True)
     assert np.nanmax(tom) > 2
     assert np.nanmax(mle) == pytest.approx(1)
+
+
+def test_maps_side_by_side_have_one_scale_and_names_that_tell_them_apart() -> None:
+    app = draw("road", run=ROAD_TOM, beside=ROAD_MLE, step="60")
+    maps = [trace(figure, name="weights") for figure in figures(app)]
+    assert {(each["zmin"], each["zmax"]) for each in maps} == {(-4, 4)}
+    assert {str(each["colorbar"]["tickvals"]) for each in maps} == {
+        str(maps[0]["colorbar"]["tickvals"])
+    }
+    names = [words.value for words in app.markdown if "step 60" in words.value]
+    assert names == ["**TOM s0**, step 60", "**MLE s0**, step 60"]
+
+
+def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
+    tom, mle = (RunReader(store / run_id) for run_id in (ROAD_TOM, ROAD_MLE))
+    assert told_apart([tom, mle]) == {ROAD_TOM: "TOM s0", ROAD_MLE: "MLE s0"}
+    twin = replace(info(store, ROAD_TOM), run_id="twin")
+    assert told_apart([tom, mle, twin]) == {
+        ROAD_TOM: f"TOM s0, {ROAD_TOM}",
+        ROAD_MLE: "MLE s0",
+        "twin": "TOM s0, twin",
+    }
+
+
+def test_in_either_theme_the_scene_and_the_map_agree_on_what_is_bright() -> None:
+    for mode in ("light", "dark"):
+        light = [[sum(rgb(colour)) for _, colour in of[mode]] for of in (DIVERGING, COLUMNS)]
+        assert len({columns[-1] > columns[0] for columns in light}) == 1
+
+
+def test_steps_of_the_road_are_called_what_they_are() -> None:
+    live = [figure["layout"]["xaxis"]["title"]["text"] for figure in figures(draw("live"))]
+    assert live[0] == "steps of policy optimisation"
+    compare = figures(draw("compare", env="inverted-pendulum"))[0]
+    assert compare["layout"]["xaxis"]["title"]["text"] == "env steps"
 
 
 def test_one_run_has_one_map() -> None:

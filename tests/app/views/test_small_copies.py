@@ -32,7 +32,7 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr("tom.record.thin.SMALL", 100)
     for run in (ROAD, PENDULUM):
         export_small(run, tmp_path)
-    for name, value in Links(store=str(tmp_path)).environment().items():
+    for name, value in Links(store=str(tmp_path), key="key").environment().items():
         monkeypatch.setenv(name, value)
     yield tmp_path
     st.cache_data.clear()

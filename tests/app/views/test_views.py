@@ -87,13 +87,25 @@ def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
 def test_live_changes_nothing_where_others_can_open_it(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in Links(store=str(store), host="0.0.0.0").environment().items():
+    looks_on(Links(store=str(store), host="0.0.0.0", key="key"), monkeypatch, "change nothing")
+
+
+@pytest.mark.parametrize("key", ["", "another"])
+def test_live_changes_nothing_where_the_browser_did_not_give_the_key(
+    key: str, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks_on(Links(store=str(store), key=key), monkeypatch, "open the address")
+
+
+def looks_on(links: Links, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
+    """The form of a studio at these links is not drawn, and it says why."""
+    for name, value in links.environment().items():
         monkeypatch.setenv(name, value)
     app = draw("live")
     app.session_state[start.FOLD] = True
     app.run()
     assert not app.button
-    assert any("change nothing" in caption.value for caption in app.caption)
+    assert any(why in caption.value for caption in app.caption)
 
 
 def test_compare_shows_the_mean_over_seeds(store: Path) -> None:
@@ -157,7 +169,7 @@ def test_weights_follows_the_last_fit_until_another_is_chosen(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "store" / "live")
-    for name, value in Links(store=str(run.parent)).environment().items():
+    for name, value in Links(store=str(run.parent), key="key").environment().items():
         monkeypatch.setenv(name, value)
     record = run / "weights" / "profiles.jsonl"
     fit, steps = json.loads(record.read_text().splitlines()[-1]), (200, 400, 500, 600)
@@ -178,7 +190,7 @@ def test_weights_names_a_run_whose_profiles_are_damaged(
 ) -> None:
     torn = shutil.copytree(store / PENDULUM_TOM, tmp_path / "torn")
     (torn / "weights" / "profiles.jsonl").write_text("torn\n")
-    for name, value in Links(store=str(tmp_path)).environment().items():
+    for name, value in Links(store=str(tmp_path), key="key").environment().items():
         monkeypatch.setenv(name, value)
     app = draw("weights", run="torn")
     assert not figures(app)
@@ -201,7 +213,7 @@ def test_road_shows_the_weights_over_the_map(store: Path) -> None:
     assert metric_values(app)["weight on the road"] == f"{100 * share:.1f} %"
     table = app.dataframe[0].value.set_index("run")
     assert table.loc[ROAD_TOM, "weight on the road"] == pytest.approx(share)
-    assert table.loc[ROAD_MLE, "road : rocks"] == pytest.approx(1, abs=0.01)
+    assert table.loc[ROAD_MLE, "road : rocks, random data"] == pytest.approx(1, abs=0.01)
 
 
 def test_road_shows_the_chosen_step(store: Path) -> None:
@@ -214,7 +226,7 @@ def test_road_shows_the_chosen_step(store: Path) -> None:
 def test_the_pages_of_an_empty_store_say_what_to_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in Links(store=str(tmp_path / "new one")).environment().items():
+    for name, value in Links(store=str(tmp_path / "new one"), key="key").environment().items():
         monkeypatch.setenv(name, value)
     app = AppTest.from_string("from app.router import run\nrun()", default_timeout=TIMEOUT_S).run()
     assert not app.exception
@@ -237,7 +249,7 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
     (bad / "config.json").write_text(json.dumps(config))
     (bad / "status.json").write_text("nonsense")
     (bad / "weights" / "profiles.jsonl").write_text('{"env_step": 1}\n{"bins"')
-    for name, value in Links(store=str(tmp_path)).environment().items():
+    for name, value in Links(store=str(tmp_path), key="key").environment().items():
         monkeypatch.setenv(name, value)
     app = draw(view, **({"run": "bad"} if view in ("regions", "replays") else {}))
     assert figures(app)

@@ -7,6 +7,7 @@ from scipy.stats import chisquare
 
 from tom.analysis.tabular import (
     Array,
+    FlowName,
     Mdp,
     OccupancyProblem,
     OneHotPolicy,
@@ -16,9 +17,11 @@ from tom.analysis.tabular import (
     random_mdp,
     random_policy,
     sample_starts,
+    sample_stream,
     sample_transitions,
     solve,
     transition_occupancy,
+    with_endings,
 )
 from tom.learners.divergences import divergence
 
@@ -57,26 +60,206 @@ def test_a_terminal_state_ends_the_path():
     assert d.sum() * (1 - mdp.discount) == pytest.approx(1 - mdp.discount - lost)
 
 
+FLOWS = ("discounted", "restart", "stationary")
+CONSERVING = FLOWS[1:]
+
+
+def ending(
+    seed: int, successors: int = 3, states: int = 12, share: float = 0.01
+) -> tuple[Mdp, Array, Array]:
+    """An MDP where about `share` of the steps end, a policy and the replay's."""
+    rng = np.random.default_rng(seed)
+    mdp = random_mdp(states, 3, successors, 0.99, rng)
+    mdp = with_endings(mdp, share, rng)
+    return mdp, random_policy(mdp, rng, uniform=0.1), random_policy(mdp, rng, uniform=0.3)
+
+
+def collected(seed: int, flow: FlowName, successors: int = 3) -> OccupancyProblem:
+    """The problem that online training poses: both buffers are streams as collected."""
+    mdp, target, behaviour = ending(seed, successors)
+    p, q = (transition_occupancy(mdp, policy, "stationary") for policy in (target, behaviour))
+    return OccupancyProblem.of(mdp, target, q, flow, p)
+
+
+def on_ends(problem: OccupancyProblem, mass: Array) -> float:
+    """The share of a mass (R,) that lies on transitions into the last state, where paths end."""
+    return float(mass[problem.index[2] == problem.index[2].max()].sum() / mass.sum())
+
+
+def test_about_the_share_of_steps_that_was_asked_for_ends():
+    for share in (0.01, 0.1):
+        found = []
+        for seed in range(20):
+            mdp, policy, _ = ending(seed, share=share)
+            assert np.allclose(mdp.transition.sum(2), 1)
+            assert mdp.start[-1] == 0
+            found.append(transition_occupancy(mdp, policy, "stationary")[..., -1].sum())
+        assert np.mean(found) == pytest.approx(share, rel=0.15)
+        assert np.std(found) > 0.05 * share
+
+
+@pytest.mark.parametrize("successors", [1, 3, 12])
+def test_the_stationary_occupancy_is_where_the_stream_goes(successors: int):
+    mdp, policy, _ = ending(5, successors, share=0.05)
+    d = transition_occupancy(mdp, policy, "stationary")
+    assert d.sum() == pytest.approx(1.0)
+    into = np.where(mdp.terminal, 0.0, d.sum((0, 1))) + d[..., mdp.terminal].sum() * mdp.start
+    np.testing.assert_allclose(d.sum((1, 2)), into, atol=1e-12)
+    rows, index = sample_stream(mdp, policy, 100_000, np.random.default_rng(0))
+    counts = np.zeros(d.shape)
+    np.add.at(counts, tuple(index.T), 1)
+    assert np.abs(counts / counts.sum() - d).sum() < 0.05
+    assert float(np.mean(rows.terminated)) == pytest.approx(d[..., -1].sum(), rel=0.05)
+
+
+def test_a_stream_goes_on_where_it_was_and_starts_anew_after_an_end():
+    mdp, policy, _ = ending(6, share=0.2)
+    rows, index = sample_stream(mdp, policy, 20_000, np.random.default_rng(1))
+    ended = mdp.terminal[index[:-1, 2]]
+    assert (index[1:, 0] == index[:-1, 2])[~ended].all()
+    begun = np.bincount(index[1:, 0][ended], minlength=mdp.states)
+    expected = mdp.start[:-1] * ended.sum()
+    assert chisquare(begun[:-1], expected).pvalue > 1e-3
+    assert begun[-1] == 0
+    assert (np.asarray(rows.terminated)[:-1] > 0).tolist() == ended.tolist()
+    assert (np.asarray(rows.obs).argmax(1) == index[:, 0]).all()
+
+
+def test_a_stream_that_never_ends_and_depends_on_its_past_has_no_distribution():
+    apart = np.eye(2)[:, None, :]  # two states that never meet
+    mdp = Mdp(apart, np.array([0.5, 0.5]), 0.9, np.zeros(2, bool))
+    with pytest.raises(ArithmeticError, match="no episode ends"):
+        occupancy(mdp, np.ones((2, 1)), "stationary")
+
+
+@pytest.mark.parametrize("flow", FLOWS)
+@pytest.mark.parametrize("successors", [1, 3])
+def test_a_flows_own_occupancy_satisfies_its_constraint(flow: FlowName, successors: int):
+    mdp, target, behaviour = ending(7, successors)
+    replay = transition_occupancy(mdp, behaviour, "stationary")
+    problem = OccupancyProblem.of(mdp, target, replay, flow)
+    ratio = np.exp(problem.log_ratio)
+    assert np.abs(problem.residual(ratio)).sum() < 1e-12
+    mass = problem.replay @ ratio
+    if flow == "discounted":
+        lost = mdp.discount * (problem.replay * ratio)[mdp.terminal[problem.index[2]]].sum()
+        assert mass * (1 - mdp.discount) == pytest.approx(1 - mdp.discount - lost)
+        assert mass < 0.9
+    else:
+        assert mass == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("flow", FLOWS)
+def test_only_a_stationary_flow_is_satisfied_by_the_stream(flow: FlowName):
+    problem = collected(3, flow)
+    residual = np.abs(problem.residual(np.exp(problem.log_ratio))).sum()
+    assert residual < 1e-12 if flow == "stationary" else residual > 1e-3
+
+
+@pytest.mark.parametrize("name", ["chi2", "kl"])
+@pytest.mark.parametrize("flow", FLOWS)
+@pytest.mark.parametrize("seed", range(4))
+def test_strong_duality_of_every_flow_where_episodes_end(flow: FlowName, seed: int, name):
+    problem = collected(seed, flow)
+    found = solve(problem, name)
+    assert found.primal == pytest.approx(found.dual, abs=1e-8)
+    assert np.abs(problem.residual(found.weights)).sum() < 1e-8
+    assert (found.weights >= 0).all()
+    loses = flow == "discounted" and name == "chi2"
+    mass = problem.replay @ found.weights
+    assert mass < 0.9 if loses else mass == pytest.approx(1.0, abs=1e-8)
+
+
+def test_kl_leaves_nothing_on_ends_where_a_flow_loses_mass_there():
+    """Normalised weights satisfy a discounted flow only where nothing ends."""
+    problem = collected(0, "discounted")
+    assert on_ends(problem, problem.replay * solve(problem, "kl").weights) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["chi2", "kl"])
+def test_a_multiplier_adds_nothing_but_the_mass(name):
+    """lambda + E_q[f*(r + F Q - lambda)]: moved along, the dual is least at the weights' mean 1."""
+    problem = collected(1, "stationary")
+    found = solve(problem, name)
+    if name == "kl":  # log E exp is its own multiplier: lambda moves nothing
+        moved = found.q + np.eye(len(found.q))[-1]
+        assert dual_value(problem, moved, name) == pytest.approx(found.dual)
+        return
+    for step in (-1e-3, 1e-3):
+        moved = found.q + step * np.eye(len(found.q))[-1]
+        assert dual_value(problem, moved, name) > found.dual
+    y = problem.log_ratio + problem.flow[:, :-1] @ found.q[:-1]
+    counts = np.rint(problem.replay * 1e6).astype(int)
+    many = torch.from_numpy(np.repeat(y, counts))
+    assert float(divergence(name).multiplier(many)) == pytest.approx(found.q[-1], abs=1e-3)
+
+
+@pytest.mark.parametrize("successors", [1, 3, 12])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_policys_own_stream_weighs_one_in_a_stationary_flow_alone(seed: int, successors: int):
+    """A discounted flow takes the ends out of the very stream that has them."""
+    mdp, target, _ = ending(seed, successors)
+    stream = transition_occupancy(mdp, target, "stationary")
+    for name in ("chi2", "kl"):
+        problem = OccupancyProblem.of(mdp, target, stream, "stationary", stream)
+        np.testing.assert_allclose(solve(problem, name).weights, 1.0, atol=1e-8)
+    problem = OccupancyProblem.of(mdp, target, stream, "discounted", stream)
+    mass = problem.replay * solve(problem, "chi2").weights
+    assert on_ends(problem, mass) < 0.05 * on_ends(problem, problem.replay)
+
+
+def test_a_discounted_flow_fades_the_policys_own_stream_along_the_episode():
+    """An episode is 100 steps down a corridor: weights sink as g^t, where they should be one."""
+    length = 100
+    transition = np.eye(length + 1, k=1)[:, None, :]
+    transition[-1, 0, -1] = 1.0
+    start, last = np.eye(length + 1)[0], np.eye(length + 1)[-1] > 0
+    mdp, policy = Mdp(transition, start, 0.99, last), np.ones((length + 1, 1))
+    stream = transition_occupancy(mdp, policy, "stationary")
+    weights = {
+        flow: solve(OccupancyProblem.of(mdp, policy, stream, flow, stream), "chi2").weights
+        for flow in FLOWS
+    }
+    np.testing.assert_allclose(weights["stationary"], 1.0, atol=1e-8)
+    fading = 0.99 ** np.arange(length)
+    for flow in ("discounted", "restart"):
+        np.testing.assert_allclose(weights[flow] / weights[flow][0], fading, rtol=1e-6)
+
+
+def test_kl_weights_of_a_stationary_flow_are_the_ratio_of_the_streams():
+    problem = collected(2, "stationary")
+    np.testing.assert_allclose(solve(problem, "kl").weights, np.exp(problem.log_ratio), rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [211, 212, 213])
+@pytest.mark.parametrize("successors", [3, 12])
+def test_only_a_discounted_flow_takes_weight_from_transitions_that_end_an_episode(
+    seed: int, successors: int
+):
+    """About a step in a hundred ends. Chi-square against the policy's share, flow by flow."""
+    problem = collected(seed, "stationary", successors)
+    share = on_ends(problem, problem.replay * np.exp(problem.log_ratio))
+    found = {}
+    for flow in FLOWS:
+        weights = solve(collected(seed, flow, successors), "chi2").weights
+        found[flow] = on_ends(problem, problem.replay * weights) / share
+    assert found["discounted"] < 0.5
+    for flow in CONSERVING:
+        assert found[flow] == pytest.approx(1.0, abs=0.2)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_chi_square_takes_weight_from_transitions_that_end_an_episode(seed: int):
-    """Where a step in a hundred ends: less than their share of the policy's, many exactly none."""
-    rng = np.random.default_rng(seed)
-    mdp = random_mdp(20, 3, 3, 0.99, rng)
-    terminal = np.arange(20) == 19
-    alive, start = (np.where(terminal, 0.0, x) for x in (mdp.transition + 1e-4, mdp.start))
-    transition = 0.99 * alive / alive.sum(2, keepdims=True) + 0.01 * terminal
-    mdp = replace(mdp, terminal=terminal, transition=transition, start=start / start.sum())
-    target, behaviour = random_policy(mdp, rng, uniform=0.1), random_policy(mdp, rng, uniform=0.3)
+    """The discounted flow, p its own occupancy: many of those that end have no weight at all."""
+    mdp, target, behaviour = ending(seed, states=20)
     p, q = transition_occupancy(mdp, target), transition_occupancy(mdp, behaviour)
-    problem = OccupancyProblem.of(mdp, target, q / q.sum())
-    # A discriminator compares distributions: both have mass one there.
-    problem = replace(problem, log_ratio=problem.log_ratio - np.log(p.sum()))
-    weights, ends = solve(problem, "chi2").weights, terminal[problem.index[2]]
+    problem = OccupancyProblem.of(mdp, target, q, made=p)
+    weights, ends = solve(problem, "chi2").weights, mdp.terminal[problem.index[2]]
     mass, replay = problem.replay * weights, problem.replay
-    assert p[..., terminal].sum() / p.sum() == pytest.approx(0.01)
-    assert 0.003 < mass[ends].sum() / mass.sum() < 0.0085
+    share = p[..., -1].sum() / p.sum()
+    assert 0.2 * share < mass[ends].sum() / mass.sum() < 0.85 * share
     unheard = weights < 1e-9
-    assert 0.3 < replay[ends & unheard].sum() / replay[ends].sum() < 0.7
+    assert 0.2 < replay[ends & unheard].sum() / replay[ends].sum() < 0.8
     assert replay[unheard].sum() < 0.1
 
 

@@ -88,7 +88,8 @@ def test_a_weighing_says_how_near_it_is_to_the_policy(store: Path, tmp_path: Pat
     assert "footprint noise" in capsys.readouterr().out
     results = json.loads((out / "report.json").read_text())["results"]
     for row in results:
-        assert {"footprint", "footprint_noise", "footprint_uniform"} <= row.keys()
+        judged = {"footprint", "footprint_se", "footprint_noise", "footprint_uniform"}
+        assert judged <= row.keys()
         assert row["footprint_uniform"] == results[0]["footprint_uniform"]
 
 

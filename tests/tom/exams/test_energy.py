@@ -1,6 +1,6 @@
 """The energy distance against its formula and against distributions where it is known."""
 
-from math import erf, exp, pi, sqrt
+from math import erf, exp, isnan, pi, sqrt
 
 import pytest
 import torch
@@ -9,7 +9,13 @@ from torch import Tensor
 from tom.data.sampling import WeightedSampler
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.exams.energy import energy_distance, first_half, footprint_match, step_scaling
+from tom.exams.energy import (
+    drawn_distance,
+    energy_distance,
+    first_half,
+    footprint_match,
+    step_scaling,
+)
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -49,12 +55,14 @@ def test_it_is_its_formula():
     assert energy_distance(x, y) == pytest.approx(energy_distance(y, x), abs=1e-9)
 
 
-def test_a_row_that_was_drawn_twice_is_no_pair_with_itself():
-    x, y = (torch.randn(n, 3, generator=generator(n)) for n in (4, 7))
-    rows = torch.tensor([0, 3, 3, 1, 2, 3, 0])
-    often = torch.bincount(rows).float()
-    found = energy_distance(x[rows], y, rows)
-    assert found == pytest.approx(by_definition(x, y, often), abs=1e-6)
+def test_draws_of_one_part_count_twice_and_a_row_is_no_pair_with_itself():
+    x = torch.tensor([[0.0], [0.0], [1.0], [5.0]])
+    # Parts (0, 0) and (1, 5): their draws make 4 pairs, 1 and 5 twice; 0 and 0 are one row.
+    found = drawn_distance(x, torch.tensor([7, 7, 8, 9]))
+    assert float(found) == pytest.approx((1 + 5 + 1 + 5 + 2 * 4) / 6)
+    apart = drawn_distance(x, torch.tensor([6, 7, 8, 9]))
+    assert float(apart) == pytest.approx((1 + 5 + 1 + 5 + 2 * 4 + 2 * 0) / 8)
+    assert not drawn_distance(x[:1].expand(4, 1), torch.zeros(4)).isfinite()
 
 
 def test_points_and_shifted_normals():
@@ -91,21 +99,21 @@ def test_with_equal_distributions_it_is_zero_on_average_however_few_rows_there_a
 def test_few_heavy_rows_are_no_closer_to_each_other_than_many():
     """Weights that have nothing to do with the rows: the distribution stays, the sample shrinks."""
     g, found = generator(), []
-    for _ in range(400):
-        x, y = torch.randn(40, 2, generator=g), torch.randn(30, 2, generator=g)
-        weights = torch.rand(40, generator=g) ** 8
-        rows = WeightedSampler(weights, g).draw(300)
-        found.append(energy_distance(x[rows], y, rows))
-    error = float(torch.tensor(found).std() / len(found) ** 0.5)
-    assert abs(sum(found) / len(found)) < 3 * error
-    assert error < 0.02
+    for _ in range(1000):
+        x, weights = torch.randn(40, 1, generator=g), torch.rand(40, generator=g) ** 8
+        u = (torch.arange(300) // 2 + torch.rand(300, generator=g)) / 150
+        rows = WeightedSampler(weights, g).at(u.double())
+        found.append(drawn_distance(x[rows].double(), rows))
+    distance = torch.stack(found)
+    error = float(distance.std() / len(distance) ** 0.5)
+    assert float(distance.mean()) == pytest.approx(2 / sqrt(pi), abs=3 * error)
+    assert error < 0.02  # pairs of a row with itself would take 0.14
 
 
 def test_a_sample_without_two_rows_has_none():
     x = torch.randn(5, 2, generator=generator())
-    assert energy_distance(x[:1], x) != energy_distance(x[:1], x)  # NaN
-    same = torch.zeros(5, dtype=torch.int64)
-    assert energy_distance(x[same], x, same) != 0.0
+    assert isnan(energy_distance(x[:1], x))
+    assert isnan(energy_distance(x, x[:0]))
 
 
 def match(
@@ -148,6 +156,37 @@ def test_equal_weights_are_equal_to_the_last_bit():
     buffer = torch.randn(500, generator=generator())
     found = match(buffer, torch.full((500,), 0.7), line(buffer[:40] + 1))
     assert found["footprint"] == 1.0
+    assert found["footprint_se"] == 0.0
+
+
+def test_the_standard_error_is_the_spread_over_footprints():
+    """Of independent rows, and of rows that stay for a while where they are."""
+    g = generator()
+    buffer = torch.randn(1000, generator=g)
+    weights = (buffer > 0).float()
+    for repeats in (1, 5):
+        found = []
+        for seed in range(200):
+            met = torch.randn(200 // repeats, generator=g).repeat_interleave(repeats) + 1
+            found.append(match(buffer, weights, line(met), seed))
+        ratio, error = (
+            torch.tensor([one[name] for one in found]) for name in ("footprint", "footprint_se")
+        )
+        assert float(error.square().mean().sqrt()) == pytest.approx(float(ratio.std()), rel=0.25)
+
+
+def test_the_standard_error_is_a_jackknife_over_ten_stretches():
+    g = generator()
+    buffer, met = torch.randn(300, generator=g), torch.randn(47, generator=g) + 2
+    weights = torch.rand(300, generator=g) ** 2
+    found = match(buffer, weights, line(met))
+    without = []
+    for stretch in range(10):
+        rest = [met[i] for i in range(47) if i * 10 // 47 != stretch]
+        without.append(match(buffer, weights, line(torch.stack(rest)))["footprint"])
+    spread = torch.tensor(without).std(correction=0)
+    assert found["footprint_se"] == pytest.approx(3 * float(spread), rel=1e-4)
+    assert "footprint_se" not in match(buffer, weights, line(met[:19]))
 
 
 def test_what_cannot_be_measured_is_left_out():

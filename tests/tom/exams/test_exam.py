@@ -176,8 +176,8 @@ def test_weights_like_the_exams_rows_are_near_it():
 
     weights = torch.cat([torch.zeros(500), 2 * torch.ones(500)])
     found = weight_metrics(Exam(of(x), weights, of(met + 5)), generator())
-    assert set(found) == {"exam/footprint", "exam/footprint_uniform", "exam/footprint_noise"}
-    assert abs(found["exam/footprint"]) < 0.05
+    assert abs(found["exam/footprint"]) < 3 * found["exam/footprint_se"] < 0.2
+    assert abs(found["exam/footprint_noise"]) < 0.2
     assert found["exam/footprint_uniform"] > 0.3
 
 

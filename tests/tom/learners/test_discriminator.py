@@ -1,10 +1,12 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from made import QUICK, generator, rows
 from torch.nn.functional import binary_cross_entropy_with_logits
 
+from tom.analysis.tabular import random_mdp, random_policy, sample_transitions, transition_occupancy
 from tom.config import TomConfig
 from tom.data.transitions import TensorTransitions
 from tom.learners.discriminator import (
@@ -37,7 +39,7 @@ def judged(
     """The logit of the rows `seen`, which need not be the replay's, and metrics."""
     g = generator(1)
     net = discriminator_net(replay.obs.shape[1], replay.action.shape[1], config, g)
-    problem = RatioProblem.of(policy_buffer, replay)
+    problem = RatioProblem.of(policy_buffer, replay, config.discriminator_input)
     fitted, metrics = problem.solve(Discriminator(net, config), g)
     return replace(problem, replay=seen).log_ratio(fitted), metrics
 
@@ -103,3 +105,31 @@ def test_calibration_error_by_hand():
     c = torch.tensor([0.8, 0.8, 0.8, 0.2])  # two policy rows, then two replay rows
     expected = (3 * abs(2 / 3 - 0.8) + 1 * abs(0 - 0.2)) / 4
     assert float(calibration_error(torch.logit(c))) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_discriminator_of_state_actions_is_blind_to_what_came_next():
+    replay, lately = rows(4000, seed=0), rows(4000, seed=1, shift=SHIFT)
+    elsewhere = replace(replay, next_obs=replay.next_obs.flip(0))
+    config = CONFIG.but(discriminator_input="state-actions")
+    r, _ = trained(replay, lately, config)
+    blind, _ = judged(replay, lately, elsewhere, config)
+    assert torch.equal(r, blind)
+    assert correlation(r, exact(replay)) > 0.97
+    seeing, _ = judged(replay, lately, elsewhere)
+    assert not torch.equal(trained(replay, lately)[0], seeing)
+
+
+def test_what_comes_next_adds_noise_to_the_logit_where_one_environment_made_both():
+    """p(s'|s, a) = q(s'|s, a): the same r, of which the fewer cells of (s, a) tell more."""
+    rng = np.random.default_rng(0)
+    mdp = random_mdp(10, 3, 10, 0.9, rng)
+    q, p = (transition_occupancy(mdp, random_policy(mdp, rng, uniform=0.3)) for _ in range(2))
+    replay, lately = (sample_transitions(mdp, d, 5000, rng)[0].torch() for d in (q, p))
+    log_ratio = torch.from_numpy(np.log(p.sum(2) / q.sum(2))).float()
+    known = log_ratio[replay.obs.argmax(1), replay.action.argmax(1)]
+    config = CONFIG.but(discriminator_steps=600)
+    off = [
+        float((trained(replay, lately, config.but(discriminator_input=name))[0] - known).std())
+        for name in ("transitions", "state-actions")
+    ]
+    assert off[1] < 0.7 * off[0]

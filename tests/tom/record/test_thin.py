@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recorded import FIT, STEPS, Config, episodes, events, transitions
 
-from tom.events import Collected, Evaluation, Field, Weights
+from tom.events import Collected, Evaluation, Field, Metrics, Tick, Weights
 from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, decode
 from tom.record.export import export_small
 from tom.record.integrity import verify
@@ -69,6 +69,20 @@ def test_nothing_is_named_that_the_run_never_had(record, tmp_path: Path):
     assert (small.small_copy, small.shown) == (True, "finished (a small copy)")
     assert small.left_out == ("other snapshots", "other episodes")
     assert (run.small_copy, run.shown, run.left_out) == (False, "finished", ())
+
+
+def test_the_fits_that_were_examined_are_kept(store: Store, tmp_path: Path):
+    config = Config.but(steps=4000)
+    with Recorder(RunWriter.create(store, "run", config)) as recorder:
+        for step in range(1, 4001):
+            recorder.consume(Metrics(step, {"train/return": float(step)}))
+            if step % 40 == 0:
+                recorder.consume(Tick(step, "fit"))
+                recorder.consume(Metrics(step - 40 or 1, {"exam/error": float(step - 40)}))
+            recorder.consume(Tick(step, "optimise"))
+    small = RunReader(export_small(store.run("run"), tmp_path)).metrics()
+    assert len(small) < 400
+    assert small["exam/error"].dropna().tolist() == [float(step) for step in range(0, 4000, 40)]
 
 
 def test_a_copy_of_a_run_in_training_is_stopped_where_the_copy_ends(store: Store, tmp_path: Path):

@@ -127,7 +127,7 @@ WEIGHTS = np.linspace(0, 2, 5, dtype=np.float32)
 EXACT = np.linspace(0, 2, 5)
 OUTCOMES = (
     Story(Outcome("tom", 0, *range(10)), [(0, -1.5)], np.zeros((5, 2), np.float32), WEIGHTS),
-    Estimate(Case(0, 1, 0.9, "kl"), "exact", Score(*range(5)), *[EXACT] * 3),
+    Estimate(Case(0, 1, 0.9, "kl"), "exact", Score(*range(6)), *[EXACT] * 3),
     Result(
         "hopper-s0", "hopper", 2, "own", "exact",
         (Weighed("tom", 0, WEIGHTS, None, {"weights/ess": np.float64(0.5)}, (("a", "b"),), None),),

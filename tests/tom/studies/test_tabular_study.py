@@ -3,15 +3,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tom.analysis.tabular import FlowName, solve
+from tom.config import TomConfig
 from tom.studies.tabular import (
+    DENSE,
+    ENDING,
+    MENDED,
     VARIANTS,
     Case,
+    Score,
     Variant,
+    acceptance,
     cases,
+    counted,
+    dense_cases,
+    draw,
+    ending_cases,
     estimate,
+    exact_flows,
     model_bias,
+    problem_of,
     summary,
 )
+from tom.training.presets import resolve
 
 QUICK = {
     "q_hidden": 32,
@@ -29,6 +43,81 @@ def test_cases_are_the_full_grid_for_each_seed():
     assert {c.successors for c in found} == {1, 3}
     assert {c.discount for c in found} == {0.9, 0.99}
     assert {c.divergence for c in found} == {"chi2", "kl"}
+
+
+def test_forty_eight_problems_have_ends_in_every_flow_that_keeps_its_mass():
+    flows: dict[FlowName, int] = {"stationary": 48, "restart": 48, "discounted": 24}
+    for flow, of in flows.items():
+        found = ending_cases(range(6), flow)
+        assert len(found) == len(set(found)) == of
+        assert {c.successors for c in found} == {1, 2, 3, 10}
+        for case in found:
+            problem = problem_of(case, *draw(case, np.random.default_rng(case.seed)))
+            last = problem.index[2] == case.states
+            share = (problem.replay * np.exp(problem.log_ratio))[last].sum()
+            assert 0.004 < share < 0.02
+            solve(problem, case.divergence)
+
+
+def test_exactly_the_stationary_flow_alone_weighs_the_policys_own_stream_one():
+    discounted, restart, stationary = exact_flows([0, 1])
+    assert [row["problems"] for row in (discounted, restart, stationary)] == [8, 8, 8]
+    assert discounted["ends"] < 0.6 < restart["ends"] < 1.1
+    assert stationary["ends"] == pytest.approx(1.0, abs=0.1)
+    assert discounted["mass"] < 0.9
+    assert restart["mass"] == pytest.approx(1.0)
+    assert stationary["own_l1"] < 1e-8 < restart["own_l1"] < discounted["own_l1"]
+    assert discounted["own_ends"] < 0.05
+
+
+def test_dense_cases_lead_everywhere_and_their_weights_are_known():
+    found = dense_cases([0])
+    assert len(found) == len(set(found)) == 16
+    for case in found:
+        mdp, *policies = draw(case, np.random.default_rng(case.seed))
+        assert (mdp.transition > 0).all()
+        assert case.successors == case.states
+        solve(problem_of(case, mdp, *policies), case.divergence)
+
+
+def test_ways_to_estimate_are_the_presets_by_their_names():
+    case = Case(0, 1, 0.9, "kl", flow="stationary", ends=0.01)
+    exact = TomConfig.preset("exact").but(discount=0.9, divergence="kl", flow="stationary")
+    assert ENDING["stationary"].config(case) == exact
+    trained = resolve("hopper", "tom", "mended").tom
+    assert MENDED.config(case).but(discount=0.99, divergence="chi2") == trained
+
+
+def test_where_episodes_end_the_estimate_is_of_streams_and_scores_the_ends():
+    case = replace(SMALL, flow="stationary", ends=0.05)
+    found = estimate(case, Variant("quick", changes=QUICK | {"q_holdout": 0.2}, support=True))
+    assert found.score.ends == pytest.approx(1.0, abs=0.6)
+    assert found.replay @ found.exact == pytest.approx(1.0)
+    assert found.score.flow < 0.5
+    assert estimate(SMALL, Variant("quick", changes=QUICK)).score.ends is None
+    discounted = estimate(replace(case, flow="discounted"), Variant("quick", changes=QUICK))
+    assert discounted.exact.shape == found.exact.shape
+    assert not np.allclose(discounted.exact, found.exact, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(0, 10, 0.99, "chi2"),
+        Case(1, 1, 0.9, "kl"),
+        Case(2, 10, 0.99, "chi2", flow="stationary", ends=0.01),
+    ],
+)
+def test_counts_of_state_actions_leave_less_error_than_counts_of_transitions(case: Case):
+    """Sampling alone: both are solved exactly, and p(s'|s, a) is q(s'|s, a)."""
+    pairs, triples = (counted(case, of) for of in ("state-actions", "transitions"))
+    assert pairs.score.l1 < 0.06
+    assert pairs.score.spearman > 0.97
+    assert pairs.score.raw_mean == pytest.approx(1.0, abs=0.02)
+    if case.successors == 10:
+        assert 2 * pairs.score.l1 < triples.score.l1 < 0.3
+    assert (pairs.exact == triples.exact).all()
+    assert pairs.variant == f"{case.family}counts of (s, a)"
 
 
 def test_an_estimate_carries_the_points_behind_its_score():
@@ -58,12 +147,36 @@ def test_only_chi2_with_stochastic_dynamics_biases_the_model():
 
 
 def test_summary_takes_median_and_worst_of_each_variant():
-    score = {"l1": 0.1, "flow": 0.1, "log_ratio": 0.9, "raw_mean": 1.0}
+    score = {"l1": 0.1, "flow": 0.1, "log_ratio": 0.9, "raw_mean": 1.0, "ends": 1.0}
     rows = [{"variant": "a", "spearman": s, **score} for s in (0.9, 0.95, 0.99)]
     rows.append({"variant": "b", "spearman": 0.5, **score, "raw_mean": 0.4})
     a, b = summary(rows)
     assert (a["runs"], a["spearman"], a["spearman_worst"]) == (3, 0.95, 0.9)
     assert (b["variant"], b["raw_mean_worst"]) == ("b", 0.4)
+
+
+def test_every_family_with_rows_is_held_against_its_bounds():
+    good = Score(spearman=0.99, l1=0.05, flow=0.02, log_ratio=0.99, raw_mean=1.0, ends=1.1)
+    row = {"variant": "a", **vars(good)}
+    none = {**row, "ends": None}
+    alone = acceptance([none], [], [], [], [])
+    assert [check.met for check in alone] == [True] * 7
+    every = acceptance([none], [none], [none], [row], [row])
+    assert [check.met for check in every] == [True] * (7 + 1 + 7 + 7 + 2)
+    off = {**row, "ends": 0.7}
+    missed = [c for c in acceptance([none], [none], [none], [row], [off]) if not c.met]
+    assert [check.name for check in missed] == ["mended: weight on ends off the exact, median"]
+    worse = {**row, "l1": 0.21, "spearman": 0.8}
+    missed = [c for c in acceptance([none], [], [row, worse, row], [], []) if not c.met]
+    assert [c.name.startswith("dense: ") for c in missed] == [True, True]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [dense_cases([3])[i] for i in (4, 15)])
+def test_acceptance_of_the_exact_preset_on_dense_mdps(case: Case):
+    found = estimate(case, DENSE).score
+    assert found.spearman >= 0.90
+    assert found.l1 <= 0.20
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from tom.record.rerun import hub
 State = Literal["ok", "note", "bad"]
 
 PYTHON = (3, 11)
-HOST, SERVERS = "127.0.0.1", 4  # where the studio listens, on so many ports
+HOST, SERVERS = "127.0.0.1", 3  # where the studio listens, on so many ports
 LOW_GB, FULL_GB = 10.0, 1.0
 
 
@@ -146,8 +146,8 @@ def _scenes() -> CheckResult:
 def _rerun() -> CheckResult:
     binary = hub.binary()
     if not os.access(binary, os.X_OK):
-        return CheckResult("rerun", "bad", f"{binary} cannot be run", "pip install --force-reinstall "
-                       f"rerun-sdk=={metadata.version('rerun-sdk')}")  # fmt: skip
+        fix = f"pip install --force-reinstall rerun-sdk=={metadata.version('rerun-sdk')}"
+        return CheckResult("rerun", "bad", f"{binary} cannot be run", fix)
     return CheckResult("rerun", "ok", f"viewer {metadata.version('rerun-sdk')}")
 
 

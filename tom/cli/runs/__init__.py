@@ -14,6 +14,7 @@ from tom.cli.train import number, summary
 from tom.config import flat
 from tom.envs import ENV_NAMES
 from tom.errors import UserError, unknown
+from tom.harmless import terminal
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
 
@@ -83,7 +84,7 @@ def list_runs(args: argparse.Namespace) -> int:
     said = {name: column for name, column in cells.items() if any(column) or name == "run"}
     show(f"{len(rows)} runs in {args.store}", list(said), zip(*said.values(), strict=True))
     for problem in store.problems:
-        print(problem)
+        print(terminal(problem))
     return 0
 
 
@@ -107,7 +108,7 @@ def show_run(args: argparse.Namespace) -> int:
         values = last.iloc[0].to_dict()
         show("last metrics", ("metric", "value"), [(k, f"{v:.6g}") for k, v in values.items()])
     for notice in run.notices():
-        print(f"step {notice.get('env_step')}: {notice.get('message')}")
+        print(terminal(f"step {notice.get('env_step')}: {notice.get('message')}"))
     return 0
 
 

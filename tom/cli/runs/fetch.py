@@ -4,6 +4,7 @@ import argparse
 import json
 
 from tom.errors import UserError
+from tom.harmless import terminal
 from tom.record import Store
 from tom.record.bucket.fetching import fetch_run, run_ids
 from tom.record.bucket.objects import Bucket
@@ -26,7 +27,7 @@ def fetch(args: argparse.Namespace) -> int:
         for run_id in wanted:
             found[run_id] = fetch_run(bucket, run_id, store)
             if not args.json:
-                print(f"{run_id} {found[run_id]}", flush=True)
+                print(terminal(f"{run_id} {found[run_id]}"), flush=True)
     except OSError as error:
         raise UserError(f"{args.url}: {error}") from error
     if args.json:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from tom.cli.tables import show
 from tom.errors import UserError
+from tom.harmless import terminal
 from tom.record import RunReader, Store, sizes
 from tom.record.export import EXPORTERS, export, export_small
 from tom.record.integrity import repair, verify
@@ -59,9 +60,9 @@ def verify_runs(args: argparse.Namespace) -> int:
         print(json.dumps({"runs": found, "store": store.problems}))
     else:
         for problem in [f"{r}: {text}" for r, texts in found.items() for text in texts]:
-            print(problem)
+            print(terminal(problem))
         for problem in store.problems:
-            print(problem)
+            print(terminal(problem))
         bad = sum(map(bool, found.values()))
         print(f"{len(found)} runs read, {bad} with problems")
     return 1 if any(found.values()) or store.problems else 0
@@ -73,7 +74,8 @@ def repair_runs(args: argparse.Namespace) -> int:
         print(json.dumps(found))
     else:
         for run_id, done in found.items():
-            print("\n".join(f"{run_id}: {line}" for line in done or ["nothing to mend"]))
+            for line in done or ["nothing to mend"]:
+                print(terminal(f"{run_id}: {line}"))
     return 0
 
 
@@ -88,7 +90,7 @@ def export_runs(args: argparse.Namespace) -> int:
             for path in _exported(run, args):
                 made.append(path)
     paths = [str(path) for path in made]
-    print(json.dumps(paths) if args.json else "\n".join(paths))
+    print(json.dumps(paths) if args.json else "\n".join(map(terminal, paths)))
     return 0
 
 
@@ -124,7 +126,7 @@ def write_index(args: argparse.Namespace) -> int:
         raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
     path = store.path / README
     write(path, index(runs, [w for run in runs for w in of_run(store.path, run.run_id)]))
-    print(json.dumps(str(path)) if args.json else path)
+    print(json.dumps(str(path)) if args.json else terminal(path))
     return 0
 
 

@@ -4,6 +4,7 @@ import argparse
 import json
 from dataclasses import asdict
 
+from tom.harmless import terminal, terminal_lines
 from tom.record import Store, manage
 from tom.record.labels import Labels
 
@@ -59,8 +60,8 @@ def _say(args: argparse.Namespace, labels: Labels) -> int:
         print(json.dumps(asdict(labels)))
     else:
         tags = f" [{', '.join(labels.tags)}]" if labels.tags else ""
-        print(f"{args.run_id}: {labels.name or 'no name'}{tags}")
-        print(labels.note, end="\n" if labels.note else "")
+        print(terminal(f"{args.run_id}: {labels.name or 'no name'}{tags}"))
+        print(terminal_lines(labels.note), end="\n" if labels.note else "")
     return 0
 
 
@@ -68,5 +69,5 @@ def _list(args: argparse.Namespace, lines: list[str]) -> int:
     if args.json:
         print(json.dumps(lines))
     else:
-        print("\n".join(lines) if lines else "nothing")
+        print("\n".join(map(terminal, lines)) if lines else "nothing")
     return 0

@@ -8,6 +8,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from tom.harmless import terminal
 from tom.record import RunReader
 from tom.sweep.driver import Driver, Job
 
@@ -65,7 +66,8 @@ class Watcher:
             return
         for job in self._changed():
             note = f" ({job.note.splitlines()[0]})" if job.note else ""
-            print(f"{job.run_id}: {job.state}{note}", file=self._console.file, flush=True)
+            line = terminal(f"{job.run_id}: {job.state}{note}")
+            print(line, file=self._console.file, flush=True)
         if monotonic() - self._shown >= LINE_EVERY_S:
             self._shown = monotonic()
             print(self._summary(), file=self._console.file, flush=True)
@@ -92,7 +94,7 @@ class Watcher:
         jobs = sorted(self._driver.jobs, key=lambda job: ORDER.index(job.state))
         room = max(self._console.height - 8, 3)
         for job in jobs[:room]:
-            table.add_row(*map(Text, self._cells(job)))
+            table.add_row(*(Text(terminal(cell)) for cell in self._cells(job)))
         more = f", {len(jobs) - room} more not shown" if len(jobs) > room else ""
         return Group(table, Text(self._summary() + more))
 

@@ -54,11 +54,19 @@ def _replace(held: RunReader, fetched: RunReader) -> str:
     with manage.unwritten(held):
         if labels.is_file() and not labels.is_symlink():
             shutil.copy2(labels, fetched.path / layout.LABELS)
-        older = _older(held.path)
-        held.path.rename(older)
-        fetched.path.rename(held.path)
-        older.rename(fetched.path)  # what has this name is deleted
+        _swap(held.path, fetched.path)
     return FETCHED
+
+
+def _swap(place: Path, unfinished: Path) -> None:
+    """Put the fetched copy in the run's place; the older copy is left as `unfinished`.
+
+    `fetch_run` deletes whatever is left as `unfinished`, so the older copy goes with it.
+    """
+    older = _older(place)
+    place.rename(older)
+    unfinished.rename(place)
+    older.rename(unfinished)
 
 
 def _older(place: Path) -> Path:

@@ -1,14 +1,12 @@
-"""Turns run folders into live Rerun recordings: one a viewer, or all of them for a hub.
+"""Turns run folders into live Rerun recordings, of one run or of all that train, for each viewer.
 
-It reads as any reader does: trainings know nothing of it, and it may start late. A hub that dies
-and comes back is fed again from the beginning.
+It reads as any reader does: trainings know nothing of it, and it may start late.
 """
 
 import logging
 import os
-import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,6 @@ import rerun as rr
 
 from tom.envs import ENVS
 from tom.events import Evaluation, Field
-from tom.machine.address import in_url
 from tom.record import layout
 from tom.record.files import parse_json_line
 from tom.record.reader import RunReader
@@ -69,7 +66,7 @@ class Tail:
 class Follower:
     """What one run has shown so far."""
 
-    def __init__(self, run: RunReader, sink: rr.FileSink | rr.GrpcSink | None = None) -> None:
+    def __init__(self, run: RunReader, sink: rr.FileSink | None = None) -> None:
         self.run = run
         config = run.config.get("config", {})
         every = int(config.get("evaluation", {}).get("every", 1000))
@@ -129,22 +126,31 @@ class Follower:
 
 
 def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
-    """The bytes of a recording that grows with the run and ends with it."""
+    """The bytes of a recording that grows with the run and ends with it; none between two looks."""
     follower = Follower(run)
     while not stopping.is_set():
         alive = run.status.alive  # before the rows: what comes later is not missed
         yield from follower.pieces()
         if not alive:
             return
+        yield b""
         stopping.wait(POLL_S)
 
 
-class Feeder:
-    """Feeds the hub at `host`:`port` with the runs of `store` that are running."""
+def stream_all(store: Store, stopping: threading.Event) -> Iterator[bytes]:
+    """The bytes of the recordings of all runs that train, those too that begin later."""
+    trainings = Trainings(store)
+    while not stopping.is_set():
+        yield from trainings.pieces()
+        yield b""
+        stopping.wait(POLL_S)
 
-    def __init__(self, store: Store, host: str, port: int) -> None:
+
+class Trainings:
+    """What one viewer has been shown of the runs of `store` that are running."""
+
+    def __init__(self, store: Store) -> None:
         self._store = store
-        self._address = (host, port)
         self._followers: dict[str, Follower] = {}
         self._done: dict[str, float] = {}  # run id -> when the run that was shown had started
 
@@ -153,57 +159,29 @@ class Feeder:
         """The runs that are being shown."""
         return list(self._followers)
 
-    def run(self, stopping: threading.Event) -> None:
-        """Feed until `stopping`."""
-        while not stopping.wait(POLL_S):
-            if self.hub_answers():
-                self.poll()
-            else:
-                self._forget()
+    def pieces(self) -> Iterator[bytes]:
+        """One look at the store: what is new there.
 
-    def poll(self) -> None:
-        """One look at the store."""
-        for run_id in self._store.recent(DEAD_AFTER_S):
-            self._guarded(run_id, self._start)
-        for run_id in list(self._followers):
-            self._guarded(run_id, self._follow)
+        A run that cannot be shown is named once and does not stop the others.
+        """
+        for run_id in dict.fromkeys([*self._store.recent(DEAD_AFTER_S), *self._followers]):
+            try:
+                yield from self._follow(run_id)
+            except Exception as error:
+                _log.warning("cannot show %s in Rerun: %s", run_id, error)
+                self._end(run_id, RunReader(self._store.path / run_id).status.started)
 
-    def _start(self, run_id: str) -> None:
-        if run_id in self._followers:
-            return
+    def _follow(self, run_id: str) -> Iterator[bytes]:
         run = self._store.run(run_id)
-        if self._done.get(run_id) != run.status.started:
-            host, port = self._address
-            sink = rr.GrpcSink(f"rerun+http://{in_url(host)}:{port}/proxy")
-            self._followers[run_id] = Follower(run, sink)
-
-    def _follow(self, run_id: str) -> None:
-        follower = self._followers[run_id]
-        status = follower.run.status  # before the rows: what comes later is not missed
-        for _ in follower.follow():
-            pass  # Rerun waits with what the hub does not take
+        status = run.status  # before the rows: what comes later is not missed
+        if self._done.get(run_id) == status.started:
+            return
+        if run_id not in self._followers:
+            self._followers[run_id] = Follower(run)
+        yield from self._followers[run_id].pieces()
         if not status.alive:
-            self._done[run_id] = status.started
-            self._followers.pop(run_id).close()
+            self._end(run_id, status.started)
 
-    def _guarded(self, run_id: str, step: Callable[[str], None]) -> None:
-        """A run that cannot be shown is named once and does not stop the others."""
-        try:
-            step(run_id)
-        except Exception as error:
-            _log.warning("cannot show %s in Rerun: %s", run_id, error)
-            self._followers.pop(run_id, None)
-            self._done[run_id] = RunReader(self._store.path / run_id).status.started
-
-    def hub_answers(self) -> bool:
-        """The hub is there."""
-        # Rerun itself would wait 5 s for a hub that is not there.
-        try:
-            with socket.create_connection(self._address, timeout=1):
-                return True
-        except OSError:
-            return False
-
-    def _forget(self) -> None:
-        self._followers.clear()
-        self._done.clear()
+    def _end(self, run_id: str, started: float) -> None:
+        self._done[run_id] = started
+        self._followers.pop(run_id, None)

@@ -1,8 +1,11 @@
 """The Rerun hub of a studio: one process that a launcher starts, watches and ends.
 
-`python -m tom.record.rerun.hub` runs Rerun's own hub (viewers and SDKs connect to `port`), serves
-the web viewer's page and every run's growing recording (`web_port`), and feeds the store's running
-runs to the hub. It listens on 127.0.0.1 unless told otherwise, and ends with its parent.
+`python -m tom.record.rerun.hub` serves Rerun's web viewer and the recordings that it shows: of what
+trains in the store, and of any run, both growing. Everything goes over its one port, which knows
+whom it answers. It listens on 127.0.0.1 unless told otherwise, and ends with its parent.
+
+Rerun's own server answers every page and every program that reaches its ports, and cannot be told
+not to. So it runs only until the viewer's files have been taken from it.
 """
 
 import argparse
@@ -12,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -19,19 +23,20 @@ from urllib.parse import quote
 
 import rerun_cli
 
-from tom.machine.address import free_port, local_host
+from tom.machine.address import free_port
 from tom.machine.parent import end_with_parent
 from tom.record.rerun import web
 
-MEMORY = "512MiB"
-"""What the hub keeps for viewers that come late; then the oldest goes."""
-
+START_S = 30.0
 STOP_S = 3.0
 
 
-def command(host: str, port: int, web_port: int, store: Path | str) -> list[str]:
-    """The command that runs the hub of `store`; it is up when GET / on `web_port` says 200."""
-    options = {"--host": host, "--port": port, "--web-port": web_port, "--store": store}
+def command(host: str, port: int, store: Path | str, studio_port: int = 0) -> list[str]:
+    """The command that runs the hub of `store`; it is up when GET / on `port` says 200.
+
+    The pages on `studio_port` may show the viewer as a part of themselves.
+    """
+    options = {"--host": host, "--port": port, "--store": store, "--studio-port": studio_port}
     given = [str(part) for option in options.items() for part in option]
     return [sys.executable, "-m", "tom.record.rerun.hub", *given]
 
@@ -41,87 +46,84 @@ def binary() -> Path:
     return Path(rerun_cli.__file__).with_name("rerun")
 
 
-def viewer_url(host: str, web_port: int, source: str, theme: str = "dark") -> str:
-    """The web viewer's address showing `source`: a `live_url`, a `hub_url` or a file's URL."""
+def viewer_url(host: str, port: int, source: str, theme: str = "dark") -> str:
+    """The web viewer's address showing `source`: a `live_url` or a file's URL."""
     query = f"url={quote(source, safe='')}&hide_welcome_screen&persist=false&notebook=false"
-    return f"http://{host}:{web_port}/?{query}&theme={theme}"
+    return f"http://{host}:{port}/?{query}&theme={theme}"
 
 
-def hub_url(host: str, port: int) -> str:
-    """Where viewers and SDKs reach a hub."""
-    return f"rerun+http://{host}:{port}/proxy"
-
-
-def live_url(host: str, web_port: int, run_id: str) -> str:
-    """The recording of one run of the store, made on the spot; it grows while the run trains."""
-    return f"http://{host}:{web_port}/live/{quote(run_id)}.rrd"
+def live_url(host: str, port: int, run_id: str = "") -> str:
+    """A recording of one run of the store, or of all that train; it grows while they do."""
+    return f"http://{host}:{port}/live{f'/{quote(run_id)}' if run_id else ''}.rrd"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the hub until SIGTERM or SIGINT (0), or until Rerun's process ends (1)."""
+    """Run the hub until SIGTERM or SIGINT (0); 1 where Rerun does not start."""
     parser = argparse.ArgumentParser(prog="tom.record.rerun.hub", description=__doc__)
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--port", type=int, required=True)
-    parser.add_argument("--web-port", type=int, required=True)
     parser.add_argument("--store", type=Path, default=Path("runs"))
+    parser.add_argument("--studio-port", type=int, default=0)
     args = parser.parse_args(arguments)
     stopping = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopping.set())
-    with tempfile.TemporaryDirectory(prefix="tom-hub-") as folder:
-        return _serve(args, Path(folder), stopping)
-
-
-def _serve(args: argparse.Namespace, folder: Path, stopping: threading.Event) -> int:
-    host, inner = local_host(args.host), free_port(args.host)
-    rerun = _start(args.host, args.port, inner, args.web_port, without_analytics(folder))
+    live = partial(_live, args.store, stopping)
     try:
-        page = web.Server(
-            args.host, args.web_port, (host, inner), partial(_live, args.store, stopping)
-        )
-        page.start()
-        feeder = threading.Thread(
-            target=_feed, args=(args.store, host, args.port, stopping), name="feed", daemon=True
-        )
-        feeder.start()
-        while not stopping.wait(0.5):
-            if rerun.poll() is not None:
-                print(f"the Rerun hub ended with code {rerun.returncode}", file=sys.stderr)
-                return 1
-        page.shutdown()
-        return 0
-    finally:
-        stopping.set()
-        _stop(rerun)
+        page = web.Server(args.host, args.port, viewer_files(), live, args.studio_port)
+    except TimeoutError as error:
+        print(f"the Rerun viewer is not there: {error}", file=sys.stderr)
+        return 1
+    page.start()
+    stopping.wait()
+    page.shutdown()
+    return 0
 
 
-def _feed(store: Path, host: str, port: int, stopping: threading.Event) -> None:
-    # Imported here: the viewer's page need not wait for it.
-    from tom.record.rerun.feed import Feeder
-    from tom.record.store import Store
+def viewer_files() -> dict[str, web.Asset]:
+    """The web viewer's files by their paths, from Rerun's own server.
 
-    Feeder(Store(store), host, port).run(stopping)
+    Raises TimeoutError where that does not answer.
+    """
+    with tempfile.TemporaryDirectory(prefix="tom-hub-") as folder:
+        port = free_port("127.0.0.1")
+        rerun = _start(port, without_analytics(Path(folder)))
+        try:
+            return _taken(rerun, port)
+        finally:
+            _stop(rerun)
+
+
+def _taken(rerun: subprocess.Popen[bytes], port: int) -> dict[str, web.Asset]:
+    deadline = time.monotonic() + START_S
+    while True:
+        try:
+            return web.assets(("127.0.0.1", port))
+        except OSError as error:
+            if rerun.poll() is not None or time.monotonic() > deadline:
+                raise TimeoutError(error) from error
+            time.sleep(0.05)
 
 
 def _live(store: Path, stopping: threading.Event, run_id: str) -> Iterator[bytes]:
-    from tom.record.rerun.feed import stream
+    # Imported here: the viewer's page need not wait for it.
+    from tom.record.rerun.feed import stream, stream_all
     from tom.record.store import Store
 
-    return stream(Store(store).run(run_id), stopping)
+    if run_id:
+        return stream(Store(store).run(run_id), stopping)
+    return stream_all(Store(store), stopping)
 
 
-def _start(
-    host: str, port: int, inner: int, web_port: int, environment: Mapping[str, str]
-) -> subprocess.Popen[bytes]:
-    options = ["--serve-web", "--bind", host, "--port", str(port)]
-    options += ["--web-viewer-port", str(inner), "--server-memory-limit", MEMORY]
-    if host not in ("127.0.0.1", "localhost"):
-        options += ["--cors-allow-origin", f"http://*:{web_port}"]
+def _start(port: int, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    host = "127.0.0.1"
+    options = ["--serve-web", "--bind", host, "--port", str(free_port(host))]
     return subprocess.Popen(
-        [str(binary()), *options],
+        [str(binary()), *options, "--web-viewer-port", str(port)],
         env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
         preexec_fn=end_with_parent if sys.platform == "linux" else None,
     )
 
@@ -145,7 +147,7 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 
 if __name__ == "__main__":
-    # Rerun holds what a dead hub did not take and would wait for it at exit.
+    # What streams and what torch holds would keep the process for seconds.
     code = main()
     sys.stdout.flush()
     os._exit(code)

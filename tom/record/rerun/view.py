@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tom.envs import ENVS, scene
 from tom.events import Episode, Evaluation, Field
+from tom.learners import LEARNERS
 from tom.metrics import describe
 from tom.record.rerun import road as rerun_road
 from tom.record.rerun import robot as rerun_robot
@@ -30,6 +31,7 @@ from tom.record.rerun.blueprint import (
 
 ROWS = 256  # of metrics that are sent together: a viewer takes a second for some hundred chunks
 
+NEUTRAL = "8a92a3"  # weights of a learner that has no colour
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
 
@@ -43,7 +45,7 @@ class RerunView:
         env: str,
         learner: str,
         every: int,
-        sink: rr.FileSink | rr.GrpcSink | None = None,
+        sink: rr.FileSink | None = None,
         layout: rrb.Blueprint | None = None,
     ) -> None:
         """`every` env steps lie between two evaluations; without a sink, `read` the bytes.
@@ -72,6 +74,10 @@ class RerunView:
         else:
             self._stream.set_sinks(sink, default_blueprint=layout)
         self._stream.send_recording_name(run_id)
+        # Without one the viewer takes a colour of its own, and that is another learner's.
+        entry = LEARNERS.get(learner)
+        colour = entry.colour if entry else None
+        self._colour = [*bytes.fromhex(colour.removeprefix("#") if colour else NEUTRAL)]
 
     def read(self) -> bytes:
         """What was recorded since the last call, where there is no sink."""
@@ -101,7 +107,7 @@ class RerunView:
     def profile(self, env_step: int, bins: NDArray[np.float64]) -> None:
         """The weight profile as bars; an empty bin has height 0."""
         self._stream.set_time("env_step", sequence=env_step)
-        self._stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins)))
+        self._stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins), color=self._colour))
 
     def places(self, places: NDArray) -> None:
         """Where the transitions lie on the map, (N, 2); drawn once."""

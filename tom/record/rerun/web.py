@@ -5,17 +5,20 @@ statistics. It is served here without the fonts and with a `fetch` that knows lo
 """
 
 import re
+import select
+import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from http import HTTPStatus
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.metadata import version
 from urllib.parse import unquote
 
 from tom.errors import UserError
-from tom.machine.address import allowed, family, names
+from tom.machine.address import family, framing, refusal
 
 FONTS = re.compile(rb"<link[^>]*fonts\.(?:googleapis|gstatic)\.com[^>]*>")
 
@@ -30,7 +33,8 @@ LOCAL_ONLY = b"""<script>
 </script>
 """
 
-LIVE = re.compile(r"/live/([^/]+)\.rrd")
+LIVE = re.compile(r"/live(?:/([^/]+))?\.rrd")
+FILES = ("/", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico", "/sw.js")
 
 ETAG = f'"rerun-{version("rerun-sdk")}-1"'
 
@@ -49,10 +53,12 @@ def local_page(html: bytes) -> bytes:
 
 
 class Server(ThreadingHTTPServer):
-    """Serves the viewer that listens on `upstream`, host and port, and growing recordings.
+    """Serves the viewer's `files` by their paths, and growing recordings.
 
-    `live` gives the bytes of a run's recording for as long as it grows; UserError where there is
-    no such run. Raises OSError when the port is taken.
+    `live` gives the bytes of a run's recording for as long as it grows, and of all that train for
+    an empty name; UserError where there is no such run. It gives empty bytes from time to time, so
+    that a viewer which has gone is noticed. The pages on `studio_port` may frame what is served.
+    Raises OSError when the port is taken.
     """
 
     daemon_threads = True
@@ -61,14 +67,14 @@ class Server(ThreadingHTTPServer):
         self,
         host: str,
         port: int,
-        upstream: tuple[str, int],
+        files: Mapping[str, Asset],
         live: Callable[[str], Iterator[bytes]],
+        studio_port: int = 0,
     ) -> None:
-        self.upstream = upstream
+        self.files = files
         self.live = live
-        self.assets: dict[str, Asset] = {}
-        # A page on another name for this address could otherwise read what is recorded here.
-        self.names = names(host)
+        self.host = host
+        self.framing = framing(host, studio_port)
         self.address_family = family(host)
         super().__init__((host, port), Handler)
 
@@ -84,34 +90,30 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         path = self.path.partition("?")[0]
-        if not allowed(self.headers.get("Host", ""), self.server.names):
-            self.send_error(403, "this address is served under its own name only")
+        if why := refusal(self.headers.get, self.server.host, self.server.server_port):
+            self._say(403, why)
         elif run := LIVE.fullmatch(path):
-            self._stream(unquote(run[1]))
+            self._stream(unquote(run[1] or ""))
+        elif path not in self.server.files:
+            self._say(404, "no such file")
         elif self.headers.get("If-None-Match") == ETAG:
             self.send_response(304)
             self.end_headers()
         else:
-            self._asset(path)
+            self._file(self.server.files[path])
 
-    def _asset(self, path: str) -> None:
-        assets = self.server.assets
-        try:
-            asset = assets.get(path) or assets.setdefault(path, _fetch(self.server.upstream, path))
-        except OSError:
-            self.send_error(502, "the Rerun hub does not answer")
-            return
+    def _file(self, file: Asset) -> None:
         self.send_response(200)
-        for name, value in asset.headers.items():
+        for name, value in file.headers.items():
             self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(asset.body)
+        self.wfile.write(file.body)
 
     def _stream(self, run_id: str) -> None:
         try:
             parts = self.server.live(run_id)
-        except UserError as error:
-            self.send_error(404, str(error)[:200])
+        except UserError:
+            self._say(404, "no such run")
             return
         self.send_response(200)
         self.send_header("Content-Type", "application/octet-stream")
@@ -121,9 +123,43 @@ class Handler(BaseHTTPRequestHandler):
             for part in parts:
                 self.wfile.write(part)
                 self.wfile.flush()
+                if not part and _gone(self.connection):
+                    return
+
+    def end_headers(self) -> None:
+        self.send_header("Content-Security-Policy", self.server.framing)
+        super().end_headers()
+
+    def _say(self, code: int, words: str) -> None:
+        """Answer with a sentence of ours: nothing of the request, which may be anybody's words."""
+        self.send_response(code)
+        self.send_header("Content-Type", "text/plain; charset=utf-8")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Content-Length", str(len(words.encode())))
+        self.end_headers()
+        self.wfile.write(words.encode())
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """What the base class refuses, without its words: they quote the request."""
+        self.close_connection = True
+        self._say(code, self.responses[HTTPStatus(code)][0])
 
     def log_message(self, format: str, *args: object) -> None:
         """Requests are not worth a line each."""
+
+
+def assets(upstream: tuple[str, int]) -> dict[str, Asset]:
+    """The viewer's files by their paths, from Rerun's own server on host and port `upstream`.
+
+    Raises OSError where it does not answer or has other files.
+    """
+    return {path: _fetch(upstream, path) for path in FILES}
+
+
+def _gone(connection: socket.socket) -> bool:
+    """The other end, which has nothing more to say, has closed."""
+    readable, _, _ = select.select([connection], [], [], 0)
+    return bool(readable) and not connection.recv(1, socket.MSG_PEEK)
 
 
 def _fetch(upstream: tuple[str, int], path: str) -> Asset:

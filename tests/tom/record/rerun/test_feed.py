@@ -1,13 +1,11 @@
-"""A hub is fed with what running runs write, whenever it comes up."""
+"""Viewers get what running runs write, whenever they come."""
 
-import subprocess
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from recorded import FIT, STEPS, Config, events, logged
 from rerun.chunk import RrdReader
@@ -15,81 +13,91 @@ from rerun.chunk import RrdReader
 from tom.events import Metrics
 from tom.record import Recorder, RunWriter, Store, layout
 from tom.record.rerun import feed
-from tom.record.rerun.feed import Feeder, Follower, Tail, stream
-from tom.record.rerun.hub import binary, free_port, without_analytics
+from tom.record.rerun.feed import Follower, Tail, Trainings, stream, stream_all
 
 
-@contextmanager
-def hub(path: Path, port: int) -> Iterator[None]:
-    """A real Rerun server that saves what it is sent to `path`."""
-    environment = without_analytics(path.parent)
-    command = [str(binary()), "--bind", "127.0.0.1", "--port", str(port), "--save", str(path)]
-    process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait()
+def rows(parts: Iterable[bytes], folder: Path, of: str) -> pd.DataFrame:
+    """What a viewer is sent of one entity; each part is a file of its own."""
+    found = []
+    for part in filter(None, parts):
+        (folder / "part.rrd").write_bytes(part)
+        table = logged(folder / "part.rrd", of)
+        found += [] if table.empty else [table]
+    return pd.concat(found)
 
 
-def wait(found: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
-    while not found():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+def recordings(parts: Iterable[bytes], folder: Path) -> list[str]:
+    """Whose part each is."""
+    found = []
+    for part in filter(None, parts):
+        (folder / "part.rrd").write_bytes(part)
+        found += [entry.recording_id for entry in RrdReader(folder / "part.rrd").recordings()]
+    return found
 
 
-def profiles_in(path: Path) -> int:
-    """The weight profiles in a file that a hub is still writing; 0 while its last frame is half."""
-    try:
-        return len(logged(path, "weights/profile"))
-    except RuntimeError:
-        return 0
-
-
-def test_a_hub_that_comes_late_gets_the_whole_run_and_follows_it(store: Store, tmp_path: Path):
-    port, saved = free_port("127.0.0.1"), tmp_path / "saved.rrd"
-    feeder = Feeder(store, "127.0.0.1", port)
-    assert not feeder.hub_answers()
+def test_a_viewer_that_comes_late_gets_the_whole_run_and_follows_it(store: Store, tmp_path: Path):
+    trainings = Trainings(store)
+    assert list(trainings.pieces()) == []
     recorder = Recorder(RunWriter.create(store, "run", Config))
     given = events()
     for event in given[:600]:
         recorder.consume(event)
-    with hub(saved, port):
-        wait(feeder.hub_answers)
-        feeder.poll()
-        for event in given[600:]:
-            recorder.consume(event)
-        recorder.finish("finished")
-        feeder.poll()
-        assert feeder.followed == []
-        feeder.poll()  # the run is over: it is not sent again
-        assert feeder.followed == []
-        wait(lambda: saved.exists() and profiles_in(saved) == 10)
+    parts = list(trainings.pieces())
+    for event in given[600:]:
+        recorder.consume(event)
+    recorder.finish("finished")
+    assert trainings.followed == ["run"]
+    parts += trainings.pieces()
+    assert trainings.followed == []
+    assert list(trainings.pieces()) == []  # the run is over: it is not sent again
     want = store.run("run").metrics()
-    table = logged(saved, "model/holdout_nll")
+    table = rows(parts, tmp_path, "model/holdout_nll")
     assert table["env_step"].tolist() == want["env_step"].tolist()
     values = [value[0] for value in table["Scalars:scalars"]]
     np.testing.assert_allclose(values, want["model/holdout_nll"])
+    assert len(rows(parts, tmp_path, "weights/profile")) == 10
+
+
+def test_two_trainings_go_to_a_viewer_in_one_stream(store: Store, tmp_path: Path):
+    trainings = Trainings(store)
+    recorders = [Recorder(RunWriter.create(store, run_id, Config)) for run_id in ("a", "b")]
+    parts: list[bytes] = []
+    for event in events():
+        for recorder in recorders:
+            recorder.consume(event)
+        if event.env_step % 100 == 0:
+            parts += trainings.pieces()  # pieces of one follow those of the other
+    for recorder in recorders:
+        recorder.finish("finished")
+    parts += trainings.pieces()
+    whose = recordings(parts, tmp_path)
+    assert set(whose) == {"a", "b"}
+    assert whose != sorted(whose)
 
 
 def test_a_run_that_cannot_be_shown_does_not_stop_the_others(store: Store, tmp_path: Path):
-    port, saved = free_port("127.0.0.1"), tmp_path / "saved.rrd"
-    feeder = Feeder(store, "127.0.0.1", port)
+    trainings = Trainings(store)
     recorders = [Recorder(RunWriter.create(store, run_id, Config)) for run_id in ("a", "b")]
     for recorder in recorders:
         for event in events():
             recorder.consume(event)
     with (store.path / "a" / "weights" / "profiles.jsonl").open("a") as file:
         file.write('{"env_step": 7, "bins": "none"}\n')
-    with hub(saved, port):
-        wait(feeder.hub_answers)
-        feeder.poll()
-        assert feeder.followed == ["b"]
-        for recorder in recorders:
-            recorder.finish("finished")
-        feeder.poll()
-    assert feeder.followed == []
+    list(trainings.pieces())
+    assert trainings.followed == ["b"]
+    for recorder in recorders:
+        recorder.finish("finished")
+    list(trainings.pieces())
+    assert trainings.followed == []
+
+
+def test_a_stream_of_all_that_trains_goes_on_when_nothing_does(store: Store):
+    parts = stream_all(store, threading.Event())
+    assert next(parts) == b""
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        for event in events():
+            recorder.consume(event)
+        assert next(part for part in parts if part)[:4] == b"RRF2"
 
 
 def test_a_stream_grows_with_the_run_and_ends_with_it(store: Store, tmp_path: Path):

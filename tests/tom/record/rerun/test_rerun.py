@@ -14,6 +14,7 @@ from rerun.chunk import RrdReader
 from tom.config import RoadConfig
 from tom.envs import scene
 from tom.events import Collected, Episode, Evaluation, Field, Metrics, Weights
+from tom.learners import LEARNERS
 from tom.record import Recorder, RunReader, RunWriter, Store, open_sink
 from tom.record.export import export
 from tom.record.rerun import sink
@@ -59,6 +60,8 @@ def test_the_profile_is_bars(hopper: RunReader):
     assert table["env_step"].tolist() == hopper.profiles().env_step.tolist()
     bars = table["BarChart:values"].iloc[1][0]["buffer"]
     np.testing.assert_allclose(bars, hopper.profiles().bins[1])
+    colour = int((LEARNERS[hopper.learner].colour or "")[1:] + "ff", 16)
+    assert table["BarChart:color"].iloc[1] == [colour]
 
 
 def test_the_robot_stands_where_mujoco_puts_it(hopper: RunReader):

@@ -1,0 +1,192 @@
+"""The exams that runs' fits sat, as pages read them; who errs least in them. Pure functions.
+
+An exam is the real steps between a fit and the next, which are not in its buffer.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from app.data.aggregate import curve_points
+from tom.analysis import statistics
+from tom.analysis.statistics import Interval
+
+Floats = NDArray[np.float64]
+
+RANKED = 5
+"""seeds of a group from which it is ranked"""
+MEASURED = {
+    "error": "exam/error",
+    "rollout_error": "exam/rollout_error",
+    "footprint": "exam/footprint",
+    "uniform": "exam/footprint_uniform",
+    "noise": "exam/footprint_noise",
+}
+
+
+@dataclass(frozen=True)
+class Exams:
+    """The exams of a run's fits in their order, (F,); NaN where one was not measured.
+
+    `returns` are those of the next evaluation. Runs of one `group` differ in nothing but the seed.
+    """
+
+    run_id: str
+    learner: str
+    seed: int
+    group: str
+    step: NDArray[np.int64]
+    error: Floats
+    rollout_error: Floats
+    footprint: Floats
+    uniform: Floats
+    noise: Floats
+    returns: Floats
+
+    @property
+    def telling(self) -> NDArray[np.bool_]:
+        """Which footprints say something, (F,).
+
+        Not those of fits whose buffer, without weights, lies no farther from the exam than two
+        halves of the exam from each other.
+        """
+        return np.abs(self.noise) < 1
+
+    @property
+    def last(self) -> float:
+        """The step of the last fit that was examined; -inf where none was."""
+        return float(self.step[-1]) if len(self.step) else -np.inf
+
+    def until(self, last: float) -> "Exams":
+        """The exams of the fits up to step `last`."""
+        return self.at(self.step <= last)
+
+    def at(self, which: NDArray) -> "Exams":
+        """Some of the exams: a mask (F,) or indices."""
+        names = ("step", *MEASURED, "returns")
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
+
+
+def exams_of(run_id: str, learner: str, seed: int, group: str, frame: pd.DataFrame) -> Exams:
+    """The exams in a run's metrics: `env_step` and every metric."""
+    columns = {name: _column(frame, path) for name, path in MEASURED.items()}
+    sat = np.isfinite(np.stack(list(columns.values()))).any(0)
+    step = np.asarray(frame["env_step"], np.int64)[sat]
+    kept = {name: values[sat] for name, values in columns.items()}
+    return Exams(run_id, learner, seed, group, step, **kept, returns=next_return(frame, step))
+
+
+def _column(frame: pd.DataFrame, path: str) -> Floats:
+    return np.asarray(frame[path], np.float64) if path in frame else np.full(len(frame), np.nan)
+
+
+def next_return(frame: pd.DataFrame, step: NDArray[np.int64]) -> Floats:
+    """The return of the first evaluation after each step (F,); NaN where none followed.
+
+    At a fit's own step it is still that of the policy before.
+    """
+    at, value = curve_points(frame, "eval/return")
+    following = np.searchsorted(at, step, side="right")
+    return np.append(value, np.nan)[following]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the exams of a group came to: medians over a run's fits, (n,) over its runs."""
+
+    name: str
+    learner: str
+    seeds: int
+    fits: int
+    error: Floats
+    rollout_error: Floats
+    footprint: Floats
+    telling: int
+    """fits whose footprint says something"""
+
+    @property
+    def typical(self) -> float:
+        """The interquartile mean of the runs' errors; NaN without any."""
+        return middle(self.error).value
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The groups of the runs, and who of those with enough seeds errs least."""
+
+    standings: tuple[Standing, ...]
+    until: float
+    """the last step whose fits count; infinity where no two groups have enough seeds"""
+    ranked: tuple[Standing, ...]
+    """from the least error on; empty where fewer than two groups have enough seeds"""
+
+    @property
+    def first_beats_second(self) -> Interval:
+        """P(a run of the first of the ranked errs less than one of the second)."""
+        first, second = (-standing.error[:, None] for standing in self.ranked[:2])
+        return statistics.probability_of_improvement(first, second, np.random.default_rng(0))
+
+
+def outcome(exams: Sequence[Exams]) -> Outcome:
+    """Ranks groups with `RANKED` seeds, over the steps that so many of each of them reach.
+
+    A run that ends before counts for nothing then: its fits saw less data.
+    """
+    groups: dict[str, list[Exams]] = {}
+    for one in exams:
+        groups.setdefault(one.group, []).append(one)
+    reach = {name: reached for name, of in groups.items() if np.isfinite(reached := reach_of(of))}
+    until = min(reach.values()) if len(reach) > 1 else np.inf
+    found = {name: standing(name, of, until) for name, of in groups.items()}
+    ranked = [found[name] for name in reach] if len(reach) > 1 else []
+    ranked.sort(key=lambda one: one.typical)
+    return Outcome(tuple(found.values()), until, tuple(ranked))
+
+
+def reach_of(runs: Sequence[Exams]) -> float:
+    """The last examined step that `RANKED` seeds reach; -inf where there are fewer seeds."""
+    last: dict[int, float] = {}
+    for run in runs:
+        if np.isfinite(run.error).any():
+            last[run.seed] = max(last.get(run.seed, -np.inf), run.last)
+    return sorted(last.values())[-RANKED] if len(last) >= RANKED else -np.inf
+
+
+def standing(name: str, runs: Sequence[Exams], until: float) -> Standing:
+    """A group's, of its runs that reach step `until` (of all where that is infinity)."""
+    whole = [run for run in runs if np.isinf(until) or run.last >= until]
+    cut = [run.until(until) for run in whole]
+    return Standing(
+        name,
+        runs[0].learner,
+        len({run.seed for run in cut}),
+        sum(len(run.step) for run in cut),
+        medians([run.error for run in cut]),
+        medians([run.rollout_error for run in cut]),
+        medians([run.footprint[run.telling] for run in cut]),
+        sum(int(run.telling.sum()) for run in cut),
+    )
+
+
+def medians(runs: Sequence[Floats]) -> Floats:
+    """The median of each run's numbers, without the runs that have none."""
+    finite = [values[np.isfinite(values)] for values in runs]
+    return np.array([np.median(values) for values in finite if len(values)], np.float64)
+
+
+def middle(values: Floats) -> Interval:
+    """The interquartile mean over runs (n,) with its bootstrap interval; NaN without any."""
+    if not len(values):
+        return Interval(np.nan, np.nan, np.nan)
+    return statistics.interval(values[:, None], statistics.iqm, np.random.default_rng(0))
+
+
+def at_fit(frame: pd.DataFrame, step: int) -> Mapping[str, float]:
+    """What the fit at `step` came to in its exam; empty where it has sat none."""
+    here = frame[frame["env_step"] == step]
+    names = [name for name in frame.columns if name.startswith("exam/")]
+    values = {name: float(value) for name in names for value in here[name]}
+    return {name: value for name, value in values.items() if np.isfinite(value)}

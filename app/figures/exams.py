@@ -1,0 +1,109 @@
+"""The exams of fits: how near their weights come to the policy, how they err, what followed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from app import text
+from app.data.exams import Exams
+from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, upright
+from app.theme import faded, learner_colour, learner_label, learner_symbol
+
+FITS = 1500
+"""fits that are drawn at most; what is left out is said on the figure"""
+TICKS = [digit * 10.0**power for power in range(-5, 5) for digit in (1, 2, 5)]
+LEGEND = 8  # pixels of a legend's marker
+
+
+def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
+    """A point a fit, coloured by learner: footprint against error, next return against error.
+
+    Both panels have one error axis, so that a fit lies at one height in both. Footprints that say
+    nothing (`Exams.telling`) are left out of the first, which says so.
+    """
+    figure = make_subplots(rows=1, cols=2, shared_yaxes=True, horizontal_spacing=0.03)
+    every = max(-(-sum(len(run.step) for run in exams) // FITS), 1)
+    shown = [run.at(np.arange(0, len(run.step), every)) for run in exams]
+    for learner in dict.fromkeys(run.learner for run in shown):
+        runs = [run for run in shown if run.learner == learner]
+        figure.add_trace(_points(learner, [run.at(run.telling) for run in runs], "footprint"), 1, 1)
+        figure.add_trace(_points(learner, runs, "returns"), 1, 2)
+        figure.add_trace(_key(learner), 1, 1)
+    marks = [upright(0, 1, "dot"), upright(1, 1, "dot")]
+    figure.update_layout(**LAYOUT, height=height, uirevision="exams", shapes=marks)
+    figure.update_xaxes(**X_AXIS)
+    figure.update_yaxes(**Y_AXIS, type="log", tickvals=TICKS, ticktext=[f"{at:g}" for at in TICKS])
+    figure.update_xaxes(
+        title_text="footprint (0: like the policy itself, 1: as without weights)", col=1
+    )
+    figure.update_xaxes(title_text="return of the next evaluation", col=2)
+    figure.update_yaxes(title_text="one-step error in the exam (std)", col=1)
+    words = _left_out(exams, every)
+    return note(figure, "<br>".join(words), right=0.48) if words else figure
+
+
+def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
+    colour = learner_colour(learner)
+    return go.Scatter(
+        x=np.concatenate([getattr(run, x) for run in runs]),
+        y=np.concatenate([run.error for run in runs]),
+        hovertext=[words for run in runs for words in hover(run)],
+        hoverinfo="text",
+        name=text.plotly(learner_label(learner)),
+        meta=text.plotly(learner),
+        mode="markers",
+        marker={
+            "size": 6,
+            "color": faded(colour, 0.8),
+            "symbol": learner_symbol(learner),
+            "line": {"width": 0},
+        },
+        legendgroup=text.plotly(learner),
+        showlegend=False,
+    )
+
+
+def _key(learner: str) -> go.Scatter:
+    """The learner's line in the legend: also where none of its points is in the first panel."""
+    return go.Scatter(
+        x=[None],
+        y=[None],
+        name=text.plotly(learner_label(learner)),
+        mode="markers",
+        marker={
+            "size": LEGEND,
+            "color": learner_colour(learner),
+            "symbol": learner_symbol(learner),
+        },
+        legendgroup=text.plotly(learner),
+    )
+
+
+def hover(run: Exams) -> list[str]:
+    """What is said of each fit (F,)."""
+    who = f"<b>{text.plotly(run.group)}</b> seed {run.seed}<br>{text.plotly(run.run_id)}"
+    found = []
+    for i, step in enumerate(run.step):
+        nothing = "" if run.telling[i] else ": says nothing"
+        footprint = f"{_number(run.footprint[i])} (noise {_number(run.noise[i])}{nothing})"
+        found.append(
+            f"{who}<br>fit at step {step:,}<br>footprint {footprint}"
+            f"<br>error {_number(run.error[i])}, five steps {_number(run.rollout_error[i])}"
+            f"<br>return of the next evaluation {text.number(float(run.returns[i]))}"
+        )
+    return found
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else "-"
+
+
+def _left_out(exams: Sequence[Exams], every: int) -> list[str]:
+    fits = sum(len(run.step) for run in exams)
+    words = [f"one of {every} of the {fits:,} fits is drawn"] if every > 1 else []
+    mute = sum(int((~run.telling).sum()) for run in exams)
+    if mute:
+        words.append(f"without {mute:,} of {fits:,} fits, whose footprint says nothing")
+    return words

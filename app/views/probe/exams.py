@@ -1,0 +1,181 @@
+"""Does weighting help, out of sample: what the exams of the runs' fits came to."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+
+from app import text
+from app.data import readers, settings
+from app.data.cache import VersionedCache
+from app.data.exams import RANKED, Exams, Outcome, Standing, exams_of, middle, outcome
+from app.data.readers import RunInfo
+from app.figures.exams import footprint_error_return
+from app.parts.plot import chart
+from app.theme import learner_label
+from tom.analysis import statistics
+from tom.analysis.statistics import Interval
+
+HEIGHT = 380
+NO_EXAM = (
+    "{runs} sat no exam: of a version before exams were recorded, or their first fit still serves."
+)
+WHAT = (
+    "The exam of a fit: the real steps that its policy went on to make until the next fit. They "
+    "are not in its buffer. Errors are root mean squares over the dimensions of the state, each in "
+    "standard deviations of its change in a step; of a run the median over its fits counts."
+)
+OWN = (
+    "Each run is examined on what its own policy met, in units of its own buffer, so learners "
+    "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
+    "them on the same buffers."
+)
+_OUTCOMES: VersionedCache[tuple[list[Exams], Outcome]] = VersionedCache(16)
+
+
+def draw(runs: Sequence[RunInfo]) -> None:
+    """Who errs least where its policy goes; the numbers; a point a fit."""
+    found, result = examined(runs)
+    if not found:
+        if runs:
+            st.caption(NO_EXAM.format(runs=_count(len(runs))))
+        return
+    st.markdown(verdict(result), help=WHAT)
+    st.dataframe(table(result), hide_index=True, column_config=_columns())
+    with st.container(border=True):
+        st.markdown(
+            "**Where the weights lie, how the model errs, what came of it**: a point is a fit, at "
+            "one height in both panels",
+            help="A footprint is the energy distance between the weighted buffer and the exam, "
+            "over that of the buffer without weights. It says nothing where that buffer lies no "
+            "farther from the exam than two halves of the exam from each other.",
+        )
+        figure = footprint_error_return(found, HEIGHT)
+        chart(figure, "exams", "footprint, error in the exam and next return of every fit")
+    st.caption(" ".join(_remarks(result, len(runs) - len(found))))
+
+
+def _remarks(result: Outcome, lacking: int) -> list[str]:
+    few = statistics.remark(min(one.seeds for one in result.ranked or result.standings))
+    words = [f"{text.markdown(few)}." if few else "", OWN]
+    return [*words, NO_EXAM.format(runs=_count(lacking)) if lacking else ""]
+
+
+def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Outcome]:
+    """The exams of the runs that sat one, and what they come to."""
+
+    def make() -> tuple[list[Exams], Outcome]:
+        names = group_names(runs)
+        read = [
+            exams_of(run.run_id, run.learner, run.seed, names[run.run_id], readers.metrics(run))
+            for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id))
+        ]
+        found = [one for one in read if len(one.step)]
+        return found, outcome(found)
+
+    version = tuple((run.path, readers.recorded(run)) for run in runs)
+    return _OUTCOMES.get(tuple(run.path for run in runs), make, version)
+
+
+def group_names(runs: Sequence[RunInfo]) -> dict[str, str]:
+    """By run id what its group is called: its learner, and what else sets groups apart."""
+    apart = settings.variants(runs)
+    several = len({run.preset for run in runs}) > 1
+    return {
+        run.run_id: ", ".join(
+            [
+                learner_label(run.learner),
+                *([run.preset] if several else []),
+                *([apart[run.run_id]] if apart[run.run_id] else []),
+            ]
+        )
+        for run in runs
+    }
+
+
+def verdict(result: Outcome) -> str:
+    """One sentence: who errs least where its policy goes, by how much, and if beyond noise."""
+    if not result.ranked:
+        counts = "; ".join(
+            f"{text.markdown(one.name)}: {_runs(one)}, typical error {_short(one.typical)}"
+            for one in result.standings
+        )
+        return (
+            f"**n too few to rank** (two learners with {RANKED} seeds each are needed). "
+            f"Where the policy goes, one step ahead: {counts}."
+        )
+    first, second = result.ranked[:2]
+    beats = result.first_beats_second
+    one, other = (text.markdown(standing.name) for standing in (first, second))
+    less = 100 * (1 - first.typical / second.typical)
+    errors = (
+        f"{_short(first.typical)}, {less:.0f} % less than {other}, the next, "
+        f"with {_short(second.typical)}, up to step {result.until:,.0f} "
+        f"(n: {_runs(first)}; {_runs(second)})"
+    )
+    chance = (
+        f"a run of {one} errs less than one of {other} with probability {beats.value:.2f} "
+        f"(95 % interval {beats.low:.2f} to {beats.high:.2f})"
+    )
+    if beats.low > 0.5:
+        return (
+            f"**Where its own policy goes, {one} errs least**: {errors}. More than noise: {chance}."
+        )
+    return (
+        f"**Where its own policy goes, nobody errs less beyond noise**: least is {one} with "
+        f"{errors}, but {chance}."
+    )
+
+
+def _runs(one: Standing) -> str:
+    runs = "1 run" if len(one.error) == 1 else f"{len(one.error)} runs"
+    return f"{runs}, {one.fits:,} fits"
+
+
+def _count(runs: int) -> str:
+    return "1 run of this task" if runs == 1 else f"{runs} runs of this task"
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else "-"
+
+
+def table(result: Outcome) -> pd.DataFrame:
+    """A line a group: n, and interquartile means over its runs with 95 % bootstrap intervals."""
+    rows = []
+    for one in result.standings:
+        rows.append(
+            {
+                "group": one.name,
+                "runs": len(one.error),
+                "seeds": one.seeds,
+                "fits": one.fits,
+                "one step": _words(middle(one.error)),
+                "five steps": _words(middle(one.rollout_error)),
+                "footprint": _words(middle(one.footprint)),
+                "telling": one.telling,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _words(found: Interval) -> str:
+    if not np.isfinite(found.value):
+        return "-"
+    bounds = f" [{found.low:.3g}, {found.high:.3g}]" if np.isfinite(found.low) else ""
+    return f"{found.value:.3g}{bounds}"
+
+
+def _columns() -> dict:
+    column = st.column_config.Column
+    return {
+        "one step": column(
+            "error, one step", help="interquartile mean over runs, 95 % bootstrap interval"
+        ),
+        "five steps": column(
+            "error, five steps", help="five modelled steps under the recorded actions"
+        ),
+        "footprint": column(help="1: no better than no weights, 0: like the policy itself"),
+        "telling": column("telling", help="fits whose footprint is not lost in its noise"),
+    }

@@ -1,0 +1,91 @@
+"""The exam of the fit that is looked at: where its weights should lie, and how its model errs."""
+
+from collections.abc import Mapping
+
+import streamlit as st
+
+from app import text
+from app.data import pictures, readers
+from app.data.exams import at_fit
+from app.data.readers import RunInfo
+from tom.metrics import describe
+
+COLUMNS = {
+    "footprint": "exam/footprint",
+    "its noise": "exam/footprint_noise",
+    "distance without weights": "exam/footprint_uniform",
+    "error, one step": "exam/error",
+    "error, five steps": "exam/rollout_error",
+}
+
+
+def of_fit(run: RunInfo, step: int) -> None:
+    """Numbers of the exam, and what they say; a line where there is none."""
+    if run.env == pictures.ENV:  # offline: nothing is collected after the fit
+        return
+    frame = readers.metrics(run)
+    found = at_fit(frame, step)
+    if not found:
+        st.caption(without(run, any(name.startswith("exam/") for name in frame.columns)))
+        return
+    with st.container(border=True):
+        st.markdown(
+            "**The exam of this fit**: the steps that its policy made next, which were not in its "
+            "buffer"
+        )
+        for column, (name, path) in zip(st.columns(len(COLUMNS)), COLUMNS.items(), strict=True):
+            column.metric(name, _shown(found.get(path)), help=describe(path))
+        st.caption(text.markdown(in_words(found)))
+
+
+def without(run: RunInfo, examined: bool) -> str:
+    """Why a fit has no exam; `examined`: another fit of the run has."""
+    if not examined and not run.status.alive:
+        return "No exam: this run is of a version before fits were examined."
+    if run.status.alive:
+        return "No exam yet: it is over with the next fit."
+    return "This fit sat no exam."
+
+
+def in_words(found: Mapping[str, float]) -> str:
+    """What the numbers of an exam say about the weights and about the model."""
+    said = [about_weights(found)]
+    if "exam/error" in found:
+        ahead = found.get("exam/rollout_error")
+        five = "" if ahead is None else f", after five steps by {ahead:.3g}"
+        said.append(
+            f"One step ahead its model errs by {found['exam/error']:.3g} standard deviations of a "
+            f"step's change{five}."
+        )
+    return " ".join(said)
+
+
+def about_weights(found: Mapping[str, float]) -> str:
+    """Whether the weights brought the buffer nearer to what the policy did, beyond the noise."""
+    uniform, footprint, noise = (
+        found.get(f"exam/{name}") for name in ("footprint_uniform", "footprint", "footprint_noise")
+    )
+    if uniform is None:
+        return "Too few steps to tell where the weights should lie."
+    if footprint is None or noise is None or abs(noise) >= 1:
+        return (
+            "The footprint says nothing here: without weights the buffer lies no farther from "
+            "these steps than two halves of them from each other."
+        )
+    if footprint < 1 - abs(noise):
+        return (
+            f"The weights bring the buffer nearer to what the policy did: {footprint:.2f} of the "
+            "distance without weights is left."
+        )
+    if footprint > 1 + abs(noise):
+        return (
+            f"The weights take the buffer away from what the policy did: it lies {footprint:.2f} "
+            "times as far as without weights."
+        )
+    return (
+        "With its weights the buffer lies as near to what the policy did as without, but for noise."
+    )
+
+
+def _shown(value: float | None) -> str:
+    return text.number(value, 3)

@@ -1,0 +1,159 @@
+"""What pages of other origins can do to a studio in a real browser, and who holds its key."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Event, Thread
+from typing import TYPE_CHECKING
+
+import pytest
+
+from app.links import Links
+from app.servers.browser import chromium
+from app.servers.launcher import Studio, servers
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
+]
+SOCKET = """address => new Promise(done => {
+    const socket = new WebSocket(address, ["streamlit", "none"]);
+    socket.onopen = () => done("open");
+    socket.onerror = () => done("refused");
+})"""
+READ = """address => fetch(address).then(answer => answer.text(), () => "refused")"""
+
+FRAME = """address => new Promise(done => {
+    const frame = document.createElement("iframe");
+    frame.onload = () => done();
+    frame.src = address;
+    document.body.append(frame);
+})"""
+
+
+class Elsewhere(BaseHTTPRequestHandler):
+    """A page of somebody else on this machine, who notes what browsers send along."""
+
+    cookies: list[str]
+
+    def do_GET(self) -> None:
+        self.cookies.append(self.headers.get("Cookie", ""))
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<!doctype html><title>elsewhere</title>")
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nothing."""
+
+
+@contextmanager
+def elsewhere() -> Iterator[tuple[int, list[str]]]:
+    """Another server of this machine: its port and the cookies that it was sent."""
+    cookies: list[str] = []
+    handler = type("Noting", (Elsewhere,), {"cookies": cookies})
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield server.server_port, cookies
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def opened(store: Path) -> Iterator[tuple[Links, "Browser"]]:
+    with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
+        assert running
+        yield links, browser
+
+
+@pytest.fixture
+def foreign(opened: tuple[Links, "Browser"]) -> Iterator["Page"]:
+    """A page of another port, in a browser that has the studio open and holds its key."""
+    links, browser = opened
+    with elsewhere() as (port, _), browser.new_context() as context:
+        context.new_page().goto(links.opened())
+        page = context.new_page()
+        page.goto(f"http://127.0.0.1:{port}/")
+        yield page
+
+
+def may_start(page: "Page") -> bool:
+    """The page that is open has the form that starts trainings, or says how to get it."""
+    page.get_by_text("Start a training").click()
+    start = page.get_by_role("button", name="Start", exact=True)
+    start.or_(page.get_by_text("open the address that")).first.wait_for(timeout=60_000)
+    return start.is_visible()
+
+
+def test_who_opened_the_printed_address_may_act_and_so_do_their_other_tabs(
+    opened: tuple[Links, "Browser"],
+) -> None:
+    links, browser = opened
+    with browser.new_context() as context:
+        first, second = context.new_page(), context.new_page()
+        first.goto(links.opened())
+        assert may_start(first)
+        assert links.key not in first.url
+        second.goto(links.address)
+        assert may_start(second)
+
+
+@pytest.mark.parametrize("given", ["", "#key=another", "#key=no <token>"])
+def test_another_browser_looks_on(given: str, opened: tuple[Links, "Browser"]) -> None:
+    links, browser = opened
+    with browser.new_context() as context:
+        page = context.new_page()
+        page.goto(f"{links.address}/{given}")
+        assert not may_start(page)
+
+
+def test_another_port_gets_no_key_from_the_browser(opened: tuple[Links, "Browser"]) -> None:
+    links, browser = opened
+    with elsewhere() as (port, cookies), browser.new_context() as context:
+        page = context.new_page()
+        page.goto(links.opened())
+        assert may_start(page)
+        page.goto(f"http://127.0.0.1:{port}/")
+        stored = page.evaluate("JSON.stringify(localStorage) + document.cookie")
+        assert links.key not in stored
+        assert cookies
+        assert all(links.key not in cookie for cookie in cookies)
+
+
+def test_another_port_opens_no_socket(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
+    links, _ = opened
+    for address in (f"{links.port}/_stcore/stream", f"{links.viser_port}/page"):
+        assert foreign.evaluate(SOCKET, f"ws://127.0.0.1:{address}") == "refused"
+
+
+def test_another_port_reads_nothing(opened: tuple[Links, "Browser"], foreign: "Page") -> None:
+    links, _ = opened
+    for port in (links.port, links.rerun_port, links.viser_port):
+        assert foreign.evaluate(READ, f"http://127.0.0.1:{port}/") == "refused"
+
+
+def test_another_port_shows_no_page_in_a_frame(
+    opened: tuple[Links, "Browser"], foreign: "Page"
+) -> None:
+    links, _ = opened
+    for port in (links.port, links.rerun_port, links.viser_port):
+        foreign.evaluate(FRAME, f"http://127.0.0.1:{port}/")
+        assert foreign.frames[-1].url == "chrome-error://chromewebdata/", port
+
+
+def test_a_recordings_address_with_line_breaks_runs_no_script(
+    opened: tuple[Links, "Browser"],
+) -> None:
+    links, browser = opened
+    script = "%3Cscript%3Edocument.title=%22run%22%3C%2Fscript%3E"
+    path = f"/live/x%0d%0aContent-Type:%20text%2Fhtml%0d%0a%0d%0a{script}.rrd"
+    with browser.new_context() as context:
+        page = context.new_page()
+        answer = page.goto(f"http://127.0.0.1:{links.rerun_port}{path}")
+        assert answer is not None
+        assert answer.status == 404
+        assert page.title() == ""

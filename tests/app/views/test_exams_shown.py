@@ -1,0 +1,190 @@
+"""Exams on the pages, of real recorded runs: Compare, Live, Weights and Probe."""
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studio_pages import array, draw, figures, trace
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+
+from app.data import readers
+from app.data.exams import Exams, outcome
+from app.links import Links
+from app.views.compare.measure import in_order
+from app.views.live import usual
+from app.views.probe.exams import NO_EXAM, table, verdict
+from app.views.weights.exam import about_weights, in_words
+from tom.record import layout
+from tom.record.reader import RunReader
+
+pytestmark = pytest.mark.usefixtures("studio")
+PENDULUM_MLE = "pendulum-mle-0"
+NO_COPY = "No exam: this run is of a version before fits were examined."
+
+
+def recorded(store: Path, run_id: str, metric: str) -> tuple[list[int], list[float]]:
+    rows = RunReader(store / run_id).metrics()[["env_step", metric]].dropna()
+    return rows["env_step"].tolist(), rows[metric].tolist()
+
+
+@pytest.fixture
+def older(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A store whose MLE run was made before exams were recorded."""
+    there = shutil.copytree(store, tmp_path / "store")
+    rows = there / PENDULUM_MLE / layout.METRICS
+    kept = [
+        {name: value for name, value in json.loads(line).items() if not name.startswith("exam/")}
+        for line in rows.read_text().splitlines()
+    ]
+    rows.write_text("".join(json.dumps(row) + "\n" for row in kept))
+    (there / PENDULUM_MLE / layout.METRICS_TABLE).unlink(missing_ok=True)
+    for name, value in Links(store=str(there)).environment().items():
+        monkeypatch.setenv(name, value)
+    return there
+
+
+def test_compare_puts_the_exams_of_seeds_together(store: Path) -> None:
+    lines = (store / PENDULUM_TOM / layout.METRICS).read_text().splitlines()
+    told = [json.loads(line)["env_step"] for line in lines]
+    assert told != sorted(told)  # an exam is told under the step of its fit
+    app = draw("compare", env="inverted-pendulum", measure="another metric")
+    assert app.selectbox(key="metric").value == "exam/error"
+    found = [recorded(store, f"pendulum-tom-{seed}", "exam/error") for seed in (0, 1)]
+    line = trace(figures(app)[0], name="TOM (n = 2)")
+    assert found[0][0] == found[1][0] == array(line["x"]).tolist()
+    assert array(line["y"]) == pytest.approx(np.mean([values for _, values in found], 0))
+    shown = app.dataframe[0].value.set_index("learner")
+    assert shown.loc["TOM", "highest"] == pytest.approx(np.mean([max(v) for _, v in found]))
+    assert "best" not in shown.columns
+    assert "best" in draw("compare", env="inverted-pendulum").dataframe[0].value.columns
+
+
+def test_exams_come_before_other_metrics() -> None:
+    names = ["critic/q", "exam/footprint", "env_step", "exam/error", "exam/nll", "actor/loss"]
+    assert in_order([*names, "critic/q"]) == [
+        "exam/error", "exam/footprint", "actor/loss", "critic/q", "exam/nll",
+    ]  # fmt: skip
+
+
+def test_live_charts_the_exams_of_a_training(store: Path) -> None:
+    run = info(store, "pendulum-tom-1")
+    drawn = [name for name in readers.points(run) if name in ("exam/footprint", "exam/error")]
+    lines = [name for name in drawn if readers.points(run)[name] > 1]
+    assert "exam/error" in lines
+    assert set(lines) <= set(usual([run]))
+    app = draw("live", runs="pendulum-tom-1")
+    place = usual([run]).index("exam/error")
+    line = figures(app)[2 + place]["data"][0]
+    assert array(line["y"]).tolist() == recorded(store, "pendulum-tom-1", "exam/error")[1]
+    assert not any(name.startswith("exam/") for name in usual([info(store, ROAD_TOM)]))
+
+
+def test_weights_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> None:
+    steps, errors = recorded(store, PENDULUM_TOM, "exam/error")
+    ahead = dict(zip(*recorded(store, PENDULUM_TOM, "exam/rollout_error"), strict=True))
+    for step, error in zip(steps, errors, strict=True):
+        app = draw("weights", run=PENDULUM_TOM, step=str(step))
+        shown = {metric.label: metric.value for metric in app.metric}
+        assert shown["error, one step"] == f"{error:,.3f}"
+        assert shown["error, five steps"] == f"{ahead[step]:,.3f}"
+
+
+def test_weights_says_where_there_is_no_exam(older: Path) -> None:
+    said = [note.value for note in draw("weights", run=PENDULUM_MLE).caption]
+    assert NO_COPY in said
+    assert not any("exam" in note.value for note in draw("weights", run=ROAD_TOM).caption)
+
+
+@pytest.mark.parametrize(
+    ("footprint", "uniform", "noise", "words"),
+    [
+        (0.6, 0.4, 0.1, "nearer to what the policy did: 0.60 of the distance"),
+        (0.95, 0.4, -0.1, "as near to what the policy did as without, but for noise"),
+        (1.5, 0.4, 0.1, "away from what the policy did: it lies 1.50 times"),
+        (0.1, 0.002, 1.2, "says nothing here"),
+        (None, -0.01, None, "says nothing here"),
+        (None, None, None, "Too few steps"),
+    ],
+)
+def test_a_footprint_in_words(
+    footprint: float | None, uniform: float | None, noise: float | None, words: str
+) -> None:
+    values = {"footprint": footprint, "footprint_uniform": uniform, "footprint_noise": noise}
+    found = {f"exam/{name}": value for name, value in values.items() if value is not None}
+    assert words in about_weights(found)
+
+
+def test_errors_in_words() -> None:
+    found: Mapping[str, float] = {"exam/error": 0.25, "exam/rollout_error": 1.5}
+    assert "errs by 0.25 standard deviations of a step's change, after five steps by 1.5." in (
+        in_words(found)
+    )
+
+
+def test_probe_answers_from_exams_first(store: Path) -> None:
+    app = draw("probe", run=PENDULUM_TOM)
+    heads = [part.value for part in app.subheader]
+    assert heads[1:] == ["Does it help?", "In sample: on rows that the models were fitted to"]
+    [said] = [part.value for part in app.markdown if "too few to rank" in part.value]
+    medians = [
+        np.median(recorded(store, f"pendulum-tom-{seed}", "exam/error")[1]) for seed in (0, 1)
+    ]
+    assert f"TOM: 2 runs, 4 fits, typical error {np.mean(medians):.3g}" in said
+    figure = next(f for f in figures(app) if trace_or_none(f, "mle"))
+    fits = {(x, y) for t in figure["data"] if t.get("meta") == "tom" for x, y in points(t)}
+    for step, error in zip(*recorded(store, PENDULUM_TOM, "exam/error"), strict=True):
+        at, value = recorded(store, PENDULUM_TOM, "eval/return")
+        following = [v for s, v in zip(at, value, strict=True) if s > step]
+        assert (following[0], error) in fits
+
+
+def trace_or_none(figure: dict, learner: str) -> dict | None:
+    return next((t for t in figure["data"] if t.get("meta") == learner and "hovertext" in t), None)
+
+
+def points(one: dict) -> list[tuple[float, float]]:
+    return list(zip(array(one["x"]).tolist(), array(one["y"]).tolist(), strict=True))
+
+
+def test_probe_says_which_runs_sat_no_exam(older: Path) -> None:
+    said = " ".join(note.value for note in draw("probe", run=PENDULUM_TOM).caption)
+    assert NO_EXAM.format(runs="1 run of this task") in said
+    for name in ("pendulum-tom-0", "pendulum-tom-1"):
+        shutil.rmtree(older / name)
+    app = draw("probe", run=PENDULUM_MLE)
+    assert NO_EXAM.format(runs="1 run of this task") in [note.value for note in app.caption]
+    assert not any("to rank" in part.value for part in app.markdown)
+
+
+def learners(errors: Mapping[str, list[float]]) -> list[Exams]:
+    """A run for each error of a learner's, with one fit."""
+    none = np.full(1, np.nan)
+    return [
+        Exams(f"{name}-{seed}", name.lower(), seed, name, np.array([100]), np.array([error]),
+              none, none, none, none, none)
+        for name, values in errors.items()
+        for seed, error in enumerate(values)
+    ]  # fmt: skip
+
+
+def test_the_verdict_names_who_errs_least_and_by_how_much() -> None:
+    runs = learners({"MLE": [0.2] * 5, "TOM": [0.15] * 5, "PMAC": [0.01] * 4})
+    said = verdict(outcome(runs))
+    assert said.startswith(
+        "**Where its own policy goes, TOM errs least**: 0.15, 25 % less than MLE"
+    )
+    assert "with 0.2, up to step 100 (n: 5 runs, 5 fits; 5 runs, 5 fits). More than noise" in said
+    assert "with probability 1.00 (95 % interval 1.00 to 1.00)" in said
+    shown = table(outcome(runs)).set_index("group")
+    assert shown.loc["TOM", "one step"] == "0.15 [0.15, 0.15]"
+    assert shown.loc["PMAC", "seeds"] == 4
+
+
+def test_the_verdict_ranks_nobody_within_the_noise() -> None:
+    runs = learners({"MLE": [0.1, 0.2, 0.3, 0.4, 0.5], "TOM": [0.1, 0.2, 0.3, 0.4, 0.51]})
+    said = verdict(outcome(runs))
+    assert said.startswith("**Where its own policy goes, nobody errs less beyond noise**")
+    assert "errs least**" not in said

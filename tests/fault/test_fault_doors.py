@@ -1,0 +1,234 @@
+"""Doors of the studio: foreign pages and programs, replies that quote, frames, other names."""
+
+import json
+import os
+import socket
+import stat
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from pathlib import Path
+from threading import Event
+
+import pytest
+from faults import config, wait_until
+from kernel import descendants
+from servers import command_of
+from tabs import Tab, buttons, folds, stream
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+from app.links import Links
+from app.servers.launcher import Studio, servers
+from tom.machine.address import free_port
+from tom.record import Store
+from tom.record.rerun import web
+from tom.training.run import train
+
+pytestmark = pytest.mark.fault
+
+SCRIPT = "<script>alert(1)<%2Fscript>"
+SPLIT = f"x%0d%0aContent-Type:%20text%2Fhtml%0d%0aX-Evil:%20yes%0d%0a%0d%0a{SCRIPT}"
+
+
+def no_run(run_id: str) -> Iterator[bytes]:
+    return Store(Path("nowhere")).run(run_id) and iter([])
+
+
+@pytest.fixture
+def viewer() -> Iterator[int]:
+    """The port of the Rerun viewer's page, with no run to show."""
+    server = web.Server("127.0.0.1", free_port("127.0.0.1"), {}, no_run)
+    server.start()
+    yield server.server_port
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Links]:
+    """A real studio of one finished run."""
+    store = tmp_path_factory.mktemp("doors") / "store"
+    train(config(), Store(store), "a", rerun=False)
+    with servers(Studio(store=store), Event()) as (links, running):
+        assert running
+        yield links
+
+
+def reply(port: int, request: str) -> bytes:
+    """All that a server answers to a request as it stands."""
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+        connection.sendall(request.encode("latin-1"))
+        connection.shutdown(socket.SHUT_WR)
+        return b"".join(iter(lambda: connection.recv(65536), b""))
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("path", [f"/live/{SPLIT}.rrd", f"/live/{SCRIPT}.rrd", f"/{SPLIT}"])
+def test_line_breaks_and_markup_in_an_address__come_back_in_no_reply(path: str, viewer: int):
+    answer = reply(viewer, f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{viewer}\r\n\r\n")
+    assert answer.split(b" ")[1] in (b"404", b"502")
+    assert b"evil" not in answer.lower()
+    assert b"script" not in answer
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    "line", [f"{SCRIPT} / HTTP/1.1", f"GET / {SCRIPT}", f"GET {SCRIPT} / x HTTP/1.1", SCRIPT]
+)
+def test_a_request_that_is_none__is_refused_without_being_quoted(line: str, viewer: int):
+    answer = reply(viewer, f"{line}\r\nHost: 127.0.0.1:{viewer}\r\n\r\n")
+    assert b"alert" not in answer
+    assert b" 200 " not in answer
+
+
+foreign = pytest.mark.parametrize(
+    "origin",
+    [
+        "http://127.0.0.1:{other}",
+        "http://localhost:{other}",
+        "http://localhost:{port}",
+        "https://127.0.0.1:{port}",
+        "http://127.0.0.1",
+        "http://evil.example:{port}",
+        "null",
+        None,
+    ],
+)
+
+
+@foreign
+def test_a_page_of_another_origin__opens_no_socket_of_the_studio(origin: str | None, studio: Links):
+    asked = origin and origin.format(port=studio.port, other=studio.rerun_port)
+    with pytest.raises(InvalidStatus) as refused:
+        stream(studio, asked, studio.key)
+    assert refused.value.response.status_code == 403
+
+
+@foreign
+def test_a_page_of_another_origin__opens_no_socket_of_the_3d_server(
+    origin: str | None, studio: Links
+):
+    asked = Origin(origin.format(port=studio.viser_port, other=studio.port)) if origin else None
+    address = f"ws://127.0.0.1:{studio.viser_port}/page"
+    with pytest.raises(InvalidStatus) as refused:
+        connect(address, origin=asked, proxy=None)
+    assert refused.value.response.status_code == 403
+    connect(address, origin=Origin(f"http://127.0.0.1:{studio.viser_port}"), proxy=None).close()
+
+
+@pytest.mark.parametrize(
+    "path", ["/", "/compare", "/_stcore/metrics", "/_stcore/health", "/_stcore/host-config"]
+)
+def test_a_name_that_was_made_to_point_here__is_told_nothing_by_the_studio(
+    path: str, studio: Links
+):
+    assert code(studio.port, path) == 200
+    for host in ("evil.example", f"evil.example:{studio.port}", f"localhost:{studio.viser_port}"):
+        assert code(studio.port, path, Host=host) == 403
+
+
+@pytest.mark.parametrize("server", ["rerun_port", "viser_port"])
+def test_a_name_that_was_made_to_point_here__is_told_nothing_by_the_viewers(
+    server: str, studio: Links
+):
+    port = getattr(studio, server)
+    assert code(port, "/") == 200
+    for host in ("evil.example", f"evil.example:{port}", f"localhost:{studio.port}"):
+        assert code(port, "/", Host=host) == 403
+
+
+@pytest.mark.parametrize("server", ["port", "rerun_port", "viser_port"])
+def test_a_page_that_loads_what_is_served_here_as_its_own_part__is_refused(
+    server: str, studio: Links
+):
+    port = getattr(studio, server)
+    parts = {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}
+    assert code(port, "/", **parts) == 403
+    assert code(port, "/", **(parts | {"Sec-Fetch-Mode": "navigate"})) == 200
+    assert code(port, "/", Origin="http://127.0.0.1:1") == 403
+
+
+def test_streamlits_cloud__may_send_no_message_to_a_page_that_it_opened(studio: Links):
+    asked = f"http://127.0.0.1:{studio.port}/_stcore/host-config"
+    with urllib.request.urlopen(asked, timeout=20) as answer:
+        assert json.load(answer)["allowedOrigins"] == []
+
+
+def test_another_user_of_this_machine__cannot_open_the_socket_between_page_and_3d_server(
+    studio: Links,
+):
+    folder = Path(studio.control).parent
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    kept = [path for path in folder.iterdir() if path.is_file()]
+    assert not [path for path in kept if studio.key in path.read_text(errors="replace")]
+
+
+def test_the_key__stands_in_no_command_line(studio: Links):
+    for pid in {os.getpid(), *descendants(os.getpid())}:
+        assert studio.key not in command_of(pid)
+
+
+def test_the_browser_that_the_studio_opens__gets_the_key_from_a_file_and_not_in_its_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    told, browser = tmp_path / "told", tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\ncat "${{1#file://}}" > {told}.page; echo "$@" > {told}\n')
+    browser.chmod(0o755)
+    (tmp_path / "store").mkdir()
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    command = [sys.executable, "-m", "app", "--store", str(tmp_path / "store")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        opened = process.stdout.readline().split()[2]
+        wait_until(told.exists)
+        assert "#key=" in opened
+        assert opened in Path(f"{told}.page").read_text()
+        assert "key" not in told.read_text()
+    finally:
+        process.terminate()
+        process.wait(60)
+
+
+def code(port: int, path: str, **headers: str) -> int:
+    """The status of a GET with these headers."""
+    connection = HTTPConnection("127.0.0.1", port, timeout=20)
+    try:
+        connection.request("GET", path, headers=headers)
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+def test_the_studio_under_its_other_name__is_a_page_of_its_own(studio: Links):
+    stream(studio, f"http://localhost:{studio.port}", host="localhost").close()
+
+
+def test_a_page_without_the_key_that_sends_the_clicks_of_one_with_it__changes_nothing(
+    studio: Links,
+):
+    views = Path(studio.store) / ".views"
+    with Tab(studio, "compare", studio.key) as mine, Tab(studio, "compare") as other:
+        link = buttons(mine.draw())["Make a short link"]
+        assert buttons(other.draw()) == {}
+        other.draw(trigger_value=link)
+        assert not views.exists()
+        mine.draw(trigger_value=link)
+        assert len(list(views.iterdir())) == 1
+
+
+@pytest.mark.parametrize("key", ["", "x", "wrong-key-of-the-very-same-length-as-a-key-"])
+def test_a_page_with_a_wrong_key_or_none__starts_no_training(key: str, studio: Links):
+    with Tab(studio, key=studio.key) as mine, Tab(studio, key=key) as other:
+        fold = folds(mine.draw())["Start a training"]
+        start = buttons(mine.draw(bool_value=fold))["Start"]
+        other.draw()
+        assert "Start" not in buttons(other.draw(bool_value=fold))
+        other.draw(bool_value=fold, trigger_value=start)
+    assert not [pid for pid in descendants(os.getpid()) if "tom train" in command_of(pid)]
+    assert [run.run_id for run in Store(Path(studio.store)).runs()] == ["a"]
