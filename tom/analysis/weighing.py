@@ -32,7 +32,8 @@ PolicyOfInterest = StoredPolicy | UniformPolicy
 class Weighed:
     """One learner's weights (N,) under one seed, mean 1.
 
-    `match` says how near the data so weighted is to fresh episodes of the policy (`tom.exams.energy`).
+    `match` says how near the data so weighted is to fresh episodes of the policy
+    (`tom.exams.energy`).
     """
 
     learner: str

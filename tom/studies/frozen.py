@@ -106,7 +106,7 @@ class ModelError:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case. Footprints as in `tom.exams.energy.footprint_match`, of the fit's weights."""
+    """What came of a case. Footprints as `footprint_match` gives them, of the fit's weights."""
 
     recording: str
     env: str

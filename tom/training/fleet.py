@@ -39,8 +39,8 @@ def train_fleet(
         RecordingOptions(rerun=rerun, watchers=own, command=command, stop=stop) for own in watching
     ]
     members = [
-        _member(trial, runs, store, accept_versions, **options)
-        for trial, options in zip(trials, each, strict=True)
+        _member(trial, runs, store, accept_versions, **own)
+        for trial, own in zip(trials, options, strict=True)
     ]
     return Lockstep().run(members)
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tom.data.unpack import read_arrays
 from tom.errors import DivergedError, UserError
 from tom.events import Event
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store, layout
-from tom.record.array_files import read_arrays
 from tom.training.fleet import train_fleet
 from tom.training.plan import Trial
 from tom.training.run import Stop, train
