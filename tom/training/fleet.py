@@ -35,7 +35,7 @@ def train_fleet(
     check(trials)
     watching = watchers or [()] * len(trials)
     runs = store.runs()
-    each = [
+    options = [
         RecordingOptions(rerun=rerun, watchers=own, command=command, stop=stop) for own in watching
     ]
     members = [
