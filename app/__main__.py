@@ -5,7 +5,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from app.links import LOOPBACK
 from app.servers.launcher import Studio, run
 from tom.cli.parser import Parser, folder
 from tom.errors import UserError
@@ -24,12 +23,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             )
 
             return take(store, args.screenshots)
-        if args.host not in LOOPBACK:
-            print(
-                "tom studio: reachable from other machines, without a password: runs can be read "
-                "by everybody who reaches this host",
-                file=sys.stderr,
-            )
         studio = Studio(store=store, host=args.host, port=args.port, theme=args.theme)
         return run(studio, browser=not args.no_browser)
     except UserError as error:

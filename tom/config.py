@@ -12,8 +12,8 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Discount = Annotated[float, Field(ge=0, lt=1)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=1)]
-Whole = Annotated[int, Field(ge=0)]
+Count = Annotated[int, Field(ge=1, lt=2**63)]
+Whole = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class Config(BaseModel):
@@ -250,7 +250,7 @@ class RunConfig(Config):
     """environment steps in all (offline: steps of policy optimisation in the model)"""
     preset: str = "paper"
     device: str = "cpu"
-    threads: Count = 1
+    threads: Annotated[int, Field(ge=1, le=256)] = 1
     """threads of torch (one is fastest for one run; give other cores to other seeds)"""
     matmul: Literal["auto", "default", "onednn"] = "auto"
     """fp32 matrix products on a CPU: probe, torch's default, or oneDNN"""

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from app.data.readers import RunInfo
 from tom.analysis.progression import Progression, progression
 from tom.data.sampling import bin_means
-from tom.data.unpack import DAMAGE
-from tom.record.array_files import read_table
+from tom.record.array_files import DAMAGE, read_table
 from tom.record.files import read_json
 from tom.reports import weighing_files
 from tom.reports.weighing_files import REPORT, WEIGHTS

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 
-from app.links import Links
+from app.links import LOOPBACK, Links
 from app.servers.processes import Server, free_port, is_free, stop
 from app.theme import Mode
 from tom.errors import UserError
@@ -24,6 +24,10 @@ START_TIMEOUT_S = 60.0
 RESTARTS = 3
 """times that a viewer which died is started again"""
 QUIET_S = 3600.0
+OPEN = (
+    "tom studio: reachable from other machines, without a password: runs can be read by everybody "
+    "who reaches this host"
+)
 """after so long without a death its restarts are given back"""
 
 
@@ -58,6 +62,8 @@ def servers(studio: Studio, stopping: Event) -> Iterator[tuple[Links, list[Serve
     """The studio's servers, healthy; None in their place when they did not come up."""
     with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder:
         links = plan(studio, Path(folder))
+        if studio.host not in LOOPBACK:
+            print(OPEN, file=sys.stderr)
         started = build(links, Path(folder))
         try:
             for server in started:

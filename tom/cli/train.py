@@ -20,6 +20,7 @@ from tom.envs import ENV_NAMES
 from tom.errors import DivergedError, UserError
 from tom.harmless import terminal
 from tom.learners import LEARNER_NAMES
+from tom.machine.memory import out_of_memory, ran_out
 from tom.record import RunReader, Store, checkpoint
 from tom.record.files import size_of
 from tom.sweep.backend import FolderBackend
@@ -149,6 +150,11 @@ def _watched(
             return 1
         except (DivergedError, OSError) as error:
             print(f"{label}: failed: {error}", file=sys.stderr)
+            return 1
+        except (MemoryError, RuntimeError, ValueError) as error:
+            if not ran_out(error):
+                raise
+            print(f"{label}: failed: {out_of_memory(error)}", file=sys.stderr)
             return 1
     _print_summary(done, args.json)
     return 0 if done.status.state == "finished" else 1

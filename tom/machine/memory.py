@@ -4,6 +4,10 @@ import ctypes
 import sys
 from pathlib import Path
 
+import torch
+
+from tom.errors import reason
+
 # glibc's `mallopt` and its parameters (malloc.h).
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
 MEBIBYTE = 2**20
@@ -17,6 +21,24 @@ def available() -> int:
         return sys.maxsize
     free = [line.split()[1] for line in lines if line.startswith("MemAvailable:")]
     return int(free[0]) * 1024 if free else sys.maxsize
+
+
+_REFUSALS = ("can't allocate memory", "not allocate memory", "can't start new thread")
+"""what torch, MuJoCo and the kernel say when there is no more memory"""
+
+
+def ran_out(error: BaseException) -> bool:
+    """The error says that there was not enough memory for what was asked."""
+    known = isinstance(error, MemoryError | torch.OutOfMemoryError)
+    return known or any(words in str(error) for words in _REFUSALS)
+
+
+def out_of_memory(error: BaseException) -> str:
+    """Such an error in words, with what to do about it."""
+    return (
+        f"not enough memory ({reason(error)}): take smaller networks, batches or buffers, or free "
+        "some"
+    )
 
 
 def keep_freed_memory() -> bool:

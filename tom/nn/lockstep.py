@@ -10,6 +10,7 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -94,7 +95,11 @@ def alone(steps: Generator[Told | Work, None, Result]) -> Generator[Told, None, 
         except StopIteration as end:
             return end.value
         if isinstance(item, Work):
-            lockstep.do([item])
+            try:
+                lockstep.do([item])
+            except Exception as error:
+                steps.throw(error)  # its record says what ended it
+                raise
         else:
             yield item
 
@@ -138,6 +143,11 @@ class Lockstep:
                         del running[number]
                         self._part(moved[number])
                 self._do_first(waiting)
+        except Exception as error:
+            for training in running.values():
+                with suppress(Exception):  # the same one again
+                    training.throw(error)  # each one's record says what ended it
+            raise
         finally:
             for training in running.values():
                 training.close()

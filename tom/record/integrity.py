@@ -4,7 +4,7 @@ What is damaged is moved into the run's `damaged/` folder, never deleted.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
@@ -12,10 +12,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import reason
-from tom.record import checkpoint, layout
-from tom.record.array_files import read_table
+from tom.record import checkpoint, digests, layout
+from tom.record.array_files import DAMAGE, read_arrays, read_table
 from tom.record.files import modified, parse_json_line, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import unwritten
@@ -43,6 +42,9 @@ def verify(reader: RunReader) -> list[str]:
             problems.append(f"{name} cannot be read: {error}")
     if status.shown == "dead":
         problems.append(f"says it is running, without a heartbeat since {_when(status.heartbeat)}")
+    for name, what in _altered(fresh.path).items():
+        if not any(name in problem for problem in problems):
+            problems.append(f"{name} {what}")
     folder = fresh.path / checkpoint.FOLDER
     held = checkpoint.load(folder)
     problems += held.problems if held else []
@@ -70,10 +72,12 @@ def repair(reader: RunReader) -> list[str]:
             path.unlink()
             done.append(f"{_name(reader, path)}: removed, it was never whole")
         done += [text for name in LINES if (text := _mend_lines(reader, name))]
+        altered = _altered(reader.path)
         for path in _arrays(reader.path):
-            if _unreadable(path, reader.most_bytes):
+            if _name(reader, path) in altered or _unreadable(path, reader.most_bytes):
                 done.append(f"{_name(reader, path)}: {_set_aside(reader, path)}")
         done += [text for text in (_mend_status(reader), _mend_table(reader)) if text]
+        done += _accept(reader, [name for name in altered if name not in "\n".join(done)])
     return done
 
 
@@ -96,6 +100,28 @@ def _unreadable(path: Path, most: int) -> str | None:
     except DAMAGE as error:
         return reason(error)
     return None
+
+
+def _altered(path: Path) -> dict[str, str]:
+    """The files that are not what a finished run wrote, and what is wrong with each."""
+    try:
+        return digests.changed(path)
+    except (OSError, ValueError) as error:
+        return {layout.DIGESTS: f"cannot be read: {reason(error)}"}
+
+
+def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
+    """Write the digests of a run anew that was mended; what of `altered` had to be kept."""
+    if not _altered(reader.path):
+        return []
+    digests.write(reader.path)
+    kept = [name for name in altered if (reader.path / name).is_file()]
+    return [
+        f"{name}: made again"
+        if name == layout.DIGESTS
+        else f"{name}: reads well, and nothing tells what it was: kept"
+        for name in kept
+    ]
 
 
 def _left(reader: RunReader) -> list[Path]:

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from tom.config import SAC_ALONE, completed
 from tom.data.transitions import Transitions
-from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import reason
 from tom.events import Episode
 from tom.record import bounds, decode, labels, layout, small_copy, status
-from tom.record.array_files import read_table
+from tom.record.array_files import DAMAGE, read_arrays, read_table
 from tom.record.decode import Arrays
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
@@ -89,7 +88,10 @@ class RunReader:
     @property
     def seed(self) -> int:
         seed = self.config.get("seed", 0)
-        return seed if isinstance(seed, int) else 0
+        if isinstance(seed, int) and abs(seed) < 2**63:
+            return seed
+        self._problem(f"{layout.CONFIG}: its seed is no number of 64 bits, and shown as 0")
+        return 0
 
     @property
     def created(self) -> str:

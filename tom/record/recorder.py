@@ -22,6 +22,7 @@ from tom.events import (
     TrainedPolicy,
     Weights,
 )
+from tom.machine.memory import out_of_memory, ran_out
 from tom.record.heartbeat import Begun, Heartbeat
 from tom.record.rerun.sink import Sink
 from tom.record.writer import RunWriter
@@ -144,6 +145,8 @@ class Recorder:
         self._heartbeat.stop()
         try:
             self._conclude()
+            if state == "finished":
+                self._writer.digests()
         except OSError as error:
             if state == "finished":
                 state, reason = "failed", self._why(error)
@@ -173,6 +176,8 @@ class Recorder:
         if isinstance(error, OSError) and error.errno in DISK_FULL:
             again = f"free some space, then tom train --resume {self.run_id}"
             return f"step {step}: {error}: {again}"
+        if ran_out(error):
+            return f"step {step}: {out_of_memory(error)}"
         return f"step {step}: {type(error).__name__}: {error}"
 
     def __enter__(self) -> Self:

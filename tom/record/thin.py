@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tom.record import checkpoint, decode, layout, small_copy
+from tom.record import checkpoint, decode, digests, layout, small_copy
 from tom.record.files import plain, replace_json, size_of, whole_folder
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader, at_or_before
@@ -51,6 +51,7 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
         replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
         if status.state == "running":
             _settle(status, unfinished)
+        digests.write(unfinished)
 
 
 def _settle(status: Status, copy: Path) -> None:
@@ -144,6 +145,7 @@ def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:
         compression_level=19,
         use_dictionary=False,
         use_byte_stream_split=True,
+        write_page_checksum=True,
     )
 
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from tom.config import RunConfig
 from tom.data.sampling import bin_means, ess
 from tom.data.transitions import Transitions
-from tom.data.unpack import read_arrays
 from tom.events import Episode, Weights
-from tom.record import decode, layout, lock, opening
+from tom.record import decode, digests, layout, lock, opening
+from tom.record.array_files import read_arrays
 from tom.record.creating import make_folder
 from tom.record.files import JsonLines, read_json, replace, replace_json, sync
 from tom.record.profiles import zero_share
@@ -89,6 +89,7 @@ class RunWriter:
 
     def rewind(self, mark: Mapping[str, Any]) -> None:
         """Go back to `mark`: a resumed training writes what came after it once more."""
+        digests.forget(self.path)
         for lines, size in zip(self._lines(), mark["lines"], strict=True):
             lines.cut(size)
         (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
@@ -222,6 +223,11 @@ class RunWriter:
         table = pa.Table.from_pandas(rows, preserve_index=False)
         self._table(layout.METRICS_TABLE, table, sync=True)
 
+    def digests(self) -> None:
+        """Write the digests of a run that has finished."""
+        self._lock.check()
+        digests.write(self.path)
+
     def close(self) -> None:
         """Close the files and let go of the folder."""
         for lines in self._lines():
@@ -243,7 +249,12 @@ class RunWriter:
     def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
         def write(file: BinaryIO) -> None:
             pq.write_table(
-                table, file, compression="zstd", use_dictionary=False, use_byte_stream_split=True
+                table,
+                file,
+                compression="zstd",
+                use_dictionary=False,
+                use_byte_stream_split=True,
+                write_page_checksum=True,
             )
 
         self._lock.check()

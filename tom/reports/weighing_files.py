@@ -17,11 +17,10 @@ from tom.analysis.ordered_data import OrderedData
 from tom.analysis.progression import medians, progression
 from tom.analysis.weighing import Weighed
 from tom.data.sampling import bin_means
-from tom.data.unpack import DAMAGE
 from tom.errors import UserError
 from tom.learners import LEARNERS
 from tom.record import layout
-from tom.record.array_files import read_table
+from tom.record.array_files import DAMAGE, read_table
 from tom.record.files import read_json, replace_json, whole_folder
 from tom.record.thin import write_columns
 from tom.reports.profile_figure import Panel, profile_figure

@@ -25,6 +25,13 @@ def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
         ([*TRAIN[:-1], "smok"], "did you mean 'smoke'?"),
         ([*TRAIN, "--sac.batch-size", "-1"], "--sac.batch-size -1: must be greater than"),
         ([*TRAIN, "--sac.discount", "2"], "--sac.discount 2: must be less than 1"),
+        (
+            [*TRAIN, "--seed", "9223372036854775808"],
+            "--seed 9223372036854775808: must be less than",
+        ),
+        ([*TRAIN, "--seeds", "1", "9223372036854775808"], "--seed 9223372036854775808: must be"),
+        ([*TRAIN, "--steps", "99999999999999999999"], "must be less than"),
+        ([*TRAIN, "--threads", "100000"], "--threads 100000: must be less than or equal to 256"),
         ([*TRAIN, "--sac.tau", "fast"], "--sac.tau fast: must be a valid number"),
         ([*TRAIN, "--sac.discont", "0.9"], "did you mean --sac.discount?"),
         ([*TRAIN, "--run-id", "../escape"], "is no run id"),

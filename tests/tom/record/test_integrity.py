@@ -8,7 +8,8 @@ import pytest
 from recorded import Config, events
 
 from tom.errors import UserError
-from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, sizes
+from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, manage, sizes
+from tom.record.export import export_small
 from tom.record.integrity import repair, verify
 
 
@@ -147,3 +148,98 @@ def test_the_model_of_a_small_copy_is_read_too(record):
     assert verify(run) == []
     state.write_bytes(state.read_bytes()[:-1])
     assert verify(run) == ["model is damaged: ghosts and model errors are missing"]
+
+
+def flip(path: Path, at: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    "name",
+    ["weights/snapshot-000001000.parquet", "metrics.jsonl", "buffer/000000000.npz", "config.json"],
+)
+def test_a_bit_flipped_in_any_file_of_a_finished_run__is_found_by_its_digest(record, name: str):
+    run = record()
+    size = (run.path / name).stat().st_size
+    for at in range(0, size, max(size // 40, 1)):
+        flip(run.path / name, at)
+        assert any(name in problem for problem in verify(run)), at
+        flip(run.path / name, at)
+    assert verify(run) == []
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+@pytest.mark.parametrize("name", ["weights/snapshot-000001000.parquet", "fields/map-000000500.npz"])
+def test_weights_that_read_well_and_are_not_those_of_the_run__are_named_and_set_aside(
+    record, name: str
+):
+    run = record()
+    other = run.path / (
+        "weights/snapshot-000000400.parquet" if "weights" in name else "fields/map-000001000.npz"
+    )
+    content = other.read_bytes()
+    (run.path / name).write_bytes(content)
+    (problem,) = verify(run)
+    assert problem == f"{name} is not what the run wrote (sha256 differs)"
+    (done,) = repair(run)
+    assert f"damaged/{name}" in done
+    assert (run.path / "damaged" / name).read_bytes() == content
+    assert verify(run) == []
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_rows_that_were_changed_by_hand__are_named_and_kept(record):
+    run = record()
+    path = run.path / "metrics.jsonl"
+    path.write_bytes(path.read_bytes().replace(b"-10.0", b"-99.0"))
+    (problem,) = verify(run)
+    assert problem == "metrics.jsonl is not what the run wrote (sha256 differs)"
+    assert any("nothing tells what it was" in line for line in repair(run))
+    assert verify(run) == []
+
+
+def test_a_file_that_is_gone_and_digests_that_are_damaged_are_named(record):
+    run = record()
+    (run.path / "episodes" / "000000500.npz").unlink()
+    assert verify(run) == ["episodes/000000500.npz is missing since the run finished"]
+    truncate(run.path / "digests.json")
+    (problem,) = verify(run)
+    assert problem.startswith("digests.json cannot be read")
+    assert repair(run) == ["digests.json: made again"]
+    assert verify(run) == []
+
+
+def test_what_people_change_afterwards_and_old_runs_without_digests_are_no_problems(
+    record, store: Store
+):
+    run = record()
+    manage.tag(store, "run", ["good"])
+    checkpoint.save(run.path / checkpoint.FOLDER, 1000, {"a": 1})
+    sizes.prune(run, 0)
+    assert verify(run) == []
+    (run.path / "digests.json").unlink()
+    assert verify(run) == []
+    assert repair(run) == []
+
+
+def test_a_run_that_has_not_finished_has_no_digests_and_a_small_copy_has_its_own(
+    record, tmp_path: Path
+):
+    run = record(given=events()[:300])
+    assert (run.path / "digests.json").exists()
+    copy = RunReader(export_small(run, tmp_path / "copies"))
+    assert verify(copy) == []
+    flip(copy.path / "metrics.jsonl", 20)
+    assert "metrics.jsonl" in verify(copy)[0]
+    with (
+        pytest.raises(RuntimeError, match="ends"),
+        Recorder(RunWriter.create(Store(tmp_path), "b", Config)),
+    ):
+        raise RuntimeError("it ends early")
+    assert not (tmp_path / "b" / "digests.json").exists()

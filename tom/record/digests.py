@@ -1,0 +1,68 @@
+"""The sha256 of every file of a finished run, so that a changed bit is found however it reads.
+
+Left out is what somebody may change or remove afterwards: the status and the labels, recordings,
+which are made again from the files, and checkpoints, whose manifests hold digests of their own.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from tom.data.unpack import open_file
+from tom.record import checkpoint, layout
+from tom.record.files import files_in, read_json, replace_json
+
+SCHEMA = 1
+LEFT_OUT = (layout.STATUS, layout.LABELS, layout.DIGESTS)
+FOLDERS_LEFT_OUT = (checkpoint.FOLDER, layout.DAMAGED)
+
+
+def write(path: Path) -> None:
+    """Write the digests of the run folder `path`. Raises OSError."""
+    found = {name: _digest(path / name) for name in sorted(_names(path))}
+    replace_json(path / layout.DIGESTS, {"schema": SCHEMA, "sha256": found}, sync=True)
+
+
+def forget(path: Path) -> None:
+    """The run goes on: its files are to change."""
+    (path / layout.DIGESTS).unlink(missing_ok=True)
+
+
+def changed(path: Path) -> dict[str, str]:
+    """The files that are not what the run wrote, and what is wrong with each.
+
+    Empty for a run without digests: one that has not finished, or of an earlier version. Raises
+    OSError or ValueError where its digests cannot be read.
+    """
+    if not os.path.lexists(path / layout.DIGESTS):
+        return {}
+    if (path / layout.DIGESTS).is_symlink():
+        raise ValueError("a link is not followed")
+    content = read_json(path / layout.DIGESTS)
+    written = content.get("sha256")
+    if content.get("schema") != SCHEMA or not isinstance(written, dict):
+        raise ValueError("not a run's digests, or those of a newer version")
+    there = set(_names(path))
+    gone = {str(name): "is missing since the run finished" for name in {*written} - there}
+    altered = {
+        name: "is not what the run wrote (sha256 differs)"
+        for name in sorted(there & {*written})
+        if _digest(path / name) != written[name]
+    }
+    return gone | altered
+
+
+def _names(path: Path) -> Iterator[str]:
+    recordings = layout.rrd_files(path)
+    for file, _ in files_in(path):
+        name = file.relative_to(path)
+        hidden = any(part.startswith(".") for part in name.parts)
+        other = name.parts[0] in (*LEFT_OUT, *FOLDERS_LEFT_OUT) or file in recordings
+        if not hidden and not other:
+            yield name.as_posix()
+
+
+def _digest(path: Path) -> str:
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
