@@ -22,7 +22,7 @@ pytestmark = [
 def test_a_link_to_a_run_that_is_not_there_says_so(visit: Visit, own: Path) -> None:  # noqa: F811
     manage.trash(Store(own), PENDULUM_TOM)
     page = visit.page
-    page.goto(f"{visit.links.address}/weights?run={PENDULUM_TOM}")
+    page.goto(visit.links.opened(f"weights?run={PENDULUM_TOM}"))
     trash = page.get_by_text(f"Run {PENDULUM_TOM} is in the trash")
     trash.wait_for()
     page.get_by_text("Log axis").or_(page.get_by_text("effective sample")).first.wait_for()

@@ -277,7 +277,7 @@ def test_shuffled_rows_come_back_in_order(store: Path):
             ["trained", "--policy", "trained", "--step", "7"],
             "kept no policy of step 7: --step takes one of 200",
         ),
-        (["trained", "--policy", "sac", "--step", "200"], "it kept none of its fits"),
+        (["trained", "--policy", "sac", "--step", "200"], "kept no policy of step 200"),
         (["trained", "--policy", "random", "--step", "251"], "--step 251 is none of them"),
         (["sac", "--policy", "random", "--step", "200"], "has no fits of a model"),
         (["sac", "--policy", "random", "--learner", "tmo"], "did you mean 'tom'?"),
