@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.servers.launcher import Studio, run
+from tom import plugins
 from tom.cli.parser import Parser, folder
 from tom.errors import UserError
 from tom.harmless import terminal
@@ -15,6 +16,7 @@ from tom.record.store import Store
 def main(argv: Sequence[str] | None = None) -> int:
     """Open the studio until Ctrl-C: 0 stopped, 1 a server failed, 2 bad input."""
     try:
+        plugins.load(plugins.given(sys.argv[1:] if argv is None else argv))
         args = _parser().parse_args(argv)
         store = _readable(args.store)
         if args.screenshots:
@@ -23,6 +25,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             )
 
             return take(store, args.screenshots)
+        if args.cinema:
+            from app.servers import cinema  # needs playwright, too
+
+            chosen = args.run or cinema.most_telling(store)
+            return cinema.export(store, chosen, args.cinema, args.theme or "light")
         studio = Studio(store=store, host=args.host, port=args.port, theme=args.theme)
         return run(studio, browser=not args.no_browser)
     except UserError as error:
@@ -44,6 +51,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--screenshots", type=Path, metavar="DIR", help="write a picture of every page and exit"
     )
+    parser.add_argument(
+        "--cinema", type=Path, metavar="DIR", help="write a run's story as HTML, MP4, WebP and exit"
+    )
+    parser.add_argument("--run", help="of --cinema: the run [the most telling one]")
     return parser
 
 

@@ -1,4 +1,4 @@
-"""Who may speak to Streamlit's server: the studio's own pages, and who among them may act."""
+"""Access control for Streamlit's server: which pages may connect, and which may act."""
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
@@ -9,14 +9,14 @@ from app.links import Links
 from tom.machine.address import framing, refusal
 
 KEY = "Tom-Studio-Key"
-"""the header in which a page finds the key that its browser gave"""
+"""the header with the key that the browser gave"""
 OFFERED = "sec-websocket-protocol"
 PREFIX = "tom-studio-key."
-"""of the key among the protocols that a browser offers: an address would stand in logs"""
+"""prefix of the key in the websocket protocols; a key in the address would appear in logs"""
 
 
 class Guard:
-    """ASGI middleware in front of everything that Streamlit serves."""
+    """ASGI middleware for everything that Streamlit serves."""
 
     def __init__(self, app: ASGIApp, links: Links) -> None:
         self._app = app
@@ -36,7 +36,7 @@ class Guard:
             await self._app(scope, receive, self._framed(send))
 
     def _refusal(self, scope: Scope) -> str | None:
-        # The Rerun viewer's page comes from another port, and reads recordings alone.
+        # The Rerun viewer's page comes from another port and may read only recordings.
         reads = scope["type"] == "http" and scope["path"].startswith("/rrd/")
         pages = (self._links.rerun_port,) if reads else ()
         return refusal(Headers(scope=scope).get, self._links.host, self._links.port, pages)
@@ -51,7 +51,7 @@ class Guard:
 
 
 def _with_key(scope: Scope) -> Scope:
-    """The scope of a socket whose key, offered among its protocols, stands in a header instead."""
+    """The scope of a socket, with the key moved from its protocols to a header."""
     offered = [name.strip() for name in ",".join(Headers(scope=scope).getlist(OFFERED)).split(",")]
     keys = [name.removeprefix(PREFIX) for name in offered if name.startswith(PREFIX)]
     others = ", ".join(name for name in offered if not name.startswith(PREFIX))

@@ -1,21 +1,49 @@
-"""Which page is shown. A new page is one module with TITLE, ICON, PATH and page(), named here."""
+"""The list of pages. A new page is one module with TITLE, ICON, PATH and page(), named here."""
 
 from collections.abc import Callable
+from types import ModuleType
+from typing import Protocol
 
 import numpy as np
 import streamlit as st
 from PIL import Image
 
 from app import session
-from app.data import readers
-from app.parts import empty
+from app.data import datasets, readers
+from app.parts import address, empty
 from app.scenes.colours import rgb
 from app.theme import LEARNER_COLOURS, NEUTRAL
-from app.views import compare, live, probe, regions, replays, road, studies, weights
+from app.views import cinema, compare, live, probe, regions, replays, road, studies, weights
+from tom.learners import SUBJECT
+from tom.plugins import PAGES
 
-VIEWS = (live, compare, weights, regions, probe, replays, road, studies)
-BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS["tom"]))
-"""the sign of the studio: heights and colours of a weight profile"""
+
+class View(Protocol):
+    """A page: a module, or a plug-in's object with the same attributes."""
+
+    @property
+    def TITLE(self) -> str: ...  # noqa: N802
+    @property
+    def ICON(self) -> str: ...  # noqa: N802
+    @property
+    def PATH(self) -> str: ...  # noqa: N802
+    @property
+    def page(self) -> Callable[[], None]: ...
+
+
+VIEWS: tuple[ModuleType, ...] = (
+    live,
+    compare,
+    weights,
+    regions,
+    probe,
+    replays,
+    cinema,
+    road,
+    studies,
+)
+BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS[SUBJECT]))
+"""the studio's logo: heights and colours of a weight profile"""
 LOGO = (
     '<svg xmlns="http://www.w3.org/2000/svg" width="132" height="24" viewBox="0 0 132 24">'
     + "".join(
@@ -23,14 +51,19 @@ LOGO = (
         for i, (h, colour) in enumerate(BARS)
     )
     + '<text x="32" y="18" font-family="Source Sans, sans-serif" font-size="17" '
-    # As wide in any font: the one that is named is not on every machine.
+    # The same width in any font, because the named font may be missing.
     'font-weight="700" textLength="97" lengthAdjust="spacingAndGlyphs" '
-    f'fill="{LEARNER_COLOURS["tom"]}">TOM Studio</text></svg>'
+    f'fill="{LEARNER_COLOURS[SUBJECT]}">TOM Studio</text></svg>'
 )
 
 
+def views() -> tuple[View | ModuleType, ...]:
+    """Our pages, then those of plug-ins."""
+    return (*VIEWS, *PAGES)
+
+
 def icon() -> Image.Image:
-    """The tab's icon: drawn here, as Streamlit fetches named icons from outside."""
+    """The tab's icon, drawn here because Streamlit loads named icons from the internet."""
     image = np.zeros((48, 48, 4), np.uint8)
     for i, (height, colour) in enumerate(BARS):
         image[46 - 2 * height : 46, 1 + 12 * i : 10 + 12 * i] = (*rgb(colour), 255)
@@ -38,20 +71,22 @@ def icon() -> Image.Image:
 
 
 def run() -> None:
-    """Draw the page that the address names; the empty store's page while there is no run."""
+    """Draw the page in the address, or the empty store's page if there are no runs."""
     st.set_page_config(page_title="TOM Studio", page_icon=icon(), layout="wide")
     st.logo(LOGO, size="medium")
     pages = [
         st.Page(view.page, title=view.TITLE, icon=view.ICON, url_path=view.PATH, default=i == 0)
-        for i, view in enumerate(VIEWS)
+        for i, view in enumerate(views())
     ]
     chosen = st.navigation(pages, position="top")
+    address.visit(chosen.url_path)
     draw(chosen.run)
 
 
 def draw(page: Callable[[], None]) -> None:
-    """The page, or the empty store's while there is no run."""
-    if readers.listing(session.links().store).runs:
+    """The page, or the empty store's page if there are neither runs nor weighed data."""
+    store = session.links().store
+    if readers.listing(store).runs or datasets.listing(store):
         page()
     else:
         empty.page()

@@ -1,4 +1,4 @@
-"""What a page needs to know about its browser and its studio."""
+"""Properties of a page's browser and studio."""
 
 from hmac import compare_digest
 from typing import cast
@@ -19,25 +19,25 @@ def links() -> Links:
 
 
 def mode() -> Mode:
-    """Light or dark, as this browser shows the page."""
+    """Light or dark, the mode of this browser's page."""
     shown = st.context.theme.type
     return cast(Mode, shown) if shown in ("light", "dark") else links().theme or "light"
 
 
 def host() -> str:
-    """The host by which this browser reaches the studio; its other servers are there too."""
+    """The host under which this browser reaches the studio and its other servers."""
     return in_url(urlsplit(st.context.url or "").hostname or links().local_host)
 
 
 def may_act() -> bool:
-    """Pages may start, stop, weigh and label: see `looks_on`."""
+    """Whether pages may start, stop, weigh and label: see `looks_on`."""
     return not looks_on()
 
 
 def looks_on() -> str:
-    """Why this browser's pages change nothing, in words; empty where they may act.
+    """In words, why this browser's pages may not act; empty if they may.
 
-    They may where nobody but this machine can open them and the browser gave the studio's key.
+    They may if only this machine can open them and the browser gave the studio's key.
     """
     if not links().local_only:
         return "This studio is open to other machines, so its pages change nothing."
@@ -48,5 +48,5 @@ def looks_on() -> str:
 
 
 def client() -> str:
-    """A name for this browser tab, under which its viser frame is known to the viser server."""
+    """The name of this browser tab for the viser server."""
     return st.session_state.setdefault("client", uuid4().hex)

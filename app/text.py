@@ -1,4 +1,4 @@
-"""Words that came from a run's files, made harmless for where they are shown."""
+"""Text from a run's files, escaped for display."""
 
 import html
 import math
@@ -8,24 +8,24 @@ _MARKDOWN = re.compile(r"([\\`*_{}\[\]()#+\-.!|~$:<>&])")
 
 
 def markdown(text: object) -> str:
-    """`text` for a Markdown field: shown as it is, no link, image, HTML or icon."""
+    """`text` for a Markdown field, shown literally, without links, images, HTML or icons."""
     return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
 
 
 def plotly(text: object) -> str:
-    """`text` for Plotly, whose labels know a little HTML."""
+    """`text` for Plotly, whose labels accept some HTML."""
     return html.escape(" ".join(str(text).split()))
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """A number for a reader; a dash where there is none."""
+    """A number as text; a dash for None."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:,.{digits}f}"
 
 
 def duration(seconds: float | None) -> str:
-    """`75` -> `1 min 15 s`; a dash where it is unknown."""
+    """`75` -> `1 min 15 s`; a dash if it is unknown."""
     if seconds is None or not math.isfinite(seconds) or seconds < 0:
         return "-"
     whole = round(seconds)

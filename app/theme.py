@@ -2,6 +2,9 @@
 
 from typing import Any, Literal
 
+import numpy as np
+from plotly.colors import sample_colorscale
+
 from tom.learners import LEARNERS
 from tom.reports.colours import LEARNER_COLOURS
 
@@ -15,7 +18,9 @@ BASELINE_COLOURS: dict[str, str] = {
 }
 _OTHER_LABELS = {"sac": "SAC"}
 _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
-_SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "pentagon")
+# For groups that no learner gives a colour: told apart by every eye, and from the neutral one.
+QUALITATIVE = ("#0096ff", "#c31e2d", "#a5960f", "#693cf0", "#963ca5", "#b43c5a")
+SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "pentagon")
 NEUTRAL = "#8a92a3"
 BACKGROUND: dict[Mode, str] = {"light": "#ffffff", "dark": "#12151c"}
 SURFACE: dict[Mode, str] = {"light": "#f4f6fa", "dark": "#1b202b"}
@@ -54,21 +59,35 @@ SEQUENTIAL: dict[Mode, list[tuple[float, str]]] = {
     "dark": [(0.0, "#20242e"), (0.35, "#7a3415"), (0.7, "#e0682f"), (1.0, "#ffd9a8")],
 }
 
+_RAMP: dict[Mode, tuple[float, float]] = {"light": (0.0, 0.6), "dark": (0.32, 1.0)}
+"""the part of viridis that stands out from the page"""
+
+
+def ramp(count: int, mode: Mode) -> list[str]:
+    """`count` colours of a scale for ordered groups, as `#rrggbb`, the lowest first."""
+    at = np.linspace(*_RAMP[mode], count).tolist()
+    return [
+        "#" + "".join(f"{round(255 * float(part)):02x}" for part in colour)
+        for colour in sample_colorscale("Viridis", at, colortype="tuple")
+    ]
+
 
 def learner_colour(learner: str) -> str:
-    """The colour of a learner, the same wherever it is drawn."""
-    known = LEARNER_COLOURS | BASELINE_COLOURS
-    if learner in known:
-        return known[learner]
-    newcomers = [name for name in LEARNERS if name not in known]
-    place = newcomers.index(learner) if learner in newcomers else sum(map(ord, learner))
-    return _SPARE_COLOURS[place % len(_SPARE_COLOURS)]
+    """The colour of a learner, the same wherever it is drawn; neutral for one that is not known."""
+    if learner in BASELINE_COLOURS:
+        return BASELINE_COLOURS[learner]
+    if learner not in LEARNERS:
+        return NEUTRAL
+    if colour := LEARNERS[learner].colour:
+        return colour
+    newcomers = [name for name, entry in LEARNERS.items() if not entry.colour]
+    return _SPARE_COLOURS[newcomers.index(learner) % len(_SPARE_COLOURS)]
 
 
 def learner_symbol(learner: str) -> str:
     """The marker of a learner: a second cue beside its colour."""
     names = list(LEARNER_COLOURS)
-    return _SYMBOLS[names.index(learner)] if learner in names else "x"
+    return SYMBOLS[names.index(learner)] if learner in names else "x"
 
 
 def learner_label(learner: str) -> str:

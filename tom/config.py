@@ -1,4 +1,4 @@
-"""Every number of a run, frozen; the resolved copy is saved with the run.
+"""All settings of a run, frozen; the resolved copy is saved with the run.
 
 The docstring below a field is its help text on the command line.
 """
@@ -14,6 +14,9 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=1, lt=2**63)]
 Whole = Annotated[int, Field(ge=0, lt=2**63)]
+
+Settings = Mapping[str, str]
+"""a configuration by dotted path, each value as text"""
 
 
 class Config(BaseModel):
@@ -62,6 +65,9 @@ class ModelConfig(Config):
     """weights of TOM and ratio (mean 1) are clipped here before the fit; no other learner's are"""
     uniform_share: Fraction = 0.0
     """share of uniform weights mixed into the fit's, which bounds how far they starve a row"""
+    termination: str | None = Field(default=None, exclude_if=lambda value: value is None)
+    """which modelled next observations end an episode: module:function, never, or learnt by a head
+    of the model [the task's own rule; learnt where it has none]"""
 
 
 class SacConfig(Config):
@@ -193,7 +199,7 @@ class TomConfig(Config):
 
     @property
     def starts_afresh(self) -> bool:
-        """Whether every fit begins with a new Q: one that has seen held-out rows is no judge."""
+        """Whether every fit begins with a new Q: an old one has seen the held-out rows."""
         return self.q_reset or self.q_holdout > 0
 
 
@@ -227,14 +233,14 @@ ADDED: dict[str, dict[str, Any]] = {
         "q_check_every": 100,
         "q_patience": 5,
     },
-    "model": {"uniform_share": 0.0},
+    "model": {"uniform_share": 0.0, "termination": None},
     "rollout": {"uniform_share": 0.0},
 }
-"""settings that came later, by group, with what was done before there was a choice"""
+"""settings added later, by group, with the value that runs had before"""
 
 
 def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Recorded settings with those added since, so that old runs and new ones compare."""
+    """Recorded settings plus those added since, so that old and new runs can be compared."""
     known = {group: added for group, added in ADDED.items() if group in settings}
     return merged(known, settings)
 
@@ -267,7 +273,7 @@ class RunConfig(Config):
 
     @property
     def total_steps(self) -> int:
-        """The step that the run's events count up to."""
+        """The last step of the run's events."""
         return self.steps
 
 
@@ -292,7 +298,7 @@ class OnlineConfig(RunConfig):
 
 
 SAC_ALONE = "sac"
-"""what a recording of SAC has in the place of a learner: it fits no model"""
+"""stands for the learner in a recording of SAC, which fits no model"""
 
 
 class SacRecordingConfig(RunConfig):
@@ -351,21 +357,27 @@ class RoadConfig(RunConfig):
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` on top, group by group."""
-    found = dict(base)
+    """`base` updated with `changes`, group by group."""
+    result = dict(base)
     for name, value in changes.items():
-        held = found.get(name)
+        held = result.get(name)
         if isinstance(held, Mapping) and isinstance(value, Mapping):
-            found[name] = merged(held, value)
+            result[name] = merged(held, value)
         else:
-            found[name] = value
-    return found
+            result[name] = value
+    return result
 
 
 def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Every value by its dotted path, in order; a group without values has none."""
-    found: dict[str, Any] = {}
+    """Every value by its dotted path, in order; an empty group has none."""
+    values: dict[str, Any] = {}
     for name, value in nested.items():
         inner = isinstance(value, Mapping)
-        found |= flat(value, f"{above}{name}.") if inner else {f"{above}{name}": value}
-    return found
+        values |= flat(value, f"{above}{name}.") if inner else {f"{above}{name}": value}
+    return values
+
+
+def in_words(config: object) -> dict[str, str]:
+    """A configuration as path: text (`sac.lr`: `0.0003`); empty if it is not a mapping."""
+    values = flat(config) if isinstance(config, Mapping) else {}
+    return {path: str(value).lower() for path, value in values.items()}

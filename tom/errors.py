@@ -1,7 +1,10 @@
-"""Errors in one line: the user's to mend, naming the fix; what ends a training; any other."""
+"""Errors in one line: those a user can fix, those that end a training, and any other."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+OF_USERS = (Exception, SystemExit)
+"""What code of the user's may raise: a script that is imported may end the program."""
 
 
 class UserError(Exception):
@@ -9,7 +12,7 @@ class UserError(Exception):
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
-    """The error for a name that is not one of `known`, offering the nearest.
+    """The error for a name that is not one of `known`; suggests the nearest.
 
     >>> str(unknown("learner", "pmacs", ["mle", "pmac", "tom"]))
     "unknown learner 'pmacs': did you mean 'pmac'? Known: mle, pmac, tom"
@@ -21,10 +24,10 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
 
 
 def reason(error: BaseException) -> str:
-    """Why something failed: the first line of an error, its kind where it says nothing."""
+    """Why something failed: the first line of an error, or its type if it has no message."""
     lines = str(error).strip().splitlines() or [type(error).__name__]
     return lines[0][:200]
 
 
 class DivergedError(Exception):
-    """The training cannot go on: what was found, at which step, and what to try."""
+    """The training cannot go on; the message has the cause, the step and what to try."""

@@ -1,6 +1,6 @@
-"""What a training tells its consumers: recorder, progress bar, tests.
+"""The events that a training yields to its consumers: recorder, progress bar, tests.
 
-A training is a generator of these. It never waits for a consumer's files, clocks or sockets.
+A training is a generator of events. It never waits for a consumer's files, clocks or sockets.
 `env_step` counts environment steps (offline: steps of policy optimisation in the model).
 """
 
@@ -24,7 +24,7 @@ class Tick:
 
     @property
     def ends_step(self) -> bool:
-        """Whether the training may be put down here (`state_dict`)."""
+        """Whether the training can be saved here (`state_dict`)."""
         return self.phase in ("explore", "optimise")
 
 
@@ -42,7 +42,8 @@ class Weights:
 
     `weight` is (N,) and has mean 1 unless every weight is zero; `per_dim` is (N, O) for learners
     that weigh each dimension (then `weight` is its mean over dimensions). `log_ratio` (N,) is the
-    r that was fed to the dual Q, where the learner has one. `policy` is the policy of interest at
+    r that was fed to the dual Q, where the learner has one, and `terms` (N,) the others that make
+    the weight beside it (`tom.learners.terms`). `policy` is the policy of interest at
     this fit, as the arrays of `tom.policy.stored`.
     """
 
@@ -50,6 +51,7 @@ class Weights:
     weight: FloatArray
     per_dim: FloatArray | None = None
     log_ratio: FloatArray | None = None
+    terms: Mapping[str, FloatArray] = field(default_factory=dict)
     policy: Mapping[str, NDArray] | None = None
 
 

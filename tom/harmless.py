@@ -1,6 +1,6 @@
-"""Words that came from a run's files, made harmless for where they are written.
+"""Text from a run's files, escaped for the place where it is written.
 
-Settings, notes, names and error texts are anybody's: a store may have been copied from elsewhere.
+Settings, notes, names and error texts cannot be trusted: a store may be a copy from elsewhere.
 """
 
 import re
@@ -12,7 +12,7 @@ _FORMULA = re.compile(r"[=+\-@\t\r].", re.DOTALL)
 
 
 def terminal(text: object) -> str:
-    """`text` in one line of what prints; everything else is written out, an escape as `\\x1b`."""
+    """`text` as one line of printable characters; others are written as escapes such as `\\x1b`."""
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in str(text)
@@ -20,17 +20,17 @@ def terminal(text: object) -> str:
 
 
 def terminal_lines(text: object) -> str:
-    """The same for a text whose lines are to stay lines."""
+    """The same, but line breaks are kept."""
     return "\n".join(map(terminal, str(text).split("\n")))
 
 
 def markdown(text: object) -> str:
-    """`text` for a line of Markdown: no HTML, link, image or cell of a table."""
+    """`text` for a line of Markdown, without HTML, links, images or table cells."""
     return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
 
 
 def code(text: object) -> str:
-    """`text` as code in a line or a table's cell of Markdown."""
+    """`text` as inline code in Markdown, also in a table's cell."""
     words = " ".join(str(text).split()).replace("|", "\\|")
     ticks = "`" * (_longest_ticks(words) + 1)
     space = " " if "`" in words else ""
@@ -38,20 +38,20 @@ def code(text: object) -> str:
 
 
 def fenced(text: str, language: str) -> str:
-    """`text` as a block of code in Markdown, which nothing in it can end."""
+    """`text` as a code block in Markdown that its content cannot close."""
     ticks = "`" * max(_longest_ticks(text) + 1, 3)
     return f"{ticks}{language}\n{text}\n{ticks}\n"
 
 
 def cell(value: object) -> object:
-    """A value for CSV: no spreadsheet takes a text for a formula, numbers are numbers."""
+    """A value for CSV: texts cannot become spreadsheet formulas, numbers stay numbers."""
     if isinstance(value, str) and _FORMULA.match(value) and not _is_number(value):
         return f"'{value}"
     return value
 
 
 def as_csv(table: pd.DataFrame) -> str:
-    """A table as CSV, in whose names and texts no spreadsheet finds a formula."""
+    """A table as CSV whose names and texts cannot become spreadsheet formulas."""
     texts = table.select_dtypes(exclude="number")
     safe = table.assign(**{str(name): texts[name].map(cell) for name in texts})
     return safe.rename(columns=cell).to_csv(index=False, lineterminator="\n")
@@ -66,4 +66,4 @@ def _is_number(text: str) -> bool:
 
 
 def _longest_ticks(text: str) -> int:
-    return max((len(found) for found in re.findall("`+", text)), default=0)
+    return max((len(ticks) for ticks in re.findall("`+", text)), default=0)

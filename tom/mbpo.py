@@ -1,10 +1,11 @@
 """Model-based policy optimisation with a learner's weights: Algorithm 2 of the paper.
 
-`Mbpo.events()` is a generator. Recording, progress, checkpoints and evaluation curves are its
-consumers' affair: this file knows no file, clock or socket.
+`Mbpo.events()` is a generator. Its consumers do the recording, progress display, checkpoints and
+evaluation curves: this file uses no file, clock or socket. Heavy work goes through `do` and `call`,
+which do it at once, or in a fleet together with that of the other members (`tom.nn.lockstep`).
 """
 
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -17,7 +18,10 @@ from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics import make_model
-from tom.envs import MujocoTask, task
+from tom.dynamics.ending import EndingHead
+from tom.envs import Task, task
+from tom.envs.ends import learns_ends, rule
+from tom.envs.simulator import simulated
 from tom.envs.state import capture, restore
 from tom.events import (
     Collected,
@@ -31,9 +35,9 @@ from tom.events import (
 from tom.exams.diagnostics import fit_metrics
 from tom.exams.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
 from tom.learners import make_learner
-from tom.learners.base import FitContext, Weighting, weighing
+from tom.learners.base import FitContext, Weighting
 from tom.metrics import require_finite
-from tom.nn.lockstep import Call, Work, alone
+from tom.nn.lockstep import call, do
 from tom.policy.evaluate import Evaluator
 from tom.policy.rollout import roll_out, start_states
 from tom.policy.sac import Sac
@@ -41,22 +45,24 @@ from tom.policy.sac_work import Act, SacUpdates
 from tom.policy.stored import policy_arrays
 from tom.rng import Streams
 
-Steps = Generator[Event | Work, None, None]
-"""Part of a run: what it tells, and the work that it wants done before it goes on."""
-
 
 class Mbpo:
-    """One run: the policy, the model, the learner, the buffers and where the run stands."""
+    """One run: the policy, the model, the learner, the buffers and the state of the run."""
 
     def __init__(self, config: OnlineConfig) -> None:
         self.config = config
-        self.task: MujocoTask = task(config.env)
+        self.task: Task = task(config.env)
         self.streams = Streams(config.seed, config.device)
         obs_dim, action_dim = self.task.obs_dim, self.task.action_dim
         generator = self.streams.torch
         self.sac = Sac(obs_dim, action_dim, config.sac, [generator("sac")])
         self.policy = self.sac.member(0)
         self.model = make_model(obs_dim, action_dim, config.model, generator("model"))
+        self.terminated = rule(self.task, config.model.termination)
+        self.ending: EndingHead | None = None
+        if learns_ends(self.task, config.model.termination):
+            self.ending = EndingHead(obs_dim, config.model, generator("ends"))
+            self.terminated = self.ending
         self.learner = make_learner(
             config.learner, config, obs_dim, action_dim, generator("learner")
         )
@@ -65,10 +71,12 @@ class Mbpo:
         kept = config.rollout.kept_at(0, config.fit_every)
         self.model_buffer = ReplayBuffer(kept, *dims, device)  # D_model
         self.env = self.task.make()
+        self._simulated = simulated(self.env) if self.task.keeps_states else None
+        self._states: list[tuple[np.ndarray, np.ndarray]] = []  # (qpos, qvel) at uncollected rows
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
         self.env_step = 0
         self.policy_version = 1  # 0 is exploration
-        self._fitted: Fitted | None = None  # the fit that has yet to sit its exam
+        self._fitted: Fitted | None = None  # the last fit, before its exam
         self._obs: np.ndarray | None = None
         self._initial_obs: list[np.ndarray] = []
         self._episode_return = 0.0
@@ -77,11 +85,7 @@ class Mbpo:
         self._flushed = 0
 
     def events(self) -> Iterator[Event]:
-        """The run from where it stands to its last step, by itself."""
-        return alone(self.algorithm())
-
-    def algorithm(self) -> Steps:
-        """Algorithm 2; its heavy work is handed out, to be done alone or beside other members'."""
+        """Algorithm 2, from the current step to the last."""
         config = self.config
         while self.env_step < min(config.exploration_steps, config.steps):
             yield from self.step_environment(explore=True)
@@ -90,7 +94,7 @@ class Mbpo:
             if (self.env_step - config.exploration_steps) % config.fit_every == 0:
                 yield from self.fit_and_roll_out()
             yield from self.step_environment(explore=False)
-            yield from self.optimise_policy()
+            self.optimise_policy()
             if self.env_step % config.evaluation.every == 0 or self.env_step == config.steps:
                 yield from self.evaluate()
             yield Tick(self.env_step, "optimise")
@@ -98,33 +102,43 @@ class Mbpo:
         yield from self.examine()
         yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac))
 
-    def fit_and_roll_out(self) -> Steps:
+    def fit_and_roll_out(self) -> Iterator[Event]:
         """Lines 3-19: weights, weighted model fit, rollouts from weighted start states."""
         yield Tick(self.env_step, "fit")
-        self._sac_losses()  # a policy that has diverged ends the run here
+        self._sac_losses()  # ends the run here if the policy has diverged
         yield from self._flush_collected()
         yield from self.examine()
         context = self._fit_context()
-        weighting = yield from weighing(self.learner, context)
+        weighting = self.learner.weigh(context)
         policy = policy_arrays(self.config.env, self.sac)
         yield weighting.event(self.env_step, policy)
-        report = yield from self.model.fitting(
+        report = self.model.fit(
             context.replay,
             *weighting.for_fit(self.config.model),
             self.streams.torch("fit"),
         )
         self._fitted = Fitted(self.env_step, weighting.counted(self.config.model))
+        ends, ends_notices = self.fit_ends(context.replay, weighting)
         rollout_metrics = self.roll_out_model(context.replay, weighting)
-        for kind, message in (*weighting.notices, *report.notices):
+        for kind, message in (*weighting.notices, *report.notices, *ends_notices):
             yield Notice(self.env_step, kind, message)
         diagnostics = fit_metrics(self.model, context, weighting, self.streams.torch("diagnostics"))
         yield Metrics(
             self.env_step,
-            {**weighting.metrics, **report.metrics, **rollout_metrics, **diagnostics},
+            {**weighting.metrics, **report.metrics, **ends, **rollout_metrics, **diagnostics},
         )
 
+    def fit_ends(
+        self, replay: TensorTransitions, weighting: Weighting
+    ) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
+        """Fit the head that learns ends of episodes, if there is one; its metrics and notices."""
+        if self.ending is None:
+            return {}, ()
+        weights = weighting.counted(self.config.model)
+        return self.ending.fit(replay, weights, self.streams.torch("ends"))
+
     def examine(self) -> Iterator[Event]:
-        """The last fit's exam: the steps that it served, which are not in its buffer."""
+        """The last fit's exam, on the steps since that fit, which are not in its buffer."""
         if self._fitted is None:
             return
         at, generator = self._fitted.env_step, self.streams.torch("exam")
@@ -134,7 +148,7 @@ class Mbpo:
             at,
             {
                 **weight_metrics(exam, generator),
-                **model_metrics(self.model, exam, self.task.terminated, generator),
+                **model_metrics(self.model, exam, self.terminated, generator),
                 **critic_metrics(self.policy, exam.rows, temperature, discount, generator),
             },
         )
@@ -147,7 +161,7 @@ class Mbpo:
         return roll_out(
             self.model,
             self.policy,
-            self.task.terminated,
+            self.terminated,
             starts,
             config.length_at(self._on_policy_steps),
             config,
@@ -155,13 +169,14 @@ class Mbpo:
             generator,
         )
 
-    def step_environment(self, explore: bool) -> Steps:
+    def step_environment(self, explore: bool) -> Iterator[Event]:
         """Line 21: one step of pi in the environment, into D_env (whose end is D_pol)."""
         obs = self._begin_episode() if self._obs is None else self._obs
-        action = self._explore_action() if explore else (yield from self._policy_action(obs))
-        stepped = Call(partial(self.env.step, action))
-        yield stepped
-        next_obs, reward, terminated, truncated, _ = stepped.result()
+        action = self._explore_action() if explore else self._policy_action(obs)
+        if self._simulated is not None:
+            data = self._simulated.data
+            self._states.append((data.qpos.copy(), data.qvel.copy()))
+        next_obs, reward, terminated, truncated, _ = call(partial(self.env.step, action))
         version = 0 if explore else self.policy_version
         self.replay.add(obs, action, float(reward), next_obs, terminated, truncated, version)
         self.env_step += 1
@@ -175,7 +190,7 @@ class Mbpo:
             )
             self._obs = None
 
-    def optimise_policy(self) -> Steps:
+    def optimise_policy(self) -> None:
         """Lines 26-28: G gradient steps of SAC on model and a few real transitions."""
         config = self.config
         size = config.sac.batch_size
@@ -186,31 +201,29 @@ class Mbpo:
         real_part = self.replay.packed(real_rows).unflatten(0, (updates, real))
         model_part = self.model_buffer.packed(model_rows).unflatten(0, (updates, size - real))
         work = SacUpdates(self.sac, torch.cat([real_part, model_part], 1))
-        yield work
-        self._sac_metrics = work.metrics
-        if self.streams.device.type == "cpu":  # a look at a GPU's would make it wait
+        self._sac_metrics = do(work).metrics
+        if self.streams.device.type == "cpu":  # on a GPU this check would force a wait
             self._sac_losses()
         self.policy_version += 1
 
-    def evaluate(self) -> Steps:
-        """Episodes of the mean policy in environments of their own."""
+    def evaluate(self) -> Iterator[Event]:
+        """Episodes of the mean policy in separate environments."""
         yield Tick(self.env_step, "evaluate")
         yield Metrics(self.env_step, self._sac_losses())
         seed = self.streams.integer(f"evaluation {self.env_step}")
-        played = Call(partial(self.evaluator.run, self.policy.mean, seed))
-        yield played
-        yield Evaluation(self.env_step, played.result())
+        episodes = call(partial(self.evaluator.run, self.policy.mean, seed))
+        yield Evaluation(self.env_step, episodes)
 
-    # Where the run stands
+    # State
 
     def state_dict(self) -> dict[str, Any]:
-        """All that decides the rest of the run, at the end of a step: tensors and primitives.
+        """The state that determines the rest of the run, after a step: tensors and primitives.
 
-        Of the replay buffer only the rows since the last `Collected` event are in it: the others
-        have been handed over, and come back through `load_state_dict`. Raises DivergedError.
+        Of the replay buffer it has only the rows since the last `Collected` event: the others have
+        been recorded and are passed to `load_state_dict`. Raises DivergedError.
         """
         self._sac_losses()
-        return {
+        state = {
             "env_step": self.env_step,
             "policy_version": self.policy_version,
             "sac": self.sac.state_dict(),
@@ -227,11 +240,18 @@ class Mbpo:
             "sac_metrics": self._sac_metrics,
             "fitted": None if self._fitted is None else vars(self._fitted),
         }
+        if self.ending is not None:
+            state["ending"] = self.ending.state_dict()
+        if self._states:
+            state["states"] = [
+                torch.from_numpy(np.stack(part)) for part in zip(*self._states, strict=True)
+            ]
+        return state
 
     def load_state_dict(
         self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
     ) -> None:
-        """Go on from `state_dict`; `collected` are all rows handed over until then, in order."""
+        """Continue from `state_dict`; `collected` are all rows recorded before it, in order."""
         self.env_step, self.policy_version = state["env_step"], state["policy_version"]
         config = self.config
         self.model_buffer.resize(config.rollout.kept_at(self._on_policy_steps, config.fit_every))
@@ -240,14 +260,17 @@ class Mbpo:
         self.replay.extend(collected.torch(), torch.from_numpy(policy_version))
         self._flushed = state["collected"]
         self.replay.restore_tail(state["uncollected"])
-        self.env.reset()  # a wrapper wants one before its counters can be put back
+        self.env.reset()  # a wrapper needs a reset before its counters can be restored
         restore(self.env, state["env"])
         self._obs = None if state["obs"] is None else state["obs"].numpy()
         self._initial_obs = list(state["initial_obs"].numpy())
         self._episode_return, length = state["episode"]
         self._episode_length = int(length)
         self._sac_metrics = state["sac_metrics"]
-        if fitted := state.get("fitted"):  # checkpoints from before exams have none
+        if self.ending is not None:
+            self.ending.load_state_dict(state["ending"])
+        self._states = list(zip(*(part.numpy() for part in state.get("states", ())), strict=True))
+        if fitted := state.get("fitted"):  # missing in checkpoints from before exams existed
             weights = fitted["weights"].to(self.streams.device)
             self._fitted = Fitted(fitted["env_step"], weights)
 
@@ -255,7 +278,7 @@ class Mbpo:
 
     @property
     def policy_buffer(self) -> TensorTransitions:
-        """D_pol: the last on-policy transitions, which are the newest of D_env."""
+        """D_pol: the last on-policy transitions, the newest rows of D_env."""
         return self.replay.last(min(self._on_policy_steps, self.config.policy_capacity))
 
     @property
@@ -263,13 +286,13 @@ class Mbpo:
         return max(self.env_step - self.config.exploration_steps, 0)
 
     def _sac_losses(self) -> dict[str, float]:
-        """What the last SAC update measured, fetched at once. Raises DivergedError."""
+        """The metrics of the last SAC update, fetched in one transfer. Raises DivergedError."""
         if not self._sac_metrics:
             return {}
         values = torch.cat(list(self._sac_metrics.values())).tolist()
-        found = dict(zip(self._sac_metrics, values, strict=True))
-        require_finite(found, self.env_step)
-        return found
+        losses = dict(zip(self._sac_metrics, values, strict=True))
+        require_finite(losses, self.env_step)
+        return losses
 
     def _begin_episode(self) -> np.ndarray:
         seed = self.streams.integer("env") if not self._initial_obs else None
@@ -282,11 +305,9 @@ class Mbpo:
         action = self.streams.numpy("explore").uniform(-1.0, 1.0, self.task.action_dim)
         return action.astype(np.float32)
 
-    def _policy_action(self, obs: np.ndarray) -> Generator[Work, None, np.ndarray]:
+    def _policy_action(self, obs: np.ndarray) -> np.ndarray:
         seen = torch.as_tensor(obs, dtype=torch.float32)
-        work = Act(self.sac, seen, self.streams.torch("act"))
-        yield work
-        return work.action.numpy()
+        return do(Act(self.sac, seen, self.streams.torch("act"))).action.numpy()
 
     def _fit_context(self) -> FitContext:
         return FitContext(
@@ -304,5 +325,8 @@ class Mbpo:
         rows = self.replay.since(self._flushed)
         self._flushed = self.replay.total_added
         if len(rows):
-            versions = self.replay.policy_version()[-len(rows) :]
-            yield Collected(self.env_step, rows.copy().numpy(), versions.cpu().numpy().copy())
+            versions = self.replay.policy_version()[-len(rows) :].cpu().numpy().copy()
+            parts = [np.stack(part) for part in zip(*self._states, strict=True)]
+            self._states = []
+            state: dict[str, np.ndarray] = dict(zip(("qpos", "qvel"), parts, strict=False))
+            yield Collected(self.env_step, rows.copy().numpy(), versions, state)

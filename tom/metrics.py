@@ -1,4 +1,4 @@
-"""The metric paths: what they mean, for tooltips, docs and `--help`; which must be finite."""
+"""The metric paths: their meaning, for tooltips, docs and `--help`, and which must be finite."""
 
 from collections.abc import Mapping
 
@@ -33,6 +33,11 @@ METRICS: dict[str, str] = {
     f"{HELD_OUT}",
     "model/holdout_mse": "holdout mean squared error of the predicted mean (z-scored targets); no error on new data: "
     f"{HELD_OUT}",
+    "model/ends_loss": "cross entropy of the head that learns what ends an episode, on rows that this fit held out, weighted",
+    "model/ends_threshold": "probability from which on a modelled episode ends: the best weighted F1 on those rows (2: never)",
+    "model/ends_calibration": "expected calibration error of the head's probabilities on those rows, weighted (0: its odds are true)",
+    "model/ends_caught": "share of the real ends among those rows that reach the threshold, weighted",
+    "model/ends_false": "share of the other rows that reach it, weighted",
     "model/rounds": "rounds of the fit before it stopped",
     "model/error_policy": f"one-step error of the predicted next state on the policy buffer (z-scored); in-sample: {IN_SAMPLE}",
     "model/error_other": f"one-step error of the predicted next state on the rest of the buffer (z-scored); in-sample: {IN_SAMPLE}",
@@ -98,7 +103,7 @@ METRICS: dict[str, str] = {
 
 
 def describe(path: str) -> str:
-    """The meaning of a metric path; the path itself where the table has none."""
+    """The meaning of a metric path; the path itself if the table does not have it."""
     return METRICS.get(path, path)
 
 
@@ -112,11 +117,11 @@ FATAL: dict[str, str] = {
     "discriminator/loss": "try a lower --tom.discriminator-lr",
     **dict.fromkeys(("dual/loss", "dual/q_mean"), DUAL),
 }
-"""The metrics that must be finite, and what to try where one is not."""
+"""the metrics that must be finite, with advice for when one is not"""
 
 
 def require_finite(values: Mapping[str, float | Tensor], env_step: int) -> None:
-    """Raises DivergedError where one of the metrics that must be finite is not."""
+    """Raises DivergedError if a metric that must be finite is not."""
     for name, advice in FATAL.items():
         if name in values and not np.isfinite(float(values[name])):
             raise DivergedError(f"step {env_step}: {name} is {float(values[name])}: {advice}")

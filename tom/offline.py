@@ -1,8 +1,8 @@
 """Offline model-based RL on road-and-rocks (paper, section 5.1): data, weights, model, policy.
 
-The learner weighs pre-recorded data, a linear model is fitted by those weights, and SAC is
-trained on rollouts in the model alone. `Offline.events()` is a generator: files, clocks and
-sockets are its consumers' affair.
+The learner weighs pre-recorded data, a linear model is fitted with those weights, and SAC is
+trained only on rollouts in the model. `Offline.events()` is a generator; its consumers handle
+files, clocks and sockets.
 """
 
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from tom.data.sampling import uniform_indices
 from tom.data.transitions import Transitions
 from tom.dynamics.linear import LinearModel
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick
-from tom.learners import FOLLOW_THE_VALUE, make_learner
+from tom.learners import LEARNERS, make_learner
 from tom.learners.base import FitContext, Weighting
 from tom.metrics import require_finite
 from tom.policy.cloning import clone
@@ -62,7 +62,7 @@ class Offline:
         self._sac_metrics: dict[str, Tensor] = {}
 
     def events(self) -> Iterator[Event]:
-        """The run, from where it stands to its last step."""
+        """The run, from the current step to the last."""
         config = self.config
         if self.env_step == 0:
             yield from self.begin()
@@ -75,10 +75,10 @@ class Offline:
             yield Tick(self.env_step, "optimise")
 
     def look(self) -> Iterator[Event]:
-        """Evaluation, weights and model where they are due; at the last step in any case.
+        """Evaluation, weights and model if they are due, and always at the last step.
 
-        A last look out of turn leaves no trace, so that a run that is given more steps later is
-        the run that had them from the beginning.
+        If it was not due at the last step, it does not change the state. So a run that gets more
+        steps later equals one that had them from the beginning.
         """
         config = self.config
         in_turn = self.env_step % config.fit_every == 0
@@ -96,13 +96,13 @@ class Offline:
             self.weighting, self.model = before[1:]
 
     def follow(self) -> Iterator[Event]:
-        """The record; before it a new fit, where the weights change with the value function."""
-        if self.config.learner in FOLLOW_THE_VALUE:
+        """The record, after a new fit if the weights change with the value function."""
+        if LEARNERS[self.config.learner].follows_value:
             yield from self.fit(value_gradient=True)
         yield from self.record()
 
     def begin(self) -> Iterator[Event]:
-        """The data, the first weighted fit, and what its model is worth before SAC starts."""
+        """The data, the first weighted fit and the evaluation of its model, before SAC starts."""
         yield from self.show_data()
         yield Tick(0, "fit")
         yield from self.fit(value_gradient=False)
@@ -120,7 +120,7 @@ class Offline:
         yield Metrics(0, reference_returns(data.road_map, self.streams.torch("references")))
 
     def fit(self, value_gradient: bool) -> Iterator[Event]:
-        """Weigh the data, then fit the linear model by those weights."""
+        """Weigh the data, then fit the linear model with those weights."""
         self.weighting = self.weigh(self.context(value_gradient))
         self.model = fit_linear(self.data.rows, self.weighting)
         for kind, message in self.weighting.notices:
@@ -135,7 +135,7 @@ class Offline:
         )
 
     def weigh(self, context: FitContext) -> Weighting:
-        """How much each transition counts, by the learner or the baseline of that name."""
+        """The weights of the transitions, by the learner or baseline of that name."""
         config = self.config
         if config.learner in BASELINES:
             return BASELINES[config.learner](self.data, context, config.tom)
@@ -145,7 +145,7 @@ class Offline:
         return learner.weigh(context)
 
     def context(self, value_gradient: bool = False) -> FitContext:
-        """What a learner may see. The footprint stands for the policy and its last steps."""
+        """The context of the learner; the footprint stands for the policy and its last steps."""
         footprint = self.data.rows[self.data.footprint]
         return FitContext(
             replay=self.data.rows,
@@ -193,7 +193,7 @@ class Offline:
         yield Evaluation(self.env_step, self.episodes)
 
     def drive_plan(self) -> Iterator[Event]:
-        """What the model is worth to a planner, driven in the real task."""
+        """The success of a planner with this model, driven in the real task."""
         driven = offline_data.drive(
             self.data.road_map,
             plan(self.model, self.config.sac.discount),
@@ -204,16 +204,16 @@ class Offline:
         yield Metrics(self.env_step, {"planner/return": mean, "planner/success": success})
 
     def record(self) -> Iterator[Event]:
-        """Weights, model and trajectories as they stand."""
+        """The current weights, model and trajectories."""
         step = self.env_step
         yield self.weighting.event(step)
         yield Field(step, "model", model_field(self.data.road_map, self.model))
         yield Field(step, "trajectories", trajectory_field(self.data.demonstrations, self.episodes))
 
-    # Where the run stands
+    # State
 
     def state_dict(self) -> dict[str, Any]:
-        """All that decides the rest of the run; the data come again from the seed."""
+        """The state that determines the rest of the run; the data is made again from the seed."""
         weighting = self.weighting
         return {
             "env_step": self.env_step,
@@ -231,7 +231,7 @@ class Offline:
     def load_state_dict(
         self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
     ) -> None:
-        """Go on from `state_dict`."""
+        """Continue from `state_dict`."""
         self.env_step = state["env_step"]
         for part in ("policy", "streams", "model_buffer"):
             getattr(self, part).load_state_dict(state[part])
@@ -246,8 +246,8 @@ def train(config: RoadConfig) -> Iterator[Event]:
 
 
 def storage_order(rows: int) -> Tensor:
-    """Policy versions (N,) of offline data: like online, each row from a policy of its own.
+    """Policy versions (N,) of offline data: as in online runs, each row has its own version.
 
-    Nothing else is known of who recorded what, so PMAC takes the order of storage for age.
+    The collecting policies are unknown, so PMAC uses the order of storage as the age.
     """
     return torch.arange(rows)

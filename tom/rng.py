@@ -1,7 +1,7 @@
 """Random streams: each part of a run draws from its own named generator.
 
-A stream depends on the run's seed and the stream's name alone, so adding a stream never shifts
-another one, and a member of a fleet draws the same numbers whoever trains beside it.
+A stream depends only on the run's seed and the stream's name. So a new stream never changes another
+one, and a member of a fleet draws the same numbers whatever the other members are.
 """
 
 import json
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 Generators = Sequence[torch.Generator]
-"""One generator a member, in member order."""
+"""one generator per member, in member order"""
 
 
 class Streams:
@@ -40,22 +40,22 @@ class Streams:
         return self._numpy[name]
 
     def state_dict(self) -> dict[str, Any]:
-        """Where every stream stands, as tensors and strings."""
+        """The state of every stream, as tensors and strings."""
         return {
             "torch": {name: g.get_state() for name, g in self._torch.items()},
-            # As text: the state of a numpy generator holds integers of 128 bits.
+            # As text, because the state of a numpy generator has integers of 128 bits.
             "numpy": {n: json.dumps(g.bit_generator.state) for n, g in self._numpy.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Put every stream where it stood; generators handed out before stay the same objects."""
+        """Restore every stream; generators that were returned before stay the same objects."""
         for name, value in state["torch"].items():
             self.torch(name).set_state(value)
         for name, text in state["numpy"].items():
             self.numpy(name).bit_generator.state = json.loads(text)
 
     def integer(self, name: str) -> int:
-        """A 32-bit seed for a library that wants one (an environment's reset)."""
+        """A 32-bit seed for a library that needs one (an environment's reset)."""
         return int(np.random.SeedSequence([self.seed, crc32(name.encode())]).generate_state(1)[0])
 
 
@@ -70,6 +70,6 @@ def uniform(generators: Generators, shape: Sequence[int]) -> Tensor:
 
 
 def fork(generator: torch.Generator) -> torch.Generator:
-    """A generator of its own whose seed `generator` draws: what it gives, no other draw changes."""
+    """A new generator with a seed drawn from `generator`; its draws do not affect `generator`."""
     seed = torch.randint(2**62, (), generator=generator, device=generator.device)
     return torch.Generator(generator.device).manual_seed(int(seed))

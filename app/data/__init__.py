@@ -1,1 +1,1 @@
-"""What the pages show, read from run folders once and kept while the files stay as they are."""
+"""The data of the pages, read from run folders and cached until the files change."""

@@ -1,5 +1,6 @@
-"""A replay buffer at one model fit, with what is known of each transition. Pure functions."""
+"""A replay buffer at one model fit, with properties of each transition. Pure functions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,17 +11,20 @@ from tom.envs import ENVS
 
 Floats = NDArray[np.float64]
 
+WINDOW = 12
+"""steps shown before and after a transition"""
+
 
 @dataclass(frozen=True)
 class Rows:
-    """N transitions, oldest first, with their weights and what is known of each."""
+    """N transitions, oldest first, with their weights and other properties."""
 
     first: int  # the oldest row's number in the run's record
     rows: Transitions  # numpy arrays
     version: NDArray[np.int64]  # (N,) which policy collected it; 0 is exploration
     episode: NDArray[np.int64]  # (N,) number of its episode
     place: NDArray[np.int64]  # (N,) steps since its episode began
-    episode_return: Floats  # (N,) of its episode; one that is cut off counts as far as it goes
+    episode_return: Floats  # (N,) of its episode; of a cut episode up to the cut
     weight: Floats  # (N,) mean 1
 
     def __len__(self) -> int:
@@ -35,9 +39,9 @@ class Rows:
 def rows_at(
     recorded: Transitions, version: NDArray[np.int64], weight: NDArray, end: int
 ) -> Rows | None:
-    """The rows that `weight` (N,) belongs to: the N before row `end` of the record.
+    """The rows of `weight` (N,): the N rows before row `end` of the record.
 
-    None where the record has lost some of them.
+    None if some of them are missing in the record.
     """
     first = end - len(weight)
     if first < 0 or end > len(recorded) or not len(weight):
@@ -52,7 +56,7 @@ def rows_at(
 
 
 def episodes(rows: Transitions) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """For each row (N,): its episode's number, its place in it, that episode's return."""
+    """For each row (N,): the number of its episode, its place in it, and the episode's return."""
     ended = (np.asarray(rows.terminated) != 0) | (np.asarray(rows.truncated) != 0)
     number = np.concatenate([[0], np.cumsum(ended)[:-1]]).astype(np.int64)[: len(rows)]
     starts = np.searchsorted(number, np.arange(number[-1] + 1)) if len(number) else number
@@ -60,10 +64,15 @@ def episodes(rows: Transitions) -> tuple[NDArray[np.int64], NDArray[np.int64], F
     return number, np.arange(len(rows)) - starts[number], totals[number]
 
 
-def dimension_names(env: str, rows: Transitions) -> tuple[list[str], list[str]]:
-    """What the observation's and the action's dimensions are called, (O,) and (A,)."""
+def dimension_names(
+    env: str, rows: Transitions, described: Sequence[str] = ()
+) -> tuple[list[str], list[str]]:
+    """The names of the observation's and the action's dimensions, (O,) and (A,).
+
+    `described` are the names that a run has recorded for a task that is not ours.
+    """
     o, a = np.shape(rows.obs)[1], np.shape(rows.action)[1]
-    named = ENVS[env].obs_names if env in ENVS else ("x", "y")
+    named = ENVS[env].obs_names if env in ENVS else tuple(described) or ("x", "y")
     names = list(named) if len(named) == o else [f"observation {i + 1}" for i in range(o)]
     return names, [f"action {i + 1}" for i in range(a)]
 
@@ -74,11 +83,11 @@ class Against:
 
     x: Floats  # (B,) mean of the quantity
     mean: Floats  # (B,) mean weight
-    high: Floats  # (B,) nine of ten weights lie below
+    high: Floats  # (B,) 90 % quantile of the weights
 
 
 def against(quantity: NDArray, weight: NDArray, groups: int = 30) -> Against:
-    """The weights of groups of rows (N,), sorted by a quantity (N,); equal values stay together."""
+    """The weights (N,) in groups of rows sorted by a quantity (N,); equal values stay together."""
     quantity, weight = np.asarray(quantity, np.float64), np.asarray(weight, np.float64)
     edges = np.unique(np.quantile(quantity, np.linspace(0, 1, groups + 1)))
     cell = np.clip(np.searchsorted(edges, quantity, "right") - 1, 0, max(len(edges) - 2, 0))
@@ -88,3 +97,16 @@ def against(quantity: NDArray, weight: NDArray, groups: int = 30) -> Against:
         np.array([weight[part].mean() for part in parts]),
         np.array([np.quantile(weight[part], 0.9) for part in parts]),
     )
+
+
+def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
+    """The row numbers (R, 2 WINDOW + 1) around each of R rows, clamped to its episode."""
+    last = np.flatnonzero(ended)
+    numbers = []
+    for row in rows:
+        before = last[last < row]
+        after = last[last >= row]
+        low = int(before[-1]) + 1 if len(before) else 0
+        high = int(after[0]) if len(after) else len(ended) - 1
+        numbers.append(np.clip(np.arange(row - WINDOW, row + WINDOW + 1), low, high))
+    return np.array(numbers, np.int64).reshape(len(rows), 2 * WINDOW + 1)

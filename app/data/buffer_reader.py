@@ -1,102 +1,118 @@
-"""Replay buffers for the pages: read once, read again when their files have changed."""
+"""Replay buffers for the pages, cached until their files change."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
-import streamlit as st
 from numpy.typing import NDArray
 
 from app.data import pictures, readers, regions
-from app.data.buffer import Floats, Rows, rows_at
+from app.data.buffer import Floats, Rows, rows_at, windows
 from app.data.cache import VersionedCache
-from app.data.readers import RunInfo, Stamp
+from app.data.readers import RunInfo
 from app.data.regions import Plane
-from tom.analysis.imagine import (
-    Stamps,
-    StoredModel,
-    step_errors,
-    stored_model,
-    stored_stamps,
-    stored_step,
-)
+from tom.analysis.imagine import step_errors, stored_model, stored_step
 from tom.data.transitions import Transitions
 from tom.errors import UserError
-from tom.record import layout
-from tom.record.reader import RunReader
+from tom.record import stamps
+from tom.record.task_record import scene_of, task_of
 
 ERROR_ROWS = 20_000
-"""rows at most whose model error is computed: they are spread evenly over the buffer"""
+"""maximum number of rows for model errors, spread evenly over the buffer"""
 SHARED_ROWS = 5000
-"""the same where several runs' models are asked about one buffer"""
+"""the same for the models of several runs on one buffer"""
 
 
 def fits(run: RunInfo) -> list[int]:
-    """The model fits of a run whose every single weight was kept."""
-    return RunReader(run.path).snapshot_steps()
+    """The model fits of a run whose single weights were stored."""
+    return readers.reader(run).snapshot_steps()
 
 
 def rows(run: RunInfo, step: int) -> Rows | None:
-    """The replay buffer at the fit of `step`, with that fit's weights; None where it is damaged."""
-    return _rows(run.path, run.env, step, _stamp(run), readers.stamp(_snapshot(run, step)))
+    """The replay buffer at the fit of `step`, with that fit's weights; None if it is damaged."""
+    recorded = _recorded(run)
+
+    def read() -> Rows | None:
+        weight = readers.reader(run).snapshot(step)["weight"].to_numpy()
+        # Offline data is complete from the first step on; online, each step adds a row.
+        end = len(recorded.rows) if run.env == pictures.ENV else step
+        return rows_at(recorded.rows, recorded.version, weight, end)
+
+    return recorded.at_fits.get(step, read, stamps.snapshot(run.folder, step))
+
+
+def described(run: RunInfo) -> tuple[str, ...]:
+    """The recorded names of the run's observation dimensions; empty if there are none."""
+    if run.env == pictures.ENV:
+        return ()
+    try:
+        return task_of(readers.reader(run)).obs_names
+    except UserError:
+        return ()
+
+
+def drawn(run: RunInfo) -> bool:
+    """Whether there is a robot to draw in the states of the run's buffer."""
+    reader = readers.reader(run)
+    if scene_of(reader) is None:
+        return False
+    return task_of(reader).root_dims is not None or bool(reader.buffer_state())
+
+
+def moments(run: RunInfo, rows: Sequence[int]) -> Floats:
+    """Observations (R, 2 WINDOW + 1, O) around the recorded rows with these numbers."""
+    recorded = _recorded(run).rows.numpy()
+    ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
+    return np.asarray(recorded.obs, np.float64)[windows(ended, rows)]
 
 
 def weighed_rows(run: RunInfo, weight: NDArray, end: int) -> Rows | None:
-    """The N recorded rows before row `end`, with weights (N,); None where some are lost."""
-    recorded = _recorded(run.path, _stamp(run))
+    """The N recorded rows before row `end`, with weights (N,); None if some are missing."""
+    recorded = _recorded(run)
     return rows_at(recorded.rows, recorded.version, weight, end)
 
 
 def model_errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, int] | str:
-    """Row numbers (K,) of `rows(run, step)`, the kept model's error there (K,), the model's step.
+    """Row numbers (K,) of `rows(run, step)`, the stored model's errors (K,), the model's step.
 
-    The reason in words where there is no model.
+    A text with the reason if there is no model.
     """
-    weighed, model = readers.stamp(_snapshot(run, step)), stored_stamps(RunReader(run.path))
-    return _errors(run.path, run.env, step, _stamp(run), weighed, model)
+    folder = run.folder
+    version = stamps.buffer(folder), stamps.snapshot(folder, step), stamps.model(folder)
+    return _ERRORS.get((run.path, step), lambda: _errors(run, step), version)
 
 
 def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
-    """Error (K,) of `other`'s kept model on rows spread evenly over `run`'s buffer.
+    """Error (K,) of `other`'s stored model on rows spread evenly over `run`'s buffer.
 
-    None where `other` kept no model.
+    None if `other` has no stored model.
     """
-    reader = RunReader(other.path)
-    if stored_step(reader) is None:
+    if stored_step(readers.reader(other)) is None:
         return None
-    return _errors_on(run.path, _stamp(run), other.path, stored_stamps(reader))
+    version = stamps.buffer(run.folder), stamps.model(other.folder)
+    return _ERRORS_ON.get((run.path, other.path), lambda: _errors_on(run, other), version)
 
 
 def principal_plane(run: RunInfo, rows: Rows) -> Plane:
     """The principal components of some of a run's rows."""
-    planes = _recorded(run.path, _stamp(run)).planes
+    planes = _recorded(run).planes
     return planes.get((rows.first, len(rows)), lambda: regions.principal_plane(rows.rows))
 
 
 def has_rows(run: RunInfo) -> bool:
-    """The run has recorded a buffer, which may be damaged. Reads nothing."""
-    return _stamp(run) != (0, 0)
+    """Whether the run has a recorded buffer, which may be damaged. Reads no file."""
+    return stamps.buffer(run.folder) != ()
 
 
 def length(run: RunInfo) -> int:
-    """Rows of a run's recorded buffer, all that were ever collected."""
-    return _length(run.path, _stamp(run))
-
-
-def _snapshot(run: RunInfo, step: int) -> Path:
-    return Path(run.path) / layout.snapshot(step)
-
-
-def _stamp(run: RunInfo) -> Stamp:
-    """Changes whenever the buffer's files do."""
-    folder = Path(run.path) / "buffer"
-    last = layout.numbers(folder, ".npz")[-1:]
-    return readers.stamp(Path(run.path) / layout.segment(last[0])) if last else (0, 0)
+    """The number of rows of a run's recorded buffer, all that were ever collected."""
+    version = stamps.buffer(run.folder)
+    return _LENGTHS.get(run.path, readers.reader(run).buffer_length, version)
 
 
 @dataclass(frozen=True)
 class _Recorded:
-    """A run's buffer as it is now, and what was made of it: when it changes, all of it goes."""
+    """A run's current buffer and the results computed from it, dropped together on a change."""
 
     rows: Transitions
     version: NDArray[np.int64]
@@ -105,61 +121,36 @@ class _Recorded:
 
 
 _RECORDED: VersionedCache[_Recorded] = VersionedCache(4)
+_LENGTHS: VersionedCache[int] = VersionedCache(512)
+_ERRORS: VersionedCache[tuple[NDArray[np.int64], Floats, int] | str] = VersionedCache(16)
+_ERRORS_ON: VersionedCache[Floats | None] = VersionedCache(128)
 
 
-def _recorded(path: str, changed: Stamp) -> _Recorded:
-    return _RECORDED.get(path, lambda: _Recorded(*RunReader(path).buffer()), changed)
+def _recorded(run: RunInfo) -> _Recorded:
+    version = stamps.buffer(run.folder)
+    return _RECORDED.get(run.path, lambda: _Recorded(*readers.reader(run).buffer()), version)
 
 
-@st.cache_data(show_spinner=False, max_entries=512)
-def _length(path: str, changed: Stamp) -> int:
-    folder = Path(path) / "buffer"
-    first = max(layout.numbers(folder, ".npz"), default=0)
-    found = RunReader(path).arrays(layout.segment(first), lambda name: name == "reward") or {}
-    return first + len(found["reward"]) if "reward" in found else 0
+def _errors(run: RunInfo, step: int) -> tuple[NDArray[np.int64], Floats, int] | str:
+    weighed = rows(run, step)
+    if weighed is None:
+        return "its buffer cannot be read"
+    try:
+        kept = stored_model(readers.reader(run))
+    except UserError as error:
+        return str(error)
+    index = np.unique(np.linspace(0, len(weighed) - 1, ERROR_ROWS).astype(np.int64))
+    error = step_errors(kept.predictor, weighed.rows[index]).astype(np.float64)
+    return index, error, kept.env_step
 
 
-@st.cache_data(show_spinner=False, max_entries=128)
-def _errors_on(path: str, changed: Stamp, other: str, model: Stamps) -> Floats | None:
-    recorded = _recorded(path, changed).rows
+def _errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
+    recorded = _recorded(run).rows
     if not len(recorded):
         return None
     try:
-        kept = stored_model(RunReader(other))
+        kept = stored_model(readers.reader(other))
     except UserError:
         return None
     part = recorded[np.unique(np.linspace(0, len(recorded) - 1, SHARED_ROWS).astype(np.int64))]
-    return _one_step(kept, part)
-
-
-def _rows(path: str, env: str, step: int, changed: Stamp, weighed: Stamp) -> Rows | None:
-    recorded = _recorded(path, changed)
-
-    def read() -> Rows | None:
-        weight = RunReader(path).snapshot(step)["weight"].to_numpy()
-        # Offline data are all there from the first step on; online, a step adds a row.
-        end = len(recorded.rows) if env == pictures.ENV else step
-        return rows_at(recorded.rows, recorded.version, weight, end)
-
-    return recorded.at_fits.get(step, read, weighed)
-
-
-@st.cache_resource(show_spinner=False, max_entries=16)
-def _errors(
-    path: str, env: str, step: int, changed: Stamp, weighed: Stamp, model: Stamps
-) -> tuple[NDArray[np.int64], Floats, int] | str:
-    found = _rows(path, env, step, changed, weighed)
-    if found is None:
-        return "its buffer cannot be read"
-    try:
-        kept = stored_model(RunReader(path))
-    except UserError as error:
-        return str(error)
-    index = np.unique(np.linspace(0, len(found) - 1, ERROR_ROWS).astype(np.int64))
-    return index, _one_step(kept, found.rows[index]), kept.env_step
-
-
-def _one_step(kept: StoredModel, rows: Transitions) -> Floats:
-    part = rows.numpy()
-    parts = (np.asarray(x) for x in (part.obs, part.action, part.next_obs))
-    return step_errors(kept.predictor, *parts).astype(np.float64)
+    return step_errors(kept.predictor, part).astype(np.float64)

@@ -1,4 +1,4 @@
-"""The exams that runs' fits sat, as pages read them; who errs least in them. Pure functions.
+"""The exams of runs' fits, and which learner has the lowest error in them. Pure functions.
 
 An exam is the real steps between a fit and the next, which are not in its buffer.
 """
@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from app.data.aggregate import curve_points
-from tom.analysis import statistics
+from tom.analysis.curves import curve_points
+from tom.analysis.scores import beats, interval
 from tom.analysis.statistics import Interval
 
 Floats = NDArray[np.float64]
 
 RANKED = 5
-"""seeds of a group from which it is ranked"""
+"""minimum number of seeds of a ranked group"""
 MEASURED = {
     "error": "exam/error",
     "rollout_error": "exam/rollout_error",
@@ -29,9 +29,9 @@ MEASURED = {
 
 @dataclass(frozen=True)
 class Exams:
-    """The exams of a run's fits in their order, (F,); NaN where one was not measured.
+    """The exams of a run's fits in order, (F,); NaN if a value was not measured.
 
-    `returns` are those of the next evaluation. Runs of one `group` differ in nothing but the seed.
+    `returns` are those of the next evaluation. Runs of one `group` differ only in the seed.
     """
 
     run_id: str
@@ -48,16 +48,16 @@ class Exams:
 
     @property
     def telling(self) -> NDArray[np.bool_]:
-        """Which footprints say something, (F,).
+        """A mask (F,) of the informative footprints.
 
-        Not those of fits whose buffer, without weights, lies no farther from the exam than two
-        halves of the exam from each other.
+        A footprint is not informative if the unweighted buffer is no farther from the exam than two
+        halves of the exam are from each other.
         """
         return np.abs(self.noise) < 1
 
     @property
     def last(self) -> float:
-        """The step of the last fit that was examined; -inf where none was."""
+        """The step of the last examined fit; -inf if there is none."""
         return float(self.step[-1]) if len(self.step) else -np.inf
 
     def until(self, last: float) -> "Exams":
@@ -84,9 +84,9 @@ def _column(frame: pd.DataFrame, path: str) -> Floats:
 
 
 def next_return(frame: pd.DataFrame, step: NDArray[np.int64]) -> Floats:
-    """The return of the first evaluation after each step (F,); NaN where none followed.
+    """The return of the first evaluation after each step (F,); NaN if there is none.
 
-    At a fit's own step it is still that of the policy before.
+    At a fit's own step the evaluation is still that of the previous policy.
     """
     at, value = curve_points(frame, "eval/return")
     following = np.searchsorted(at, step, side="right")
@@ -95,7 +95,7 @@ def next_return(frame: pd.DataFrame, step: NDArray[np.int64]) -> Floats:
 
 @dataclass(frozen=True)
 class Standing:
-    """What the exams of a group came to: medians over a run's fits, (n,) over its runs."""
+    """The result of a group's exams: medians over each run's fits, (n,) for its runs."""
 
     name: str
     learner: str
@@ -105,49 +105,49 @@ class Standing:
     rollout_error: Floats
     footprint: Floats
     telling: int
-    """fits whose footprint says something"""
+    """number of fits with an informative footprint"""
 
     @property
     def typical(self) -> float:
-        """The interquartile mean of the runs' errors; NaN without any."""
+        """The interquartile mean of the runs' errors; NaN if there are none."""
         return middle(self.error).value
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The groups of the runs, and who of those with enough seeds errs least."""
+    """The groups of the runs, and a ranking by error of those with enough seeds."""
 
     standings: tuple[Standing, ...]
     until: float
-    """the last step whose fits count; infinity where no two groups have enough seeds"""
+    """the last step whose fits count; infinity if fewer than two groups have enough seeds"""
     ranked: tuple[Standing, ...]
-    """from the least error on; empty where fewer than two groups have enough seeds"""
+    """by ascending error; empty if fewer than two groups have enough seeds"""
 
     @property
     def first_beats_second(self) -> Interval:
-        """P(a run of the first of the ranked errs less than one of the second)."""
-        first, second = (-standing.error[:, None] for standing in self.ranked[:2])
-        return statistics.probability_of_improvement(first, second, np.random.default_rng(0))
+        """P(a run of the first ranked group has a lower error than one of the second)."""
+        first, second = (-standing.error for standing in self.ranked[:2])
+        return beats([first], [second])
 
 
 def outcome(exams: Sequence[Exams]) -> Outcome:
-    """Ranks groups with `RANKED` seeds, over the steps that so many of each of them reach.
+    """Rank the groups with at least `RANKED` seeds, over the steps that so many of each reach.
 
-    A run that ends before counts for nothing then: its fits saw less data.
+    Runs that end earlier are left out, because their fits saw less data.
     """
     groups: dict[str, list[Exams]] = {}
     for one in exams:
         groups.setdefault(one.group, []).append(one)
     reach = {name: reached for name, of in groups.items() if np.isfinite(reached := reach_of(of))}
     until = min(reach.values()) if len(reach) > 1 else np.inf
-    found = {name: standing(name, of, until) for name, of in groups.items()}
-    ranked = [found[name] for name in reach] if len(reach) > 1 else []
+    standings = {name: standing(name, of, until) for name, of in groups.items()}
+    ranked = [standings[name] for name in reach] if len(reach) > 1 else []
     ranked.sort(key=lambda one: one.typical)
-    return Outcome(tuple(found.values()), until, tuple(ranked))
+    return Outcome(tuple(standings.values()), until, tuple(ranked))
 
 
 def reach_of(runs: Sequence[Exams]) -> float:
-    """The last examined step that `RANKED` seeds reach; -inf where there are fewer seeds."""
+    """The last examined step that `RANKED` seeds reach; -inf if there are fewer seeds."""
     last: dict[int, float] = {}
     for run in runs:
         if np.isfinite(run.error).any():
@@ -156,7 +156,7 @@ def reach_of(runs: Sequence[Exams]) -> float:
 
 
 def standing(name: str, runs: Sequence[Exams], until: float) -> Standing:
-    """A group's, of its runs that reach step `until` (of all where that is infinity)."""
+    """The standing of a group, from runs that reach step `until` (from all if infinite)."""
     whole = [run for run in runs if np.isinf(until) or run.last >= until]
     cut = [run.until(until) for run in whole]
     return Standing(
@@ -179,13 +179,11 @@ def medians(runs: Sequence[Floats]) -> Floats:
 
 def middle(values: Floats) -> Interval:
     """The interquartile mean over runs (n,) with its bootstrap interval; NaN without any."""
-    if not len(values):
-        return Interval(np.nan, np.nan, np.nan)
-    return statistics.interval(values[:, None], statistics.iqm, np.random.default_rng(0))
+    return interval(values, "iqm")
 
 
 def at_fit(frame: pd.DataFrame, step: int) -> Mapping[str, float]:
-    """What the fit at `step` came to in its exam; empty where it has sat none."""
+    """The exam metrics of the fit at `step`; empty if it has no exam."""
     here = frame[frame["env_step"] == step]
     names = [name for name in frame.columns if name.startswith("exam/")]
     values = {name: float(value) for name in names for value in here[name]}

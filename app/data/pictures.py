@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data.roadmap import RoadMap, road_share, trajectories, weight_grid
+from app.data.cache import VersionedCache
+from app.data.roadmap import RoadShape, road_share, trajectories, weight_grid
+from tom.record import stamps
 from tom.record.reader import RunReader, at_or_before
 
 ENV = "road-and-rocks"
@@ -13,11 +15,11 @@ ENV = "road-and-rocks"
 
 @dataclass(frozen=True)
 class Picture:
-    """All that one fit shows."""
+    """The data of one fit."""
 
     learner: str
     step: int
-    road: RoadMap
+    road: RoadShape
     grid: NDArray[np.float64]  # (CELLS, CELLS) mean weight, row 0 at the lowest y
     share: float  # of the weight that lies on the road
     expert: list[NDArray]  # (H + 1, 2) each
@@ -28,14 +30,22 @@ class Picture:
 
 
 def steps(run: RunReader) -> list[int]:
-    """The fits that can be shown: every single weight was kept."""
+    """The fits that can be shown, because their single weights were stored."""
     return run.snapshot_steps() if run.field_steps("map") else []
 
 
+_PICTURES: VersionedCache[Picture | None] = VersionedCache(128)
+
+
 def load(run: RunReader, step: int) -> Picture | None:
-    """The fit at `step`; None when the run's folder lacks the map (see `run.problems`)."""
+    """The fit at `step`; None if the run's folder lacks the map (see `run.problems`)."""
+    version = stamps.snapshot(run.path, step)
+    return _PICTURES.get((str(run.path), step), lambda: _read(run, step), version)
+
+
+def _read(run: RunReader, step: int) -> Picture | None:
     try:
-        road = RoadMap.of(run.field("map", at_or_before(run.field_steps("map"), step)))
+        road = RoadShape.of(run.field("map", at_or_before(run.field_steps("map"), step)))
     except LookupError:
         return None
     weight = run.snapshot(step)["weight"].to_numpy(np.float32)

@@ -1,4 +1,4 @@
-"""Run folders for the pages: read once, read again when a file changes."""
+"""Run folders for the pages, cached until a file changes."""
 
 import time
 from collections.abc import Callable
@@ -8,28 +8,27 @@ from typing import TypeVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from app.data import pictures, trainings
 from app.data.cache import VersionedCache
 from app.data.pictures import Picture
-from app.data.settings import Settings, in_words
+from tom.config import Settings
 from tom.errors import UserError
-from tom.record import layout, small_copy
+from tom.record import small_copy, stamps
 from tom.record.labels import Labels
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
+from tom.record.stamps import Stamp
 from tom.record.status import DEAD_AFTER_S, Status
 from tom.record.store import Store
 
 T = TypeVar("T")
 
-Stamp = tuple[int, int]
-"""(mtime_ns, size) of a file: what a cached read depends on."""
-
 
 @dataclass(frozen=True)
 class RunInfo:
-    """What a page knows about a run without reading its tables."""
+    """The information on a run that needs none of its tables."""
 
     path: str
     run_id: str
@@ -42,25 +41,29 @@ class RunInfo:
     problems: tuple[str, ...]
     labels: Labels
     settings: Settings
-    """the whole configuration: path to words"""
+    """the whole configuration: path to text"""
     small_copy: bool
     left_out: tuple[str, ...]
-    """what a small copy has not, of what its run had"""
+    """the parts of the run that a small copy lacks"""
+
+    @property
+    def folder(self) -> Path:
+        return Path(self.path)
 
     @property
     def shown(self) -> str:
-        """The state in words, as `RunReader.shown` has it."""
+        """The state in words, as in `RunReader.shown`."""
         return small_copy.shown(self.status, self.small_copy)
 
     @property
     def name(self) -> str:
-        """What people call it; its id where they gave it no name."""
+        """The user's name of the run, else its id."""
         return self.labels.name or self.run_id
 
 
 @dataclass(frozen=True)
 class Listing:
-    """The runs of a store, newest first, and what in it could not be read."""
+    """The runs of a store, newest first, and its unreadable folders."""
 
     runs: tuple[RunInfo, ...]
     problems: tuple[str, ...]
@@ -84,23 +87,23 @@ def listing(store: str) -> Listing:
 
 
 def metrics(run: RunInfo) -> pd.DataFrame:
-    """A row a recorded step: `env_step` and every metric."""
+    """One row per recorded step: `env_step` and every metric."""
     return _metrics(run)[0]
 
 
 def points(run: RunInfo) -> dict[str, int]:
-    """How many values of each metric the run has recorded, of those with one at least."""
+    """The number of recorded values of each metric that has at least one."""
     return _POINTS.get(run.path, lambda: _count(metrics(run)), recorded(run))
 
 
-def recorded(run: RunInfo) -> tuple[Stamp, ...]:
-    """Changes whenever a metric of the run does."""
-    return _stamps(run, layout.METRICS, layout.METRICS_TABLE)
+def recorded(run: RunInfo) -> Stamp:
+    """A stamp that changes whenever a metric of the run changes."""
+    return stamps.metrics(run.folder)
 
 
 def has_profiles(run: RunInfo) -> bool:
-    """A model fit has left a profile, which may be damaged. Reads nothing."""
-    return _stamps(run, layout.PROFILES)[0][1] > 0
+    """Whether there is a profile, which may be damaged. Reads no file."""
+    return stamps.profiles(run.folder)[0][1] > 0
 
 
 def profiles(run: RunInfo) -> Profiles:
@@ -109,59 +112,77 @@ def profiles(run: RunInfo) -> Profiles:
 
 
 def notices(run: RunInfo) -> list[dict]:
-    """What the run itself warned of: `env_step`, `kind`, `message`."""
+    """The notices of the run: `env_step`, `kind`, `message`."""
     return _notices(run)[0]
 
 
 def metrics_problems(run: RunInfo) -> list[str]:
-    """What is damaged or missing in the parts of a run that make its curves."""
+    """Damaged or missing parts of a run that its curves need."""
     return list(dict.fromkeys([*run.problems, *_metrics(run)[1]]))
 
 
 def problems(run: RunInfo) -> list[str]:
-    """What is damaged or missing in the parts of a run that the pages of one run read."""
-    found = [*metrics_problems(run), *_profiles(run)[1], *_notices(run)[1]]
-    return list(dict.fromkeys(found))
+    """Damaged or missing parts of a run that the pages of a single run need."""
+    named = [*metrics_problems(run), *_profiles(run)[1], *_notices(run)[1]]
+    return list(dict.fromkeys(named))
 
 
 def road_steps(run: RunInfo) -> list[int]:
     """The fits of a road-and-rocks run that can be drawn on its map."""
-    return pictures.steps(RunReader(run.path))
+    return pictures.steps(reader(run))
 
 
 def road_picture(run: RunInfo, step: int) -> Picture | None:
-    """One fit of a road-and-rocks run; None when its map cannot be read."""
-    changed = stamp(Path(run.path) / layout.snapshot(step))
-    return _ROAD_PICTURES.get(
-        (run.path, step), lambda: pictures.load(RunReader(run.path), step), changed
-    )
+    """One fit of a road-and-rocks run; None if its map cannot be read."""
+    return pictures.load(reader(run), step)
 
 
 def recordings(run: RunInfo) -> list[str]:
     """The names of the run's Rerun recordings, in the order they were written."""
-    return [path.name for path in RunReader(run.path).rrd_files()]
+    version = stamps.stamp(run.folder)  # fast, because pages need it for every run
+    return _RECORDINGS.get(run.path, lambda: [p.name for p in reader(run).rrd_files()], version)
 
 
-def stamp(path: Path) -> Stamp:
-    """Changes whenever the file does; (0, 0) while there is none."""
-    try:
-        found = path.stat()
-    except OSError:
-        return (0, 0)
-    return (found.st_mtime_ns, found.st_size)
+def evaluation_steps(run: RunInfo) -> list[int]:
+    """The evaluations whose episodes were recorded."""
+    return reader(run).evaluation_steps()
+
+
+def returns(run: RunInfo, step: int) -> NDArray[np.float64]:
+    """The return of each episode of the evaluation at `step`; empty if unreadable."""
+
+    def make() -> NDArray[np.float64]:
+        return np.array([e.undiscounted_return for e in reader(run).episodes(step)], np.float64)
+
+    return _RETURNS.get((run.path, step), make, stamps.episodes(run.folder, step))
+
+
+def policy_steps(run: RunInfo) -> list[int]:
+    """The fits whose policy was stored."""
+    return reader(run).policy_steps()
+
+
+def reader(run: RunInfo) -> RunReader:
+    """The reader of the run's folder, for data without a function here."""
+    return RunReader(run.path)
+
+
+def reader_at(path: Path) -> RunReader:
+    """The reader of a folder with the layout of a run, such as that of weighed data."""
+    return RunReader(path)
 
 
 def _as_it_is(run: RunInfo) -> RunInfo:
-    """A run whose process has ended without a word is dead at once, not when its beat is missed."""
-    if not (run.status.alive and trainings.gone(Path(run.path))):
+    """The run, shown as dead at once if its process has ended without a final status."""
+    if not (run.status.alive and trainings.gone(run.folder)):
         return run
     last = min(run.status.heartbeat, time.time() - DEAD_AFTER_S - 1)
     words = run.status.reason or "its process has ended without a word"
     return replace(run, status=replace(run.status, heartbeat=last, reason=words))
 
 
-# What is read is shared, not copied, as no page changes it. Streamlit's own caches take 0.3 ms to
-# find what they hold, which 200 runs notice.
+# Results are shared, not copied, because no page changes them. Streamlit's own caches take 0.3 ms
+# for a lookup, which matters for 200 runs.
 
 
 _INFOS: VersionedCache[RunInfo] = VersionedCache(4096)
@@ -169,33 +190,33 @@ _METRICS: VersionedCache[tuple[pd.DataFrame, list[str]]] = VersionedCache(1024)
 _POINTS: VersionedCache[dict[str, int]] = VersionedCache(1024)
 _PROFILES: VersionedCache[tuple[Profiles, list[str]]] = VersionedCache(1024)
 _NOTICES: VersionedCache[tuple[list[dict], list[str]]] = VersionedCache(1024)
-_ROAD_PICTURES: VersionedCache[Picture | None] = VersionedCache(64)
+_RECORDINGS: VersionedCache[list[str]] = VersionedCache(4096)
+_RETURNS: VersionedCache[NDArray[np.float64]] = VersionedCache(256)
 
 
 def _info(store: str, name: str) -> RunInfo:
-    """Raises UserError, which is not kept, where there is no run."""
+    """Raises UserError, which is not cached, if there is no run."""
     path = Path(store) / name
-    stamps = [stamp(path / part) for part in (layout.CONFIG, layout.STATUS, layout.LABELS)]
-    version = path.is_symlink(), *stamps
+    version = path.is_symlink(), stamps.about(path)
     return _INFOS.get(path, lambda: _read_info(store, name), version)
 
 
 def _read_info(store: str, name: str) -> RunInfo:
-    reader = Store(store).look(name)
+    run = Store(store).look(name)
     return RunInfo(
-        path=str(reader.path),
-        run_id=reader.run_id,
-        env=reader.env,
-        learner=reader.learner,
-        seed=reader.seed,
-        preset=str(reader.config.get("preset", "?")),
-        created=reader.created,
-        status=reader.status,
-        labels=reader.labels,
-        settings=in_words(reader.config.get("config")),
-        small_copy=reader.small_copy,
-        left_out=reader.left_out,
-        problems=tuple(reader.problems),
+        path=str(run.path),
+        run_id=run.run_id,
+        env=run.env,
+        learner=run.learner,
+        seed=run.seed,
+        preset=run.preset,
+        created=run.created,
+        status=run.status,
+        labels=run.labels,
+        settings=run.settings,
+        small_copy=run.small_copy,
+        left_out=run.left_out,
+        problems=tuple(run.problems),
     )
 
 
@@ -204,24 +225,24 @@ def _metrics(run: RunInfo) -> tuple[pd.DataFrame, list[str]]:
 
 
 def _profiles(run: RunInfo) -> tuple[Profiles, list[str]]:
-    return _read(_PROFILES, run, RunReader.profiles, _stamps(run, layout.PROFILES))
+    return _read(_PROFILES, run, RunReader.profiles, stamps.profiles(run.folder))
 
 
 def _notices(run: RunInfo) -> tuple[list[dict], list[str]]:
-    return _read(_NOTICES, run, RunReader.notices, _stamps(run, layout.NOTICES))
+    return _read(_NOTICES, run, RunReader.notices, stamps.notices(run.folder))
 
 
 def _read(
     cache: VersionedCache[tuple[T, list[str]]],
     run: RunInfo,
     read: Callable[[RunReader], T],
-    version: tuple[Stamp, ...],
+    version: Stamp,
 ) -> tuple[T, list[str]]:
-    """A part of a run and what is damaged in it, from `cache` where its files are in `version`."""
+    """A part of a run and its problems, from `cache` if its files have the same `version`."""
 
     def make() -> tuple[T, list[str]]:
-        reader = RunReader(run.path)
-        return read(reader), reader.problems
+        part = reader(run)
+        return read(part), part.problems
 
     return cache.get(run.path, make, version)
 
@@ -229,8 +250,3 @@ def _read(
 def _count(frame: pd.DataFrame) -> dict[str, int]:
     count = np.isfinite(frame.to_numpy(np.float64)).sum(0)
     return {str(name): int(n) for name, n in zip(frame, count, strict=True) if n}
-
-
-def _stamps(run: RunInfo, *names: str) -> tuple[Stamp, ...]:
-    folder = Path(run.path)
-    return tuple(stamp(folder / name) for name in names)

@@ -1,4 +1,4 @@
-"""Regions of a replay buffer: a map of it, what lies in a part of the map. Pure functions."""
+"""Regions of a replay buffer: a map, and the content of a part of it. Pure functions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,18 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data.buffer import Floats, Rows
-from tom.data.sampling import ess
+from tom.data.sampling import ess, zero_share
 from tom.data.transitions import Transitions
 
 Mask = NDArray[np.bool_]
 
 FITTED = 20_000
-"""rows at most that principal components are found from"""
+"""maximum number of rows from which principal components are computed"""
 
 
 @dataclass(frozen=True)
 class Plane:
-    """Two coordinates of every transition, and what they are called."""
+    """Two coordinates of every transition, with their names."""
 
     x: Floats  # (N,)
     y: Floats  # (N,)
@@ -27,9 +27,9 @@ class Plane:
 
 
 def principal_plane(rows: Transitions) -> Plane:
-    """The first two principal components of (s, a, s'), every dimension in its own deviation.
+    """The first two principal components of (s, a, s'), with standardised dimensions.
 
-    Found from at most FITTED rows, drawn evenly; the coordinates are of all N.
+    Computed from at most FITTED evenly drawn rows; the coordinates are those of all N.
     """
     table = _table(rows, spread(len(rows), FITTED))
     middle, deviation = table.mean(0), table.std(0)
@@ -44,11 +44,11 @@ def principal_plane(rows: Transitions) -> Plane:
     share = 100 * values[::-1][:2] / values.sum()
     turned = (scale[:, None] * vectors).astype(np.float32)
     whole, o = rows.numpy(), np.shape(rows.obs)[1]
-    found = np.asarray(whole.obs) @ turned[:o] + np.asarray(whole.next_obs) @ turned[-o:]
-    found = found + np.asarray(whole.action) @ turned[o:-o] - (middle * scale) @ vectors
-    found = found.astype(np.float64)
+    coordinates = np.asarray(whole.obs) @ turned[:o] + np.asarray(whole.next_obs) @ turned[-o:]
+    coordinates = coordinates + np.asarray(whole.action) @ turned[o:-o] - (middle * scale) @ vectors
+    coordinates = coordinates.astype(np.float64)
     names = [f"component {i + 1} ({share[i]:.0f} % of the variance)" for i in range(2)]
-    return Plane(found[:, 0], found[:, 1], names[0], names[1])
+    return Plane(coordinates[:, 0], coordinates[:, 1], names[0], names[1])
 
 
 def _table(rows: Transitions, index: NDArray[np.int64]) -> Floats:
@@ -58,28 +58,28 @@ def _table(rows: Transitions, index: NDArray[np.int64]) -> Floats:
 
 
 def named_plane(rows: Transitions, names: Sequence[str], x: str, y: str) -> Plane:
-    """Two dimensions of the observation, by their names."""
+    """Two dimensions of the observation, chosen by name."""
     obs = np.asarray(rows.obs, np.float64)
     return Plane(obs[:, names.index(x)], obs[:, names.index(y)], x, y)
 
 
 def inside(outline: Sequence[tuple[float, float]], x: Floats, y: Floats) -> Mask:
-    """Which points (N,) lie within a closed outline of corners (x, y), by the even-odd rule."""
-    found = np.zeros(len(x), bool)
+    """A mask (N,) of the points inside a closed outline of corners (x, y), by the even-odd rule."""
+    mask = np.zeros(len(x), bool)
     corners = np.asarray(outline, np.float64).reshape(-1, 2)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, 0), strict=True):
         crosses = (y0 > y) != (y1 > y)
         if y1 != y0:
-            found ^= crosses & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
-    return found
+            mask ^= crosses & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
+    return mask
 
 
 def heaviest(weight: Floats, share: float) -> Mask:
-    """The rows of the largest weights, `share` of all (at least one)."""
+    """A mask of the rows with the largest weights, a `share` of all rows (at least one)."""
     count = max(round(share * len(weight)), 1)
-    found = np.zeros(len(weight), bool)
-    found[np.argsort(-weight, kind="stable")[:count]] = True
-    return found
+    mask = np.zeros(len(weight), bool)
+    mask[np.argsort(-weight, kind="stable")[:count]] = True
+    return mask
 
 
 def aged(count: int, low: float, high: float) -> Mask:
@@ -105,7 +105,7 @@ QUANTITIES = (
 
 
 def summary(rows: Rows, mask: Mask) -> dict[str, float]:
-    """What is in a region, by QUANTITIES; NaN for an empty one."""
+    """The QUANTITIES of a region; NaN for an empty one."""
     n = int(mask.sum())
     if not n:
         return dict.fromkeys(QUANTITIES, float("nan")) | {"transitions": 0.0}
@@ -116,7 +116,7 @@ def summary(rows: Rows, mask: Mask) -> dict[str, float]:
         100 * n / len(rows),
         100 * weight.sum() / total if total > 0 else np.nan,
         weight.mean(),
-        100 * (weight == 0).mean(),
+        100 * zero_share(weight),
         100 * ess(weight),
         np.asarray(rows.rows.reward)[mask].mean(),
         rows.episode_return[mask].mean(),
@@ -128,9 +128,10 @@ def summary(rows: Rows, mask: Mask) -> dict[str, float]:
 
 
 def apart(rows: Rows, mask: Mask, names: list[str]) -> list[tuple[str, float]]:
-    """How far a region's mean of each of (s, a) lies from the buffer's, in its deviations.
+    """The distance of a region's mean of each of (s, a) from the buffer's, in its deviations.
 
-    `names` are those of the dimensions of s, then of a; the farthest first, constants left out.
+    `names` are those of the dimensions of s, then of a. The farthest comes first; constants are
+    left out.
     """
     if not mask.any():
         return []
@@ -143,21 +144,21 @@ def apart(rows: Rows, mask: Mask, names: list[str]) -> list[tuple[str, float]]:
 
 
 def picks(order: NDArray[np.int64], count: int, gap: int) -> list[int]:
-    """The first `count` row numbers of `order` that lie at least `gap` rows from each other."""
-    found: list[int] = []
+    """The first `count` row numbers of `order` that are at least `gap` rows apart."""
+    picked: list[int] = []
     for row in order.tolist():
-        if all(abs(row - other) >= gap for other in found):
-            found.append(row)
-            if len(found) == count:
+        if all(abs(row - other) >= gap for other in picked):
+            picked.append(row)
+            if len(picked) == count:
                 break
-    return found
+    return picked
 
 
 def heavy_and_light(rows: Rows, mask: Mask, count: int, gap: int) -> tuple[list[int], list[int]]:
-    """Rows of a region to look at: its heaviest and its lightest, at least `gap` steps apart."""
+    """The heaviest and the lightest rows of a region, at least `gap` steps apart."""
     index = np.flatnonzero(mask)
     weight = rows.weight[index]
-    # Of equal weights (many are zero) no part of the buffer is preferred.
+    # Among equal weights (many are zero) no part of the buffer is preferred.
     shuffled = np.random.default_rng(0).permutation(len(index))
     by_weight = shuffled[np.argsort(weight[shuffled], kind="stable")]
     return (
@@ -167,7 +168,7 @@ def heavy_and_light(rows: Rows, mask: Mask, count: int, gap: int) -> tuple[list[
 
 
 def spread(count: int, limit: int) -> NDArray[np.int64]:
-    """At most `limit` row numbers of `count`, drawn evenly and always the same, ascending."""
+    """At most `limit` of `count` row numbers, evenly spread, the same in every call, ascending."""
     if count <= limit:
         return np.arange(count)
     return np.sort(np.random.default_rng(0).choice(count, limit, replace=False))

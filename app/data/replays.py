@@ -1,63 +1,69 @@
-"""One evaluation episode, and what the run's own model makes of it. Knows no viewer."""
+"""One evaluation episode, and its prediction by the run's model. Independent of any viewer."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.data.cache import VersionedCache
 from app.data.pictures import ENV as ROAD
-from app.data.readers import Stamp, stamp
-from app.data.roadmap import RoadMap
+from app.data.roadmap import RoadShape
 from tom.analysis.imagine import (
     Imagined,
-    Stamps,
     StoredModel,
     imagine,
     joint_positions,
     stored_model,
-    stored_stamps,
 )
-from tom.envs import scene, task
+from tom.envs import Task, scene
 from tom.errors import UserError
 from tom.events import Episode
-from tom.record import layout
+from tom.record import stamps
 from tom.record.reader import RunReader
 from tom.record.rerun.episode import episode_recording
+from tom.record.stamps import Stamp
+from tom.record.task_record import scene_of, seconds, task_of
 
 ROAD_DT = 0.1
-"""seconds that a step of road-and-rocks takes on the screen: the task itself has no clock"""
+"""seconds of a step of road-and-rocks on the screen; the task itself has no clock"""
 HORIZONS = (1, 5, 10, 25, 50, 100, 1000)
-"""steps after which the ghost may start again from the real state; the last is a whole episode"""
+"""choices of steps after which the ghost restarts from the real state; the last is an episode"""
 ALIKE = 1e-6
-"""standard deviation of a dimension's change in a step up to which it always changes alike"""
+"""standard deviation of a dimension's change per step up to which the change is constant"""
 
 Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Replay:
-    """An episode of H steps as it was, and as the model at `model_step` imagines it."""
+    """A recorded episode of H steps, and its prediction by the model at `model_step`."""
 
     env: str
     learner: str
     step: int
+    model: scene.Model | None  # to draw the robot
+    names: tuple[str, ...]  # of the observation's dimensions
     dt: float  # seconds a step
     episode: Episode
-    real: Floats  # (H + 1, nq) joint positions; road-and-rocks: positions (H + 1, 2)
-    ghost: Floats | None  # the same, imagined
+    real: Floats  # (H + 1, nq) joint positions; positions (H + 1, 2), or observations
+    ghost: Floats | None  # the same, predicted
     imagined: Imagined | None
     model_step: int | None
-    no_ghost: str  # why there is none
-    road: RoadMap | None  # road-and-rocks only
+    no_ghost: str  # why there is no ghost
+    road: RoadShape | None  # road-and-rocks only
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a robot or a car to draw; else there are only observations."""
+        return self.model is not None or self.road is not None
 
     @property
     def error(self) -> NDArray[np.float64]:
-        """Distance (H,) of each imagined state from the real one; needs a ghost.
+        """Distance (H,) of each predicted state from the real one; needs a ghost.
 
-        Root mean square over dimensions, each in standard deviations of its change in a step. One
-        that always changes alike has no such scale and is left out; NaN where no other is there,
-        as in an episode of one step.
+        Root mean square over dimensions, each in standard deviations of its change in a step.
+        Dimensions with constant change have no such scale and are left out; NaN if none remains, as
+        in an episode of one step.
         """
         assert self.imagined is not None
         real = self.episode.obs
@@ -70,47 +76,53 @@ class Replay:
 
 
 def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
-    """The episode `index` of the evaluation at `step`; None where it is not there.
+    """The episode `index` of the evaluation at `step`; None if there is none.
 
-    The ghost starts again from the real state every `horizon` steps. What comes back is kept, until
-    the episode or the run's model is another one, and shared: nobody may change it.
+    The ghost restarts from the real state every `horizon` steps; 0 means no ghost. The result is
+    cached until the episode or the run's model changes; it is shared and must not be changed.
     """
-    episode = stamp(run.path / layout.episodes(step))
-    return _load(str(run.path), step, index, horizon, episode, stored_stamps(run))
+    model = stamps.model(run.path)
+    key = str(run.path), step, index, horizon
+    version = stamps.episodes(run.path, step), model
+    return _REPLAYS.get(key, lambda: _load(run, step, index, horizon, model), version)
 
 
 def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | None:
-    """The episode and its ghost as a Rerun recording; None where it is not there."""
+    """The episode and its ghost as a Rerun recording; None if there is no such episode."""
     replay = load(run, step, index, horizon)
     if replay is None:
         return None
     return episode_recording(run, step, replay.episode, replay.dt, replay.ghost)
 
 
-@lru_cache(maxsize=32)
-def _load(
-    path: str, step: int, index: int, horizon: int, changed: Stamp, model: Stamps
-) -> Replay | None:
-    run = RunReader(path)
+_REPLAYS: VersionedCache[Replay | None] = VersionedCache(32)
+_MODELS: VersionedCache[StoredModel] = VersionedCache(16)
+
+
+def _load(run: RunReader, step: int, index: int, horizon: int, model: Stamp) -> Replay | None:
     episodes = run.episodes(step)
     if not 0 <= index < len(episodes) or not episodes[index].length:
         return None
     episode = episodes[index]
     road = _road(run) if run.env == ROAD else None
-    real = episode.obs if road else episode.qpos
+    model_drawn = None if road or episode.qpos is None else scene_of(run)
+    real = episode.obs if model_drawn is None else episode.qpos
     if real is None:
         return None
-    dt = ROAD_DT if road else scene.model(run.env).dt
-    kept, why = _kept(run, model)
+    known = None if run.env == ROAD else task_of(run)
+    dt = ROAD_DT if known is None else seconds(run)
+    kept, why = _kept(run, model) if horizon else (None, "none was asked for")
     imagined = None if kept is None else imagine(kept.predictor, episode, horizon)
     return Replay(
         env=run.env,
         learner=run.learner,
         step=step,
+        model=model_drawn,
+        names=("x", "y") if known is None else known.obs_names,
         dt=dt,
         episode=episode,
         real=real,
-        ghost=None if imagined is None else _ghost(run.env, episode, imagined, dt, horizon),
+        ghost=None if imagined is None else _ghost(known, episode, imagined, dt, horizon),
         imagined=imagined,
         model_step=None if kept is None else kept.env_step,
         no_ghost=why,
@@ -118,27 +130,27 @@ def _load(
     )
 
 
-def _ghost(env: str, episode: Episode, imagined: Imagined, dt: float, horizon: int) -> Floats:
-    if env == ROAD:
+def _ghost(
+    known: Task | None, episode: Episode, imagined: Imagined, dt: float, horizon: int
+) -> Floats | None:
+    """The positions to draw for the predicted observations; None if they lack the joints."""
+    if known is None:
         return imagined.obs
-    return joint_positions(task(env), episode, imagined.obs, dt, horizon)
+    if known.root_dims is None or episode.qpos is None:
+        return None
+    return joint_positions(known, episode, imagined.obs, dt, horizon)
 
 
-def _road(run: RunReader) -> RoadMap | None:
+def _road(run: RunReader) -> RoadShape | None:
     recorded = run.field_steps("map")
     try:
-        return RoadMap.of(run.field("map", recorded[0])) if recorded else None
+        return RoadShape.of(run.field("map", recorded[0])) if recorded else None
     except KeyError:
         return None
 
 
-def _kept(run: RunReader, model: Stamps) -> tuple[StoredModel | None, str]:
+def _kept(run: RunReader, model: Stamp) -> tuple[StoredModel | None, str]:
     try:
-        return _kept_at(str(run.path), model), ""
+        return _MODELS.get(str(run.path), lambda: stored_model(run), model), ""
     except UserError as error:
         return None, str(error)
-
-
-@lru_cache(maxsize=16)
-def _kept_at(path: str, model: Stamps) -> StoredModel:
-    return stored_model(RunReader(path))

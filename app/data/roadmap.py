@@ -1,4 +1,4 @@
-"""Road-and-rocks as arrays that both the 2D map and the 3D scene draw. Pure functions."""
+"""Road-and-rocks as arrays for both the 2D map and the 3D scene. Pure functions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 CELLS = 40
-"""the heatmap has CELLS x CELLS cells: about six random transitions in each"""
+"""the heatmap has CELLS x CELLS cells, with about six random transitions in each"""
 OUTLINE_POINTS = 24
 
 
 @dataclass(frozen=True)
-class RoadMap:
-    """What `fields/map` says: the road's shape, its start and its goal (x, y, radius)."""
+class RoadShape:
+    """The content of `fields/map`: the road's shape, its start and its goal (x, y, radius)."""
 
     centre_line: NDArray[np.float32]  # (P, 2)
     half_width: float
@@ -21,8 +21,8 @@ class RoadMap:
     goal: NDArray[np.float32]  # (3,)
 
     @classmethod
-    def of(cls, arrays: Mapping[str, NDArray]) -> "RoadMap":
-        """From a run's `map` picture. Raises KeyError where a part is missing."""
+    def of(cls, arrays: Mapping[str, NDArray]) -> "RoadShape":
+        """From a run's `map` picture. Raises KeyError if a part is missing."""
         return cls(
             arrays["centre_line"],
             float(arrays["road_half_width"]),
@@ -39,8 +39,8 @@ def distance_to_road(points: NDArray, centre_line: NDArray) -> NDArray[np.float6
     return np.linalg.norm(offset - share[..., None] * along, axis=-1).min(-1)
 
 
-def on_road(points: NDArray, road: RoadMap) -> NDArray[np.bool_]:
-    """True (N,) for points (N, 2) on the road."""
+def on_road(points: NDArray, road: RoadShape) -> NDArray[np.bool_]:
+    """A mask (N,) of the points (N, 2) on the road."""
     return distance_to_road(points, road.centre_line) <= road.half_width
 
 
@@ -60,14 +60,14 @@ def weight_grid(
 
 
 def cell_centres(cells: int = CELLS) -> NDArray[np.float64]:
-    """The coordinate (cells,) of the cells' middles along one side."""
+    """The coordinates (cells,) of the cells' centres along one side."""
     return (np.arange(cells) + 0.5) / cells
 
 
-def road_share(obs: NDArray, weight: NDArray, road: RoadMap) -> tuple[float, float]:
+def road_share(obs: NDArray, weight: NDArray, road: RoadShape) -> tuple[float, float]:
     """Share of the weight on the road, and mean weight on the road over mean weight on rocks.
 
-    Over every transition, the expert's too; the ratio is NaN where rocks have no weight.
+    Over all transitions including the expert's; the ratio is NaN if rocks have no weight.
     """
     weight = np.asarray(weight, np.float64)
     inside = on_road(obs, road)
@@ -80,8 +80,8 @@ def road_share(obs: NDArray, weight: NDArray, road: RoadMap) -> tuple[float, flo
     )
 
 
-def outline(road: RoadMap) -> list[NDArray[np.float64]]:
-    """The road's edge: one closed line (K, 2) round the points within its half width."""
+def outline(road: RoadShape) -> list[NDArray[np.float64]]:
+    """The road's edge: one closed line (K, 2) around the points within its half width."""
     left = _one_side(road.centre_line, road.half_width)
     right = _one_side(road.centre_line[::-1], road.half_width)
     edge = np.concatenate([left, right])
@@ -103,8 +103,8 @@ def trajectories(arrays: Mapping[str, NDArray], kind: str) -> list[NDArray]:
 
 
 def _one_side(line: NDArray, offset: float) -> NDArray[np.float64]:
-    """The points on the left of `line`, with a half circle round its last point and round
-    every corner that bends to the right; what lies inside the road is left in."""
+    """The points to the left of `line`, with a half circle around its last point and every
+    corner that bends to the right; points inside the road are not removed."""
     parts = []
     directions = np.diff(line, axis=0)
     angles = np.arctan2(directions[:, 1], directions[:, 0])

@@ -1,63 +1,98 @@
-"""What `tom reproduce` left behind: figures, tables and a report for each study."""
+"""The results of `tom reproduce`: figures, tables and a report for each study."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from PIL import Image
 
+from tom.errors import UserError
+from tom.record.files import read_json
+from tom.record.store import Store
+from tom.reports.html import WORDS
+
 FOLDER = Path("reports")
-"""where `tom reproduce` puts its results when it is started where the studio was"""
+"""the folder of results of `tom reproduce` if it is started in the studio's folder"""
 REPORT = "report.html"
+LARGEST = 1_000_000
+"""maximum bytes that are read of a report"""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 QUESTIONS = {
     "road": "Does TOM drive where offline MBPO does not, because the road counts more?",
     "progression": "Do the weights follow the policy along an ordered buffer?",
     "focus": "Is the model better where the policy goes, and at what price elsewhere?",
+    "footprint": "How near does each way of weighing bring a buffer to what the policy does?",
+    "capacity": "For which models does weighting pay: small ones, or large ones too?",
     "online": "Which parts of the buffer count at which step of a training?",
     "returns": "Who learns fastest, and who ends highest?",
     "tabular": "Are the estimated weights the exact ones of small MDPs?",
 }
-"""every study of `tom reproduce`, in the order in which they are listed"""
+"""the question of every study of `tom reproduce`, in the order of listing"""
+
+
+ABOUT_RUNS = {"footprint": "RUN ...", "capacity": "RUN ..."}
+"""arguments of a study's command that the user must supply"""
 
 
 @dataclass(frozen=True)
 class Study:
-    """The files of one study."""
+    """The files of one study, and the text of its report."""
 
     name: str
     figures: tuple[Path, ...]  # PNG
-    tables: tuple[Path, ...]  # CSV, the summary first, then the shortest: single values come last
+    tables: tuple[Path, ...]  # CSV, the summary first, then by length: single values come last
     report: Path | None
+    claim: str = ""
+    """the paper's"""
+    found: tuple[str, ...] = ()
+    """the verdict, in sentences"""
+    origin: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def question(self) -> str:
         return QUESTIONS.get(self.name, "")
 
 
-def found(folder: Path = FOLDER) -> list[Study]:
-    """The studies with a figure, a table or a report, in the order of `QUESTIONS`."""
-    try:
-        names = [path.name for path in folder.iterdir() if path.is_dir()]
-    except OSError:
-        return []
+def folders(store: Path | str) -> tuple[Path, Path]:
+    """The folders of studies: those of this machine, then those in the store."""
+    return FOLDER, Store(store).studies
+
+
+def found(*places: Path) -> list[Study]:
+    """The studies with a figure, a table or a report, in the order of `QUESTIONS`.
+
+    A study in several places is taken from the first.
+    """
+    first: dict[str, Path] = {}
+    for place in places:
+        for folder in _subfolders(place):
+            first.setdefault(folder.name, folder)
     order = list(QUESTIONS)
-    names.sort(key=lambda name: (order.index(name) if name in order else len(order), name))
-    studies = [_read(folder / name) for name in names if NAME.fullmatch(name)]
+    names = sorted(first, key=lambda n: (order.index(n) if n in order else len(order), n))
+    studies = [_read(first[name]) for name in names if NAME.fullmatch(name)]
     return [study for study in studies if study and (study.figures or study.tables or study.report)]
 
 
-def report(name: str, folder: Path = FOLDER) -> Path | None:
-    """The report of the study called `name`; None for anything that is not one."""
-    return next((study.report for study in found(folder) if study.name == name), None)
+def report(name: str, *places: Path) -> Path | None:
+    """The report of the study `name`; None if there is no such study."""
+    return next((study.report for study in found(*places) if study.name == name), None)
+
+
+def _subfolders(place: Path) -> list[Path]:
+    try:
+        return [path for path in place.iterdir() if path.is_dir() and not path.is_symlink()]
+    except OSError:
+        return []
 
 
 def table(path: Path) -> pd.DataFrame | None:
-    """The rows of a table; None where it cannot be read."""
+    """The rows of a table; None if it cannot be read."""
     try:
         return pd.read_csv(path)
-    except (OSError, ValueError):  # what pandas raises for a damaged file is a ValueError
+    except (OSError, ValueError):  # pandas raises ValueError for a damaged file
         return None
 
 
@@ -72,16 +107,31 @@ def is_picture(path: Path) -> bool:
 
 
 def _read(folder: Path) -> Study | None:
-    """The study in a folder; None where it cannot be listed."""
+    """The study in a folder; None if it cannot be listed."""
     try:
         files = [p for p in sorted(folder.iterdir()) if p.is_file() and not p.is_symlink()]
         size = {path: path.stat().st_size for path in files}
-    except OSError:  # another user's, or written anew at this moment
+    except OSError:  # not permitted, or being rewritten
         return None
     tables = [path for path in files if path.suffix == ".csv" and size[path]]
+    said = _words(folder / WORDS) if size.get(folder / WORDS, LARGEST) < LARGEST else {}
     return Study(
         folder.name,
         tuple(path for path in files if path.suffix == ".png"),
         tuple(sorted(tables, key=lambda path: (path.stem != "summary", size[path]))),
         next((path for path in files if path.name == REPORT), None),
+        **said,
     )
+
+
+def _words(path: Path) -> dict[str, Any]:
+    """Claim, verdict and origin of a report; empty if it cannot be read."""
+    try:
+        content = read_json(path)
+        return {
+            "claim": str(content["claim"]),
+            "found": tuple(map(str, content["found"])),
+            "origin": {str(name): str(value) for name, value in content["origin"].items()},
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, UserError):
+        return {}

@@ -1,24 +1,29 @@
-"""What the comparison shows, as tables to read and to take away. Pure functions."""
+"""The tables of the comparison, to read and to download. Pure functions."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from app.data.aggregate import Curve, Group, interval
 from app.theme import learner_label
-from tom.analysis.statistics import Interval
+from tom.analysis.curves import Curve, Group
+from tom.analysis.scores import BEST, FINAL, common_step, interval, scores_of, steps_to
+from tom.analysis.settings import Made, differences
+
+REACH = 0.8
+"""the default level of `steps to reach`, as a share of the way from the worst to the best score"""
 
 
 def summary(grouped: Sequence[Group]) -> pd.DataFrame:
-    """A row a group: runs, the last step that all reach, final and best with their intervals.
+    """One row per group: runs, the last step that all reach, final and best with intervals.
 
-    Final and best are those up to that step; NaN where a run began only after it.
+    Final and best are up to that step; NaN if a run began only after it.
     """
     rows = []
     for group in grouped:
-        last = float(min(curve.step[-1] for curve in group.curves))
-        cut = [curve.until(last) for curve in group.curves]
+        last = common_step(group.curves)
         row = {
             "environment": group.env,
             "learner": learner_label(group.learner),
@@ -28,18 +33,15 @@ def summary(grouped: Sequence[Group]) -> pd.DataFrame:
             "seeds": ", ".join(str(curve.seed) for curve in group.curves),
             "steps": last,
         }
-        for name in ("final", "best"):
-            values = np.array([getattr(curve, name) for curve in cut])
-            # Without the runs that began later it would be the statistic of fewer than n.
-            whole = np.isfinite(values).all()
-            found = interval(values, group.statistic) if whole else Interval(*[np.nan] * 3)
-            row |= {name: found.value, f"{name} low": found.low, f"{name} high": found.high}
+        for name, score in (("final", FINAL), ("best", BEST)):
+            over = interval(scores_of(group.curves, score, last), group.statistic)
+            row |= {name: over.value, f"{name} low": over.low, f"{name} high": over.high}
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def bands(grouped: Sequence[Group], x: str = "env_step") -> pd.DataFrame:
-    """A row a group and step: what the figures' lines and bands show, before any smoothing."""
+    """One row per group and step: the data of the figures' lines and bands before smoothing."""
     parts = [
         pd.DataFrame(
             {
@@ -60,7 +62,7 @@ def bands(grouped: Sequence[Group], x: str = "env_step") -> pd.DataFrame:
 
 
 def runs(curves: Sequence[Curve], x: str = "env_step") -> pd.DataFrame:
-    """A row a run and step."""
+    """One row per run and step."""
     parts = [
         pd.DataFrame(
             {
@@ -75,3 +77,53 @@ def runs(curves: Sequence[Curve], x: str = "env_step") -> pd.DataFrame:
         for curve in curves
     ]
     return pd.concat(parts) if parts else pd.DataFrame()
+
+
+def default_level(scores: NDArray[np.float64]) -> float:
+    """A level that good runs reach and others may not, rounded down to a hundredth of the spread.
+
+    If all scores are equal, it is that score.
+    """
+    low, high = float(scores.min()), float(scores.max())
+    if high <= low:
+        return low
+    unit = 10.0 ** (2 - math.floor(math.log10(high - low)))
+    return math.floor((low + REACH * (high - low)) * unit) / unit
+
+
+def reached(
+    grouped: Sequence[Group], names: Sequence[str], level: float, until: float
+) -> pd.DataFrame:
+    """For each group the number of runs that reach the level by step `until`, and the median step.
+
+    Later steps do not count, because runs that ended earlier have none.
+    """
+    rows = []
+    for name, group in zip(names, grouped, strict=True):
+        steps = steps_to(group.curves, level, until)
+        middle = float(np.median(steps))
+        rows.append(
+            {
+                "group": name,
+                "reached": f"{int(np.isfinite(steps).sum())} of {group.n}",
+                "median step": middle if np.isfinite(middle) else np.nan,
+                "first": float(steps.min()) if np.isfinite(steps).any() else np.nan,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def settings(runs: Sequence[Made], names: Sequence[str]) -> pd.DataFrame:
+    """One row per setting in which the runs differ, one column per run."""
+    rows = differences(runs)
+    frame = pd.DataFrame(rows, index=pd.Index(_distinct(names))).T
+    return frame.rename_axis("setting").reset_index()
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    seen: dict[str, int] = {}
+    found = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return found

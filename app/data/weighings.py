@@ -1,4 +1,4 @@
-"""What `tom weigh` left behind for a run's buffer: several learners' weights of the same rows."""
+"""The results of `tom weigh` for a run's buffer: several learners' weights of the same rows."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from app.data import datasets
 from app.data.readers import RunInfo
 from tom.analysis.progression import Progression, progression
 from tom.data.sampling import bin_means
@@ -25,10 +26,10 @@ class Weighing:
     path: str
     policy: str
     preset: str
-    rows: int  # so many transitions of the run, those before `end`
+    rows: int  # number of transitions, those of the run before `end`
     ordered_from: int  # rows before it are random data
-    step: int | None  # the env step at which the buffer held them; None: all there were
-    written: int  # of the report, mtime_ns
+    step: int | None  # the env step of the buffer; None: all transitions
+    written: int  # mtime_ns of the report
 
     @property
     def name(self) -> str:
@@ -36,16 +37,16 @@ class Weighing:
 
     @property
     def end(self) -> int:
-        """The number of the run's transition that follows the last one weighed."""
+        """The number of the run's transition after the last weighed one."""
         return self.rows if self.step is None else self.step
 
     @property
     def settings(self) -> str:
-        """Those that TOM weighed with, in words."""
+        """TOM's settings of the weighing, in words."""
         return "the run's own settings" if self.preset == "own" else f"its preset {self.preset}"
 
     def missing(self, rows: int) -> str:
-        """In words, what it leaves out of a buffer of `rows` transitions; empty where nothing."""
+        """In words, what it leaves out of a buffer of `rows` transitions; empty if nothing."""
         if self.step is not None:
             return (
                 f"It weighs the {self.rows:,} transitions that the buffer held at step "
@@ -60,28 +61,31 @@ class Weighing:
 
 
 def of_run(run: RunInfo, rows: int) -> list[Weighing]:
-    """The weighings in a run's store of its buffer of `rows` transitions, newest first.
+    """The weighings of the buffer of a run (or a data set) of `rows` transitions, newest first.
 
-    A run that went on has more rows than were weighed: these are its first. What is no weighing,
-    or of other data, is left out.
+    A resumed run has more rows than were weighed: the weighed ones are the first. Weighings of
+    other data are left out.
     """
-    store = Path(run.path).parent
-    found = [_read(path, rows) for path in weighing_files.of_run(store, run.run_id)]
-    return sorted((w for w in found if w is not None), key=lambda w: w.written, reverse=True)
+    if datasets.is_one(run):
+        paths = datasets.weighings(run)
+    else:
+        paths = weighing_files.of_run(Path(run.path).parent, run.run_id)
+    weighings = [_read(path, rows) for path in paths]
+    return sorted((w for w in weighings if w is not None), key=lambda w: w.written, reverse=True)
 
 
 def weights(weighing: Weighing) -> dict[tuple[str, int], NDArray[np.float32]]:
-    """The weights (N,) by learner and seed; empty when the file cannot be read."""
+    """The weights (N,) by learner and seed; empty if the file cannot be read."""
     try:
         table = read_table(Path(weighing.path) / WEIGHTS)
     except DAMAGE:
         return {}
-    found = {}
+    by_seed = {}
     for column in table.columns:
         learner, _, seed = str(column).rpartition("-s")
         if learner and seed.isdigit():
-            found[learner, int(seed)] = np.array(table[column], np.float32)
-    return found
+            by_seed[learner, int(seed)] = np.array(table[column], np.float32)
+    return by_seed
 
 
 def profiles(of: dict[tuple[str, int], NDArray[np.float32]]) -> dict[str, NDArray[np.float64]]:
@@ -96,11 +100,34 @@ def profiles(of: dict[tuple[str, int], NDArray[np.float32]]) -> dict[str, NDArra
 def numbers(
     weighing: Weighing, of: dict[tuple[str, int], NDArray[np.float32]]
 ) -> dict[str, list[Progression]]:
-    """What each learner's weights come to, a summary for each seed."""
-    found: dict[str, list[Progression]] = {}
+    """A summary of each learner's weights for each seed."""
+    summaries: dict[str, list[Progression]] = {}
     for (learner, _), weight in of.items():
-        found.setdefault(learner, []).append(progression(weight, weighing.ordered_from))
-    return found
+        summaries.setdefault(learner, []).append(progression(weight, weighing.ordered_from))
+    return summaries
+
+
+def footprints(weighing: Weighing) -> dict[str, tuple[float, float]]:
+    """By learner the footprint of its weights and its standard error, medians over the seeds.
+
+    1: as far from fresh episodes of the policy as the unweighted buffer. Empty where none was
+    measured.
+    """
+    by_learner: dict[str, list[tuple[float, float]]] = {}
+    try:
+        for result in read_json(Path(weighing.path) / REPORT)["results"]:
+            if result.get("footprint") is not None:
+                error = result.get("footprint_se")
+                measured = float(result["footprint"]), np.nan if error is None else float(error)
+                by_learner.setdefault(str(result["learner"]), []).append(measured)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+    return {
+        learner: (float(np.median(values)), float(np.median(errors)))
+        for learner, (values, errors) in (
+            (name, zip(*measured, strict=True)) for name, measured in by_learner.items()
+        )
+    }
 
 
 def _read(path: Path, rows: int) -> Weighing | None:

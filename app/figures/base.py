@@ -1,4 +1,4 @@
-"""What all figures share: margins, axes, hover. Text colours follow the page's own theme."""
+"""The layout of all figures: margins, axes, hover. Text colours follow the page's theme."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -22,22 +22,22 @@ LAYOUT = {
 }
 _AXIS = {"gridcolor": GRID, "zeroline": False, "automargin": True}
 X_AXIS = {"showgrid": False, "ticks": "outside", "tickcolor": GRID, **_AXIS}
-Y_AXIS = {"title": {"standoff": 8}, **_AXIS}  # without, wide ticks run into the title
+Y_AXIS = {"title": {"standoff": 8}, **_AXIS}  # else wide tick labels overlap the title
 
 
 def steps_in_words(envs: Iterable[str]) -> str:
-    """What a step is along an axis: on a fixed data set no step is taken in the environment."""
+    """The title of a step axis: on a fixed data set, steps are not environment steps."""
     return "steps of policy optimisation" if set(envs) == {OFFLINE} else ENV_STEPS
 
 
 def styled(
     figure: go.Figure, x: str, height: int, *, keep: str, marks: Sequence[dict] = ()
 ) -> go.Figure:
-    """`figure` with the house's layout; the reader's zoom survives as long as `keep` stays.
+    """`figure` with the common layout; the user's zoom is kept as long as `keep` is the same.
 
-    What the figure shows is said above it, on the page. `marks` are lines made by `across` and
-    `upright`. For a figure with one pair of axes that has no layout of its own yet: to set a whole
-    one takes a third of the time of updates.
+    The page has the figure's title. `marks` are lines made by `across` and `upright`. Only for a
+    figure with one pair of axes and no layout yet, because setting a whole layout takes a third of
+    the time of updates.
     """
     figure.layout = go.Layout(
         **LAYOUT,
@@ -51,19 +51,19 @@ def styled(
 
 
 def across(y: float, width: float, dash: str | None = None) -> dict[str, Any]:
-    """A line over the whole width at height `y`."""
+    """A horizontal line at height `y`."""
     ends = {"x0": 0, "x1": 1, "xref": "x domain", "y0": y, "y1": y, "yref": "y"}
     return {"type": "line", **ends, "line": {"color": NEUTRAL, "width": width, "dash": dash}}
 
 
 def upright(x: float, width: float, dash: str | None = None) -> dict[str, Any]:
-    """A line over the whole height at `x`."""
+    """A vertical line at `x`."""
     ends = {"x0": x, "x1": x, "xref": "x", "y0": 0, "y1": 1, "yref": "y domain"}
     return {"type": "line", **ends, "line": {"color": NEUTRAL, "width": width, "dash": dash}}
 
 
 def note(figure: go.Figure, text: str, right: float = 1) -> go.Figure:
-    """A remark in the figure's corner: what a reader must know about what is drawn.
+    """A remark in the figure's corner.
 
     It ends at `right`, a share of the figure's width.
     """

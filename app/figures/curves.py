@@ -1,6 +1,6 @@
 """Metrics against env steps or another axis: single runs, and groups with their band."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,14 +9,20 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data.aggregate import GRID, Curve, Group, decimate, smoothed
 from app.figures.base import DASHES, ENV_STEPS, note, steps_in_words, styled
 from app.figures.logs import cut_bands, left_out
+from app.figures.looks import Look
+from app.figures.looks import looks as usual_looks
+from app.figures.thinning import decimate
 from app.theme import faded, learner_colour, learner_label, learner_symbol
+from tom.analysis.curves import GRID, Curve, Group, smoothed
+from tom.analysis.grouping import Kind
 from tom.metrics import describe
 
 POINTS = 1500
 """points of a line at most; what is left out is said on the figure"""
+LONGEST = 40
+"""letters of a group's title under the pointer"""
 
 
 @dataclass(frozen=True)
@@ -38,13 +44,23 @@ def metric_title(metric: str) -> str:
 
 
 def run_curves(
-    curves: Sequence[Curve], metric: str, height: int, *, legend: bool, axes: Axes = PLAIN
+    curves: Sequence[Curve],
+    metric: str,
+    height: int,
+    *,
+    legend: bool,
+    axes: Axes = PLAIN,
+    looks: Mapping[Kind, Look] | None = None,
 ) -> go.Figure:
-    """One line a run, coloured by learner; the runs of one learner differ in their dashes."""
+    """One line a run, coloured by learner; the runs of one learner differ in their dashes.
+
+    Where `looks` of their groups are given, these say colours and dashes.
+    """
     figure = go.Figure()
     words = []
     learners = [curve.learner for curve in curves]
     for i, curve in enumerate(curves):
+        look = looks[curve.kind] if looks else None
         step, value, cut = decimate(curve.step, curve.value, POINTS)
         if cut:
             words = [f"thinned to {POINTS} points a line"]
@@ -57,9 +73,11 @@ def run_curves(
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
                 line={
-                    "color": learner_colour(curve.learner),
+                    "color": look.colour if look else learner_colour(curve.learner),
                     "width": 2,
-                    "dash": DASHES[learners[:i].count(curve.learner) % len(DASHES)],
+                    "dash": look.dash
+                    if look
+                    else DASHES[learners[:i].count(curve.learner) % len(DASHES)],
                 },
                 marker={"size": 5, "symbol": learner_symbol(curve.learner)},
                 hovertemplate=_hover(curve, axes.x),
@@ -79,47 +97,49 @@ def group_curves(
     singles: bool,
     axes: Axes = PLAIN,
     window: int = 1,
+    looks: Mapping[Kind, Look] | None = None,
+    hidden: Collection[Kind] = (),
 ) -> go.Figure:
     """A line a group with its band; thin lines for single runs; dotted where runs are missing.
 
-    `window`: points over which lines and bands are averaged, which the figure then says.
+    `window`: points over which lines and bands are averaged, which the figure then says. `looks`
+    are those of all groups that are compared, here or elsewhere. `hidden` groups are in the legend
+    alone.
     """
     figure = go.Figure()
-    kinds = sorted({(g.preset, g.variant) for g in groups})
-    presets = len({preset for preset, _ in kinds})
     drawn: list[tuple[NDArray, NDArray]] = []
+    looks = looks or usual_looks((group.env, group.kind) for group in groups)
     for group in groups:
-        smooth = smoothed(group, window)
+        smooth, look = smoothed(group, window), looks[group.kind]
+        traces = []
+        if singles and group.n > 1:
+            traces += [_single(curve, look) for curve in group.curves]
+        if np.isfinite(group.low).any():
+            traces.append(_band(smooth, look))
+        count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
+        traces += _middle(smooth, f"{look.title} ({count})", look)
+        if group.kind in hidden:
+            figure.add_traces([trace.update(visible="legendonly") for trace in traces])
+            continue
+        figure.add_traces(traces)
         drawn.append((smooth.step, smooth.mean))
         if singles and group.n > 1:
             drawn += [(curve.step, curve.value) for curve in group.curves]
-            figure.add_traces([_single(curve, axes) for curve in group.curves])
-        if np.isfinite(group.low).any():
-            figure.add_trace(_band(smooth))
-        dash = DASHES[kinds.index((group.preset, group.variant)) % len(DASHES)]
-        name = group_name(group, several_presets=presets > 1)
-        figure.add_traces(_middle(smooth, name, dash, axes))
     _draw_axes(figure, metric, height, axes, [group.env for group in groups])
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
         words.append(f"thinned to {GRID} points a line")
     if singles and any(len(c.step) > POINTS for g in groups if g.n > 1 for c in g.curves):
         words.append(f"single runs thinned to {POINTS} points each")
+    # One label for all lines at a step, the highest first.
+    figure.update_layout(hovermode="x unified", hoversort="value descending")
     cut_bands(figure, log_x=axes.log_x, log_y=axes.log_y)
     words += left_out(drawn, log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, "<br>".join(words)) if words else figure
 
 
-def group_name(group: Group, *, several_presets: bool = False) -> str:
-    """`TOM (n = 3)`; the preset and other settings too where they set groups apart."""
-    preset = f", {group.preset}" if several_presets else ""
-    variant = f", {group.variant}" if group.variant else ""
-    count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
-    return f"{learner_label(group.learner)}{preset}{variant} ({count})"
-
-
 def _identity(group: Group | Curve) -> str:
-    return text.plotly(f"{group.env} {group.learner} {group.preset} {group.variant}")
+    return text.plotly(" ".join((group.env, *group.kind)))
 
 
 def _draw_axes(
@@ -136,7 +156,7 @@ def _draw_axes(
         figure.update_xaxes(rangemode="tozero", autorangeoptions={"include": 0})
 
 
-def _single(curve: Curve, axes: Axes) -> go.Scatter:
+def _single(curve: Curve, look: Look) -> go.Scatter:
     step, value, _ = decimate(curve.step, curve.value, POINTS)
     return go.Scatter(
         x=step,
@@ -145,15 +165,16 @@ def _single(curve: Curve, axes: Axes) -> go.Scatter:
         name=text.plotly(curve.run_id),
         meta=curve.run_id,
         mode="lines",
-        line={"color": learner_colour(curve.learner), "width": 1},
+        line={"color": look.colour, "width": 1},
         opacity=0.35,
-        hovertemplate=_hover(curve, axes.x),
+        hovertemplate=f"{text.plotly(learner_label(curve.learner))} s{curve.seed}: %{{y:.4g}}"
+        "<extra></extra>",
         legendgroup=_identity(curve),
         showlegend=False,
     )
 
 
-def _band(group: Group) -> go.Scatter:
+def _band(group: Group, look: Look) -> go.Scatter:
     here = np.isfinite(group.low)
     step = group.step[here]
     return go.Scatter(
@@ -162,7 +183,7 @@ def _band(group: Group) -> go.Scatter:
         uid=f"{_identity(group)} band",
         name="band",
         fill="toself",
-        fillcolor=faded(learner_colour(group.learner), 0.18),
+        fillcolor=faded(look.colour, 0.18),
         line={"width": 0},
         mode="lines",
         hoverinfo="skip",
@@ -171,33 +192,43 @@ def _band(group: Group) -> go.Scatter:
     )
 
 
-def _middle(group: Group, name: str, dash: str, axes: Axes) -> list[go.Scatter]:
+def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
     full = group.complete
     parts = [go.Scatter(x=group.step[full], y=group.mean[full], customdata=group.count[full])]
     if not full.all():
         # Joined to the solid part, so that the eye sees one line that gets less certain.
         value = np.where(_beside(~full), group.mean, np.nan)
         parts.append(go.Scatter(x=group.step, y=value, customdata=group.count))
+    only = group.curves[0].run_id if group.curves else None
     marked = len(group.step) < 40 and not group.interpolated
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
     for i, part in enumerate(parts):
         part.update(
-            uid=f"{_identity(group)} {'line' if i == 0 else 'dots'}",
+            uid=line_uid(group) if i == 0 else f"{_identity(group)} dots",
             name=text.plotly(name) if i == 0 else "fewer runs than n",
-            meta=group.curves[0].run_id if group.n == 1 else None,
+            meta=[curve.run_id for curve in group.curves] if group.n > 1 else only,
             mode="lines+markers" if marked and i == 0 else "lines",
             line={
-                "color": learner_colour(group.learner),
+                "color": look.colour,
                 "width": 2.6 if i == 0 else 1.6,
-                "dash": dash if i == 0 else "dot",
+                "dash": look.dash if i == 0 else "dot",
             },
-            marker={"size": 6, "symbol": learner_symbol(group.learner)},
-            hovertemplate=f"<b>{text.plotly(learner_label(group.learner))}</b> {statistic}, "
-            f"n = %{{customdata}}<br>{_at(axes.x)}: %{{y:.4g}}<extra></extra>",
+            marker={"size": 6, "symbol": look.symbol},
+            hovertemplate=f"<b>{text.plotly(_short(look.title))}</b> {statistic}, "
+            "n = %{customdata}: %{y:.4g}<extra></extra>",
             legendgroup=_identity(group),
             showlegend=i == 0,
         )
     return parts
+
+
+def _short(title: str) -> str:
+    return title if len(title) <= LONGEST else f"{title[: LONGEST - 3]}..."
+
+
+def line_uid(group: Group) -> str:
+    """How a chart calls the line of a group."""
+    return f"{_identity(group)} line"
 
 
 def _beside(here: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""The exams of fits: how near their weights come to the policy, how they err, what followed."""
+"""The exams of fits: the footprint of their weights, their errors, and the next return."""
 
 from collections.abc import Sequence
 
@@ -12,16 +12,16 @@ from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, upright
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 
 FITS = 1500
-"""fits that are drawn at most; what is left out is said on the figure"""
+"""maximum number of drawn fits; the figure says if fits were left out"""
 TICKS = [digit * 10.0**power for power in range(-5, 5) for digit in (1, 2, 5)]
-LEGEND = 8  # pixels of a legend's marker
+LEGEND = 8  # size of a legend's marker in pixels
 
 
 def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
-    """A point a fit, coloured by learner: footprint against error, next return against error.
+    """One point per fit, coloured by learner: footprint and next return against error.
 
-    Both panels have one error axis, so that a fit lies at one height in both. Footprints that say
-    nothing (`Exams.telling`) are left out of the first, which says so.
+    Both panels share the error axis, so that a fit is at the same height in both. Uninformative
+    footprints (`Exams.telling`) are left out of the first panel, which says so.
     """
     figure = make_subplots(rows=1, cols=2, shared_yaxes=True, horizontal_spacing=0.03)
     every = max(-(-sum(len(run.step) for run in exams) // FITS), 1)
@@ -66,7 +66,7 @@ def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
 
 
 def _key(learner: str) -> go.Scatter:
-    """The learner's line in the legend: also where none of its points is in the first panel."""
+    """The learner's legend entry, also if the first panel has none of its points."""
     return go.Scatter(
         x=[None],
         y=[None],
@@ -82,18 +82,18 @@ def _key(learner: str) -> go.Scatter:
 
 
 def hover(run: Exams) -> list[str]:
-    """What is said of each fit (F,)."""
+    """The hover text of each fit (F,)."""
     who = f"<b>{text.plotly(run.group)}</b> seed {run.seed}<br>{text.plotly(run.run_id)}"
-    found = []
+    lines = []
     for i, step in enumerate(run.step):
         nothing = "" if run.telling[i] else ": says nothing"
         footprint = f"{_number(run.footprint[i])} (noise {_number(run.noise[i])}{nothing})"
-        found.append(
+        lines.append(
             f"{who}<br>fit at step {step:,}<br>footprint {footprint}"
             f"<br>error {_number(run.error[i])}, five steps {_number(run.rollout_error[i])}"
             f"<br>return of the next evaluation {text.number(float(run.returns[i]))}"
         )
-    return found
+    return lines
 
 
 def _number(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Log axes: they cannot show what is at or below zero, so figures count it and cut their bands."""
+"""Log axes cannot show values at or below zero: figures count these and cut their bands."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def left_out(lines: Sequence[tuple[NDArray, NDArray]], *, log_x: bool, log_y: bool) -> list[str]:
-    """What log axes leave out of lines, x (T,) and y (T,) each, in words; empty if nothing."""
+    """In words, which points of lines, x (T,) and y (T,) each, log axes leave out; may be empty."""
     total = gone = 0
     for x, y in lines:
         total += int(np.isfinite(y).sum())
@@ -18,7 +18,7 @@ def left_out(lines: Sequence[tuple[NDArray, NDArray]], *, log_x: bool, log_y: bo
 
 
 def cut_bands(figure: go.Figure, *, log_x: bool, log_y: bool) -> None:
-    """End the filled bands of a figure at the smallest positive value shown: zero is nowhere."""
+    """End the filled bands of a figure at the smallest positive value shown."""
     traces: list[Any] = list(figure.data)
     positive = [y[y > 0] for y in (np.asarray(trace.y, np.float64) for trace in traces)]
     lowest = min((float(y.min()) for y in positive if len(y)), default=np.nan)

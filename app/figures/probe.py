@@ -20,7 +20,7 @@ def probe_profiles(
 ) -> go.Figure:
     """The median profile over seeds of each learner (S, bins), with the range of its seeds.
 
-    `random` is the share of the buffer, from the oldest on, that is random data.
+    `random` is the share of the buffer, starting with the oldest row, that is random data.
     """
     figure = go.Figure()
     for learner, values in profiles.items():
@@ -66,7 +66,7 @@ def _range(x: Floats, values: NDArray[np.float64], learner: str) -> go.Scatter:
 
 
 def errors_by_age(errors: Sequence[tuple[str, str, Floats]], bins: int, height: int) -> go.Figure:
-    """Mean model error of each part of the buffer: (run's name, learner, error of each row)."""
+    """Mean model error of each part of the buffer; `errors`: (run's name, learner, row errors)."""
     figure = go.Figure()
     learners = [learner for _, learner, _ in errors]
     for i, (name, learner, error) in enumerate(errors):
@@ -96,7 +96,7 @@ def errors_by_age(errors: Sequence[tuple[str, str, Floats]], bins: int, height: 
 def focus(
     values: Mapping[str, Sequence[tuple[str, float, float]]], height: int, keep: str
 ) -> go.Figure:
-    """For each learner the error of its runs on the policy's transitions and on the others.
+    """For each learner the errors of its runs on the policy's transitions and on the others.
 
     `values` are (run, policy, other) by learner; a line joins a run's two errors.
     """

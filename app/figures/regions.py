@@ -1,54 +1,79 @@
-"""The map of a replay buffer, what sets a region apart, and weights against other quantities."""
+"""The map of a replay buffer, features of a region, and weights against other quantities."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 
 from app import text
-from app.data.buffer import Against
-from app.data.regions import Floats, Plane, spread
+from app.data.buffer import Against, Rows
+from app.data.regions import Mask, Plane, spread
 from app.figures.base import across, note, styled, upright
 from app.figures.scales import octaves, relative_scale
 from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour
 
 POINTS = 8000
-"""transitions that a map shows at most; what is left out is said on the figure"""
+"""maximum number of transitions on a map; the figure says if some were left out"""
+RINGS = 2000
+"""maximum number of marked transitions of a region"""
 BARS = 8
+HOVER = (
+    "step %{customdata[0]:,}<br>episode %{customdata[1]:,}, its step %{customdata[2]:,}<br>"
+    "%{customdata[3]}<br>reward %{customdata[4]:.3g}<br>weight %{customdata[5]:.3g}<extra></extra>"
+)
 
 
 def region_map(
     plane: Plane,
-    weight: Floats,
+    rows: Rows,
+    region: Mask,
     outline: Sequence[tuple[float, float]],
     mode: Mode,
     height: int,
     keep: str,
 ) -> go.Figure:
-    """Every transition (N,) as a point, coloured by its weight; the heaviest lie on top."""
+    """Every transition (N,) as a point, coloured by its weight, the heaviest on top.
+
+    Points of the region (N,) have a ring.
+    """
+    weight = rows.weight
     shown = spread(len(weight), POINTS)
     shown = shown[np.argsort(weight[shown], kind="stable")]
     scale = relative_scale(weight, mode)
+    marker = {
+        "size": 5,
+        "color": octaves(weight[shown]),
+        "cmin": scale["zmin"],
+        "cmax": scale["zmax"],
+        "colorscale": COLUMNS[mode],  # points must be visible at every weight
+        "colorbar": scale["colorbar"],
+        "line": {"width": 0},
+    }
     figure = go.Figure(
         go.Scattergl(
             x=plane.x[shown],
             y=plane.y[shown],
-            customdata=np.stack([weight[shown], shown], -1),
+            customdata=told(rows, shown),
             mode="markers",
-            marker={
-                "size": 5,
-                "color": octaves(weight[shown]),
-                "cmin": scale["zmin"],
-                "cmax": scale["zmax"],
-                "colorscale": COLUMNS[mode],  # points, unlike areas, must stand out at every weight
-                "colorbar": scale["colorbar"],
-                "line": {"width": 0},
-            },
+            marker=marker,
             unselected={"marker": {"opacity": 0.35}},
             name="transitions",
-            hovertemplate="transition %{customdata[1]:,} of the buffer<br>"
-            "weight %{customdata[0]:.3g}<extra></extra>",
+            hovertemplate=HOVER,
+        )
+    )
+    ringed = np.flatnonzero(region) if not region.all() else np.zeros(0, np.int64)
+    ringed = ringed[spread(len(ringed), RINGS)]
+    figure.add_trace(
+        go.Scattergl(
+            x=plane.x[ringed],
+            y=plane.y[ringed],
+            mode="markers",
+            marker={"size": 8, "symbol": "circle-open", "color": TEXT[mode], "line": {"width": 1}},
+            opacity=0.55,
+            hoverinfo="skip",
+            name="region",
         )
     )
     marks = [_drawn(outline, TEXT[mode])] if outline else []
@@ -60,8 +85,23 @@ def region_map(
     return figure
 
 
+def told(rows: Rows, index: NDArray[np.int64]) -> NDArray[np.object_]:
+    """Hover data of rows (K,): step, episode, step in it, phase, reward, weight: (K, 6)."""
+    version = rows.version[index]
+    phase = np.where(version == 0, "exploration", np.char.add("policy ", version.astype(str)))
+    columns = (
+        rows.first + index + 1,
+        rows.episode[index] + 1,
+        rows.place[index] + 1,
+        phase,
+        np.asarray(rows.rows.reward)[index],
+        rows.weight[index],
+    )
+    return np.stack([np.asarray(column, object) for column in columns], -1)
+
+
 def _drawn(outline: Sequence[tuple[float, float]], colour: str) -> dict[str, Any]:
-    """The lasso or box that a reader has drawn."""
+    """The lasso or box that the user has drawn."""
     path = "M" + "L".join(f"{x},{y}" for x, y in outline) + "Z"
     return {"type": "path", "path": path, "line": {"color": colour, "width": 1.5}}
 
@@ -82,17 +122,17 @@ def apart_bars(gaps: Sequence[tuple[str, float]], height: int) -> go.Figure:
     return styled(figure, words, height, keep="apart", marks=[upright(0, 1)])
 
 
-def weights_against(found: Against, learner: str, x: str, height: int) -> go.Figure:
-    """Mean weight of equal groups of transitions, and below what nine of ten of them are."""
+def weights_against(groups: Against, learner: str, x: str, height: int) -> go.Figure:
+    """Mean weight and 90 % quantile of equal groups of transitions."""
     colour = learner_colour(learner)
     figure = go.Figure()
     for values, name, width, dash in (
-        (found.mean, "mean weight", 2.0, "solid"),
-        (found.high, "9 of 10 are below", 1.2, "dot"),
+        (groups.mean, "mean weight", 2.0, "solid"),
+        (groups.high, "9 of 10 are below", 1.2, "dot"),
     ):
         figure.add_trace(
             go.Scatter(
-                x=found.x,
+                x=groups.x,
                 y=values,
                 name=name,
                 mode="lines+markers" if name == "mean weight" else "lines",

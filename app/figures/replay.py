@@ -1,14 +1,15 @@
-"""The return curve that leads to an episode, and the episode itself, step by step."""
+"""The return curve to choose an episode from, and the episode step by step."""
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data.aggregate import Curve, decimate
 from app.data.replays import Replay
-from app.figures.base import note, styled, upright
+from app.figures.base import note, steps_in_words, styled, upright
+from app.figures.thinning import decimate
 from app.theme import NEUTRAL, learner_colour, learner_label, learner_symbol
+from tom.analysis.curves import Curve
 
 POINTS = 2000
 
@@ -16,7 +17,7 @@ POINTS = 2000
 def return_curve(
     curve: Curve, step: int, returns: NDArray[np.float64], chosen: int, height: int
 ) -> go.Figure:
-    """The mean return at every evaluation; at `step` the episodes (E,), one of them chosen."""
+    """The mean return at every evaluation; at `step` also each episode (E,), one marked."""
     colour = learner_colour(curve.learner)
     steps, values, thinned = decimate(curve.step, curve.value, POINTS)
     figure = go.Figure(
@@ -42,14 +43,14 @@ def return_curve(
                 x=np.full(len(index), step),
                 y=returns[index],
                 customdata=index + 1,
-                meta=(index + 1).tolist(),  # a click tells it
+                meta=(index + 1).tolist(),  # returned by a click
                 name=name,
                 mode="markers",
                 marker=marker,
                 hovertemplate="episode %{customdata}<br>return %{y:,.1f}<extra></extra>",
             )
         )
-    styled(figure, "env steps", height, keep="replay-returns")
+    styled(figure, steps_in_words([curve.env]), height, keep="replay-returns")
     figure.update_yaxes(title_text="return")
     if len(steps) < 2:
         figure.update_xaxes(range=[0, 2 * step], tickvals=[step])
@@ -57,7 +58,7 @@ def return_curve(
 
 
 def reward_curve(replay: Replay, frame: int, height: int) -> go.Figure:
-    """The reward of each step, real and imagined, with the frame marked."""
+    """The real and the predicted reward of each step, with the frame marked."""
     figure = go.Figure()
     seconds = replay.dt * np.arange(replay.episode.length)
     lines = [("real", replay.episode.reward, NEUTRAL, 2.0)]
@@ -70,7 +71,7 @@ def reward_curve(replay: Replay, frame: int, height: int) -> go.Figure:
 
 
 def error_curve(replay: Replay, frame: int, height: int) -> go.Figure:
-    """How far the imagined state is from the real one at each step; needs a ghost."""
+    """The distance of the predicted state from the real one at each step; needs a ghost."""
     seconds = replay.dt * np.arange(1, replay.episode.length + 1)
     colour = learner_colour(replay.learner)
     figure = go.Figure(_line(seconds, replay.error, "distance", colour, 1.5, "distance"))

@@ -1,4 +1,4 @@
-"""The road-and-rocks map: weights by place, trajectories, real and modelled displacement."""
+"""The road-and-rocks map: weights, trajectories, real and modelled displacements."""
 
 from collections.abc import Sequence
 
@@ -13,15 +13,15 @@ from app.figures.scales import OCTAVES, octaves, relative_scale
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 
 NO_DATA: dict[Mode, str] = {"light": "#c4c9d3", "dark": "#414858"}
-"""cells without a transition: neither of the scale's colours"""
+"""the colour of cells without transitions, which is not on the scale"""
 GOAL = "#1f9d55"
 START = "#2b6fe0"
 ARROW_STRIDE = 2
-"""every second point of the recorded displacement field, in both directions"""
+"""only every second point of the displacement field is drawn, in both directions"""
 
 
 def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
-    """The map with everything that was recorded at one fit; the legend shows and hides."""
+    """The map with all data of one fit; the legend shows and hides layers."""
     colour = learner_colour(picture.learner)
     middle = cell_centres(len(picture.grid))
     figure = go.Figure(
@@ -32,7 +32,7 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
             customdata=picture.grid,
             hovertemplate="(%{x:.2f}, %{y:.2f})<br>weight %{customdata:.3g}<extra></extra>",
             name="weights",
-            # The reach of the columns in 3D: one scale for every run and every fit.
+            # The range of the columns in 3D: one scale for all runs and fits.
             **relative_scale(picture.grid, mode, flat=True, reach=OCTAVES),
         )
     )

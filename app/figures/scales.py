@@ -1,4 +1,4 @@
-"""Weights as colours: against the uniform weight (octaves), or as they are."""
+"""Colour scales of weights: relative to uniform weight (octaves), or linear."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,18 +6,18 @@ from numpy.typing import NDArray
 from app.theme import DIVERGING, SEQUENTIAL, Mode
 
 OCTAVES = 4.0
-"""the colours reach from 1/16 to 16 times the uniform weight at most"""
+"""the colours range at most from 1/16 to 16 times the uniform weight"""
 _BELOW = {"orientation": "h", "y": 0, "yanchor": "top", "len": 0.9, "ypad": 8}
 
 
 def octaves(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """log2 of the weight against the uniform one, clipped to the colours' range; NaN stays."""
+    """log2 of the weight relative to uniform, clipped to the colours' range; NaN stays."""
     with np.errstate(divide="ignore"):
         return np.clip(np.log2(weight), -OCTAVES, OCTAVES)
 
 
 def span(weight: NDArray[np.float64]) -> float:
-    """How many octaves round the uniform weight the colours must reach: 1 to OCTAVES."""
+    """The octaves around the uniform weight that the colours must cover: 1 to OCTAVES."""
     reach = np.abs(octaves(weight[np.isfinite(weight)]))
     needed = np.ceil(np.quantile(reach, 0.98)) if len(reach) else 1.0
     return float(np.clip(needed, 1.0, OCTAVES))
@@ -26,10 +26,10 @@ def span(weight: NDArray[np.float64]) -> float:
 def relative_scale(
     weight: NDArray[np.float64], mode: Mode, *, flat: bool = False, reach: float | None = None
 ) -> dict:
-    """A heatmap's colours for log2 of these weights; `flat` lays the colour bar below.
+    """A heatmap's colours for log2 of these weights; with `flat` the colour bar is below.
 
-    They go as far as these weights do, or `reach` octaves, by which figures can be compared. An
-    end of the bar beyond which there are weights says so.
+    They cover these weights, or `reach` octaves if figures are to be compared. The bar marks an end
+    beyond which there are weights.
     """
     reach = span(weight) if reach is None else reach
     ticks = np.arange(-reach, reach + 1, 2 if reach == OCTAVES else 1)
@@ -48,7 +48,7 @@ def relative_scale(
 
 
 def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict:
-    """A heatmap's colours for these weights; an end beyond which there are weights says so."""
+    """A heatmap's linear colours; the bar marks an end beyond which there are weights."""
     finite = bins[np.isfinite(bins)]
     top = max(float(np.quantile(finite, 0.995)) if len(finite) else 1.0, 1.0)
     ticks = np.linspace(0, top, 5)

@@ -1,4 +1,4 @@
-"""Runs side by side: a column each, every axis linked."""
+"""Runs side by side in columns with linked axes."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,22 +8,23 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from app import text
-from app.data.aggregate import Curve, decimate
 from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, steps_in_words
 from app.figures.curves import POINTS
 from app.figures.scales import octaves, relative_scale
+from app.figures.thinning import decimate
 from app.figures.weights import bin_centres, shown_fits
 from app.theme import Mode, learner_colour, learner_symbol
+from tom.analysis.curves import Curve
 from tom.record.profiles import Profiles
 
 Part = tuple[str, Curve, Profiles]
-"""A column: name, curve and weight profiles of a run."""
+"""a column: name, curve and weight profiles of a run"""
 
 
 def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
-    """Return above, weights of every fit below, for each (name, curve, profiles).
+    """The return above and the weights of every fit below, for each (name, curve, profiles).
 
-    Long curves and many fits are thinned, which the figure says.
+    Long curves and many fits are thinned, and the figure says so.
     """
     figure = make_subplots(
         rows=2,
@@ -54,7 +55,7 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
 
 
 def _left_out(parts: Sequence[Part]) -> list[str]:
-    """What the figure does not show of the runs, in words."""
+    """In words, what the figure leaves out."""
     thinned = any(len(curve.step) > POINTS for _, curve, _ in parts)
     words = [f"returns thinned to {POINTS} points a line"] if thinned else []
     for name, _, profiles in parts:
@@ -66,7 +67,7 @@ def _left_out(parts: Sequence[Part]) -> list[str]:
 
 
 def _map(profiles: Profiles, scale: Mapping[str, Any], *, bar: bool) -> go.Heatmap:
-    """The weights of the fits that are shown; `bar` says their colours."""
+    """The weights of the shown fits, with a colour bar if `bar`."""
     shown = shown_fits(len(profiles.env_step), len(profiles.env_step) - 1)
     weights = profiles.bins[shown].T
     return go.Heatmap(
@@ -82,7 +83,7 @@ def _map(profiles: Profiles, scale: Mapping[str, Any], *, bar: bool) -> go.Heatm
 
 
 def _link_axes(figure: go.Figure, columns: int, x: str) -> None:
-    """All columns zoom together; words stand at the left and at the foot only."""
+    """Link the zoom of all columns; only the left and bottom axes have labels."""
     figure.update_xaxes(matches="x", title_text="", **X_AXIS)
     figure.update_yaxes(**Y_AXIS)
     for row, first in ((1, "y"), (2, f"y{columns + 1}")):
@@ -95,7 +96,7 @@ def _link_axes(figure: go.Figure, columns: int, x: str) -> None:
         tickvals=[0, 50, 100],
         ticktext=["oldest", "middle", "newest"],
         range=[0, 100.2],
-        ticks="",  # beside a map Plotly draws them, also where they have no label
+        ticks="",  # else Plotly draws ticks without labels beside a map
         row=2,
     )
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from app import text
 from app.figures.base import styled, upright
-from app.theme import NEUTRAL, faded, learner_colour
+from app.figures.looks import Look
+from app.theme import NEUTRAL, faded
 from tom.analysis.statistics import Interval
 
 
@@ -17,8 +18,7 @@ from tom.analysis.statistics import Interval
 class Profile:
     """Share of a group's runs above each threshold (T,), and its band (NaN for one run)."""
 
-    name: str
-    learner: str
+    look: Look
     share: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
@@ -30,31 +30,30 @@ def profiles(
     """Share of runs whose score is above each threshold, a line a group (higher is better)."""
     figure = go.Figure()
     for one in found:
-        colour = learner_colour(one.learner)
         if np.isfinite(one.low).any():
             figure.add_trace(
                 go.Scatter(
                     x=np.concatenate([thresholds, thresholds[::-1]]),
                     y=np.concatenate([one.high, one.low[::-1]]),
                     fill="toself",
-                    fillcolor=faded(colour, 0.18),
+                    fillcolor=faded(one.look.colour, 0.18),
                     line={"width": 0},
                     mode="lines",
                     hoverinfo="skip",
                     showlegend=False,
-                    legendgroup=text.plotly(one.name),
+                    legendgroup=text.plotly(one.look.title),
                 )
             )
         figure.add_trace(
             go.Scatter(
                 x=thresholds,
                 y=one.share,
-                name=text.plotly(one.name),
+                name=text.plotly(one.look.title),
                 mode="lines",
-                line={"color": colour, "width": 2.4},
-                legendgroup=text.plotly(one.name),
-                hovertemplate=f"{text.plotly(one.name)}: %{{y:.0%}} of the runs above %{{x:.4g}}"
-                "<extra></extra>",
+                line={"color": one.look.colour, "dash": one.look.dash, "width": 2.4},
+                legendgroup=text.plotly(one.look.title),
+                hovertemplate=f"{text.plotly(one.look.title)}: %{{y:.0%}} of the runs "
+                "above %{x:.4g}<extra></extra>",
             )
         )
     styled(figure, f"{score} above", height, keep=f"profile {score}")
@@ -63,14 +62,13 @@ def profiles(
 
 
 def improvement(
-    pairs: Sequence[tuple[str, str, Interval]], learners: Sequence[str], height: int
+    pairs: Sequence[tuple[str, str, Interval]], colours: Sequence[str], height: int
 ) -> go.Figure:
     """P(a run of the first beats a run of the second) for each pair, with its interval."""
     names = [f"{text.plotly(first)} > {text.plotly(second)}" for first, second, _ in pairs]
     value = np.array([found.value for *_, found in pairs])
     low = np.array([found.low for *_, found in pairs])
     high = np.array([found.high for *_, found in pairs])
-    colours = [learner_colour(learner) for learner in learners]
     figure = go.Figure(
         go.Scatter(
             x=value,

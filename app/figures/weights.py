@@ -1,4 +1,4 @@
-"""Weights over the buffer's age: the step x bin map, the profile at a step, and what is left."""
+"""Weights by age of rows: the step x bin map, the profile at a step, and the effective sample."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,15 +8,16 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import DASHES, ENV_STEPS, across, note, styled, upright
+from app.figures.base import DASHES, ENV_STEPS, Y_AXIS, across, note, styled, upright
 from app.figures.scales import linear_scale, octaves, relative_scale
 from app.theme import Mode, learner_colour, learner_label
+from tom.analysis.curves import Curve
 from tom.record.profiles import Profiles
 
 FLOOR = 0.01
-"""the least weight that a log axis tells from zero: a hundredth of uniform"""
+"""the smallest weight on a log axis, a hundredth of uniform; lower ones are drawn there"""
 MAP_COLUMNS = 400
-"""fits that a map shows at most; what is left out is said on the figure"""
+"""maximum number of fits on a map; the figure says if fits were left out"""
 
 
 def weight_map(
@@ -28,10 +29,10 @@ def weight_map(
     relative: bool,
     x: str = ENV_STEPS,
 ) -> go.Figure:
-    """Mean weight of each part of the buffer (upwards: newer) at each fit (to the right).
+    """Mean weight of each part of the buffer (newest on top) at each fit (x axis).
 
-    `relative` colours by log2 of the weight, the uniform weight in the middle; `chosen` is the
-    index of the fit that is marked.
+    With `relative` colours show log2 of the weight, with uniform in the middle; the fit with index
+    `chosen` is marked.
     """
     fits = shown_fits(len(profiles.env_step), chosen)
     bins = profiles.bins[fits].T  # (bins, F)
@@ -60,8 +61,38 @@ def weight_map(
     return figure
 
 
-def weight_profile(bins: NDArray[np.float64], learner: str, height: int) -> go.Figure:
-    """The weight of each part of the buffer, oldest to newest, at one fit: bins (100,)."""
+def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:
+    """A map of weights with the run's returns below it on the same axis.
+
+    The step `chosen` is marked in both.
+    """
+    figure.add_trace(
+        go.Scatter(
+            x=curve.step,
+            y=curve.value,
+            yaxis="y2",
+            name="return",
+            mode="lines+markers" if len(curve.step) < 60 else "lines",
+            line={"color": learner_colour(curve.learner), "width": 1.8},
+            marker={"size": 5},
+            showlegend=False,
+            hovertemplate="step %{x:,}<br>return %{y:,.1f}<extra></extra>",
+        )
+    )
+    below = {**Y_AXIS, "domain": [0, 0.24], "title": {"text": "return"}, "anchor": "x"}
+    figure.update_layout(yaxis={"domain": [0.3, 1]}, yaxis2=below, xaxis={"anchor": "y2"})
+    figure.update_traces(selector={"type": "heatmap"}, colorbar={"len": 0.72, "y": 0.65})
+    figure.layout.shapes = [upright(chosen, 2) | {"yref": "paper"}]  # type: ignore[attr-defined]
+    return figure
+
+
+def weight_profile(
+    bins: NDArray[np.float64], learner: str, height: int, top: float | None = None
+) -> go.Figure:
+    """The weight of each part of the buffer at one fit, oldest to newest: bins (100,).
+
+    The axis ends above `top`, the largest weight of the fits to be compared.
+    """
     figure = go.Figure(
         go.Bar(
             x=bin_centres(len(bins)),
@@ -74,6 +105,8 @@ def weight_profile(bins: NDArray[np.float64], learner: str, height: int) -> go.F
     )
     _finish_profile(figure, height)
     figure.update_layout(showlegend=False, bargap=0)
+    if top is not None and np.isfinite(top):
+        figure.update_yaxes(range=[0, 1.05 * max(top, 1.0)])
     return figure
 
 
@@ -106,9 +139,9 @@ def profile_lines(
 
 
 def on_log_axis(figure: go.Figure) -> go.Figure:
-    """Weights on a log axis that ends at FLOOR, where all below it, zero too, is drawn.
+    """Put weights on a log axis that ends at FLOOR; smaller weights and zero are drawn there.
 
-    The numbers under the pointer (`customdata`) stay what they are.
+    The hover numbers (`customdata`) are unchanged.
     """
     traces: list[Any] = list(figure.data)
     for trace in traces:
@@ -151,12 +184,12 @@ def effective_sample(
 
 
 def bin_centres(bins: int) -> NDArray[np.float64]:
-    """The middles (bins,) of equal parts of the buffer, in % of its age from oldest to newest."""
+    """The centres (bins,) of equal parts of the buffer, in % of its age from oldest to newest."""
     return (np.arange(bins) + 0.5) * 100 / bins
 
 
 def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
-    """Indices of at most MAP_COLUMNS fits, evenly spread, `chosen` and both ends among them."""
+    """Indices of at most MAP_COLUMNS evenly spread fits, including `chosen` and both ends."""
     if count <= MAP_COLUMNS:
         return np.arange(count)
     spread = np.linspace(0, count - 1, MAP_COLUMNS - 1).astype(np.int64)

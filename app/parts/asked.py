@@ -1,4 +1,4 @@
-"""Runs that an address asks for and that are not there: said, not replaced in silence."""
+"""Messages about runs that an address names but that do not exist."""
 
 from collections.abc import Collection
 from urllib.parse import urlsplit
@@ -11,14 +11,14 @@ from tom.record import manage
 from tom.record.store import Store
 
 LONGEST = 120
-"""letters that are shown of an id, which may be anything"""
+"""number of characters shown of an id, which may be any text"""
 
 
 def tell(name: str, there: Collection[str]) -> None:
-    """Say which runs the address names as `name=` that are not among the page's, `there`.
+    """Show a message on the runs in the address (`name=`) that are not among `there`.
 
-    To be called before the widget of that name is made, which drops them from the address. What
-    was said stays until the reader chooses there (`answered`).
+    Must be called before the widget of that name is made, which drops them from the address. The
+    message stays until the user chooses there (`answered`).
     """
     unknown = [run_id for run_id in st.query_params.get_all(name) if run_id not in there]
     if unknown:
@@ -28,12 +28,12 @@ def tell(name: str, there: Collection[str]) -> None:
 
 
 def answered(name: str) -> None:
-    """The reader has chosen by hand: what the address asked for is forgotten."""
+    """Remove the message, because the user has chosen."""
     _open().pop(name, None)
 
 
 def why(run_id: str) -> str:
-    """Where a run is that a page does not show, in Markdown."""
+    """Where to find a run that a page does not show, in Markdown."""
     store = session.links().store
     called = text.markdown(run_id[:LONGEST])
     if any(run.run_id == run_id for run in readers.listing(store).runs):
@@ -47,6 +47,6 @@ def why(run_id: str) -> str:
 
 
 def _open() -> dict[str, list[str]]:
-    """What this page's address asked for in vain, by the name in the address."""
+    """The missing runs of this page's address, by parameter."""
     path = urlsplit(st.context.url or "").path
     return st.session_state.setdefault("asked in vain", {}).setdefault(path, {})

@@ -1,4 +1,4 @@
-"""A run at a glance: who it is, how far it is, how well it does."""
+"""Cards of runs: identity, progress and results."""
 
 import html
 import shlex
@@ -24,7 +24,7 @@ _STATE_TINTS = {
 
 
 def cards(runs: Sequence[RunInfo]) -> None:
-    """One card a run, in rows."""
+    """One card per run, in rows."""
     width = 2 if len(runs) == 4 else min(len(runs), COLUMNS)
     for first in range(0, len(runs), width or 1):
         row = st.columns(width)
@@ -34,7 +34,7 @@ def cards(runs: Sequence[RunInfo]) -> None:
 
 
 def card(run: RunInfo) -> None:
-    """Name and state, progress, and the numbers that matter."""
+    """Name and state, progress, and the main numbers."""
     status = run.status
     if status.alive and session.may_act():
         left, right = st.columns([4, 1], vertical_alignment="center", gap="small")
@@ -45,22 +45,24 @@ def card(run: RunInfo) -> None:
         _asked().discard(run.run_id)
         st.html(head(run))
     st.progress(status.share, text=text.markdown(progress_line(run)))
-    numbers = st.columns(4, gap="small")
-    speed = (status.env_steps_per_s or None) if status.alive else None  # a fit takes no steps
-    for column, (label, value) in zip(
-        numbers,
-        (
-            ("last return", text.number(status.last_return)),
-            ("best return", text.number(status.best_return)),
-            ("steps / s", text.number(speed)),
-            ("ETA", text.duration(status.eta_s) if status.alive else "-"),
-        ),
-        strict=True,
-    ):
+    for column, (label, value) in zip(st.columns(4, gap="small"), figures(run), strict=False):
         column.metric(label, value)
     for words in (status.reason, *status.warnings):
         if words:
             st.caption(text.markdown(words))
+
+
+def figures(run: RunInfo) -> list[tuple[str, str]]:
+    """The returns, and the speed of a training run, which is unknown during a fit."""
+    status = run.status
+    numbers = [
+        ("last return", text.number(status.last_return)),
+        ("best return", text.number(status.best_return)),
+    ]
+    if status.alive:
+        numbers.append(("steps / s", text.number(status.env_steps_per_s or None)))
+        numbers.append(("ETA", text.duration(status.eta_s)))
+    return numbers
 
 
 def _stop(run: RunInfo) -> None:
@@ -80,17 +82,17 @@ def _stop(run: RunInfo) -> None:
 
 
 def resume(run: RunInfo, store: str) -> str:
-    """The command that goes on with a run, from any folder of a terminal."""
+    """The command that resumes a run, for a terminal in any folder."""
     return shlex.join(["tom", "train", "--resume", run.run_id, "--store", store])
 
 
 def _asked() -> set[str]:
-    """The runs that this reader has asked to stop and that have not ended yet."""
+    """The runs that this user has asked to stop and that have not ended yet."""
     return st.session_state.setdefault("asked to stop", set())
 
 
 def progress_line(run: RunInfo) -> str:
-    """Where the run is, since when nothing was heard of a dead one, and that it is a small copy."""
+    """The progress of the run, the last sign of a dead one, and whether it is a small copy."""
     status = run.status
     steps = f"{status.env_step:,} of {status.total:,} steps"
     if run.small_copy:

@@ -1,4 +1,4 @@
-"""What stands where there is nothing to show: an empty store, what a small copy left out."""
+"""Messages instead of missing content: an empty store, parts that a small copy lacks."""
 
 import shlex
 from collections.abc import Sequence
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 import streamlit as st
 
 from app import session
-from app.data import readers
+from app.data import datasets, readers
 from app.data.readers import RunInfo
 from app.parts import widgets
 
 
 def page() -> None:
-    """Say what to run, and look again by itself."""
+    """Show the commands to start with, and check the store again regularly."""
     store = session.links().store
     st.header("Nothing recorded yet", anchor=False)
     st.write("Training fills this studio. In another terminal:")
@@ -28,7 +28,7 @@ def page() -> None:
 
 
 def left_out(run: RunInfo, *parts: str) -> bool:
-    """Say which of these parts a small copy lacks; False where it lacks none, or is a whole run."""
+    """Show which of these parts a small copy lacks; returns False if none."""
     lacking = [part for part in parts if part in run.left_out]
     if lacking:
         st.caption(f"Left out of this small copy: {', '.join(lacking)}.")
@@ -36,7 +36,7 @@ def left_out(run: RunInfo, *parts: str) -> bool:
 
 
 def left_out_of_all(runs: Sequence[RunInfo], part: str) -> bool:
-    """Say of how many small copies a part was left out; False where it is of none."""
+    """Show how many small copies lack a part; returns False if none does."""
     lacking = sum(part in run.left_out for run in runs)
     if lacking:
         copies = "the small copy" if lacking == 1 else f"the {lacking} small copies"
@@ -46,5 +46,5 @@ def left_out_of_all(runs: Sequence[RunInfo], part: str) -> bool:
 
 @st.fragment(run_every=2)
 def _look_again(store: str) -> None:
-    if readers.listing(store).runs:
+    if readers.listing(store).runs or datasets.listing(store):
         st.rerun()

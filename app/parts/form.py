@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from tom import plugins
 from tom.cli.parser import leaf_fields, one_line
 from tom.config import RunConfig
 from tom.errors import UserError
@@ -16,14 +17,14 @@ from tom.learners import others_groups
 from tom.training.presets import config_type, resolve
 
 LEFT_OUT = {"env", "learner", "preset", "seed", "steps"}
-"""what the form asks for by itself, above the settings"""
+"""settings with separate fields above the others"""
 GENERAL = "run"
 MOST_SEEDS = 16
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of a configuration; no `choices` means that it is typed in."""
+    """One value of a configuration; without `choices` it is a text field."""
 
     path: str
     label: str
@@ -35,40 +36,40 @@ class Setting:
 def sections(env: str, learner: str, preset: str) -> dict[str, list[Setting]]:
     """The settings of an environment's runs by group, with the preset's values as defaults.
 
-    The groups of other learners are left out: they change nothing.
+    The groups of other learners are left out, because they have no effect.
     """
     config = resolve(env, learner, preset)
-    found: dict[str, list[Setting]] = {}
-    for path, info in leaf_fields(config_type(env)):
+    groups: dict[str, list[Setting]] = {}
+    for path, info in leaf_fields(config_type(env, learner)):
         if path in LEFT_OUT:
             continue
         group, _, name = path.rpartition(".")
         if group in others_groups(learner):
             continue
-        found.setdefault(group or GENERAL, []).append(_setting(path, name, info, config))
-    return found
+        groups.setdefault(group or GENERAL, []).append(_setting(path, name, info, config))
+    return groups
 
 
 def seeds(words: str) -> list[int]:
     """`0-2, 7` as numbers. Raises UserError for anything else."""
-    found: list[int] = []
+    numbers: list[int] = []
     for part in words.replace(",", " ").split():
         first, _, last = part.partition("-")
         if not (first.isdigit() and (last.isdigit() or part == first)):
             raise UserError(f"seeds '{words[:40]}' are not numbers: write 0, or 0-2, or 0, 3, 5")
-        found += range(int(first), min(int(last or first), int(first) + MOST_SEEDS) + 1)
-    found = list(dict.fromkeys(found))
-    if not 1 <= len(found) <= MOST_SEEDS:
+        numbers += range(int(first), min(int(last or first), int(first) + MOST_SEEDS) + 1)
+    numbers = list(dict.fromkeys(numbers))
+    if not 1 <= len(numbers) <= MOST_SEEDS:
         raise UserError(f"name 1 to {MOST_SEEDS} seeds, such as 0-2")
-    return found
+    return numbers
 
 
 def command(
     env: str, learner: str, preset: str, seed: int, given: Mapping[str, str], store: str
 ) -> list[str]:
-    """What follows `tom` to start a run with the settings that were `given` (path: words).
+    """The arguments of `tom` that start a run with the settings `given` (path: text).
 
-    Raises UserError, in one line, for a value that the configuration refuses.
+    Raises UserError, in one line, for an invalid value.
     """
     nested: dict[str, Any] = {"seed": seed}
     for path, words in given.items():
@@ -79,7 +80,7 @@ def command(
         config = resolve(env, learner, preset, nested)
     except ValidationError as error:
         raise one_line(error) from None
-    explored = getattr(config, "exploration_steps", 0)  # a fixed data set is not explored
+    explored = getattr(config, "exploration_steps", 0)  # offline runs have no exploration
     if config.steps <= explored:
         raise UserError(
             f"{config.steps:,} steps are all exploration, and nothing is learnt: ask for more than "
@@ -91,12 +92,13 @@ def command(
 
 
 def shown(words: Sequence[str]) -> str:
-    """The command as it is typed in a terminal."""
-    return shlex.join(["tom", *words])
+    """The command as it is typed in a terminal, with the plug-ins that this studio was given."""
+    given = [word for name in plugins.wanted_here() for word in (plugins.OPTION, name)]
+    return shlex.join(["tom", *words, *given])
 
 
 def default_steps(env: str, learner: str, preset: str) -> int:
-    """Env steps of a run when nothing else is asked for."""
+    """The default number of env steps of a run."""
     return resolve(env, learner, preset).steps
 
 

@@ -1,4 +1,4 @@
-"""From a point of a run's curve to the episodes that were played at that step."""
+"""A link from a point of a run's curve to the episodes at that step."""
 
 from collections.abc import Sequence
 from urllib.parse import quote
@@ -6,27 +6,28 @@ from urllib.parse import quote
 import streamlit as st
 
 from app import text
+from app.data import readers
+from app.data.called import names
 from app.data.readers import RunInfo
 from app.parts.plot import Point
-from tom.record.reader import RunReader
 
 CLICKED = "clicked point"
 
 
 def remember(point: Point) -> None:
-    """A point of a single run's line was clicked: its replay is one click away."""
+    """Store a clicked point of a single run's line."""
     if isinstance(point.meta, str):
         st.session_state[CLICKED] = (point.meta, int(point.x))
 
 
 def show(runs: Sequence[RunInfo]) -> None:
-    """A link to the episodes of the point that was clicked last, where it is of one of `runs`."""
+    """A link to the episodes of the last clicked point, if it belongs to one of `runs`."""
     run_id, step = st.session_state.get(CLICKED, ("", 0))
     run = next((run for run in runs if run.run_id == run_id), None)
-    steps = RunReader(run.path).evaluation_steps() if run else []
+    steps = readers.evaluation_steps(run) if run else []
     if run is None or not steps:
         st.caption("Click a point of a single run for its replay.")
         return
     at = min(steps, key=lambda evaluated: abs(evaluated - step))
     address = f"/replays?run={quote(run_id)}&step={at}"
-    st.markdown(f"[Replay of {text.markdown(run.name)}, step {at:,}]({address})")
+    st.markdown(f"[Replay of {text.markdown(names(runs)[run_id])}, step {at:,}]({address})")

@@ -5,7 +5,6 @@ The views lie in `<store>/.views`, one small file each, named by what they hold.
 
 import hashlib
 import html
-import json
 import re
 from pathlib import Path
 from urllib.parse import urlencode
@@ -14,7 +13,7 @@ import streamlit as st
 
 from app import session, text
 from tom.errors import UserError
-from tom.record.files import replace_json
+from tom.record.files import read_json, replace_json
 
 FOLDER = ".views"
 CODE = re.compile(r"[0-9a-f]{8}")
@@ -49,7 +48,7 @@ def target(store: Path | str, code: str) -> str | None:
     if not CODE.fullmatch(code) or path.is_symlink():
         return None
     try:
-        held = json.loads(path.read_text())
+        held = read_json(path)
         page, query = str(held["page"]), str(held["query"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

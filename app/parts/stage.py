@@ -9,8 +9,8 @@ from app.scenes.control import Choice, Selection, tell
 def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False) -> None:
     """Show `choice` in 3D. A rerun of the page does not reload the frame.
 
-    A page with several frames gives each a `part` of its own. The panel of a `compact` frame, which
-    would cover what it shows, is small and folded up until somebody opens it.
+    A page with several frames gives each a different `part`. In a `compact` frame the panel is
+    small and closed at first, because it would cover the scene.
     """
     links = session.links()
     if not links.viser_port:
@@ -21,4 +21,4 @@ def stage(choice: Choice, height: int, part: str = "", *, compact: bool = False)
         tell(links.control, client, Selection(choice, session.mode(), compact))
     except OSError:
         st.warning("The 3D server does not answer; it is started again by itself.")
-    st.iframe(links.viser(session.host(), client), height=height)
+    st.iframe(links.viser(session.host(), client, session.mode()), height=height)

@@ -1,4 +1,4 @@
-"""Small parts that several pages are made of."""
+"""Small widgets that several pages use."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,11 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.data import readers
-from app.data.aggregate import Curve, curve_points
+from app.data.called import names
 from app.data.readers import RunInfo
-from app.parts import asked
-from tom.learners import LEARNERS
+from app.parts import pick
+from tom.analysis.curves import Curve, curve_points
+from tom.learners import LEARNERS, SUBJECT
 
 
 def curve(run: RunInfo, metric: str) -> Curve:
@@ -22,30 +23,21 @@ def curve(run: RunInfo, metric: str) -> Curve:
 
 
 TOWERS = 20.0
-"""times uniform: on a linear axis with this, one sees next to nothing of the others"""
+"""a weight (relative to uniform) that makes the others invisible on a linear axis"""
 
 
-def pick_run(runs: Sequence[RunInfo], label: str = "Run") -> RunInfo:
-    """A run, chosen here or by the address (`?run=...`); else the most telling one."""
+def pick_run(
+    runs: Sequence[RunInfo], label: str = "Run", likely: Sequence[RunInfo] = ()
+) -> RunInfo:
+    """A run, chosen by the user or the address (`?run=`), else the `most_telling` of `likely`."""
     by_id = {run.run_id: run for run in runs}
-    asked.tell("run", by_id)
-    first = most_telling(runs)
-    chosen = st.selectbox(
-        label,
-        list(by_id),
-        index=list(by_id).index(first.run_id),
-        key="run",
-        bind="query-params",
-        on_change=asked.answered,
-        args=("run",),
-    )
-    return by_id.get(chosen or "", first)
+    return by_id[pick.one(label, names(runs), most_telling(likely or runs).run_id, "run")]
 
 
 def most_telling(runs: Sequence[RunInfo]) -> RunInfo:
-    """The newest whose weights differ; of small copies, which nobody made just now, TOM's longest.
+    """The default run: the newest with non-uniform weights; of small copies TOM's longest.
 
-    Small copies come after one's own runs; of equally long ones the one that left out least.
+    Small copies come after other runs; of equally long ones the most complete comes first.
     """
     order = sorted(runs, key=_rank)
     return next((run for run in order if differs(run)), order[0])
@@ -53,28 +45,28 @@ def most_telling(runs: Sequence[RunInfo]) -> RunInfo:
 
 def _rank(run: RunInfo) -> tuple[bool, bool, int, int]:
     if not run.small_copy:
-        return False, False, 0, 0  # as they come: the newest first
-    return True, run.learner != "tom", -run.status.env_step, len(run.left_out)
+        return False, False, 0, 0  # equal rank keeps the order: newest first
+    return True, run.learner != SUBJECT, -run.status.env_step, len(run.left_out)
 
 
 def differs(run: RunInfo) -> bool:
-    """The last fit of a run did not count all transitions the same."""
+    """Whether the weights of the run's last fit are not uniform."""
     if run.learner in LEARNERS and LEARNERS[run.learner].uniform:
-        return False  # no need to look
+        return False  # known without reading
     profiles = readers.profiles(run)
     return len(profiles.ess) > 0 and bool(profiles.ess[-1] < 0.99)
 
 
 def pick_log(place: DeltaGenerator, profiles: Sequence[NDArray[np.float64]]) -> bool:
-    """Whether weights are on a log axis; until it is said here, where one towers over the rest."""
+    """Whether weights are on a log axis; the default is true if one weight dominates."""
     tall = any(bins.size and bins.max() > TOWERS for bins in profiles)
     return place.toggle("Log axis", value=tall, key="log", bind="query-params")
 
 
 def pick_step(label: str, steps: Sequence[int]) -> int:
-    """A recorded step, chosen here, by a click or by the address (`?step=...`); else the last.
+    """A recorded step, chosen by the user, a click or the address (`?step=`), else the last.
 
-    Who stands on the last of a run in training stays on the last when there are more.
+    If the last step of a training run is chosen, the choice follows new steps.
     """
     if len(steps) == 1:
         return steps[0]
@@ -92,7 +84,7 @@ def pick_step(label: str, steps: Sequence[int]) -> int:
 
 
 def show_problems(run: RunInfo, problems: Sequence[str] | None = None) -> None:
-    """What is damaged in a run, beside what could be read of it."""
+    """Show the problems of a run."""
     for problem in readers.problems(run) if problems is None else problems:
         st.warning(
             f"{text.markdown(run.run_id)}: {text.markdown(problem)}", icon=":material/heart_broken:"
@@ -100,7 +92,7 @@ def show_problems(run: RunInfo, problems: Sequence[str] | None = None) -> None:
 
 
 def show_store_problems(problems: Sequence[str]) -> None:
-    """What in the store is no run, folded away."""
+    """Show the folders of the store that are not runs, folded."""
     if problems:
         with st.expander(f"{len(problems)} in this store could not be read as a run"):
             for problem in problems:

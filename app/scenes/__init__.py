@@ -1,1 +1,1 @@
-"""3D scenes, served by a viser process of their own."""
+"""3D scenes, served by a separate viser process."""

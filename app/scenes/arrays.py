@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data.roadmap import CELLS, RoadMap, cell_centres, on_road
+from app.data.roadmap import CELLS, RoadShape, cell_centres, on_road
 from app.figures.scales import OCTAVES, octaves
 from app.scenes.colours import on_scale
 from app.theme import COLUMNS, Mode
@@ -22,7 +22,7 @@ _ROCK = {"light": (226, 221, 213), "dark": (38, 38, 44)}
 
 @dataclass(frozen=True)
 class Columns:
-    """One column a cell with a weight that the colours can tell from none."""
+    """One column for each cell with a visible weight."""
 
     position: NDArray[np.float32]  # (C, 3)
     scale: NDArray[np.float32]  # (C, 3)
@@ -30,7 +30,7 @@ class Columns:
 
 
 def columns(grid: NDArray[np.float64], mode: Mode) -> Columns:
-    """The weights as columns: height by the square root, so that light cells are seen too."""
+    """The weights as columns, with square-root heights so that light cells are visible."""
     y, x = np.nonzero(np.nan_to_num(grid) >= 2**-OCTAVES)
     weight = grid[y, x]
     height = TALLEST * np.sqrt(np.minimum(weight, 2**OCTAVES) / 2**OCTAVES)
@@ -43,14 +43,14 @@ def columns(grid: NDArray[np.float64], mode: Mode) -> Columns:
 
 
 def flat(grid: NDArray[np.float64], mode: Mode) -> NDArray[np.uint8]:
-    """The weights as a picture (CELLS, CELLS, 4), row 0 at the lowest y; empty cells are clear."""
+    """The weights as a picture (CELLS, CELLS, 4), row 0 at the lowest y, empty cells clear."""
     known = np.isfinite(grid)
     share = octaves(np.where(known, grid, 1.0)) / (2 * OCTAVES) + 0.5
     alpha = np.where(known, 235, 0).astype(np.uint8)
     return np.concatenate([on_scale(share, COLUMNS[mode]), alpha[..., None]], -1)
 
 
-def ground(road: RoadMap, mode: Mode) -> NDArray[np.uint8]:
+def ground(road: RoadShape, mode: Mode) -> NDArray[np.uint8]:
     """The map's floor: (GROUND_PIXELS, GROUND_PIXELS, 3), row 0 at the lowest y."""
     middle = (np.arange(GROUND_PIXELS) + 0.5) / GROUND_PIXELS
     x, y = np.meshgrid(middle, middle)
@@ -60,12 +60,14 @@ def ground(road: RoadMap, mode: Mode) -> NDArray[np.uint8]:
     return floor.clip(0, 255).astype(np.uint8)
 
 
-def boulders(road: RoadMap) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Positions (K, 3) and sizes (K,) of stones beside the road, always the same."""
+def boulders(road: RoadShape) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Positions (K, 3) and sizes (K,) of stones beside the road, the same in every call."""
     draw = np.random.default_rng(3)
     places = draw.uniform(0.01, 0.99, (4 * BOULDERS, 2))
     size = draw.uniform(0.004, 0.013, 4 * BOULDERS)
-    off = ~on_road(places, RoadMap(road.centre_line, road.half_width + 0.02, road.start, road.goal))
+    off = ~on_road(
+        places, RoadShape(road.centre_line, road.half_width + 0.02, road.start, road.goal)
+    )
     places, size = places[off][:BOULDERS], size[off][:BOULDERS]
     return np.column_stack([places, size * 0.35]).astype(np.float32), size.astype(np.float32)
 
@@ -84,12 +86,12 @@ def arrows(points: NDArray, moves: NDArray, height: float) -> NDArray[np.float32
 
 
 def dashes(line: NDArray, length: float = 0.02) -> list[NDArray]:
-    found = []
+    segments = []
     for a, b in pairwise(line):
         steps = np.arange(0, np.linalg.norm(b - a), 2 * length) / np.linalg.norm(b - a)
         share = length / np.linalg.norm(b - a)
-        found += [np.stack([a + s * (b - a), a + min(s + share, 1) * (b - a)]) for s in steps]
-    return found
+        segments += [np.stack([a + s * (b - a), a + min(s + share, 1) * (b - a)]) for s in steps]
+    return segments
 
 
 def upright(count: int) -> NDArray[np.float32]:

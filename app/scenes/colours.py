@@ -1,4 +1,4 @@
-"""Numbers to colours outside Plotly: the same scales as the figures use."""
+"""Colours of numbers outside Plotly, with the scales of the figures."""
 
 from collections.abc import Sequence
 

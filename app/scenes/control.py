@@ -1,4 +1,4 @@
-"""How a page tells the viser server what to show: a socket that only this user can open."""
+"""The control socket between pages and the viser server, which only this user can open."""
 
 import json
 import logging
@@ -9,22 +9,39 @@ from itertools import count
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from threading import Lock, Thread
-from typing import Any
+from typing import Any, Literal
 
 from app.theme import Mode
 
 MESSAGE_LIMIT = 100_000
 SILENCE_S = 30.0
-"""a client that has said nothing for so long is given up"""
+"""seconds after which a silent client is dropped"""
+ANSWER_S = 1.0
+"""seconds that a page waits for an answer"""
 PAUSE_S = 0.1
-"""after a client that could not be let in: a socket that fails must not keep a core busy"""
+"""pause in seconds after a failed accept, so that a broken socket does not use a whole core"""
+
+REAL_TIME = "real time"
+SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, REAL_TIME: 1.0, "2 times": 2.0, "4 times": 4.0}
+"""choices of playback speed"""
+CLOCK = "clock"
+"""the kind of a message that asks for the clock"""
+Wish = Literal["go", "play", "pause"]
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
+class Clock:
+    """The state of playback in a page's frame."""
+
+    frame: int
+    playing: bool
+
+
+@dataclass(frozen=True)
 class RoadChoice:
-    """Fits of road-and-rocks runs side by side; no run means the newest."""
+    """Fits of road-and-rocks runs side by side; by default of the newest run."""
 
     runs: tuple[str, ...] = ()
     step: int = -1
@@ -32,9 +49,10 @@ class RoadChoice:
 
 @dataclass(frozen=True)
 class ReplayChoice:
-    """An evaluation episode from `frame` on, its ghost starting again every `horizon` steps.
+    """An evaluation episode from `frame` on, with a ghost that restarts every `horizon` steps.
 
-    `played` counts how often the page has asked for it to be played from its beginning.
+    `played` counts the page's requests to play it from the beginning, `asked` those of its `wish`:
+    to play, to pause, or to go to `frame`. A higher count means a new request.
     """
 
     run: str
@@ -43,11 +61,16 @@ class ReplayChoice:
     frame: int
     horizon: int
     played: int = 0
+    asked: int = 0
+    wish: Wish = "go"
+    speed: str = REAL_TIME
+    ghost: bool = True
+    follow: bool = True
 
 
 @dataclass(frozen=True)
 class StatesChoice:
-    """Robots in states of a run's replay buffer: two groups of its rows, side by side."""
+    """Robots in states of a run's replay buffer: two groups of rows, side by side."""
 
     run: str
     heavy: tuple[int, ...]  # numbers in the run's record
@@ -66,7 +89,7 @@ KINDS: dict[str, type[Choice]] = {
 
 @dataclass(frozen=True)
 class Selection:
-    """What one browser frame is to show; in a `compact` one the panel is small and folded up."""
+    """The content of one browser frame; in a `compact` one the panel is small and closed."""
 
     choice: Choice
     mode: Mode = "light"
@@ -76,21 +99,43 @@ class Selection:
 def tell(socket: str, client: str, selection: Selection) -> None:
     """Ask the viser server to show `selection` in the frame of `client`.
 
-    Raises OSError when the server is not there.
+    Raises OSError if there is no server.
     """
     with Client(socket) as connection:
         connection.send_bytes(packed(client, selection))
 
 
-def listen(socket: str, select: Callable[[str, Selection], None]) -> None:
-    """Hand every selection that arrives to `select`, one after the other, for ever.
+def clock(socket: str, client: str) -> Clock | None:
+    """The clock of the frame of `client`; None if nothing plays there.
 
-    Each client is heard beside the others, so one that never sends holds up nobody. Of a page's
-    selections the one counts that connected last. A message that breaks off, or that cannot be
-    shown, is logged: those after it still count.
+    Raises OSError if there is no server, or it does not answer.
     """
-    Path(socket).unlink(missing_ok=True)  # what a server that was killed left behind
-    ear = _Ear(select)
+    with Client(socket) as connection:
+        connection.send_bytes(json.dumps({"client": client, "kind": CLOCK}).encode())
+        if not connection.poll(ANSWER_S):
+            raise TimeoutError("the scene server is busy")
+        try:
+            told = json.loads(connection.recv_bytes(MESSAGE_LIMIT))
+        except EOFError as error:
+            raise ConnectionError("the scene server has hung up") from error
+    return Clock(int(told["frame"]), bool(told["playing"])) if told else None
+
+
+def listen(
+    socket: str,
+    select: Callable[[str, Selection], None],
+    clock_of: Callable[[str], Clock | None] = lambda _: None,
+) -> None:
+    """Pass every arriving selection to `select`, one after another, forever.
+
+    A request for a clock is answered with `clock_of`.
+
+    Each client has a thread, so that a silent one does not block others. Of a page's selections the
+    one that connected last counts. An incomplete or invalid message is logged, and later ones are
+    still processed.
+    """
+    Path(socket).unlink(missing_ok=True)  # left by a killed server
+    ear = _Ear(select, clock_of)
     with Listener(socket) as listener:
         for number in count():
             try:
@@ -102,21 +147,31 @@ def listen(socket: str, select: Callable[[str, Selection], None]) -> None:
 
 
 class _Ear:
-    """What pages have said, whichever of them says it first."""
+    """Receives the messages of pages in threads."""
 
-    def __init__(self, select: Callable[[str, Selection], None]) -> None:
+    def __init__(
+        self,
+        select: Callable[[str, Selection], None],
+        clock_of: Callable[[str], Clock | None],
+    ) -> None:
         self._select = select
+        self._clock_of = clock_of
         self._newest: dict[str, int] = {}
-        """the number of the connection that brought what a page shows"""
+        """by page, the number of the connection of its current selection"""
         self._turn = Lock()
 
     def hear(self, number: int, caller: Connection) -> None:
-        """Read one message and show it, unless its page has said something newer."""
+        """Read one message and show it, unless its page has sent a newer one."""
         try:
             with caller:
                 if not caller.poll(SILENCE_S):
                     raise TimeoutError(f"nothing was said for {SILENCE_S:.0f} s")
-                client, selection = unpacked(caller.recv_bytes(MESSAGE_LIMIT))
+                message = caller.recv_bytes(MESSAGE_LIMIT)
+                if (what := json.loads(message))["kind"] == CLOCK:
+                    told = self._clock_of(str(what["client"]))
+                    caller.send_bytes(json.dumps(told and asdict(told)).encode())
+                    return
+                client, selection = unpacked(message)
                 with self._turn:
                     if number > self._newest.get(client, -1):
                         self._newest[client] = number

@@ -1,4 +1,4 @@
-"""Road-and-rocks as one self-contained HTML file: fits that play, cars that drive."""
+"""Road-and-rocks as one self-contained HTML file with playing fits and driving cars."""
 
 from collections.abc import Sequence
 
@@ -11,6 +11,7 @@ from app.scenes.frame import FRONT, GLOW
 from app.scenes.road import RoadScene
 from app.scenes.road_frame import LAYERS
 from app.scenes.stage import sky
+from app.scenes.words import Words, fix
 from app.theme import Mode
 from tom.machine.address import free_port
 
@@ -19,16 +20,16 @@ FRAME_S = 0.1
 STRIDE = 2
 """steps of the task from one frame to the next"""
 REST_S = 1.0
-"""how long a fit stays when the cars have arrived"""
+"""how long a fit is shown after the cars have arrived"""
 
 
 def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, called: Sequence[str] = ()) -> str:
-    """The pictures of R runs at F fits, (F, R), as a page that needs nothing else.
+    """The pictures of R runs at F fits, (F, R), as a self-contained page.
 
-    `called`: a name for each run (R,), its learner's where none is given.
+    `called`: a name for each run (R,), by default its learner's.
 
-    Its time line shows fit after fit; in each the cars drive all their way. It is made by a viser
-    server of this process that nobody is told of and that ends with the call.
+    Its timeline shows the fits one after another; in each the cars drive their whole way. It is
+    made by a temporary viser server in this process.
     """
     server = viser.ViserServer(HERE, free_port(HERE), verbose=False)
     try:
@@ -58,15 +59,22 @@ def _record(
     shown = {name: on for name, _, on in LAYERS}
     for each in scenes:
         each.show(shown)
+        _fix_words(server, each.words)
     serializer = server.get_scene_serializer()
     for number, pictures in enumerate(fits):
         if number:
             for each, picture in zip(scenes, pictures, strict=True):
                 each.update(picture)
                 each.show(shown)
+                _fix_words(server, each.words)
         for step in range(0, max(each.longest for each in scenes) + STRIDE, STRIDE):
             for each in scenes:
                 each.drive(step)
             serializer.insert_sleep(FRAME_S)
         serializer.insert_sleep(REST_S)
     return serializer
+
+
+def _fix_words(server: viser.ViserServer, words: Sequence[Words]) -> None:
+    for each in words:
+        fix(server.scene, each)

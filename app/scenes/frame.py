@@ -1,4 +1,4 @@
-"""What every browser frame of the viser server has: a panel, a scene, light, a camera."""
+"""The base of all browser frames of the viser server: panel, scene, light, camera."""
 
 import threading
 from collections.abc import Sequence
@@ -11,10 +11,10 @@ from app.scenes.words import Words
 from app.theme import ACCENT, Mode
 
 GLOW: dict[Mode, float] = {"light": 1.7, "dark": 1.1}
-"""brightness of the light from all sides"""
+"""brightness of the ambient light"""
 
 FRONT = (-1.5, -4.0, 2.5)
-"""where the light from the front comes from: it shines towards the origin"""
+"""position of the front light, which shines towards the origin"""
 
 Vector = tuple[float, float, float]
 
@@ -23,11 +23,11 @@ class Frame:
     """One connected browser frame that shows one kind of scene."""
 
     title: str
-    """the panel's"""
+    """the title of the panel"""
     fill = 0.0
-    """brightness of the light from the front"""
+    """brightness of the front light"""
     shadows = False
-    """shadows cost a weak machine half of its frames"""
+    """shadows halve the frame rate on a slow machine"""
 
     def __init__(
         self, client: viser.ClientHandle, store: str, mode: Mode, *, compact: bool = False
@@ -45,9 +45,9 @@ class Frame:
             client.gui.main_panel.minimize()
 
     def show(self, selection: Selection, *, play: bool = False) -> None:
-        """Show what a page chose; `play` it from its beginning, where it is something that plays.
+        """Show a page's choice; with `play`, play it from the beginning if possible.
 
-        Raises UserError where it cannot be read.
+        Raises UserError if it cannot be read.
         """
         with self._lock:
             if selection.mode != self.mode:
@@ -59,23 +59,23 @@ class Frame:
                 self._play()
 
     def close(self) -> None:
-        """Leave an empty scene and panel for a frame of another kind."""
+        """Clear the scene and the panel for a frame of another kind."""
         with self._lock:
             self._closed = True
             self.client.gui.reset()
             self.client.scene.reset()
 
     def tick(self, seconds: float) -> None:
-        """So much time has passed: whatever plays goes on."""
+        """Advance playback by `seconds`."""
         with self._lock:
-            if not self._closed:  # the clock may still hold a frame that was just replaced
+            if not self._closed:  # the clock may still tick a frame that was just replaced
                 self._tick(seconds)
                 camera = self.client.camera.position
                 for words in self._words():
                     words.face(camera)
 
     def look(self, position: Vector, at: Vector) -> None:
-        """Put the reader's camera somewhere."""
+        """Set the user's camera."""
         self.client.camera.position = position
         self.client.camera.look_at = at
 
@@ -88,19 +88,19 @@ class Frame:
             brand_color=rgb(ACCENT[self.mode]),
         )
         self.client.scene.configure_default_lights(cast_shadow=self.shadows)
-        # No environment map: viser fades the canvas in when its default one is there, and when
-        # another map arrives during that, the scene stays pale until it is opened again.
+        # No environment map: viser fades in the canvas after its default map is loaded. If another
+        # map arrives meanwhile, the scene stays pale until it is opened again.
         self.client.scene.configure_environment_map(None)
         self._light()
 
     def _light(self) -> None:
-        """Light from all sides, and some from where the reader looks from."""
+        """Ambient light, and some light from the front."""
         scene = self.client.scene
         scene.add_light_ambient("/glow", intensity=GLOW[self.mode])
         scene.add_light_directional("/fill", intensity=self.fill, position=FRONT)
 
     def clear(self) -> None:
-        """Take everything out of the scene but its light."""
+        """Remove everything from the scene except the light."""
         self.client.scene.reset()
         self._light()
 
@@ -114,11 +114,11 @@ class Frame:
         """Play from the beginning."""
 
     def _mode_changed(self) -> None:
-        """What is drawn in the colours of the old mode is to be drawn again."""
+        """Redraw everything that has colours of the old mode."""
 
     def _tick(self, seconds: float) -> None:
-        """Nothing plays."""
+        """Advance playback; by default nothing plays."""
 
     def _words(self) -> Sequence[Words]:
-        """What is to be read in the scene, wherever the camera is."""
+        """The words in the scene that must face the camera."""
         return ()

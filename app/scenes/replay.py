@@ -1,4 +1,4 @@
-"""An episode in 3D: the robot as it was, the model's imagination as a ghost."""
+"""An episode in 3D: the recorded robot, and the model's prediction as a ghost."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,6 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.data.pictures import ENV as ROAD
 from app.data.replays import Replay
 from app.scenes import solids
 from app.scenes.colours import rgb
@@ -20,38 +19,38 @@ from tom.envs import scene as geometry
 
 REAL: dict[Mode, str] = {"light": "#5b6577", "dark": "#aeb7c8"}
 GHOST_OPACITY = 0.45
+ASIDE = np.array([0.0, -0.03, 0.0])
+"""metres from the real robot to its ghost, towards the camera, because coinciding surfaces
+would flicker"""
 
 
 @dataclass(frozen=True)
 class Track:
-    """One robot's parts over an episode, and where its root is."""
+    """One robot's parts and its root over an episode."""
 
     solids: Solids
     root: NDArray[np.float32]  # (H + 1, 3)
     floor: float  # metres
 
 
-def track(env: str, qpos: NDArray) -> Track:
-    """A MuJoCo task's robot along joint positions (H + 1, nq), or a car along places (H + 1, 2)."""
-    if env == ROAD:
+def track(model: geometry.Model | None, qpos: NDArray) -> Track:
+    """A MuJoCo task's robot at joint positions (H + 1, nq).
+
+    Without a model it is road-and-rocks' car at positions (H + 1, 2).
+    """
+    if model is None:
         driven = solids.car(qpos)
         return Track(driven, driven.position[:, 0], 0.0)
-    found = geometry.geometry(geometry.model(env).mj, qpos)
-    return Track(
-        solids.of(found), found.root, _lowest(found) if found.floor is None else found.floor
-    )
-
-
-def _lowest(found: geometry.Geometry) -> float:
-    return float(found.capsules.center[..., 2].min()) - 0.5
+    shapes = geometry.geometry(model.mj, qpos)
+    return Track(solids.of(shapes), shapes.root, shapes.ground)
 
 
 class ReplayScene:
-    """The nodes of one episode; `pose` puts them to a frame."""
+    """The scene nodes of one episode; `pose` sets them to a frame."""
 
     def __init__(self, scene: viser.SceneApi, replay: Replay, mode: Mode) -> None:
-        self._real = track(replay.env, replay.real)
-        self._ghost = None if replay.ghost is None else track(replay.env, replay.ghost)
+        self._real = track(replay.model, replay.real)
+        self._ghost = None if replay.ghost is None else track(replay.model, replay.ghost)
         sky(scene, mode)
         self._floor = None if replay.road else floor(scene, self._real.floor, mode)
         self.words: list[Words] = []
@@ -65,16 +64,26 @@ class ReplayScene:
 
     @property
     def height(self) -> float:
-        """How high above the floor the robot's root is at first."""
+        """The height of the robot's root above the floor in the first frame."""
         return float(self._real.root[0, 2] - self._real.floor)
 
+    @property
+    def covered(self) -> tuple[NDArray[np.float32], float]:
+        """Centre (3,) and extent of the robot's parts in the first frame, over the origin."""
+        parts = self._real.solids.position[0] - self._real.root[0] * (1.0, 1.0, 0.0)
+        middle = np.median(parts, axis=0).astype(np.float32)
+        return middle, float(np.quantile(np.linalg.norm(parts - middle, axis=-1), 0.9))
+
     def pose(self, frame: int, *, follow: bool) -> None:
-        """Show step `frame`; `follow` keeps the real robot over the origin."""
+        """Show step `frame`; with `follow` the real robot stays over the origin."""
         place = np.zeros(3)
         if self._floor is not None and follow:
             place = self._real.root[frame] * (1.0, 1.0, 0.0)
             self._floor.position = under(place, self._real.floor)
-        for robot, of in ((self.robot, self._real), (self.ghost, self._ghost)):
+        for robot, of, aside in (
+            (self.robot, self._real, 0.0),
+            (self.ghost, self._ghost, ASIDE),
+        ):
             if robot is not None and of is not None:
-                shifted = (of.solids.position[frame] - place).astype(np.float32)
+                shifted = (of.solids.position[frame] - place + aside).astype(np.float32)
                 robot.pose(shifted[None], of.solids.wxyz[frame][None])

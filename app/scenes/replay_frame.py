@@ -8,21 +8,20 @@ import viser
 
 from app.data import replays
 from app.data.replays import Replay
-from app.scenes.control import ReplayChoice, Selection
+from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice, Selection
 from app.scenes.frame import Frame, Vector
 from app.scenes.replay import ReplayScene
 from app.scenes.words import Words
+from tom.envs import ENVS
 from tom.errors import UserError
 from tom.record.store import Store
-
-SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0, "2 times": 2.0, "4 times": 4.0}
 
 WORDS_S = 0.2
 """seconds between two updates of the words and the curve while an episode plays"""
 
 
 class ReplayFrame(Frame):
-    """Plays one episode: scrub, speed, the ghost beside the robot, the reward so far."""
+    """Plays one episode: slider, speed, the ghost beside the robot, the reward so far."""
 
     title = "Replay"
     shadows = True
@@ -38,12 +37,12 @@ class ReplayFrame(Frame):
         self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         self.playing = False
         self.frame = gui.add_slider("step", 0, 1, 1, 0)
-        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="real time")
+        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value=REAL_TIME)
         self.follow = gui.add_checkbox("camera follows", initial_value=True)
         self.ghost = gui.add_checkbox("model's ghost", initial_value=True)
         self.words = gui.add_markdown("")
         self.curve = None
-        if self.compact:  # a narrow frame has the panel as a sheet that is always open
+        if self.compact:  # in a narrow frame the panel is a sheet that is always open
             for part in (self.speed, self.follow, self.ghost, self.words):
                 part.visible = False
         self.play.on_click(lambda _: self._toggle())
@@ -57,13 +56,28 @@ class ReplayFrame(Frame):
         before, self._choice = self._choice, choice
         run = Store(self.store).run(choice.run)
         replay = replays.load(run, choice.step, choice.episode, choice.horizon)
+        if replay is not None and not replay.drawn:
+            raise UserError(f"there is nothing to draw of {run.env}: its curves are on the page")
         if replay is None:
             raise UserError(f"episode {choice.episode + 1} of step {choice.step} cannot be read")
         if replay is not self._replay:
             self._draw(replay)
-        if before is None or before.frame != choice.frame:
-            self._go_to(choice.frame)
+        self.speed.value = choice.speed if choice.speed in SPEEDS else REAL_TIME
+        self.ghost.value, self.follow.value = choice.ghost, choice.follow
+        if before is None or (before.asked, before.frame) != (choice.asked, choice.frame):
+            self._obey(choice)
         self._pose()
+
+    def _obey(self, choice: ReplayChoice) -> None:
+        """Carry out the page's wish if its count has increased."""
+        if choice.wish == "go":
+            self._go_to(choice.frame)
+        elif self.playing != (choice.wish == "play"):
+            self._toggle()
+
+    def clock(self) -> Clock:
+        """The state of playback."""
+        return Clock(int(self._at), self.playing)
 
     def _play(self) -> None:
         self._go_to(0)
@@ -88,13 +102,24 @@ class ReplayFrame(Frame):
         self._go_to(min(self._at, replay.episode.length))
 
     def _view(self, height: float) -> tuple[Vector, Vector]:
-        """Where the camera stands and what it looks at: left of the panel, where that is open."""
+        """The camera's position and target; the robot is left of the panel if that is open."""
         if self._replay is not None and self._replay.road:
             across = 0.5 if self.compact else 0.74
             return (across, -0.4, 1.25), (across, 0.42, 0.0)
+        if self._replay is not None and self._replay.env not in ENVS:
+            return self._stands_off(self._replay)
         away = 1.6 + 0.9 * height
         beside = 0.0 if self.compact else 0.25 * away
         return (0.45 * away, -away, 0.5 + 0.6 * height), (beside, 0.0, 0.5 * height)
+
+    def _stands_off(self, replay: Replay) -> tuple[Vector, Vector]:
+        """A view of an unknown robot, from its extent in the first frame."""
+        assert self._scene is not None
+        middle, span = self._scene.covered
+        away = 0.8 + 1.1 * span
+        x, y, z = (float(value) for value in middle)
+        beside = 0.0 if self.compact else 0.25 * away
+        return (x + 0.45 * away, y - away, z + 0.6 * away), (x + beside, y, z)
 
     def _words(self) -> Sequence[Words]:
         return () if self._scene is None else self._scene.words
@@ -139,7 +164,7 @@ class ReplayFrame(Frame):
                 self._go_to(0)
 
     def _scrubbed(self, event: viser.GuiEvent) -> None:
-        if event.client is not None:  # moved by the reader, not by what plays
+        if event.client is not None:  # moved by the user, not by playback
             with self._lock:
                 self._at = float(self.frame.value)
                 self._pose()

@@ -7,7 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 from app.data.pictures import Picture
-from app.data.roadmap import RoadMap, circle, outline
+from app.data.roadmap import RoadShape, circle, outline
 from app.scenes import arrays, solids
 from app.scenes.colours import linear, rgb
 from app.scenes.robot import Robot
@@ -16,27 +16,27 @@ from app.theme import NEUTRAL, Mode, learner_colour, learner_label
 
 CAMERA = (0.5, -0.12, 0.82)
 LOOK_AT = (0.5, 0.59, 0.0)
-"""behind the middle, so that the map lies below the panel"""
+"""behind the centre, so that the panel does not cover the map"""
 LIFT = 0.006
-"""lines lie this much above what they are drawn on"""
+"""height of lines above the surface"""
 GAP = 0.18
 """between two maps side by side"""
 TITLE, NAME = 0.048, 0.03
 """height of letters"""
 MARGIN = 0.008
-"""between the map and the names beside it: on it columns and cars would hide them"""
+"""distance of names from the map, where columns and cars do not hide them"""
 TILT = 0.7
-"""words lean back, square to where the camera looks from at first"""
+"""tilt of words, perpendicular to the camera's first direction"""
 EXPERTS = 3
-"""cars that drive the expert's ways"""
+"""number of cars on the expert's trajectories"""
 PIXELS = 10
-"""of a cell, in the flat picture of the weights"""
+"""pixels of a cell in the flat picture of the weights"""
 _BOULDER = {"light": (176, 167, 155), "dark": (84, 80, 78)}
 _LINE = {"light": (255, 255, 255), "dark": (205, 210, 222)}
 
 
 class RoadScene:
-    """One run's map: the ground once, then fit after fit by `update`."""
+    """One run's map: the ground is drawn once, each fit by `update`."""
 
     def __init__(
         self,
@@ -47,9 +47,9 @@ class RoadScene:
         x: float = 0.0,
         called: str = "",
     ) -> None:
-        """`name` begins the names of its nodes; the map's corner stands at `x`.
+        """`name` is the prefix of its nodes' names; the map's corner is at `x`.
 
-        `called` is what the run is called above its map, its learner where nothing is given.
+        `called` is the title above the map, by default the learner's name.
         """
         self._scene, self._name = scene, f"/road{name}"
         self.mode: Mode = mode
@@ -84,7 +84,7 @@ class RoadScene:
 
     @property
     def words(self) -> list[Words]:
-        """What is to be read on the map."""
+        """The words on the map."""
         return [self._title, *self._names]
 
     def show(self, layers: Mapping[str, bool]) -> None:
@@ -95,17 +95,17 @@ class RoadScene:
 
     @property
     def longest(self) -> int:
-        """Steps of the longest way."""
+        """The number of steps of the longest trajectory."""
         return max(fleet.longest for fleet in self.cars)
 
     def drive(self, step: float) -> None:
-        """Put every car to a step of its way; one that has arrived stays there."""
+        """Move every car to a step of its trajectory; arrived cars stay at the end."""
         for fleet in self.cars:
             fleet.drive(step)
 
 
 class Fleet:
-    """Cars on recorded ways."""
+    """Cars on recorded trajectories."""
 
     def __init__(
         self,
@@ -122,11 +122,11 @@ class Fleet:
 
     @property
     def longest(self) -> int:
-        """Steps of the longest way."""
+        """The number of steps of the longest trajectory."""
         return max((len(way.position) - 1 for way in self._ways), default=0)
 
     def drive(self, step: float) -> None:
-        """Put every car to a step of its way."""
+        """Move every car to a step of its trajectory."""
         if self._robot is None:
             return
         at = [min(int(step), len(way.position) - 1) for way in self._ways]
@@ -149,12 +149,12 @@ Shown = viser.SceneNodeHandle | Fleet
 
 
 def place(number: int) -> float:
-    """Where the corner of the map `number` of several stands, along x."""
+    """The x of the corner of the map `number` among several."""
     return number * (1 + GAP)
 
 
 def view(count: int) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Camera and what it looks at, for `count` maps side by side."""
+    """The camera's position and target for `count` maps side by side."""
     middle = (place(count) - GAP) / 2
     away = 1 + 0.28 * (count - 1)  # several maps have a wider frame
     (_, y, z), (_, at, ground) = CAMERA, LOOK_AT
@@ -173,7 +173,7 @@ def _columns(
         batched_wxyzs=arrays.upright(len(bars.position)),
         batched_positions=bars.position,
         batched_scales=bars.scale,
-        batched_colors=linear(bars.colour),  # viser takes instance colours as intensities
+        batched_colors=linear(bars.colour),  # viser reads instance colours as linear intensities
         flat_shading=True,
         lod="off",
     )
@@ -186,8 +186,8 @@ def _flat(scene: viser.SceneApi, name: str, picture: Picture, mode: Mode) -> vis
     )
 
 
-def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str = "") -> list[Words]:
-    """The floor with the road, its start and its goal, whose names are given back."""
+def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "") -> list[Words]:
+    """Draw the floor with the road, its start and its goal; returns their words."""
     names = []
     scene.add_image(
         f"{root}/ground", arrays.ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
@@ -207,7 +207,7 @@ def draw_map(scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str = "") -
 
 
 def _draw_boulders(
-    scene: viser.SceneApi, road: RoadMap, mode: Mode, root: str
+    scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str
 ) -> viser.SceneNodeHandle:
     position, size = arrays.boulders(road)
     vertices, faces = arrays.stone()

@@ -1,14 +1,12 @@
 """The browser frame that shows road-and-rocks in 3D."""
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import viser
 
 from app.data import pictures
 from app.data.called import told_apart
 from app.data.pictures import Picture
-from app.data.readers import Stamp, stamp
 from app.scenes import road as scene
 from app.scenes.control import RoadChoice, Selection
 from app.scenes.frame import Frame
@@ -16,16 +14,15 @@ from app.scenes.road import RoadScene
 from app.scenes.stage import sky
 from app.scenes.words import Words
 from tom.errors import UserError
-from tom.record import layout
-from tom.record.reader import RunReader
+from tom.record.reader import at_or_before
 from tom.record.store import Store
 
 PLAY_S = 1.0
-"""seconds that a fit is shown while the slider plays"""
+"""seconds for which each fit is shown during playback"""
 STEPS_PER_S = 20.0
-"""steps of the task that the cars drive in a second"""
+"""steps of the task that the cars drive per second"""
 REST = 20
-"""steps that the cars wait when they have arrived"""
+"""steps that the cars wait after they have arrived"""
 LAYERS = (
     ("columns", "weights as columns", True),
     ("flat", "weights as colours", False),
@@ -36,11 +33,6 @@ LAYERS = (
     ("modelled", "modelled displacement", False),
     ("boulders", "rocks", True),
 )
-
-
-@lru_cache(maxsize=128)
-def _picture(path: str, step: int, changed: Stamp) -> Picture | None:
-    return pictures.load(RunReader(path), step)
 
 
 class RoadFrame(Frame):
@@ -74,8 +66,8 @@ class RoadFrame(Frame):
         store = Store(self.store)
         newest = (run.run_id for run in store.runs() if run.env == pictures.ENV)
         self._runs = choice.runs or tuple(newest)[:1]
-        found = {step for run in self._runs for step in pictures.steps(store.run(run))}
-        self._steps = sorted(found)
+        steps = {step for run in self._runs for step in pictures.steps(store.run(run))}
+        self._steps = sorted(steps)
         self.fit.max = max(len(self._steps) - 1, 1)
         self.fit.disabled = len(self._steps) < 2
         if choice.step in self._steps:
@@ -86,12 +78,12 @@ class RoadFrame(Frame):
         self._drawn = []
 
     def _fit_moved(self, event: viser.GuiEvent) -> None:
-        if event.client is not None:  # moved by the reader, not by what plays
+        if event.client is not None:  # moved by the user, not by playback
             with self._lock:
                 self._redraw()
 
     def _tick(self, seconds: float) -> None:
-        """The next fit while the fits play, after the last the first; the cars a bit further."""
+        """Advance to the next fit if the fits play, in a loop, and move the cars."""
         self._since += seconds
         if self.play.value and len(self._steps) > 1 and self._since >= PLAY_S:
             self._since = 0.0
@@ -106,7 +98,7 @@ class RoadFrame(Frame):
         if not self._steps:
             return
         step = self._steps[min(int(self.fit.value), len(self._steps) - 1)]
-        shown = [found for run in self._runs if (found := self._fit_of(run, step)) is not None]
+        shown = [fit for run in self._runs if (fit := self._fit_of(run, step)) is not None]
         drawn = [(run, picture.step) for run, picture in shown]
         if drawn == self._drawn or not shown:
             return
@@ -123,16 +115,14 @@ class RoadFrame(Frame):
         self.words.content = f"the fit of step **{step:,}**"
 
     def _fit_of(self, run: str, step: int) -> tuple[str, Picture] | None:
-        """A run's fit at `step`, else its last before; None when it was deleted or damaged."""
+        """A run's fit at `step`, else the last one before; None if it was deleted or damaged."""
         store = Store(self.store)
         try:
-            steps = pictures.steps(store.run(run))
+            read = store.run(run)
         except UserError:
             return None
-        at = max((s for s in steps if s <= step), default=steps[0] if steps else -1)
-        path = store.resolve(run)
-        changed = stamp(path / layout.snapshot(at)) if steps else (0, 0)
-        picture = _picture(str(path), at, changed) if steps else None
+        steps = pictures.steps(read)
+        picture = pictures.load(read, at_or_before(steps, step)) if steps else None
         return None if picture is None else (run, picture)
 
     def _draw(self, shown: list[tuple[str, Picture]]) -> None:

@@ -21,7 +21,7 @@ class Robot:
         colours: Sequence[tuple[int, int, int]],
         opacity: float | None = None,
     ) -> None:
-        """`colours` holds one for each copy."""
+        """`colours` has one colour per copy."""
         count = len(colours)
         tint = linear(np.array(colours, np.uint8))  # viser takes instance colours as intensities
         self._root = scene.add_frame(name, show_axes=False)
@@ -40,7 +40,7 @@ class Robot:
         ]
 
     def pose(self, position: NDArray[np.float32], wxyz: NDArray[np.float32]) -> None:
-        """Put the parts of every copy to position (N, G, 3) and orientation (N, G, 4)."""
+        """Set the parts of every copy to position (N, G, 3) and orientation (N, G, 4)."""
         for i, part in enumerate(self._parts):
             part.batched_positions = position[:, i]
             part.batched_wxyzs = wxyz[:, i]

@@ -1,5 +1,6 @@
-"""The viser server's process: one scene a browser frame, told what to show by the pages."""
+"""The viser server's process: one scene per browser frame, controlled by the pages."""
 
+import gzip
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -7,6 +8,7 @@ from contextlib import contextmanager
 from functools import partial
 from http import HTTPStatus
 from typing import Any
+from urllib.parse import urlsplit
 
 import viser
 from websockets.asyncio import server
@@ -14,11 +16,21 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from app.links import Links
-from app.scenes.control import Choice, ReplayChoice, RoadChoice, Selection, StatesChoice, listen
+from app.scenes.control import (
+    Choice,
+    Clock,
+    ReplayChoice,
+    RoadChoice,
+    Selection,
+    StatesChoice,
+    listen,
+)
 from app.scenes.frame import Frame
 from app.scenes.replay_frame import ReplayFrame
 from app.scenes.road_frame import RoadFrame
 from app.scenes.states_frame import StatesFrame
+from app.theme import BACKGROUND, Mode
+from tom import plugins
 from tom.errors import UserError
 from tom.machine.address import framing, refusal
 
@@ -30,28 +42,28 @@ FRAMES: dict[type[Choice], type[Frame]] = {
     ReplayChoice: ReplayFrame,
     StatesChoice: StatesFrame,
 }
-"""which frame shows what a page can choose"""
+"""the frame class for each kind of choice"""
 
 
 class SceneServer:
-    """Frames by the name of the page that embeds them."""
+    """The frames, by the name of the page that embeds them."""
 
     def __init__(self, links: Links) -> None:
         self.links = links
         self.chosen: dict[str, Selection] = {}
         self.begun: dict[str, int] = {}
-        """how often what a page shows was played from its beginning"""
+        """by page, how often its episode was played from the beginning"""
         self.frames: dict[int, tuple[str, Frame]] = {}
         with guarded(links):
             self.server = viser.ViserServer(links.host, links.viser_port, verbose=False)
-        if self.server.get_port() != links.viser_port:  # viser takes the next one in silence
+        if self.server.get_port() != links.viser_port:  # viser silently takes the next port
             raise SystemExit(f"port {links.viser_port} is taken")
         self.server.scene.set_up_direction("+z")
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._left)
 
     def select(self, client: str, selection: Selection) -> None:
-        """Remember a page's selection and show it in its frames."""
+        """Store a page's selection and show it in its frames."""
         before = self.chosen.get(client)
         self.chosen[client] = selection
         if before == selection:
@@ -62,15 +74,20 @@ class SceneServer:
         for number, frame in here:
             self._show(number, client, frame, selection, play=play)
 
+    def clock(self, client: str) -> Clock | None:
+        """The clock of a page's frame; None if nothing plays there."""
+        frames = [frame for _, (name, frame) in list(self.frames.items()) if name == client]
+        return next((f.clock() for f in reversed(frames) if isinstance(f, ReplayFrame)), None)
+
     def tick(self, seconds: float) -> None:
-        """So much time has passed in every frame."""
+        """Advance all frames by `seconds`."""
         for _, frame in list(self.frames.values()):
             frame.tick(seconds)
 
     def _asked_to_play(self, name: str, choice: Choice) -> bool:
-        """Since a frame of the page last began, the page has asked for it; it counts as begun now.
+        """Whether the page has requested playback since the last start, which is then counted.
 
-        So a page's wish waits for its first frame, and a frame that comes back does not begin anew.
+        So a request waits for the page's first frame, and a reconnected frame does not play again.
         """
         asked = choice.played if isinstance(choice, ReplayChoice) else 0
         begun, self.begun[name] = self.begun.get(name, 0), asked
@@ -86,12 +103,12 @@ class SceneServer:
                 return
         try:
             frame.show(selection, play=play)
-        except UserError as error:  # deleted or damaged meanwhile: the last picture stays
+        except UserError as error:  # deleted or damaged meanwhile; the last picture stays
             frame.client.add_notification("Not shown", str(error), auto_close_seconds=8)
 
     def _connected(self, client: viser.ClientHandle) -> None:
         request = self._request(client)
-        if request is None:  # it has gone
+        if request is None:  # already disconnected
             return
         name = request.path.strip("/")
         selection = self.chosen.get(name, Selection(RoadChoice(), self.links.theme or "light"))
@@ -103,7 +120,7 @@ class SceneServer:
         self._show(client.client_id, name, frame, selection, play=play)
 
     def _insert(self, number: int, name: str, frame: Frame) -> bool:
-        """Keep a frame, unless its tab was left while it was built: then `_left` has come."""
+        """Store a frame; returns False if its tab was closed while it was built (see `_left`)."""
         self.frames[number] = (name, frame)
         if number in self.server.get_clients():
             return True
@@ -118,16 +135,16 @@ class SceneServer:
         self.frames.pop(client.client_id, None)
 
     def _request(self, client: viser.ClientHandle) -> Request | None:
-        # viser hands a client's request on to no public attribute; its path is the one thing
-        # that a page can set (`?websocket=` in Links.viser).
+        # viser has no public attribute for a client's request; its path is the only thing that a
+        # page can set (`?websocket=` in Links.viser).
         return self.server._websock_server._live_connections[client.client_id].request
 
 
 @contextmanager
 def guarded(links: Links) -> Iterator[None]:
-    """Servers of websockets that begin meanwhile answer the studio's own pages alone.
+    """Websocket servers started inside the block answer only the studio's own pages.
 
-    viser itself answers every page that a browser shows, and has no option for it.
+    viser itself answers every page in a browser and has no option against this.
     """
     serve = server.serve
 
@@ -145,20 +162,37 @@ def guarded(links: Links) -> Iterator[None]:
 def _admit(
     links: Links, answer: Answer, connection: ServerConnection, request: Request
 ) -> Response | None:
-    """viser's answer to a request, or a refusal; only the studio's pages may show it in a frame."""
+    """viser's answer to a request, or a refusal; only the studio's pages may embed it."""
     if why := refusal(request.headers.get, links.host, links.viser_port):
         return connection.respond(HTTPStatus.FORBIDDEN, why)
     answered = answer(connection, request)
     if answered is not None:
         answered.headers["Content-Security-Policy"] = framing(links.host, links.port)
+        if urlsplit(request.path).path == "/" and answered.status_code == HTTPStatus.OK:
+            _dress(answered, "dark" if "darkMode" in request.path else "light")
     return answered
+
+
+def _dress(page: Response, mode: Mode) -> None:
+    """Give viser's page the studio's background at once, because its script takes a second."""
+    packed = page.headers.get("Content-Encoding") == "gzip"
+    html = gzip.decompress(page.body) if packed else page.body
+    style = f"<head><style>html {{ background: {BACKGROUND[mode]} }}</style>".encode()
+    html = html.replace(b"<head>", style, 1)
+    page.body = gzip.compress(html, 1) if packed else html
+    if "Content-Length" in page.headers:
+        del page.headers["Content-Length"]
+        page.headers["Content-Length"] = str(len(page.body))
 
 
 def main() -> None:
     """Serve until SIGTERM."""
+    plugins.load()
     links = Links.from_environment()
     served = SceneServer(links)
-    threading.Thread(target=listen, args=(links.control, served.select), daemon=True).start()
+    threading.Thread(
+        target=listen, args=(links.control, served.select, served.clock), daemon=True
+    ).start()
     then = time.monotonic()
     while True:
         time.sleep(TICK_S)

@@ -1,4 +1,4 @@
-"""Capsules and ellipsoids as triangle meshes with their poses. Pure functions."""
+"""Capsules, ellipsoids, cylinders and boxes as triangle meshes with their poses. Pure functions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from app.scenes.arrays import unit_box
 from tom.envs.scene import Geometry
 
 SEGMENTS = 20
-"""corners of a circle round a solid"""
+"""number of corners of a circle around a solid"""
 RINGS = 6
-"""circles from a half sphere's rim to its pole"""
+"""number of circles from a half sphere's rim to its pole"""
 
 CAR_SIZES = ((0.044, 0.026, 0.012), (0.022, 0.021, 0.010))
 """body and cabin: length, width, height; the road is 0.18 wide"""
@@ -34,19 +34,20 @@ class Solids:
 
 def of(geometry: Geometry) -> Solids:
     """Every part of a MuJoCo task's geometry; lengths in metres."""
-    capsules, ellipsoids = geometry.capsules, geometry.ellipsoids
-    meshes = [capsule(float(radius), float(half)) for radius, half in capsules.size]
-    meshes += [ellipsoid(sizes) for sizes in ellipsoids.size]
-    xyzw = np.concatenate([capsules.quaternion, ellipsoids.quaternion], 1)
+    meshes = [capsule(float(radius), float(half)) for radius, half in geometry.capsules.size]
+    meshes += [ellipsoid(sizes) for sizes in geometry.ellipsoids.size]
+    meshes += [cylinder(float(radius), float(half)) for radius, half in geometry.cylinders.size]
+    meshes += [box(2 * sizes) for sizes in geometry.boxes.size]
+    xyzw = np.concatenate([shape.quaternion for shape in geometry.shapes], 1)
     return Solids(
         meshes,
-        np.concatenate([capsules.center, ellipsoids.center], 1).astype(np.float32),
+        np.concatenate([shape.center for shape in geometry.shapes], 1).astype(np.float32),
         xyzw[..., [3, 0, 1, 2]].astype(np.float32),
     )
 
 
 def car(line: NDArray, above: float = 0.006) -> Solids:
-    """A car along places (H + 1, 2) of the unit square, its nose where it goes next.
+    """A car at positions (H + 1, 2) of the unit square, headed to the next position.
 
     Its wheels are `above` the ground.
     """
@@ -69,7 +70,7 @@ def car(line: NDArray, above: float = 0.006) -> Solids:
 
 
 def headings(line: NDArray) -> NDArray[np.float64]:
-    """The direction (H + 1,) of travel at each place (H + 1, 2), radians; the last is kept."""
+    """The direction (H + 1,) of travel at positions (H + 1, 2), radians; the last is repeated."""
     if len(line) < 2:
         return np.zeros(len(line))
     moves = np.diff(np.asarray(line, np.float64), axis=0)
@@ -78,7 +79,7 @@ def headings(line: NDArray) -> NDArray[np.float64]:
 
 
 def box(sizes: Sequence[float]) -> Mesh:
-    """A box of these sizes (3,) round the origin."""
+    """A box of these sizes (3,) around the origin."""
     vertices, faces = unit_box()
     return (vertices * np.asarray(sizes, np.float32)).astype(np.float32), faces
 
@@ -97,6 +98,18 @@ def capsule(radius: float, half_length: float) -> Mesh:
     return corners.reshape(-1, 3).astype(np.float32), _faces(len(rise))
 
 
+def cylinder(radius: float, half_length: float) -> Mesh:
+    """A cylinder along z of length 2 `half_length`, closed at both ends."""
+    turn = np.linspace(0, 2 * np.pi, SEGMENTS, endpoint=False)
+    # The rim of each end twice, because its normals differ from those of the side.
+    rings = [(0.0, -1), (radius, -1), (radius, -1), (radius, 1), (radius, 1), (0.0, 1)]
+    corners = [
+        np.stack([r * np.cos(turn), r * np.sin(turn), np.full(SEGMENTS, z * half_length)], -1)
+        for r, z in rings
+    ]
+    return np.concatenate(corners).astype(np.float32), _faces(len(rings))
+
+
 def ellipsoid(half_sizes: NDArray) -> Mesh:
     """An ellipsoid with these half axes (3,)."""
     vertices, faces = capsule(1.0, 0.0)
@@ -104,7 +117,7 @@ def ellipsoid(half_sizes: NDArray) -> Mesh:
 
 
 def _faces(rings: int) -> NDArray[np.uint32]:
-    """Triangles between neighbouring rings, seen from outside; those of no area are left out."""
+    """Triangles between neighbouring rings, seen from outside, without those of zero area."""
     ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(SEGMENTS), indexing="ij")
     here = ring * SEGMENTS + corner
     right = ring * SEGMENTS + (corner + 1) % SEGMENTS

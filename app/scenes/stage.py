@@ -1,4 +1,4 @@
-"""Where robots stand: a floor that moves under a robot that the camera follows."""
+"""The floor and background of robots; the floor moves under a robot that the camera follows."""
 
 import numpy as np
 import viser
@@ -18,7 +18,7 @@ _FLOOR: dict[Mode, tuple[str, str, str]] = {
 
 
 def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
-    """A floor without end at `height` metres."""
+    """An infinite floor at `height` metres."""
     plane, thin, thick = (rgb(colour) for colour in _FLOOR[mode])
     return scene.add_grid(
         "/floor",
@@ -36,11 +36,11 @@ def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
 
 
 def sky(scene: viser.SceneApi, mode: Mode) -> None:
-    """The page's own colour behind everything."""
+    """The page's background colour."""
     scene.set_background_image(np.full((1, 1, 3), rgb(BACKGROUND[mode]), np.uint8))
 
 
 def under(place: np.ndarray, height: float) -> tuple[float, float, float]:
-    """Where the floor lies when a robot at `place` (3,) is drawn at the origin."""
+    """The floor's position when a robot at `place` (3,) is drawn at the origin."""
     x, y = -np.mod(place[:2], SECTION)
     return float(x), float(y), height

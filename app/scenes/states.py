@@ -1,4 +1,4 @@
-"""Robots in states of a replay buffer: two groups in rows, each robot moving through its moment."""
+"""Robots in states of a replay buffer: two groups, each robot moving through its window."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from app.data.buffer import WINDOW
 from app.scenes import solids
 from app.scenes.robot import Robot
 from app.scenes.solids import Solids
@@ -15,53 +16,38 @@ from app.scenes.words import Words, add_words
 from app.theme import Mode
 from tom.data.transitions import Transitions
 from tom.envs import scene as geometry
-from tom.envs import task
+from tom.envs.task import Task
 
 ABREAST = 3
 """robots in a line"""
-WINDOW = 12
-"""steps shown before and after the moment"""
 LETTERS = 0.2
-"""height of letters, as a share of what a robot and its margin cover"""
+"""height of letters relative to the area of a robot and its margin"""
 TILT = 1.2
-"""words stand, leaning a little back, as the camera looks down a little"""
+"""tilt of words, which lean back a little because the camera looks down"""
 MARGIN = 0.45
 """metres between two robots"""
 
 Floats = NDArray[np.float32]
 
 
-def moments(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
-    """The row numbers (R, 2 WINDOW + 1) round each of R rows, held at its episode's ends."""
-    last = np.flatnonzero(ended)
-    found = []
-    for row in rows:
-        before = last[last < row]
-        after = last[last >= row]
-        low = int(before[-1]) + 1 if len(before) else 0
-        high = int(after[0]) if len(after) else len(ended) - 1
-        found.append(np.clip(np.arange(row - WINDOW, row + WINDOW + 1), low, high))
-    return np.array(found, np.int64).reshape(len(rows), 2 * WINDOW + 1)
-
-
 def poses(
-    env: str, recorded: Transitions, state: dict[str, NDArray], rows: NDArray[np.int64]
+    known: Task, recorded: Transitions, state: dict[str, NDArray], rows: NDArray[np.int64]
 ) -> Floats:
     """Joint positions (R, W, nq) of the recorded states at row numbers (R, W).
 
-    Each robot's place on the ground is taken from its moment, the middle of its window; where the
-    simulator's state was not kept it stays at the origin.
+    Positions on the ground are relative to the middle of each robot's window; without the
+    simulator's state a robot stays at the origin.
     """
-    known = task(env)
     if "qpos" in state:
         qpos = state["qpos"][rows].astype(np.float32)
-        qpos[..., : known.root_dims] -= qpos[:, WINDOW : WINDOW + 1, : known.root_dims]
+        roots = known.root_dims or 0
+        qpos[..., :roots] -= qpos[:, WINDOW : WINDOW + 1, :roots]
         return qpos
     return known.qpos_from_obs(np.asarray(recorded.obs, np.float32)[rows])
 
 
 @dataclass(frozen=True)
-class Group:
+class RobotGroup:
     """R robots of one side: their parts over W frames."""
 
     solids: Solids  # position (W, R, G, 3) flattened over frames and robots
@@ -75,20 +61,17 @@ class Group:
         return places[:, at], turns[:, at]
 
 
-def group(env: str, qpos: Floats) -> tuple[Group, float]:
-    """R robots along joint positions (R, W, nq), and the floor's height."""
+def group(model: geometry.Model, qpos: Floats) -> tuple[RobotGroup, float]:
+    """R robots at joint positions (R, W, nq), and the floor's height."""
     count = len(qpos)
-    found = geometry.geometry(geometry.model(env).mj, qpos.reshape(-1, qpos.shape[-1]))
-    height = found.floor
-    if height is None:
-        height = float(found.capsules.center[..., 2].min()) - 0.5
-    return Group(solids.of(found), count), height
+    shapes = geometry.geometry(model.mj, qpos.reshape(-1, qpos.shape[-1]))
+    return RobotGroup(solids.of(shapes), count), shapes.ground
 
 
 def places(count: int, size: NDArray, side: int) -> NDArray[np.float32]:
-    """Where the robots of a side stand, (R, 3): lines of ABREAST away from the middle.
+    """The positions (R, 3) of the robots of a side: lines of ABREAST, away from the middle.
 
-    `side` is -1 for the left and 1 for the right; `size` (2,) is what a robot covers in x and y.
+    `side` is -1 for the left and 1 for the right; `size` (2,) is a robot's extent in x and y.
     """
     step = size + MARGIN
     column, line = np.arange(count) % ABREAST, np.arange(count) // ABREAST
@@ -96,8 +79,8 @@ def places(count: int, size: NDArray, side: int) -> NDArray[np.float32]:
     return np.stack([x, line * step[1], np.zeros(count)], -1).astype(np.float32)
 
 
-def footprint(groups: Sequence[Group]) -> NDArray[np.float64]:
-    """What nearly every robot covers on the ground, (2,) metres in x and y, at least 0.6."""
+def footprint(groups: Sequence[RobotGroup]) -> NDArray[np.float64]:
+    """The extent of nearly all robots on the ground, (2,) metres in x and y, at least 0.6."""
     sizes = []
     for one in groups:
         sizes.append(np.ptp(one.frame(WINDOW)[0][..., :2], axis=1))
@@ -106,21 +89,21 @@ def footprint(groups: Sequence[Group]) -> NDArray[np.float64]:
 
 
 class StatesScene:
-    """The nodes of two groups of robots; `pose` moves them through their moments."""
+    """The scene nodes of two groups of robots; `pose` moves them through their windows."""
 
     def __init__(
         self,
         scene: viser.SceneApi,
-        groups: Sequence[tuple[str, Group, Sequence[tuple[int, int, int]]]],
+        groups: Sequence[tuple[str, RobotGroup, Sequence[tuple[int, int, int]]]],
         height: float,
         mode: Mode,
     ) -> None:
-        """`groups` are left and right: what stands above, the robots, a colour for each."""
+        """`groups` are left and right: the title, the robots, a colour for each."""
         sky(scene, mode)
         floor(scene, height, mode)
         self.size = footprint([one for _, one, _ in groups])
         self.words: list[Words] = []
-        self._robots: list[tuple[Robot, Group, NDArray[np.float32]]] = []
+        self._robots: list[tuple[Robot, RobotGroup, NDArray[np.float32]]] = []
         for (words, one, colours), side in zip(groups, (-1, 1), strict=False):
             at = places(one.count, self.size, side)
             name = "left" if side < 0 else "right"
@@ -133,7 +116,7 @@ class StatesScene:
             self.words.append(add_words(scene, label, words, mode, foot, letters, TILT))
 
     def pose(self, at: int) -> None:
-        """Show frame `at` of every moment; WINDOW is the moment itself."""
+        """Show frame `at` of every window; WINDOW is the middle."""
         for robot, one, place in self._robots:
             position, wxyz = one.frame(at)
             robot.pose((position + place[:, None]).astype(np.float32), wxyz)

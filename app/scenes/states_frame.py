@@ -1,39 +1,55 @@
-"""The browser frame that shows robots in states of a replay buffer, heavy and light ones."""
+"""The browser frame with robots in heavy and light states of a replay buffer."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.data.readers import Stamp, stamp
+from app.data import datasets, readers
+from app.data.buffer import WINDOW, windows
+from app.data.cache import VersionedCache
 from app.figures.scales import OCTAVES, octaves
 from app.scenes import states
 from app.scenes.colours import on_scale
 from app.scenes.control import Selection, StatesChoice
 from app.scenes.frame import Frame
-from app.scenes.states import WINDOW, StatesScene
+from app.scenes.states import StatesScene
 from app.scenes.words import Words
 from app.theme import COLUMNS, Mode
 from tom.data.transitions import Transitions
-from tom.envs import scene as geometry
 from tom.errors import UserError
-from tom.record import layout
+from tom.record import stamps
 from tom.record.reader import RunReader
 from tom.record.store import Store
+from tom.record.task_record import scene_of, task_of
 
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0}
 
 
-@lru_cache(maxsize=4)
-def _recorded(path: str, created: Stamp) -> tuple[Transitions, dict[str, NDArray]]:
-    reader = RunReader(path)
-    return reader.buffer()[0], reader.buffer_state()
+Recorded = tuple[Transitions, dict[str, NDArray]]
+_RECORDED: VersionedCache[Recorded] = VersionedCache(4)
+
+
+def _recorded(run: RunReader) -> Recorded:
+    """The rows of a run's buffer, and the simulator's state at each."""
+
+    def read() -> Recorded:
+        return run.buffer()[0], run.buffer_state()
+
+    return _RECORDED.get(str(run.path), read, stamps.buffer(run.path))
+
+
+def whose_rows(store: str, name: str) -> RunReader:
+    """The reader of the run or data set `name`. Raises UserError if there is none."""
+    if Store(store).has_folder(name):
+        return Store(store).run(name)
+    return readers.reader_at(Path(datasets.find(store, name).path))
 
 
 class StatesFrame(Frame):
-    """Heavy transitions on the left, light ones on the right; each can be seen moving."""
+    """Heavy transitions on the left, light ones on the right, all of them moving."""
 
     title = "Heavy and light"
     shadows = True
@@ -57,13 +73,11 @@ class StatesFrame(Frame):
         assert isinstance(choice, StatesChoice)
         if choice == self._drawn:
             return
-        run = Store(self.store).run(choice.run)
-        whose = str(run.path), stamp(run.path / layout.CONFIG)
-        recorded, state = _recorded(*whose)
-        if max((*choice.heavy, *choice.light), default=0) >= len(recorded):
-            _recorded.cache_clear()  # the run has gone on since it was read
-            recorded, state = _recorded(*whose)
-        env = run.env
+        run = whose_rows(self.store, choice.run)
+        recorded, state = _recorded(run)
+        env, known, model = run.env, task_of(run), scene_of(run)
+        if model is None:
+            raise UserError(f"there is nothing to draw of {env}: its states are curves on the page")
         ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
         if max((*choice.heavy, *choice.light), default=0) >= len(ended):
             raise UserError("these transitions are no longer in the run's record")
@@ -73,19 +87,19 @@ class StatesFrame(Frame):
             ("lightest", choice.light, choice.light_weights),
         ):
             if rows:
-                qpos = states.poses(env, recorded, state, states.moments(ended, rows))
-                one, height = states.group(env, qpos)
+                qpos = states.poses(known, recorded, state, windows(ended, rows))
+                one, height = states.group(model, qpos)
                 groups.append((_label(words, weights), one, _colours(weights, self.mode)))
-        self._draw(groups, height, env)
+        self._draw(groups, height, env, model.dt)
         self._drawn = choice
 
-    def _draw(self, groups: list, height: float, env: str) -> None:
+    def _draw(self, groups: list, height: float, env: str, dt: float) -> None:
         with self.client.atomic():
             self.clear()
             self._scene = StatesScene(self.client.scene, groups, height, self.mode)
             self._pose()
         if env != self._env:
-            self._env, self._dt = env, geometry.model(env).dt
+            self._env, self._dt = env, dt
             width, depth = 3.6 * (self._scene.size + states.MARGIN)
             away = 0.5 * width + 0.4
             self.look((0.1, -away, height + 1.0 + 0.35 * away), (0.1, 0.3 * depth, height + 0.5))
@@ -94,7 +108,7 @@ class StatesFrame(Frame):
         self._drawn = None
 
     def _scrubbed(self, event: viser.GuiEvent) -> None:
-        if event.client is not None:  # moved by the reader, not by what plays
+        if event.client is not None:  # moved by the user, not by playback
             with self._lock:
                 self._at = float(self.offset.value + WINDOW)
                 self._pose()

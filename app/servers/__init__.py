@@ -1,1 +1,1 @@
-"""The studio's processes: started, linked and ended together, and looked at from outside."""
+"""The studio's processes, which start and end together, and tools that look at its pages."""

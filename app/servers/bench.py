@@ -1,13 +1,13 @@
 """`tom bench studio`: how long the pages take over a store of many runs.
 
-The first row is the server's own reading of the whole store when it starts. A reader who opens the
-studio at that very moment waits for all of it and for the first page, which is the row `opened`.
-Every other row is one drawing of one page after that.
+The first row is the server's reading of the whole store when it starts. A user who opens the studio
+at that moment waits for all of it and for the first page: the row `opened`. Every other row is one
+drawing of one page after that, or `four readers`: the same page drawn for four browsers one after
+another, which is the time that the last of them waits.
 
-Pages are drawn in this process, without a browser: what is measured is reading, computing and
-writing down the figures. Not measured are the start of Python and of Streamlit, which know nothing
-of the store, and the browser's own work. CPU seconds beside wall-clock ones, as the machine may be
-busy.
+Pages are drawn in this process without a browser, so the times include reading, computing and
+serialising the figures, but neither the start of Python and Streamlit nor the browser's work. CPU
+seconds are given beside wall-clock seconds, because the machine may be busy.
 """
 
 import json
@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from PIL import Image
+from streamlit.testing.v1 import AppTest
 
 from app.data.studies import FOLDER, QUESTIONS, REPORT
 from app.links import Links
@@ -40,15 +41,17 @@ from tom.training.run import train
 RUNS, METRICS, POINTS = 200, 20, 300
 OPEN_S, ANSWER_S = 2.0, 0.5
 """the targets: opening the studio, and every page after that"""
+READERS = 4
+"""browsers that request a page at the same time; Python serves one after another"""
 ROAD = {"steps": 60, "fit_every": 30}
 PENDULUM = {"steps": 400}
 KINDS = (
     *(("road-and-rocks", learner, ROAD) for learner in ("mle", "tom")),
     *(("inverted-pendulum", learner, PENDULUM) for learner in ("mle", "pmac", "tom", "vagram")),
 )
-"""what is trained, in turn: task, learner, settings"""
+"""the trained runs, in turn: task, learner, settings"""
 STUDIES, FIGURES, LINES = 3, 2, 300
-"""of the page of studies: figures and lines of a table of each"""
+"""for the page of studies: number of figures and table lines of each"""
 PAGES = tuple(view.__name__.rpartition(".")[2] for view in VIEWS)
 HARNESS = (
     "import streamlit as st\n"
@@ -57,13 +60,13 @@ HARNESS = (
     "    from app.views import {0}\n"
     "    draw({0}.page)\n"
 )
-"""The first run of an AppTest looks through every installed package, which no server does then."""
+"""The first run of an AppTest searches all installed packages, unlike a running server."""
 TIMEOUT_S = 600
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What one thing took, CPU and wall-clock seconds; a target is for the CPU."""
+    """CPU and wall-clock seconds of one measurement; the target is for the CPU."""
 
     what: str
     cpu_s: float
@@ -76,7 +79,7 @@ class Answer:
 
 
 def make_store(folder: Path, runs: int) -> None:
-    """Train a short run of each kind, lengthen its curves, copy it until there are `runs`."""
+    """Train a short run of each kind, extend its curves, and copy it until there are `runs`."""
     for env, learner, settings in KINDS:
         config = resolve(env, learner, "smoke", settings)
         train(config, Store(folder), f"{env}-{learner}-0", rerun=False)
@@ -92,7 +95,7 @@ def make_store(folder: Path, runs: int) -> None:
 
 
 def make_studies(folder: Path) -> None:
-    """Studies as `tom reproduce` leaves them: figures of noise, a table, a report."""
+    """Make studies like those of `tom reproduce`: figures of noise, a table, a report."""
     noise = np.random.default_rng(0)
     for name in list(QUESTIONS)[:STUDIES]:
         study = folder / name
@@ -106,7 +109,7 @@ def make_studies(folder: Path) -> None:
 
 
 def _lengthen(run: Path) -> None:
-    """Spread the run's metrics and profiles over as many rows as a long training has."""
+    """Extend the run's metrics and profiles to the number of rows of a long training."""
     old = RunReader(run).metrics().ffill().bfill()
     last = int(old["env_step"].to_numpy().max())
     step = np.linspace(1, max(last, POINTS), POINTS).astype(int)
@@ -122,19 +125,15 @@ def _lengthen(run: Path) -> None:
 
 
 def measure(store: Path) -> Iterator[Answer]:
-    """Read the store, draw every page for the first time, then every page again."""
-    from streamlit.testing.v1 import AppTest
-
+    """Read the store, draw every page for the first time, again, and for four readers."""
     os.environ |= Links(store=str(store)).environment()
-    read = timed("store read", lambda: warm(str(store)))  # as a server does when it starts
+    read = timed("store read", lambda: warm(str(store)))  # as at the start of a server
     yield replace(read, target_s=None)
     opened: dict[str, AppTest] = {}
     for turn in ("first", "again"):
         for view in PAGES:
             if view not in opened:
-                opened[view] = AppTest.from_string(HARNESS.format(view), default_timeout=TIMEOUT_S)
-                opened[view].run()
-                opened[view].session_state["measured"] = True
+                opened[view] = _reader(view)
             answer = timed(f"{view}, {turn}", opened[view].run)
             if opened[view].exception:
                 raise RuntimeError(opened[view].exception[0].message)
@@ -142,24 +141,36 @@ def measure(store: Path) -> Iterator[Answer]:
             if len(opened) == 1 and turn == "first":
                 both = read.cpu_s + answer.cpu_s, read.wall_s + answer.wall_s
                 yield Answer(f"opened: store read + {view}, first", *both, OPEN_S)
+    for view in PAGES:
+        readers = [_reader(view) for _ in range(READERS)]
+        four = timed(f"{view}, four readers", lambda readers=readers: [r.run() for r in readers])
+        yield replace(four, target_s=OPEN_S)
+
+
+def _reader(view: str) -> AppTest:
+    """A browser's session on a page that is not drawn yet."""
+    reader = AppTest.from_string(HARNESS.format(view), default_timeout=TIMEOUT_S)
+    reader.run()
+    reader.session_state["measured"] = True
+    return reader
 
 
 def timed(what: str, do: Callable[[], object]) -> Answer:
-    """Do it once; the CPU time is that of all of this process's threads."""
+    """Time one call of `do`; the CPU time is that of all threads of this process."""
     wall, cpu = time.perf_counter(), time.process_time()
     do()
     return Answer(what, time.process_time() - cpu, time.perf_counter() - wall)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Make a store and measure: 0 when every page meets its target, 1 when not, 2 bad input."""
+    """Make a store and measure: 0 if every page meets its target, 1 if not, 2 for bad input."""
     parser = Parser(prog="tom bench studio")
     parser.add_argument("--runs", type=int, default=RUNS, help=f"runs in the store [{RUNS}]")
     parser.add_argument("--json", action="store_true", help="print JSON")
     args = parser.parse_args(argv)
     if args.runs < len(KINDS):
         parser.error(f"--runs {args.runs}: at least {len(KINDS)}, one of each kind")
-    logging.disable(logging.WARNING)  # Streamlit misses its server
+    logging.disable(logging.WARNING)  # Streamlit warns that there is no server
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         make_store(Path(folder) / "runs", args.runs)
         make_studies(Path(folder) / FOLDER)

@@ -1,4 +1,4 @@
-"""A headless Chromium of this machine, and pictures of what it shows."""
+"""A headless Chromium on this machine, and its screenshots."""
 
 import shutil
 import time
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 SETTLE_S = 45.0
-"""how long a page may take until its picture stands still (3D is drawn in software)"""
+"""time limit until a page's picture is stable (3D is rendered in software)"""
 PATIENCE_MS = 180_000
-"""a machine that trains at the same time takes its time for a picture"""
+"""time limit of a screenshot, long because the machine may be training"""
 DRAWN = """[...document.querySelectorAll(".plot")].every(
     (plot) => plot.querySelector(".main-svg, .failed")
 )"""
-"""every chart is there, or says why it is not"""
+"""whether every chart is there, or its error message"""
 CHROMIUM_FLAGS = (
     "--headless=new",
     "--no-sandbox",
@@ -35,7 +35,7 @@ CHROMIUM_FLAGS = (
 
 @contextmanager
 def chromium() -> Iterator["Browser"]:
-    """A headless Chromium of this machine. Raises UserError where there is none."""
+    """A headless Chromium on this machine. Raises UserError if there is none."""
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
         raise UserError("--screenshots needs Chromium: install it (apt-get install chromium)")
@@ -52,7 +52,7 @@ def chromium() -> Iterator["Browser"]:
 
 
 def settled_picture(page: "Page", *, whole: bool = True) -> bytes:
-    """The whole page, or what is seen of it without scrolling, once it has stopped changing."""
+    """A screenshot of the whole page, or of its visible part, once it has stopped changing."""
     page.set_default_timeout(PATIENCE_MS)
     page.wait_for_selector('[data-testid="stMainBlockContainer"]')
     page.wait_for_timeout(3000)
@@ -68,14 +68,14 @@ def settled_picture(page: "Page", *, whole: bool = True) -> bytes:
 
 
 def _close_notes(page: "Page") -> None:
-    """Close viser's note that 3D is drawn in software, which is so in a headless browser only."""
+    """Close viser's note on software rendering, which appears only in a headless browser."""
     for frame in page.frames:
         for button in frame.locator(".mantine-Notification-closeButton").all():
             button.click()
 
 
 def _grow(page: "Page") -> None:
-    """Make the window as high as the page, which scrolls inside a frame of its own."""
+    """Make the window as high as the page, which scrolls inside a frame."""
     height = page.evaluate("document.querySelector('[data-testid=stMain]').scrollHeight")
     size = page.viewport_size or {"width": 1280, "height": 900}
     page.set_viewport_size({"width": size["width"], "height": max(int(height), 600)})

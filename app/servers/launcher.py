@@ -1,4 +1,4 @@
-"""Starts Streamlit, the Rerun hub and the viser server, links them, and ends them together."""
+"""Start Streamlit, the Rerun hub and the viser server with their links, and end them together."""
 
 import os
 import secrets
@@ -22,18 +22,18 @@ from tom.record.rerun import hub
 DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
 RESTARTS = 3
-"""times that a viewer which died is started again"""
+"""maximum number of restarts of a dead viewer"""
 QUIET_S = 3600.0
 OPEN = (
     "tom studio: reachable from other machines, without a password: runs can be read by everybody "
     "who reaches this host"
 )
-"""after so long without a death its restarts are given back"""
+"""seconds without a death after which the restarts are counted anew"""
 
 
 @dataclass(frozen=True)
 class Studio:
-    """What is asked for. A `port` that is given must be free; without one a free one is found."""
+    """The options of a studio. A given `port` must be free; by default a free one is chosen."""
 
     store: Path
     host: str = "127.0.0.1"
@@ -59,7 +59,7 @@ def run(studio: Studio, *, browser: bool) -> int:
 
 @contextmanager
 def servers(studio: Studio, stopping: Event) -> Iterator[tuple[Links, list[Server] | None]]:
-    """The studio's servers, healthy; None in their place when they did not come up."""
+    """The studio's healthy servers; None if they did not start."""
     with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder:
         links = plan(studio, Path(folder))
         if studio.host not in LOOPBACK:
@@ -74,7 +74,7 @@ def servers(studio: Studio, stopping: Event) -> Iterator[tuple[Links, list[Serve
 
 
 def plan(studio: Studio, folder: Path) -> Links:
-    """Ports for every server. Raises UserError when the one asked for cannot be had."""
+    """The ports of all servers. Raises UserError if a requested one is not free."""
     try:
         port = _studio_port(studio.host, studio.port)
         taken = {port}
@@ -102,7 +102,7 @@ def plan(studio: Studio, folder: Path) -> Links:
 
 
 def build(links: Links, folder: Path) -> list[Server]:
-    """The three servers, Streamlit last: its pages point at the others."""
+    """The three servers, Streamlit last, because its pages refer to the others."""
     python = [sys.executable, "-m"]
     environment = {**links.environment(), "OMP_NUM_THREADS": "1"}
 
@@ -139,13 +139,13 @@ def _all_healthy(started: list[Server], stopping: Event) -> bool:
 
 
 class Restarts:
-    """Which viewers that died are started again: RESTARTS times each, anew after a quiet hour."""
+    """Decides which dead viewers restart: RESTARTS times each, counted anew after a quiet time."""
 
     def __init__(self) -> None:
         self._deaths: dict[str, list[float]] = {}
 
     def allow(self, name: str, now: float) -> bool:
-        """The viewer of this name has just died (`now` in seconds): it is to be started again."""
+        """Whether a viewer that died at `now` (seconds) is to be restarted."""
         deaths = self._deaths.setdefault(name, [])
         if deaths and now - deaths[-1] >= QUIET_S:
             deaths.clear()
@@ -154,9 +154,9 @@ class Restarts:
 
 
 def watch(running: Sequence[Server], stopping: Event, clock: Callable[[], float]) -> int:
-    """Wait for the end (0), or until Streamlit ends (1). A viewer that died is started again.
+    """Wait for the end (0), or until Streamlit ends (1). Dead viewers are restarted.
 
-    One that keeps dying is left dead: the pages do without it.
+    A viewer that keeps dying is not restarted; the pages work without it.
     """
     restarts, watched = Restarts(), list(running)
     while not stopping.wait(0.5):
@@ -177,7 +177,7 @@ def watch(running: Sequence[Server], stopping: Event, clock: Callable[[], float]
 
 
 def _leading_to(links: Links) -> Path:
-    """A file that leads a browser to the studio: everybody sees the words a browser starts with."""
+    """A file that redirects to the studio, because all users can see a browser's arguments."""
     path = Path(links.control).with_name("studio.html")
     path.write_text(f'<!doctype html><script>location.replace("{links.opened()}")</script>')
     return path

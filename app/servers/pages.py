@@ -1,4 +1,4 @@
-"""Streamlit's process: the pages, and the recordings that the Rerun viewer loads."""
+"""Streamlit's process: the pages, and the recordings for the Rerun viewer."""
 
 import logging
 import re
@@ -23,27 +23,27 @@ from app.guard import Guard
 from app.links import Links
 from app.parts import shortlinks
 from app.parts.plot import LIBRARY, LIBRARY_PATH
-from app.router import VIEWS
+from app.router import views
 from app.servers.shell import page_routes
 from app.theme import streamlit_options
+from tom import plugins
 from tom.errors import UserError
 from tom.machine.address import in_url
-from tom.record.reader import RunReader
 from tom.record.store import Store
 
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
-"""an evaluation episode on its own: step, number from 0, steps after which the ghost starts anew"""
+"""a single evaluation episode: step, number from 0, steps after which the ghost restarts"""
 
 ENTRY = Path(__file__).with_name("main.py")
 
 
 def routes(links: Links) -> list[Route]:
-    """What this server answers beside the pages."""
+    """The routes of this server besides the pages."""
 
     def recording(request: Request) -> Response:
         run_id, name = request.path_params["run"], request.path_params["name"]
-        # The viewer's page comes from another port, so the browser asks for leave to read.
+        # The viewer's page comes from another port, so reading needs CORS.
         headers = {"Access-Control-Allow-Origin": viewer_origin(request, links)}
         headers |= {"Vary": "Origin", "Cache-Control": "no-store"}
         if wanted := EPISODE.fullmatch(name):
@@ -56,10 +56,10 @@ def routes(links: Links) -> list[Route]:
         return FileResponse(path, media_type=RECORDING, headers=headers)
 
     def report(request: Request) -> Response:
-        path = studies.report(request.path_params["study"])
+        path = studies.report(request.path_params["study"], *studies.folders(links.store))
         if path is None:
             return PlainTextResponse("no such report", status_code=404)
-        # It holds its figures and its style, and needs no script and nothing from elsewhere.
+        # A report contains its figures and style; it needs no scripts or external resources.
         allowed = "sandbox; default-src 'none'; img-src data:; style-src 'unsafe-inline'"
         return FileResponse(path, headers={"Content-Security-Policy": allowed})
 
@@ -71,10 +71,10 @@ def routes(links: Links) -> list[Route]:
 
     def short(request: Request) -> Response:
         code = request.path_params["code"]
-        found = shortlinks.target(links.store, code)
-        if found is None:
+        target = shortlinks.target(links.store, code)
+        if target is None:
             return HTMLResponse(shortlinks.nowhere(code), status_code=404)
-        return RedirectResponse(found, status_code=302)
+        return RedirectResponse(target, status_code=302)
 
     return [
         Route("/v/{code}", short),
@@ -82,18 +82,18 @@ def routes(links: Links) -> list[Route]:
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
         Route(LIBRARY_PATH, library),
-        *page_routes([view.PATH for view in VIEWS]),
+        *page_routes([view.PATH for view in views()]),
     ]
 
 
 def app(links: Links) -> st.App:
-    """What this process serves, to those who may ask."""
+    """The application of this process, behind the access control."""
     guard = Middleware(Guard, links=links)
     return st.App(ENTRY.resolve(), routes=routes(links), middleware=[guard])
 
 
 def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
-    """A recording of one evaluation episode and its ghost; None where there is no such episode."""
+    """A recording of one evaluation episode and its ghost; None if there is no such episode."""
     try:
         run = Store(store).run(run_id)
         return replays.recording(run, step, index, horizon)
@@ -102,17 +102,21 @@ def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> byt
 
 
 def recording_path(store: str, run_id: str, name: str) -> Path | None:
-    """The file of a run's recording; None for anything that is not one."""
+    """The file of a run's recording; None if there is no such recording."""
     try:
-        files = RunReader(Store(store).resolve(run_id)).rrd_files()
+        files = Store(store).run(run_id).rrd_files()
     except UserError:
         return None
-    found = next((path for path in files if path.name == name), None)
-    return found if found is not None and found.is_file() and not found.is_symlink() else None
+    recording = next((path for path in files if path.name == name), None)
+    return (
+        recording
+        if recording is not None and recording.is_file() and not recording.is_symlink()
+        else None
+    )
 
 
 def viewer_origin(request: Request, links: Links) -> str:
-    """The one origin that may read recordings: the Rerun viewer on the host that was asked."""
+    """The only origin that may read recordings: the Rerun viewer on the requested host."""
     return f"http://{in_url(request.url.hostname or '')}:{links.rerun_port}"
 
 
@@ -125,9 +129,9 @@ def options(links: Links) -> dict:
         "server.fileWatcherType": "none",
         "server.showEmailPrompt": False,
         "browser.gatherUsageStats": False,
-        # Streamlit's cloud may else send messages to a page that it has opened.
+        # Otherwise Streamlit's cloud may send messages to a page that it has opened.
         "client.allowedOrigins": [],
-        # Whatever a user's own settings of Streamlit open:
+        # Override a user's own Streamlit settings:
         "server.enableAgentApi": False,
         "server.enableCORS": True,
         "server.enableStaticServing": False,
@@ -140,7 +144,7 @@ def options(links: Links) -> dict:
 
 
 def warm(store: str) -> None:
-    """Read every run's metrics: the first page that compares them finds them read."""
+    """Read all metrics into the cache, for the first page that compares runs."""
     for run in readers.listing(store).runs:
         readers.metrics(run)
 
@@ -148,6 +152,7 @@ def warm(store: str) -> None:
 def main() -> None:
     """Serve until SIGTERM."""
     logging.getLogger("streamlit").setLevel(logging.WARNING)
+    plugins.load()
     links = Links.from_environment()
     Thread(target=warm, args=(links.store,), daemon=True).start()
     app(links).run(config=options(links))

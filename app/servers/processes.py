@@ -1,19 +1,17 @@
-"""Servers as child processes: free ports, health, and an end that leaves no orphan."""
+"""Servers as child processes: free ports, health checks, and an end without orphans."""
 
 import http.client
 import os
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from tom.harmless import terminal
-from tom.machine import address
-from tom.machine.parent import end_with_parent
+from tom.machine import address, processes
 
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12
@@ -21,7 +19,7 @@ LOG_TAIL = 12
 
 @dataclass
 class Server:
-    """One server: how it is started, where it answers, where its output goes."""
+    """One server: its command, its address and its log."""
 
     name: str
     command: Sequence[str]
@@ -29,29 +27,21 @@ class Server:
     host: str
     port: int
     health: str
-    """path that answers 200 once the server is up"""
+    """path that returns 200 once the server is ready"""
     log: Path
-    process: subprocess.Popen[bytes] | None = field(default=None, init=False)
+    process: processes.Process | None = field(default=None, init=False)
 
     def start(self) -> None:
-        """Start it in a process group of its own, which ends with this process."""
+        """Start it in a new process group, which ends with this process."""
         with self.log.open("ab") as log:
-            self.process = subprocess.Popen(
-                self.command,
-                env={**os.environ, **self.environment},
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-                preexec_fn=end_with_parent if sys.platform == "linux" else None,
-            )
+            self.process = processes.start(self.command, log, {**os.environ, **self.environment})
 
     @property
     def running(self) -> bool:
         return self.process is not None and self.process.poll() is None
 
     def healthy(self) -> bool:
-        """It answers."""
+        """Whether it answers."""
         connection = http.client.HTTPConnection(self.host, self.port, timeout=2)
         try:
             connection.request("GET", self.health)
@@ -62,7 +52,7 @@ class Server:
             connection.close()
 
     def wait_until_healthy(self, deadline: float, stopped: Callable[[], bool]) -> bool:
-        """Wait until it answers; False when it ended, time ran out or the studio is to stop."""
+        """Wait until it answers; False if it ended, on a timeout, or if the studio stops."""
         while self.running and time.monotonic() < deadline and not stopped():
             if self.healthy():
                 return True
@@ -70,13 +60,13 @@ class Server:
         return False
 
     def tail(self) -> str:
-        """The last lines of what it printed."""
+        """The last lines of its output."""
         lines = self.log.read_text(errors="replace").splitlines() if self.log.exists() else []
         return "\n".join(map(terminal, lines[-LOG_TAIL:]))
 
 
 def stop(servers: Sequence[Server]) -> None:
-    """End every server with all that it started: first kindly, after a grace period not."""
+    """End every server with its children: SIGTERM, and after a grace period SIGKILL."""
     _signal(servers, signal.SIGTERM)
     deadline = time.monotonic() + STOP_GRACE_S
     for server in servers:
@@ -106,9 +96,9 @@ def free_port(host: str, preferred: int = 0) -> int:
 
 
 def is_free(host: str, port: int) -> bool:
-    """Nothing listens on `port` of `host`. Raises OSError for a host that is not this machine."""
+    """Whether `port` of `host` is free. Raises OSError for a host that is not this machine."""
     with socket.socket(address.family(host), socket.SOCK_STREAM) as probe:
-        # As the servers do: a port in TIME_WAIT counts as free.
+        # Like the servers: a port in TIME_WAIT counts as free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))

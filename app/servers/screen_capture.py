@@ -1,4 +1,4 @@
-"""Screen captures: an animation of a page that steps through the fits of a run, for a README."""
+"""Screen captures: an animation of a page that steps through a run's fits, for the README."""
 
 import io
 from collections.abc import Iterator, Sequence
@@ -21,54 +21,54 @@ if TYPE_CHECKING:
 
 FRAMES = 16
 FEWEST = 3
-"""fits that make a story"""
+"""maximum number of fits in an animation"""
 FRAME_MS, LAST_MS = 600, 2400
 WIDTH, HEIGHT = 1280, 800
 SHOWN_WIDTHS = (960, 720, 480)
-"""the first is what is wanted"""
+"""tried from the first on"""
 LIMIT_BYTES = 2_000_000
 """never exceeded"""
 QUALITIES = (80, 60, 40, 20)
 
 
 @dataclass(frozen=True)
-class Story:
-    """A page that shows one fit of a run after the other."""
+class Capture:
+    """A page that shows the fits of a run one after another."""
 
     view: str
     run_id: str
     steps: tuple[int, ...]
 
     def addresses(self) -> Iterator[str]:
-        """The page's path at every fit."""
+        """The page's path for every fit."""
         for step in self.steps:
             yield f"{self.view}?{urlencode({'run': self.run_id, 'step': step})}"
 
 
-def stories(store: Path) -> list[Story]:
+def stories(store: Path) -> list[Capture]:
     """The weights of the run with the most fits, and the road-and-rocks run with the most."""
     runs = [run for run in readers.listing(str(store)).runs if widgets.differs(run)]
-    found = []
+    captures = []
     for view, steps in (
         ("weights", {r.run_id: readers.profiles(r).env_step for r in runs if r.env != ROAD}),
         ("road", {r.run_id: readers.road_steps(r) for r in runs if r.env == ROAD}),
     ):
         run_id = max(steps, key=lambda name: len(steps[name]), default=None)
         if run_id is not None and len(steps[run_id]) >= FEWEST:
-            found.append(Story(view, run_id, spread(steps[run_id])))
-    return found
+            captures.append(Capture(view, run_id, spread(steps[run_id])))
+    return captures
 
 
 def spread(steps: Sequence[int] | np.ndarray) -> tuple[int, ...]:
-    """At most FRAMES of the steps, evenly, the first and the last among them."""
+    """At most FRAMES evenly spread steps, including the first and the last."""
     index = np.unique(np.linspace(0, len(steps) - 1, FRAMES).round().astype(int))
     return tuple(int(steps[i]) for i in index)
 
 
-def film(browser: "Browser", address: str, story: Story, target: Path) -> None:
-    """Open the page at every fit and write what is seen as a moving WebP.
+def film(browser: "Browser", address: str, story: Capture, target: Path) -> None:
+    """Open the page at every fit and write an animated WebP.
 
-    Raises UserError where it would be too large.
+    Raises UserError if it would be too large.
     """
     page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT}, color_scheme="light")
     frames = []
@@ -82,10 +82,10 @@ def film(browser: "Browser", address: str, story: Story, target: Path) -> None:
 
 
 def write(frames: Sequence[Image.Image], target: Path, limit: int = LIMIT_BYTES) -> tuple[int, int]:
-    """The frames one after the other, the last one longer; returns the width and the quality.
+    """Write the frames, the last one longer; returns the width and the quality.
 
-    Where they take more than `limit` bytes they get coarser, then smaller. Raises UserError, and
-    writes nothing, where that does not help.
+    If they take more than `limit` bytes, the quality is reduced, then the size. Raises UserError,
+    and writes nothing, if that is not enough.
     """
     size = 0
     for width in SHOWN_WIDTHS:

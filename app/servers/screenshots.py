@@ -1,4 +1,4 @@
-"""Pictures of every page, as a reader sees them: headless Chromium on the studio itself."""
+"""Screenshots of every page, by headless Chromium on a running studio."""
 
 import io
 import logging
@@ -21,9 +21,9 @@ MODES: tuple[Mode, ...] = ("light", "dark")
 def take(store: Path, folder: Path) -> int:
     """Write `<page>-<width>-<mode>.png` for every page into `folder`. Returns 0.
 
-    And `weights.webp` and `road.webp`, which move through the fits of a run that has several.
+    Also `weights.webp` and `road.webp`, animations over the fits of a run.
 
-    Raises UserError where the browser is missing, or where one that moves would be too large.
+    Raises UserError if the browser is missing, or if an animation would be too large.
     """
     views = _views()
     with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
@@ -50,7 +50,7 @@ def take(store: Path, folder: Path) -> int:
 
 
 def _views() -> tuple[ModuleType, ...]:
-    """The pages, by name: none is drawn here, so what they cache needs no server around it."""
+    """The pages. None is drawn here, so that their caches need no server."""
     get_logger("streamlit.runtime.caching.cache_data_api").setLevel(logging.ERROR)
     from app.router import VIEWS
 
@@ -58,7 +58,7 @@ def _views() -> tuple[ModuleType, ...]:
 
 
 def compact(picture: bytes) -> bytes:
-    """The same picture in 256 colours: a third of the bytes, no difference to the eye."""
+    """The same picture in 256 colours: a third of the bytes, without visible difference."""
     image = Image.open(io.BytesIO(picture)).convert("RGB")
     small = io.BytesIO()
     image.quantize(256, Image.Quantize.MEDIANCUT).save(small, "PNG", optimize=True)

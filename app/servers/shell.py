@@ -1,7 +1,7 @@
-"""The page in which the browser runs Streamlit, told where Streamlit is and given the studio's key.
+"""The page in which the browser runs Streamlit, with Streamlit's address and the studio's key.
 
-By itself Streamlit's page asks for its server below the address that was opened
-(`/compare/_stcore/health`) before it asks at the root: two errors in the console of each visit.
+Streamlit's own page first looks for its server below the opened address (`/compare/_stcore/health`)
+before it tries the root, which gives two errors in the console at each visit.
 """
 
 from collections.abc import Sequence

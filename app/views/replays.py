@@ -1,6 +1,4 @@
-"""Replays: every evaluation episode in 3D, beside it what the run's own model imagines."""
-
-from pathlib import Path
+"""Replays: every evaluation episode in 3D, with the prediction of the run's model."""
 
 import numpy as np
 import streamlit as st
@@ -9,28 +7,31 @@ from app import session, text
 from app.data import readers, replays
 from app.data.readers import RunInfo
 from app.data.replays import HORIZONS, Replay
+from app.figures.observations import observed_curves
 from app.figures.replay import error_curve, return_curve, reward_curve
-from app.parts import empty, rerun, widgets
+from app.parts import empty, player, rerun, widgets
 from app.parts.plot import Point, chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
 from app.theme import learner_label
-from tom.record import layout
-from tom.record.reader import RunReader
 
 TITLE = "Replays"
 ICON = ":material/replay:"
 PATH = "replays"
 
 VISER, RERUN = "3D scene", "Rerun"
-STAGE_HEIGHT = 640
+STAGE_HEIGHT = 520
+CURVE_HEIGHT = 150
+"""of one dimension's curves"""
+TICK_S = 0.5
+CHOSEN = "another episode was chosen"
 DEFAULT_HORIZON = 25
 
 
 def page() -> None:
     """A run, an evaluation, an episode; the robot, its return and its reward."""
     listing = readers.listing(session.links().store)
-    played = [run for run in listing.runs if RunReader(run.path).evaluation_steps()]
+    played = [run for run in listing.runs if readers.evaluation_steps(run)]
     if not played:
         st.info("No run has been evaluated yet: its episodes are recorded then.")
         return
@@ -38,8 +39,8 @@ def page() -> None:
     with top[0]:
         run = widgets.pick_run(played)
     with top[1]:
-        step = _pick_evaluation(RunReader(run.path).evaluation_steps())
-    returns = _returns(run.path, step, _stamp(run, step))
+        step = _pick_evaluation(readers.evaluation_steps(run))
+    returns = readers.returns(run, step)
     if not len(returns):
         st.warning("The episodes of this evaluation cannot be read.")
         return
@@ -47,12 +48,23 @@ def page() -> None:
         index = _pick_episode(returns)
     with top[3]:
         horizon = _pick_horizon()
-    replay = replays.load(RunReader(run.path), step, index, horizon)
+    replay = replays.load(readers.reader(run), step, index, horizon)
     if replay is None:
         st.warning("This episode cannot be read.")
         return
     _numbers(replay)
-    frame = _marked(replay)
+    _play(run, replay, returns, index, horizon)
+    empty.left_out(run, "other evaluations", "other episodes")
+    widgets.show_problems(run)
+
+
+@st.fragment(run_every=TICK_S)
+def _play(run: RunInfo, replay: Replay, returns: np.ndarray, index: int, horizon: int) -> None:
+    """The episode and its charts, which follow the clock of the scene during playback."""
+    if st.session_state.pop(CHOSEN, False):
+        st.rerun()  # the choice of a click here is read above
+    playing = player.follow(replay)
+    frame = player.marked(replay)
     left, right = st.columns([3, 2])
     with left:
         viewer = st.segmented_control(
@@ -60,13 +72,25 @@ def page() -> None:
             bind="query-params", label_visibility="collapsed",
         )  # fmt: skip
         if viewer == RERUN:
-            rerun.episode(run.run_id, step, index, horizon, STAGE_HEIGHT)
+            rerun.episode(run.run_id, replay.step, index, horizon, STAGE_HEIGHT)
         else:
-            stage(ReplayChoice(run.run_id, step, index, frame, horizon), STAGE_HEIGHT)
+            shown = player.choice(run.run_id, replay, index, horizon)
+            _scene(replay, frame, shown, playing=playing)
     with right:
         _curves(run, replay, returns, index, frame)
-    empty.left_out(run, "other evaluations", "other episodes")
-    widgets.show_problems(run)
+
+
+def _scene(replay: Replay, frame: int, choice: ReplayChoice, *, playing: bool) -> None:
+    """The robot in 3D, or curves of its observations if there is no robot."""
+    if replay.drawn:
+        stage(choice, STAGE_HEIGHT, player.PART, compact=True)
+        player.panel(replay, playing=playing)
+        return
+    with st.container(border=True):
+        ghost = "" if replay.imagined is None else "; in colour: as the model imagines them"
+        st.markdown(f"**Observations**{ghost}")
+        figure = observed_curves(replay, frame, CURVE_HEIGHT)
+        chart(figure, "replay observations", "observations of the episode, real and imagined")
 
 
 def _curves(run: RunInfo, replay: Replay, returns: np.ndarray, index: int, frame: int) -> None:
@@ -76,7 +100,7 @@ def _curves(run: RunInfo, replay: Replay, returns: np.ndarray, index: int, frame
         chart(figure, "replay returns", "return at every evaluation", _choose_episode)
 
     def mark(point: Point) -> None:
-        st.session_state["frame"] = min(round(point.x / replay.dt), replay.episode.length)
+        player.go_to(min(round(point.x / replay.dt), replay.episode.length))
 
     with st.container(border=True):
         st.markdown("**Reward of each step**: click to go there")
@@ -113,12 +137,22 @@ def _numbers(replay: Replay) -> None:
         st.caption(f"No ghost: {text.markdown(replay.no_ghost)}.")
     else:
         at, own = f"{replay.model_step:,}", replay.model_step == replay.step
+        if replay.ghost is None and replay.drawn:
+            st.caption(
+                "No ghost: what this task observes does not hold its joints; what the model "
+                f"imagined, of step {at}, is compared beside."
+            )
+            return
         whose = (
             f"the run's model of step {at}"
             if own
             else f"the model that the run kept, of step {at}: not the model of step {replay.step:,}"
         )
-        place = "" if replay.road else " Its place on the ground is integrated from its velocity."
+        place = (
+            ""
+            if replay.road or not replay.drawn
+            else " Its place on the ground is integrated from its velocity."
+        )
         st.caption(f"The ghost plays the recorded actions in {whose}.{place}")
 
 
@@ -133,7 +167,7 @@ def _pick_episode(returns: np.ndarray) -> int:
     if st.session_state.get("episode", 1) not in options:
         del st.session_state["episode"]
 
-    # What an option is called is what stands in the address.
+    # The address contains the option's text.
     chosen = st.selectbox(
         f"Episode (of {len(returns)})", options, format_func=str, key="episode", bind="query-params"
     )
@@ -155,25 +189,9 @@ def _pick_horizon() -> int:
     return int(chosen or DEFAULT_HORIZON)
 
 
-def _marked(replay: Replay) -> int:
-    """The step of the episode that is marked, from the slider, a click or the address."""
-    last = replay.episode.length
-    if not 0 <= st.session_state.get("frame", 0) <= last:
-        del st.session_state["frame"]  # it was chosen in a longer episode
-    return int(st.slider("Marked step", 0, last, key="frame", bind="query-params"))
-
-
 def _choose_episode(point: Point) -> None:
-    """A point of the curve is an evaluation; a mark above or below it one of its episodes."""
+    """Choose the evaluation of a clicked point, or the episode of a clicked mark."""
     episode = point.meta[point.index] if point.meta else 1
     st.session_state["step"], st.session_state["episode"] = int(point.x), episode
-    st.session_state["frame"] = 0
-
-
-def _stamp(run: RunInfo, step: int) -> tuple[int, int]:
-    return readers.stamp(Path(run.path) / layout.episodes(step))
-
-
-@st.cache_data(show_spinner=False, max_entries=256)
-def _returns(path: str, step: int, changed: tuple[int, int]) -> np.ndarray:
-    return np.array([e.undiscounted_return for e in RunReader(path).episodes(step)])
+    player.go_to(0)
+    st.session_state[CHOSEN] = True

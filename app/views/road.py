@@ -1,21 +1,21 @@
-"""Road and rocks: the weights over the map, in 3D and flat, and what they are good for."""
+"""Road and rocks: the weights on the map in 3D and 2D, and the resulting performance."""
 
 import pandas as pd
 import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.aggregate import curve_points
-from app.data.called import told_apart
+from app.data.called import names, told_apart
 from app.data.pictures import ENV, Picture
 from app.data.readers import RunInfo
 from app.figures.road import road_map
-from app.parts import asked, empty, widgets
+from app.parts import empty, pick, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import RoadChoice
 from app.scenes.export import as_html
 from app.theme import learner_label
+from tom.analysis.curves import curve_points
 from tom.metrics import describe
 from tom.record.reader import at_or_before
 
@@ -25,9 +25,9 @@ PATH = "road"
 
 HEIGHT = 620
 SMALL = 360
-"""height of a flat map where several stand side by side"""
+"""height of a flat map beside others"""
 BESIDE = 3
-"""runs at most beside the first one"""
+"""maximum number of runs beside the first one"""
 TABLE = {
     "weights/road_share": "weight on the road",
     "weights/road_ratio": "road : rocks, random data",
@@ -46,7 +46,7 @@ RATIO = (
 
 
 def page() -> None:
-    """A run and a fit; the 3D scene and the map of it; the numbers of every learner."""
+    """A run and a fit, its 3D scene and map, and the numbers of every learner."""
     runs = [r for r in readers.listing(session.links().store).runs if r.env == ENV]
     shown = [run for run in runs if readers.road_steps(run)]
     if not shown:
@@ -76,26 +76,23 @@ def page() -> None:
     _export(together)
     _every_learner(shown)
     for each in shown:
-        # Of those in the table alone, only what the table is made of.
+        # For runs that are only in the table, only the parts that the table needs.
         drawn = each in together
-        found = readers.problems(each) if drawn else readers.metrics_problems(each)
-        widgets.show_problems(each, found)
+        problems = readers.problems(each) if drawn else readers.metrics_problems(each)
+        widgets.show_problems(each, problems)
 
 
 def _pick_others(run: RunInfo, shown: list[RunInfo]) -> list[RunInfo]:
-    asked.tell("beside", {each.run_id for each in shown})
-    others = [other for other in shown if other.run_id != run.run_id]
-    chosen = st.multiselect(
-        "Side by side with", [other.run_id for other in others], max_selections=BESIDE,
-        key="beside", bind="query-params", placeholder="no other run",
-        on_change=asked.answered, args=("beside",),
-        filter_mode="contains", select_all=False,
-    )  # fmt: skip
-    return [other for name in chosen for other in others if other.run_id == name]
+    others = {other.run_id: other for other in shown if other.run_id != run.run_id}
+    called = {run_id: name for run_id, name in names(shown).items() if run_id in others}
+    chosen = pick.many(
+        "Side by side with", called, "beside", max_selections=BESIDE, placeholder="no other run"
+    )
+    return [others[run_id] for run_id in chosen]
 
 
 def _pictures(together: list[RunInfo], step: int) -> None:
-    """The 3D scene, and the map of each run: below it, or beside it where there is one run."""
+    """The 3D scene and the map of each run: below it, or beside it for a single run."""
     ids = tuple(each.run_id for each in together)
     if len(together) > 1:
         stage(RoadChoice(ids, step), HEIGHT)
@@ -134,12 +131,12 @@ def _flat_map(run: RunInfo, step: int, height: int, called: str = "") -> None:
 
 
 def _fit(run: RunInfo, step: int) -> Picture | None:
-    """A run's record at `step`, else its last before."""
+    """A run's record at `step`, else the last one before."""
     return readers.road_picture(run, at_or_before(readers.road_steps(run), step))
 
 
 def _export(runs: list[RunInfo]) -> None:
-    """A button that makes one HTML file of the runs' 3D scene, all fits, cars and arrows in it."""
+    """A button that exports the runs' 3D scene with all fits as one HTML file."""
     steps = sorted({step for run in runs for step in readers.road_steps(run)})
     mode = session.mode()
 
@@ -164,7 +161,7 @@ def _export(runs: list[RunInfo]) -> None:
 
 
 def comparison(runs: list[RunInfo]) -> pd.DataFrame:
-    """A row a run: the last value of each number that the claim rests on."""
+    """One row per run: the last value of each number of the claim."""
     rows = []
     for run in runs:
         frame = readers.metrics(run)
@@ -175,7 +172,7 @@ def comparison(runs: list[RunInfo]) -> pd.DataFrame:
 
 
 def last_value(frame: pd.DataFrame, metric: str, step: int | None = None) -> float:
-    """The last recorded value of a metric, at or before `step` where one is given."""
+    """The last recorded value of a metric, at or before `step` if given."""
     at, values = curve_points(frame, metric)
     values = values if step is None else values[at <= step]
     return float(values[-1]) if len(values) else float("nan")

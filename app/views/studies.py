@@ -1,4 +1,4 @@
-"""Studies: what `tom reproduce` found, with the figures, the tables and the whole report."""
+"""Studies: the results of `tom reproduce`, with figures, tables and the whole report."""
 
 from urllib.parse import quote
 
@@ -6,34 +6,37 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import text
-from app.data import studies
+from app import session, text
+from app.data import studies, trainings
 from app.data.studies import QUESTIONS, Study
+from app.data.trainings import Started
+from app.parts import form
 from tom.harmless import as_csv
+from tom.studies.each import FOLDER as CASES
 
 TITLE = "Studies"
 ICON = ":material/lab_profile:"
 PATH = "studies"
 
 SHORT = 20
-"""lines of a table that is seen at once; longer ones, of single values, are folded away"""
+"""maximum lines of a table that is shown unfolded; longer ones have single values"""
 LISTED = 200
-"""lines of a table that are shown; the file holds all"""
+"""maximum lines of a table that are shown; the file has all"""
 
 
 def page() -> None:
-    """One study of those that were computed; what the others are and how to compute them."""
-    found = studies.found()
-    if found:
-        by_name = {study.name: study for study in found}
+    """One of the computed studies; a list of the others, each with a button to run it."""
+    listed = studies.found(*studies.folders(session.links().store))
+    if listed:
+        by_name = {study.name: study for study in listed}
         chosen = st.segmented_control(
-            "Study", list(by_name), default=found[0].name, required=True, key="study",
+            "Study", list(by_name), default=listed[0].name, required=True, key="study",
             bind="query-params",
         )  # fmt: skip
-        _shown(by_name.get(chosen or "", found[0]))
+        _shown(by_name.get(chosen or "", listed[0]))
     else:
         st.info(f"No study has been computed yet: none lies in `{studies.FOLDER.absolute()}`.")
-    _missing({study.name for study in found})
+    _missing({study.name for study in listed})
 
 
 def _shown(study: Study) -> None:
@@ -42,6 +45,7 @@ def _shown(study: Study) -> None:
     if study.report is not None:
         address = f"/reports/{quote(study.name)}"
         head[1].link_button("Whole report", address, icon=":material/open_in_new:", width="stretch")
+    _said(study)
     for figure in study.figures:
         with st.container(border=True):
             if studies.is_picture(figure):
@@ -50,6 +54,22 @@ def _shown(study: Study) -> None:
                 st.warning(f"{text.markdown(figure.name)} cannot be read.")
     for path in study.tables:
         _table(study, path.name, studies.table(path))
+
+
+def _said(study: Study) -> None:
+    """The paper's claim, the result, and the command."""
+    left, right = st.columns([2, 3])
+    if study.claim:
+        with left, st.container(border=True):
+            st.markdown(f"**The paper.** {text.markdown(study.claim)}")
+    if study.found:
+        with right, st.container(border=True):
+            lines = "".join(f"\n- {text.markdown(line)}" for line in study.found)
+            st.markdown(f"**Found here.**\n{lines}")
+    if "command" in study.origin:
+        st.code(study.origin["command"], language="bash", wrap_lines=True)
+        made = [study.origin[name] for name in ("n", "made", "machine") if name in study.origin]
+        st.caption(text.markdown(" · ".join(made)))
 
 
 def _table(study: Study, name: str, table: pd.DataFrame | None) -> None:
@@ -71,7 +91,7 @@ def _lines(study: Study, name: str, table: pd.DataFrame) -> None:
         column: st.column_config.NumberColumn(format="%.4g")
         for column in table.select_dtypes("floating").columns
     }
-    shown = table.head(LISTED).replace(np.inf, np.nan)  # a level that was never reached
+    shown = table.head(LISTED).replace(np.inf, np.nan)  # infinity: a level was never reached
     st.dataframe(shown, hide_index=True, column_config=numbers, placeholder="-")
     st.download_button(
         "CSV", as_csv(table), f"{study.name}-{name}", "text/csv",
@@ -80,10 +100,64 @@ def _lines(study: Study, name: str, table: pd.DataFrame) -> None:
 
 
 def _missing(computed: set[str]) -> None:
-    others = {name: words for name, words in QUESTIONS.items() if name not in computed}
+    others = [name for name in QUESTIONS if name not in computed]
     if not others:
         return
     with st.expander("Studies that have not been computed here", expanded=not computed):
-        for name, words in others.items():
-            st.markdown(words)
-            st.code(f"tom reproduce {name}", language="bash")
+        if why := session.looks_on():
+            st.caption(why)
+        for name in others:
+            _offer(name, may_run=not why)
+        _progress()
+
+
+def _offer(name: str, *, may_run: bool) -> None:
+    st.markdown(QUESTIONS[name])
+    asked = studies.ABOUT_RUNS.get(name)
+    words = command(name, session.links().store)
+    shown = f"tom reproduce {name} {asked}" if asked else form.shown(words)
+    left, right = st.columns([5, 1], vertical_alignment="center")
+    left.code(shown, language="bash")
+    running = name in _running() and _running()[name].process.poll() is None
+    if asked:
+        right.caption("in a terminal, with the runs that it is about")
+    elif right.button("Run", key=f"run {name}", disabled=running or not may_run, width="stretch"):
+        _running()[name] = trainings.start(words)
+        st.rerun()
+
+
+def command(name: str, store: str) -> list[str]:
+    """The arguments of `tom` that compute a study on this machine."""
+    about_a_store = () if name in ("road", "tabular") else ("--store", store)
+    return ["reproduce", name, *about_a_store]
+
+
+@st.fragment(run_every=2)
+def _progress() -> None:
+    """The output of studies started here; the page is redrawn when one is done."""
+    for name, begun in list(_running().items()):
+        code = begun.process.poll()
+        if code is None:
+            _goes_on(name, begun)
+        elif any(study.name == name for study in studies.found(studies.FOLDER)):
+            del _running()[name]  # 1: computed, but a check of the acceptance failed
+            st.rerun()
+        else:
+            st.error(f"{name} ended without a result:", icon=":material/error:")
+            st.code(begun.tail(), language=None)
+
+
+def _goes_on(name: str, begun: Started) -> None:
+    kept = len(list((studies.FOLDER / name / CASES).glob("*")))
+    last = begun.tail().splitlines()[-1:] or ["started"]
+    left, right = st.columns([5, 1], vertical_alignment="center")
+    cases = f", {kept} cases kept" if kept else ""
+    left.caption(f"**{name}** runs{cases}: {text.markdown(last[0])}")
+    if right.button("Stop", key=f"stop {name}", width="stretch"):
+        begun.process.terminate()  # finished cases are stored; the same button resumes
+
+
+@st.cache_resource(show_spinner=False)
+def _running() -> dict[str, Started]:
+    """The studies started here by name, one dict for all pages of this studio."""
+    return {}

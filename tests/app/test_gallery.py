@@ -12,6 +12,7 @@ import streamlit as st
 from studio_pages import array, draw, figures, trace
 
 from app import text
+from app.data import studies
 from app.links import Links
 from app.theme import learner_label
 from tom.analysis.imagine import stored_step
@@ -19,6 +20,7 @@ from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
 from tom.record.files import read_json, size_of
 from tom.record.integrity import verify
+from tom.record.layout import STUDIES
 from tom.reports.index import index, small_copies
 from tom.reports.origin import run_hours
 from tom.reports.weighing_files import REPORT, of_run
@@ -26,6 +28,7 @@ from tom.reports.weighing_files import REPORT, of_run
 RUNS = Path(__file__).parents[2] / "runs"
 README = RUNS / "README.md"
 BYTES = 25_000_000
+STUDIES_BYTES = 3_000_000
 ROAD = "road-and-rocks"
 HOPPER = ("mle", "pmac", "tom", "vagram")
 
@@ -80,7 +83,10 @@ def test_its_readme_is_what_the_command_writes() -> None:
 def test_it_has_every_learner_side_by_side() -> None:
     found = Counter((run.env, run.learner) for run in COPIES)
     assert {found["road-and-rocks", learner] for learner in ("mle", "pmac", "tom")} == {8}
-    assert {found["inverted-pendulum", learner] for learner in LEARNER_NAMES} == {4}
+    pendulum = {name: found["inverted-pendulum", name] for name in LEARNER_NAMES}
+    assert {pendulum[name] for name in ("mle", "pmac")} == {5}
+    assert pendulum["tom"] == 10  # of two presets
+    assert {pendulum[name] for name in ("ratio", "vagram", "vagram-ensemble")} == {3}
     assert {found["hopper", learner] for learner in HOPPER} == {2}
     assert found["hopper", "sac"] == 1
     assert WEIGHINGS
@@ -88,6 +94,17 @@ def test_it_has_every_learner_side_by_side() -> None:
 
 def test_it_is_small() -> None:
     assert sum(size_of(path) for path in [*(run.path for run in COPIES), *WEIGHINGS]) < BYTES
+
+
+def test_its_studies_say_what_was_found_and_by_which_command() -> None:
+    found = studies.found(RUNS / STUDIES)
+    assert {study.name for study in found} >= {"footprint", "returns"}
+    for study in found:
+        assert study.claim, study.name
+        assert study.found, study.name
+        assert study.figures, study.name
+        assert study.origin["command"].startswith(f"tom reproduce {study.name}"), study.name
+    assert size_of(RUNS / STUDIES) < STUDIES_BYTES
 
 
 @pytest.mark.parametrize("run", EACH)
@@ -102,11 +119,17 @@ def test_live_draws_its_returns(run: RunReader) -> None:
 @pytest.mark.parametrize("run", EACH)
 @pytest.mark.usefixtures("shown")
 def test_compare_takes_all_seeds_of_it(run: RunReader) -> None:
-    seeds = [r for r in COPIES if (r.env, r.learner) == (run.env, run.learner)]
+    presets = sorted({r.preset for r in COPIES if (r.env, r.learner) == (run.env, run.learner)})
     table = draw("compare", env=run.env).dataframe[0].value.set_index("learner")
-    row = table.loc[learner_label(run.learner)]
-    assert row["n"] == len(seeds)
-    assert row["final"] == pytest.approx(np.mean([values(r, "eval/return")[1][-1] for r in seeds]))
+    rows = table.loc[[learner_label(run.learner)]]
+    groups = [[r for r in COPIES if alike(r, run, preset)] for preset in presets]
+    assert sorted(rows["n"]) == sorted(len(group) for group in groups)
+    finals = [np.mean([values(r, "eval/return")[1][-1] for r in group]) for group in groups]
+    assert sorted(rows["final"]) == pytest.approx(sorted(finals))
+
+
+def alike(run: RunReader, other: RunReader, preset: str) -> bool:
+    return (run.env, run.learner, run.preset) == (other.env, other.learner, preset)
 
 
 @pytest.mark.parametrize("run", EACH)

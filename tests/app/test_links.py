@@ -13,7 +13,9 @@ from studio_runs import ROAD_TOM
 from app.guard import Guard
 from app.links import Links
 from app.servers.pages import EPISODE, options, recording_path, routes, viewer_origin
+from app.theme import Mode
 
+MODES: tuple[Mode, ...] = ("dark", "light")
 LINKS = Links(store="/runs", port=8600, rerun_port=9090, viser_port=8080, control="/c", key="k")
 
 
@@ -23,11 +25,11 @@ def test_links_survive_the_environment(monkeypatch) -> None:
     assert Links.from_environment() == LINKS
 
 
-def test_the_live_viewer_reads_what_trains_from_the_hub() -> None:
-    address = urlsplit(LINKS.rerun_live("studio.local", "dark"))
+def test_the_live_viewer_reads_one_run_from_the_hub() -> None:
+    address = urlsplit(LINKS.rerun_live("studio.local", "a b", "dark"))
     assert address.netloc == "studio.local:9090"
     query = parse_qs(address.query)
-    assert query["url"] == ["http://studio.local:9090/live.rrd"]
+    assert query["url"] == ["http://studio.local:9090/live/a%20b.rrd"]
     assert query["theme"] == ["dark"]
 
 
@@ -47,8 +49,13 @@ def test_an_episode_is_shown_in_rerun() -> None:
 
 
 def test_a_viser_frame_carries_the_name_of_its_page() -> None:
-    query = parse_qs(urlsplit(LINKS.viser("localhost", "abc")).query)
+    query = parse_qs(urlsplit(LINKS.viser("localhost", "abc", "light")).query)
     assert query["websocket"] == ["ws://localhost:8080/abc"]
+
+
+def test_a_viser_frame_is_dark_before_its_server_says_so() -> None:
+    dark, light = (urlsplit(LINKS.viser("localhost", "abc", mode)).query for mode in MODES)
+    assert dark == f"{light}&darkMode"
 
 
 def test_a_wildcard_is_reached_by_the_loopback() -> None:

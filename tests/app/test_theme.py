@@ -1,5 +1,6 @@
 """Colours can be told apart and read."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -10,9 +11,12 @@ from app.theme import (
     BACKGROUND,
     DIVERGING,
     LEARNER_COLOURS,
+    NEUTRAL,
+    QUALITATIVE,
     Mode,
     learner_colour,
     learner_label,
+    ramp,
 )
 from tom.learners import LEARNERS
 
@@ -54,7 +58,7 @@ def test_every_learner_of_the_registry_has_its_own_colour() -> None:
 
 
 def test_a_newcomer_in_the_registry_gets_a_spare_colour(monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = LEARNERS["mle"]
+    entry = replace(LEARNERS["mle"], colour=None)
     monkeypatch.setitem(LEARNERS, "first", entry)
     monkeypatch.setitem(LEARNERS, "second", entry)
     assert learner_colour("first") != learner_colour("second")
@@ -72,9 +76,29 @@ def test_learners_differ_for_every_eye(vision: str) -> None:
     assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) >= 14
 
 
-def test_an_unknown_learner_keeps_one_colour_and_its_name() -> None:
-    assert learner_colour("mine") == learner_colour("mine")
-    assert learner_colour("mine") not in LEARNER_COLOURS.values()
+@pytest.mark.parametrize("vision", VISION)
+def test_groups_differ_for_every_eye_and_from_what_is_grey(vision: str) -> None:
+    seen = [lab(VISION[vision] @ light(colour)) for colour in (*QUALITATIVE, NEUTRAL)]
+    assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) >= 20
+
+
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_groups_stand_out_from_the_page(mode: Mode) -> None:
+    page = BACKGROUND[mode]
+    assert min(contrast(colour, page) for colour in QUALITATIVE) >= 3.0
+    assert min(contrast(colour, page) for colour in ramp(7, mode)) >= 2.8
+
+
+@pytest.mark.parametrize("vision", VISION)
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_an_ordered_scale_gets_lighter_for_every_eye(mode: Mode, vision: str) -> None:
+    lightness = [lab(VISION[vision] @ light(colour))[0] for colour in ramp(7, mode)]
+    assert (np.diff(lightness) > 3).all()
+
+
+def test_an_unknown_learner_is_neutral_and_keeps_its_name() -> None:
+    assert learner_colour("mine") == NEUTRAL
+    assert NEUTRAL not in LEARNER_COLOURS.values()
     assert learner_label("mine") == "mine"
 
 

@@ -1,7 +1,7 @@
-"""The examples of docs/extend.md, applied to a copy of the code and run."""
+"""The plug-ins of docs/extend.md, run from a folder that is not the source; and what goes wrong."""
 
+import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -10,84 +10,183 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-STEP = re.compile(
-    r"(?:New file `(?P<new>[^`]+)`|In `(?P<old>[^`]+)`, below `(?P<line>[^`]+)`):\n\n"
-    r"```python\n(?P<code>.*?)```",
-    re.DOTALL,
-)
-TRAIN = "-m tom train --env swimmer --preset smoke --steps 250 --no-rerun"
-LEARNERS = {"example": "--learner reward", "other": "--learner surprise --surprise.steps 50"}
+TRAIN = "train --preset smoke --steps 320 --no-rerun --store runs"
+PLUGINS = "--plugin surprise.py --plugin reward.py --plugin tasks.py"
 PAGE = """
+import os, sys
 from streamlit.testing.v1 import AppTest
 from app.links import Links
-import os, sys
-os.environ |= Links(store=sys.argv[1]).environment()
-app = AppTest.from_string("from app.views import pace\\npace.page()", default_timeout=60).run()
+os.environ |= Links(store="runs").environment()
+from tom import plugins
+plugins.load(["surprise.py", "reward.py", "tasks.py"])
+from app.router import views
+assert [view.PATH for view in views()][-1] == "own-pace"
+app = AppTest.from_string("from app.router import views\\nviews()[-1].page()", default_timeout=60)
+app.run()
 assert not app.exception, app.exception[0].message
-assert sorted(app.dataframe[0].value["run"]) == ["example", "other"]
-from app.router import VIEWS
-assert VIEWS[-1].PATH == "pace"
-from tom.record import RunReader
-profiles = RunReader(sys.argv[1] + "/example").profiles()
-assert 0 < profiles.ess[-1] < 0.999
+assert {"example", "other"} <= set(app.dataframe[0].value["run"])
+from app.theme import learner_colour, learner_label
+assert (learner_colour("surprise"), learner_label("surprise")) == ("#5f8a1f", "Surprise")
+from tom.plugins import CHARTS
 from app.data import readers
-from app.figures.surprise import reward_error
 from app.parts import widgets
-run = {run.run_id: run for run in readers.listing(sys.argv[1]).runs}["other"]
-assert widgets.differs(run)
+run = {run.run_id: run for run in readers.listing("runs").runs}["other"]
 curve = widgets.curve(run, "surprise/error")
-assert list(reward_error([curve], 300).data[0].y) == list(curve.value) and curve.value[-1] > 0
-from tom.metrics import METRICS
-assert "surprise/error" in METRICS
+drawn = CHARTS["surprise/error"]([curve], 300).data[0]
+assert list(drawn.y) == list(curve.value) and curve.value[-1] > 0
+live = AppTest.from_string("from app.views import live\\nlive.page()", default_timeout=60)
+live.query_params["runs"], live.query_params["curves"] = "other", "surprise/error"
+live.run()
+assert not live.exception, live.exception[0].message
 from app.parts.form import sections
 shown = {name: sections("swimmer", name, "paper") for name in ("surprise", "reward", "tom")}
 assert [name for name, groups in shown.items() if "surprise" in groups] == ["surprise"]
+assert {s.path: s.default for s in shown["tom"]["sac"]}["sac.discount"] == "0.995"
 from tom.studies.returns import PAPER_ENVS
 assert len(PAPER_ENVS) == 5 and "swimmer" not in PAPER_ENVS
 """
+WITHOUT = """
+import os, sys
+from streamlit.testing.v1 import AppTest
+from app.links import Links
+os.environ |= Links(store="runs").environment()
+from app.theme import NEUTRAL, learner_colour, learner_label
+assert (learner_colour("surprise"), learner_label("surprise")) == (NEUTRAL, "surprise")
+for name in ("live", "weights", "regions", "replays", "compare", "probe"):
+    script = f"from app.views import {name}\\n{name}.page()"
+    app = AppTest.from_string(script, default_timeout=60)
+    app.query_params["run"] = "other"
+    app.run()
+    assert not app.exception, (name, app.exception[0].message)
+assert not any(name.startswith("tom_plugin_") or name == "surprise" for name in sys.modules)
+"""
 
 
-def apply(match: re.Match[str], root: Path) -> None:
-    """Write the new file, or put the lines below the first one that begins as it is said."""
-    if match["new"]:
-        (root / match["new"]).write_text(match["code"])
-        return
-    path = root / match["old"]
-    lines = path.read_text().splitlines(keepends=True)
-    places = [i for i, text in enumerate(lines) if text.startswith(match["line"])]
-    assert places, f"{match['old']} has no line {match['line']}"
-    lines.insert(places[0] + 1, match["code"])
-    path.write_text("".join(lines))
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """The examples in a folder of their own."""
+    for path in (ROOT / "docs/examples").glob("*.py"):
+        shutil.copy(path, tmp_path)
+    return tmp_path
 
 
-def python(words: list[str], root: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
+def python(words: list[str], home: Path) -> tuple[int, str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [sys.executable, *words],
-        cwd=root,
+        cwd=home,
         env=environment,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    return done.returncode, (done.stderr if done.returncode else done.stdout).strip()
 
 
-@pytest.fixture
-def extended(tmp_path: Path) -> Path:
-    """The code with every example of the page in it."""
-    for package in ("tom", "app"):
-        shutil.copytree(ROOT / package, tmp_path / package)
-    steps = list(STEP.finditer((ROOT / "docs/extend.md").read_text()))
-    assert len(steps) == 16
-    for step in steps:
-        apply(step, tmp_path)
-    return tmp_path
+def tom(words: str, home: Path) -> tuple[int, str]:
+    return python(["-m", "tom", *words.split()], home)
 
 
-def test_what_is_added_as_the_page_says_works(extended: Path):
-    store = str(extended / "store")
-    for name, learner in LEARNERS.items():
-        words = f"{TRAIN} {learner} --run-id {name}".split()
-        python([*words, "--store", store], extended)
-    python(["-c", PAGE, store], extended)
+def works(words: str, home: Path) -> str:
+    code, said = tom(words, home)
+    assert code == 0, said
+    return said
+
+
+def refused(words: str, home: Path) -> str:
+    code, said = tom(words, home)
+    assert code == 2, said
+    assert len(said.splitlines()) == 1, said
+    return said
+
+
+def config(home: Path, run_id: str) -> dict:
+    return json.loads((home / "runs" / run_id / "config.json").read_text())
+
+
+def rows(home: Path, run_id: str) -> list[dict]:
+    found = (home / "runs" / run_id / "metrics.jsonl").read_text().splitlines()
+    return [
+        {k: v for k, v in json.loads(row).items() if not k.startswith("time/")} for row in found
+    ]
+
+
+def test_plugins_work_as_the_page_says(home: Path):
+    works(f"{TRAIN} --env swimmer --learner reward --run-id example {PLUGINS}", home)
+    surprise = "--env swimmer --learner surprise --surprise.steps 50"
+    works(f"{TRAIN} {surprise} --run-id other {PLUGINS}", home)
+    made = config(home, "other")
+    assert made["config"]["surprise"]["steps"] == 50
+    assert made["plugins"] == ["surprise.py", "tasks.py"]
+    assert made["task"]["obs_names"][0] == "body angle"
+    assert "surprise" not in config(home, "example")["config"]
+
+    found = python(["-c", PAGE], home)
+    assert found[0] == 0, found[1]
+    found = python(["-c", WITHOUT], home)
+    assert found[0] == 0, found[1]
+
+    said = refused("train --resume other --steps 340 --store runs", home)
+    assert "--plugin surprise.py" in said
+    said = refused("train --resume other --steps 340 --store runs --plugin surprise.py", home)
+    assert "--plugin tasks.py" in said
+    works(f"train --resume other --steps 400 --no-rerun --store runs {PLUGINS}", home)
+    longer = TRAIN.replace("320", "400")
+    works(f"{longer} {surprise} --run-id whole {PLUGINS}", home)
+    assert rows(home, "other")[-1] == rows(home, "whole")[-1]
+
+    weighing = "--learner surprise mle --seeds 0 --footprint 100 --surprise.steps 20 --json"
+    said = works(f"weigh other --policy other --store runs {weighing} {PLUGINS}", home)
+    assert [row["learner"] for row in json.loads(said)["results"]] == ["surprise", "mle"]
+
+
+def test_a_sweep_hands_its_plugins_on_and_changes_no_other_run(home: Path):
+    words = "sweep --env inverted-pendulum --preset smoke --steps 210 --store runs --jobs 1"
+    works(f"{words} --learner mle", home)
+    (before,) = (home / "runs").glob("inverted*")
+    said = works(f"{words} --learner mle surprise --surprise.steps 9 {PLUGINS}", home)
+    assert "2 of 2 runs finished" in said
+    names = sorted(path.name for path in (home / "runs").glob("inverted*"))
+    assert len(names) == 2
+    assert before.name in names
+
+
+def test_an_installed_package_is_loaded_and_a_broken_one_left_out(home: Path):
+    for name, target in (("own", "reward"), ("broken", "nowhere")):
+        folder = home / f"{name}-1.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (folder / "entry_points.txt").write_text(f"[tom_studio]\n{name} = {target}\n")
+    words = ["-m", "tom", *f"{TRAIN} --env hopper --learner reward --run-id one".split()]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{home}", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, *words], cwd=home, env=environment, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "plug-in broken is left out: No module named 'nowhere'" in done.stderr
+    assert config(home, "one")["plugins"] == ["own"]
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (None, "there is no such file"),
+        ("import absent", "ModuleNotFoundError"),
+        ("x = 1", "no function register"),
+        ("def register(r): r.learner('tom', 'T', None)", "a learner 'tom' already"),
+        ("def register(r): r.learner('A b', 'T', None)", "small letters"),
+        ("def register(r): r.learner('a', 'T', None, 'red')", "not written #rrggbb"),
+        ("def register(r): r.task('hopper', 'Hopper-v5')", "a task 'hopper' already"),
+        ("def register(r): r.metric('eval/return', '')", "a metric 'eval/return' already"),
+        ("def register(r): r.termination('never', None)", "a termination 'never' already"),
+        ("def register(r): r.nothing()", "AttributeError"),
+        ("def register(r): r.task('odd', 'CartPole-v1')", "Discrete"),
+    ],
+)
+def test_a_plugin_that_cannot_be_used_is_one_line(home: Path, content: str | None, named: str):
+    if content is not None:
+        (home / "own.py").write_text(content)
+    said = refused(f"{TRAIN} --env odd --learner mle --plugin own.py", home)
+    assert named in said
+    assert not (home / "runs").exists()

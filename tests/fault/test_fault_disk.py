@@ -11,8 +11,9 @@ from faults import assert_same_record, config, ended, one_line, stopped, tom, tr
 
 from tom.errors import UserError
 from tom.events import Event, Tick
-from tom.record import RunReader, RunWriter, Store, checkpoint
+from tom.record import RunReader, Store, checkpoint
 from tom.record.rerun.feed import stream
+from tom.record.writer import RunWriter
 from tom.training.resume import resume
 from tom.training.run import train
 
@@ -70,6 +71,20 @@ def test_disk_full_from_the_command_line__exit_1_and_one_line(small_disk: Path):
     assert "No space left" in error or "disk full" in error
     assert Store(small_disk / "store").run("a").status.state == "failed"
     filler.unlink()
+
+
+@pytest.mark.quick
+def test_disk_full_before_the_first_checkpoint__advises_no_resume(small_disk: Path):
+    store, full = Store(small_disk / "store"), filling_at(60, small_disk)
+    with pytest.raises(OSError, match=r"No space left|disk full"):
+        train(config(checkpoint_every=200), store, "a", rerun=False, watchers=full)
+    status = store.run("a").status
+    assert status.state == "failed"
+    assert "free some space, then start it again" in status.reason
+    assert "--resume" not in status.reason
+    (small_disk / ".filler").unlink()
+    with pytest.raises(UserError, match="no checkpoint that is whole"):
+        resume(store, "a", rerun=False)
 
 
 @pytest.mark.quick

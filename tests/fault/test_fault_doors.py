@@ -41,7 +41,7 @@ def no_run(run_id: str) -> Iterator[bytes]:
 @pytest.fixture
 def viewer() -> Iterator[int]:
     """The port of the Rerun viewer's page, with no run to show."""
-    server = web.Server("127.0.0.1", free_port("127.0.0.1"), {}, no_run)
+    server = web.ViewerServer("127.0.0.1", free_port("127.0.0.1"), {}, no_run)
     server.start()
     yield server.server_port
     server.shutdown()

@@ -4,6 +4,9 @@ import json
 import os
 import shutil
 import signal
+import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -12,11 +15,14 @@ from threading import Event as Flag
 import numpy as np
 import pandas as pd
 import pytest
-from faults import assert_same_record, config, ended, stopped, tom
+from faults import assert_same_record, config, stopped
 
+from app.parts import shortlinks
 from tom.cli import main
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint
+from tom.record.export import export_small
+from tom.record.integrity import repair, verify
 from tom.record.manage import restore, trash
 from tom.record.rerun.feed import stream
 from tom.training.resume import resume
@@ -236,7 +242,26 @@ def test_trash_behind_a_link__is_refused_and_nothing_leaves_the_store(store: Sto
     assert store.run("whole").status.state == "finished"
 
 
-def test_a_thousand_run_folders__are_all_listed(made: Path, tmp_path: Path):
+COUNT_OPENED = """
+import collections, json, pathlib, sys
+from tom.cli import main
+
+opened = collections.Counter()
+
+def watch(event, words):
+    if event == "open" and "/run-" in str(words[0]):
+        opened[pathlib.Path(words[0]).name] += 1
+
+sys.addaudithook(watch)
+main(sys.argv[1:])
+print(json.dumps(opened))
+"""
+"""runs the command that its words name, and prints how often it opened which file of a run"""
+
+
+def test_a_thousand_run_folders__are_all_listed_and_each_file_of_them_read_once(
+    made: Path, tmp_path: Path
+):
     path = tmp_path / "many"
     for number in range(1000):
         folder = path / f"run-{number:04d}"
@@ -244,9 +269,12 @@ def test_a_thousand_run_folders__are_all_listed(made: Path, tmp_path: Path):
         for name in ("config.json", "status.json", "metrics.jsonl"):
             os.link(made / "whole" / name, folder / name)
     assert len(Store(path).runs()) == 1000
-    code, out, _ = ended(tom("runs", "--store", path, "--json"))
-    assert code == 0
-    assert len(json.loads(out)) == 1000
+    counting = [sys.executable, "-c", COUNT_OPENED, "runs", "list", "--json", "--store", path]
+    done = subprocess.run(counting, capture_output=True, text=True, check=True)
+    listed, opened = map(json.loads, done.stdout.splitlines())
+    assert len(listed) == 1000
+    assert set(opened) <= {"config.json", "status.json", "labels.json"}
+    assert set(opened.values()) == {1000}
 
 
 def test_metrics_of_200_megabytes__are_read_whole_in_bounded_memory(store: Store):
@@ -335,3 +363,53 @@ def test_a_pipe_in_place_of_a_file__holds_nobody_up_and_is_named(
     if path.suffix == ".jsonl" or name == ".writer":
         with pytest.raises(UserError, match="is no file"):
             resume(store, "stopped", rerun=False)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", ["config.json", "status.json", "metrics.jsonl", "labels.json"])
+def test_a_socket_in_place_of_a_file__is_named(
+    store: Store, name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    run = store.path / "stopped"
+    (run / name).unlink(missing_ok=True)
+    monkeypatch.chdir(run)  # the path of a socket may have 108 characters
+    with socket.socket(socket.AF_UNIX) as one:
+        one.bind(name)
+    where = ["--store", str(store.path)]
+    assert main(["runs", "list", *where]) == 0
+    assert "whole" in capsys.readouterr().out
+    assert main(["runs", "verify", *where]) == 1
+    assert name in capsys.readouterr().out
+
+
+@pytest.mark.quick
+def test_a_pipe_in_place_of_the_page_about_small_copies__is_named(
+    store: Store, hurry: None, capsys: pytest.CaptureFixture[str], tmp_path: Path
+):
+    out = tmp_path / "out"
+    export_small(store.run("whole"), out)
+    os.mkfifo(out / "README.md")
+    assert main(["runs", "index", "--store", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert "README.md cannot be read (it is no file): move it away" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.quick
+def test_a_pipe_in_place_of_a_short_link__leads_nowhere(store: Store, hurry: None):
+    code = shortlinks.save(store.path, "compare", "env=hopper")
+    link = store.path / shortlinks.FOLDER / f"{code}.json"
+    link.unlink()
+    os.mkfifo(link)
+    assert shortlinks.target(store.path, code) is None
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", ["status.json", "digests.json"])
+def test_a_folder_in_place_of_a_file__is_set_aside_by_repair(store: Store, name: str):
+    run = store.run("whole")
+    (run.path / name).unlink()
+    (run.path / name).mkdir()
+    repair(run)
+    assert (run.path / "damaged" / name).is_dir()
+    assert verify(run) == []

@@ -25,8 +25,10 @@ from kernel import alive, descendants
 
 from tom.errors import UserError
 from tom.events import Metrics, Tick
-from tom.record import Recorder, RunReader, RunWriter, Store, lock
+from tom.record import RunReader, Store, lock
 from tom.record.lock import LostError
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 from tom.training.resume import resume
 from tom.training.run import train
 

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from importlib import import_module
 from pathlib import Path
 from threading import Event
@@ -41,6 +42,7 @@ from tom.training.run import train
 pytestmark = pytest.mark.fault
 
 NAMES = [view.__name__.rpartition(".")[2] for view in VIEWS]
+EYES = "tom_eyes"
 HOSTILE = "<img src=http://evil.example/x.png onerror=alert(1)>![x](http://evil.example/y.png)"
 ESCAPES = ("../../etc/passwd", "..", "a/../../b", "/etc/passwd", "\x00", HOSTILE, "' OR 1=1 --")
 
@@ -88,7 +90,8 @@ def harmless(app: AppTest) -> None:
     for block in app.get("html"):
         assert "<img" not in block.proto.body
     for part in app.get("bidi_component"):
-        assert "<img" not in part.proto.json
+        # The list of eyes makes text of what it is given (test_browser_address.py looks at it).
+        assert "<img" not in part.proto.json or part.proto.component_name == EYES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -205,6 +208,17 @@ def test_a_studio_killed_with_sigkill__leaves_no_orphan(made: Path):
         assert not is_taken(port)
 
 
+def held(port: int, timeout_s: float = 300) -> socket.socket:
+    """The port, taken by this test: a studio that has it now may end before the test does."""
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            return socket.create_server(("127.0.0.1", port))
+        except OSError:
+            assert time.monotonic() < deadline, f"another program keeps port {port}"
+            time.sleep(0.2)
+
+
 def test_a_taken_port__is_refused_in_one_line_when_asked_for_and_passed_over_when_not(made: Path):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -220,13 +234,8 @@ def test_a_taken_port__is_refused_in_one_line_when_asked_for_and_passed_over_whe
         code, _, error = ended(process)
         assert code == 2
         assert f"port {port} is taken" in one_line(error)
-    with socket.socket() as default:
-        default.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if default.connect_ex(("127.0.0.1", DEFAULT_PORT)) != 0:
-            default.close()
-            default = socket.create_server(("127.0.0.1", DEFAULT_PORT))
-        with default, studio(made) as (_, found):
-            assert found != DEFAULT_PORT
+    with held(DEFAULT_PORT), studio(made) as (_, found):
+        assert found != DEFAULT_PORT
 
 
 def test_servers_of_a_studio__listen_on_three_ports_of_the_loopback_and_send_no_statistics(

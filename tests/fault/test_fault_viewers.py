@@ -13,9 +13,10 @@ from kernel import megabytes
 from servers import answers, is_taken, live_hub
 
 from tom.events import Event, Tick
-from tom.record import RunReader, RunWriter, Store
+from tom.record import RunReader, Store
 from tom.record.recorder import Recorder
 from tom.record.rerun import hub
+from tom.record.writer import RunWriter
 from tom.training.run import train
 
 pytestmark = pytest.mark.fault

@@ -3,8 +3,9 @@ import pytest
 from gymnasium.spaces import Box
 from pydantic import ValidationError
 
-from tom.config import ADDED, OnlineConfig, RolloutConfig, TomConfig, completed
+from tom.config import ADDED, OnlineConfig, RolloutConfig, TomConfig, completed, flat
 from tom.envs import task
+from tom.training.plan import Trial
 from tom.training.presets import resolve
 
 
@@ -66,8 +67,22 @@ def test_settings_that_came_later_are_what_was_done_before():
     then = {k: dict(v) if isinstance(v, dict) else v for k, v in now.items()}
     for group, added in ADDED.items():
         for name in added:
-            del then[group][name]
-    assert completed(then) == now
+            then[group].pop(name, None)
+    assert completed(then) == completed(now)
     mended = resolve("hopper", "tom", "mended").model_dump(mode="json")
-    assert completed(mended) == mended
-    assert completed({"steps": 5}) == {"steps": 5}  # a group that is not there stays away
+    assert flat(completed(mended)).items() >= flat(mended).items()
+
+
+def test_a_rule_that_is_not_given_is_not_recorded_and_changes_no_name_of_a_run():
+    config = resolve("hopper", "tom")
+    assert "termination" not in config.model_dump(mode="json")["model"]
+    assert completed(config.model_dump(mode="json"))["model"]["termination"] is None
+    assert Trial("hopper", "tom", 0, "paper", {}).run_id == "hopper-tom-s0-eb0654a0"
+    assert Trial("humanoid", "vagram-ensemble", 0, "paper", {}).run_id.endswith("-1eff8e87")
+    given = resolve("hopper", "tom", "paper", {"model": {"termination": "never"}})
+    assert given.model_dump(mode="json")["model"]["termination"] == "never"
+    assert type(given).model_validate(completed(given.model_dump(mode="json"))) == given
+
+
+def test_a_group_that_is_not_there_stays_away():
+    assert completed({"steps": 5}) == {"steps": 5}

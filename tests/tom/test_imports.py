@@ -4,6 +4,8 @@ A room is a package, or one of the few modules that lie beside the packages.
 """
 
 import ast
+import subprocess
+import sys
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -18,12 +20,15 @@ ROOMS = {  # from the top down; README.md draws the same tree
         "bench",
         "sweep",
         "studies",
+        "studio",
+        "frames",
         "reports",
         "analysis",
         "training",
         "offline",
         "mbpo",
         "record",
+        "plugins",
         "road",
         "policy",
         "exams",
@@ -42,6 +47,7 @@ ROOMS = {  # from the top down; README.md draws the same tree
     ),
     "app": (
         "__main__",
+        "notebook",
         "servers",
         "router",
         "views",
@@ -117,6 +123,38 @@ def test_the_backend_knows_nothing_of_the_studio(path: Path):
     assert not top & {"app", "streamlit", "plotly", "viser"}
     if path.parent != ROOT / "tom" / "record" / "rerun":
         assert "rerun" not in top
+
+
+def test_reading_a_run_imports_little():
+    """What a page or a script that reads a run waits for: no simulator, no writer, no learner."""
+    code = "import sys, tom.record; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    ).stdout.split()
+    ours = {name for name in loaded if name.partition(".")[0] == "tom"}
+    assert len(ours) <= 22, sorted(ours)
+    assert not {"mujoco", "gymnasium", "rerun", "scipy"} & set(loaded)
+
+
+def test_the_studio_reads_run_folders_through_one_module():
+    """`app/data/readers.py` makes the readers; `app/servers/bench.py` writes its own runs."""
+    for module, path in MODULES.items():
+        if not module.startswith("app.") or module == "app.servers.bench":
+            continue
+        calls = (node for node in ast.walk(ast.parse(path.read_text())) if _makes_reader(node))
+        assert module == "app.data.readers" or not list(calls), module
+        assert "tom.record.layout" not in imported(path), module
+
+
+def test_there_is_one_way_to_start_a_process():
+    for module, path in MODULES.items():
+        if module != "tom.machine.processes":
+            names = {ast.unparse(node) for node in ast.walk(ast.parse(path.read_text()))}
+            assert "subprocess.Popen" not in names, module
+
+
+def _makes_reader(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func) == "RunReader"
 
 
 def test_learners_never_import_each_other():

@@ -1,4 +1,4 @@
-from collections.abc import Iterator
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +16,7 @@ from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import LEARNER_NAMES
 from tom.learners.base import Weighting
 from tom.mbpo import Mbpo
-from tom.nn.lockstep import Work
+from tom.nn.lockstep import Lockstep, Work
 from tom.policy.sac_work import SacUpdates
 from tom.training.presets import resolve
 
@@ -32,12 +32,17 @@ def run(config: OnlineConfig) -> tuple[Mbpo, list[Event]]:
     return training, list(training.events())
 
 
-def unfolded(training: Mbpo) -> Iterator[Event | Work]:
-    """What the run tells, and the pieces of its work, each handed out right before it is done."""
-    for item in training.algorithm():
-        yield item
-        if isinstance(item, Work):
-            type(item).do([item], item.subject)
+def unfolded(training: Mbpo) -> list[Event | Work]:
+    """What the run tells and the pieces of its work, in order."""
+    items: list[Event | Work] = []
+
+    class Noting(Lockstep):
+        def do(self, works: Sequence[Work]) -> None:
+            items.extend(works)
+            super().do(works)
+
+    assert Noting().run([lambda: items.extend(training.events())]) == [None]
+    return items
 
 
 def of(events: list[Event], kind: type) -> list:

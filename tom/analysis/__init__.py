@@ -1,1 +1,1 @@
-"""What finished runs and recorded data are asked: weights, models, statistics."""
+"""Analyses of finished runs and recorded data: weights, models, statistics."""

@@ -1,4 +1,4 @@
-"""What a run's own dynamics model makes of a recorded episode, given the recorded actions."""
+"""A run's dynamics model predicts a recorded episode, given the recorded actions."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -9,27 +9,25 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.config import ModelConfig
+from tom.data.transitions import Transitions
 from tom.dynamics import make_model
 from tom.dynamics.linear import LinearModel
-from tom.envs import MujocoTask, task
+from tom.envs import Task
 from tom.errors import UserError, reason
 from tom.events import Episode
-from tom.record import RunReader, checkpoint, layout
+from tom.exams.diagnostics import row_errors, step_scale
+from tom.record import RunReader, checkpoint
+from tom.record.task_record import task_of
 from tom.road.model import RoadModel
 
 BATCH = 4096
-"""rows that are predicted at once: more do not fit the processor's cache"""
-
-PLACES = (checkpoint.FOLDER, layout.MODEL)
-"""folders of a run that may hold its model"""
+"""rows predicted at once; more do not fit the processor's cache"""
 
 Floats = NDArray[np.float32]
-Stamps = tuple[tuple[int, int, int], ...]
-"""step, mtime_ns and size of files"""
 
 
 class Predictor(Protocol):
-    """What is asked of a dynamics model here: its mean."""
+    """A dynamics model as far as this module uses it: its mean."""
 
     def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The mean (reward (B,), next_obs (B, O)) for obs (B, O) and action (B, A)."""
@@ -38,7 +36,7 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True)
 class StoredModel:
-    """The dynamics model that a run ended with, fitted last at or before `env_step`."""
+    """The last dynamics model of a run, fitted at or before `env_step`."""
 
     env_step: int
     predictor: Predictor
@@ -46,33 +44,23 @@ class StoredModel:
 
 @dataclass(frozen=True)
 class Imagined:
-    """What a model makes of an episode of H steps; `obs[0]` is the real one."""
+    """A predicted episode of H steps; `obs[0]` is the real first observation."""
 
     obs: Floats  # (H + 1, O)
     reward: Floats  # (H,)
 
 
 def stored_step(run: RunReader) -> int | None:
-    """The step of the model that `stored_model` gives, whole or not; None where there is none."""
-    found = (checkpoint.newest(run.path / folder) for folder in PLACES)
+    """The env step of the stored model, which may be damaged; None if there is no model."""
+    found = (checkpoint.newest(run.path / folder) for folder in checkpoint.MODEL_PLACES)
     return next((step for step in found if step is not None), None)
 
 
-def stored_stamps(run: RunReader) -> Stamps:
-    """What `stored_model` depends on: changes whenever the run keeps another model."""
-    try:
-        config = (run.path / layout.CONFIG).stat()
-    except OSError:  # deleted at this moment
-        return ()
-    found = [checkpoint.stamps(run.path / folder) for folder in PLACES]
-    return ((0, config.st_mtime_ns, config.st_size), *found[0], *found[1])
-
-
 def stored_model(run: RunReader) -> StoredModel:
-    """The model in the newest checkpoint, or in a small copy. Raises UserError without one."""
+    """The model in the newest checkpoint or in a small copy. Raises UserError if there is none."""
     if not run.fits_model:
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
-    found = (checkpoint.load(run.path / folder) for folder in PLACES)
+    found = (checkpoint.load(run.path / folder) for folder in checkpoint.MODEL_PLACES)
     held = next((one for one in found if one is not None), None)
     if held is None:
         small = "model" in run.left_out
@@ -90,8 +78,8 @@ def stored_model(run: RunReader) -> StoredModel:
 def _predictor(run: RunReader, state: dict[str, Any]) -> Predictor:
     if run.env == "road-and-rocks":
         return RoadModel(LinearModel(state["coefficients"]))
-    known = task(run.env)
-    # The model's settings alone: another version may have other ones elsewhere.
+    known = task_of(run)
+    # Only the model's settings: other groups may differ in another version.
     config = ModelConfig.model_validate(run.config["config"]["model"])
     model = make_model(known.obs_dim, known.action_dim, config, torch.Generator())
     model.load_parameters(state["model"])
@@ -100,11 +88,11 @@ def _predictor(run: RunReader, state: dict[str, Any]) -> Predictor:
 
 @torch.no_grad()
 def imagine(model: Predictor, episode: Episode, horizon: int) -> Imagined:
-    """Play the recorded actions in the model's mean, from the real state every `horizon` steps.
+    """Play the recorded actions in the model's mean, restarting from the real state.
 
-    Step t is predicted from what was imagined at t, or from the real state where t is a multiple
-    of `horizon`; so every imagined state is 1 to `horizon` steps away from a real one. From where
-    a model's numbers are no longer finite, they stay what they were.
+    Step t is predicted from the imagined state at t, or from the real state if t is a multiple of
+    `horizon`; so every imagined state is 1 to `horizon` steps away from a real one. Once a
+    prediction is not finite, the last finite state is repeated.
     """
     if horizon < 1:
         raise ValueError(f"horizon must be at least 1, not {horizon}")
@@ -124,30 +112,29 @@ def imagine(model: Predictor, episode: Episode, horizon: int) -> Imagined:
 
 
 @torch.no_grad()
-def step_errors(model: Predictor, obs: NDArray, action: NDArray, next_obs: NDArray) -> Floats:
+def step_errors(model: Predictor, transitions: Transitions) -> Floats:
     """One-step error (N,) of the predicted next state, root mean square over dimensions.
 
-    Each dimension in standard deviations of its change over these rows, as `model/error_policy`.
+    Each dimension is divided by the standard deviation of its change over these rows, as in
+    `model/error_policy`.
     """
-    state, control, target = (torch.as_tensor(x).float() for x in (obs, action, next_obs))
-    scale = (target - state).std(0, correction=0).clamp(min=1e-6)
-    parts = []
-    for first in range(0, len(state), BATCH):
-        rows = slice(first, first + BATCH)
-        _, predicted = model.predict(state[rows], control[rows])
-        parts.append(((predicted - target[rows]) / scale).square().mean(1).sqrt())
+    rows = transitions.torch()
+    scale, parts = step_scale(rows), []
+    for first in range(0, len(rows), BATCH):
+        part = rows[first : first + BATCH]
+        _, predicted = model.predict(part.obs, part.action)
+        parts.append(row_errors(predicted - part.next_obs, scale))
     return torch.cat(parts).numpy() if parts else np.zeros(0, np.float32)
 
 
-def joint_positions(
-    known: MujocoTask, episode: Episode, obs: NDArray, dt: float, horizon: int
-) -> Floats:
-    """Joint positions (H + 1, nq) that belong to an episode's imagined observations (H + 1, O).
+def joint_positions(known: Task, episode: Episode, obs: NDArray, dt: float, horizon: int) -> Floats:
+    """Joint positions (H + 1, nq) for an episode's imagined observations (H + 1, O).
 
-    An observation leaves out the root's place on the ground: it is integrated from the root's
-    velocity (trapezoids of `dt` seconds), from the real place every `horizon` steps.
+    Observations leave out the root's position on the ground. It is integrated from the root's
+    velocity (trapezoid rule, `dt` seconds), from the real position every `horizon` steps.
     """
     assert episode.qpos is not None, "an episode of a MuJoCo task"
+    assert known.root_dims is not None, "whose observations hold the joints"
     qpos = known.qpos_from_obs(np.asarray(obs, np.float32)).copy()
     roots = known.root_dims
     moving = slice(known.nq - roots, known.nq)  # the root's velocity, first of the velocities

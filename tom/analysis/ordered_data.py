@@ -9,20 +9,20 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.data.datasets import initial_obs, read_dataset
+from tom.data.datasets import FORMATS, initial_obs, read_dataset
 from tom.data.transitions import TensorTransitions, Transitions
-from tom.envs import ENVS, MujocoTask, task
+from tom.envs import ENVS, ROAD, GymnasiumTask, Task, task
 from tom.errors import UserError
-from tom.record import RunReader, Store
+from tom.record import RunReader, Store, layout
 
 
 @dataclass(frozen=True)
 class OrderedData:
-    """N transitions in the order of collection, actions in [-1, 1]; random ones come first.
+    """N transitions in the order of collection, actions in [-1, 1]; random data comes first.
 
-    `policy_version` (N,) says which policy collected each row; where that is not known every row
-    has its own, as with SAC, which changes after every step. `initial_obs` (M0, O) are the
-    episodes' starts.
+    `policy_version` (N,) says which policy collected each row. If that is not known, every row has
+    a version of its own, as in SAC, which changes after every step. `initial_obs` (M0, O) are the
+    first observations of the episodes. `stored`: the rows belong to the run `name` in the store.
     """
 
     name: str
@@ -31,31 +31,31 @@ class OrderedData:
     policy_version: Tensor
     initial_obs: Tensor
     ordered_from: int  # rows before it are random data
+    stored: bool = False
 
     def __len__(self) -> int:
         return len(self.transitions)
 
     def in_order(self, order: NDArray[np.int64]) -> "OrderedData":
-        """The rows stored in another order, (N,) row numbers. Versions follow the storage."""
+        """The rows permuted by `order`, (N,) row numbers. Versions keep their positions."""
         return replace(self, transitions=self.transitions[torch.from_numpy(order)])
 
 
 def load_data(
     name: str, store: Store, env: str | None = None, step: int | None = None
 ) -> OrderedData:
-    """A run of the store, a run folder, a D4RL file or a Minari folder.
+    """Load a run of the store, the folder of a run or of a weighing with its rows, or a dataset.
 
-    `env` names the task that a dataset was recorded in: its actions are in the task's own units.
-    `step` asks for a run's buffer as it was at that env step. Raises UserError.
+    `tom.data.datasets.FORMATS` lists the formats of datasets.
+
+    `env` names the task of a dataset, whose actions are in the task's own units. `step` selects a
+    run's buffer as it was at that env step. Raises UserError.
     """
-    run = find_run(name, store)
+    run = _kept_rows(name) or find_run(name, store)
     if run is not None:
         return of_run(run, step)
     if not Path(name).exists():
-        raise UserError(
-            f"no data '{name}': name a run of {store.path}/, a run folder, a D4RL file (.hdf5) "
-            "or a Minari folder"
-        )
+        raise UserError(f"no data '{name}': name a run of {store.path}/, a run folder, {FORMATS}")
     if step is not None:
         raise UserError(
             f"--step {step} is a step of a run, and {name} is none: leave it out, and name "
@@ -67,6 +67,12 @@ def load_data(
     rows = read_dataset(name)
     _check_dims(name, rows, known)
     rows = replace(rows, action=to_unit_range(np.asarray(rows.action), known))
+    if isinstance(known, GymnasiumTask):
+        rows = replace(
+            rows,
+            obs=known.unit_obs(np.asarray(rows.obs)),
+            next_obs=known.unit_obs(np.asarray(rows.next_obs)),
+        )
     return OrderedData(
         name=Path(name).stem,
         env=env,
@@ -78,14 +84,14 @@ def load_data(
 
 
 def of_run(run: RunReader, step: int | None = None) -> OrderedData:
-    """All that a run collected, or what its replay buffer held at env step `step`.
+    """All transitions that a run collected, or its replay buffer at env step `step`.
 
-    Raises UserError when there is nothing, or no such step.
+    Raises UserError if there are none, or no such step.
     """
-    if run.env not in ENVS:  # road-and-rocks has no policy that could be played here
+    if run.env == ROAD:  # road-and-rocks has no policy to play here
         raise UserError(
             f"run {run.run_id} is of {run.env}, which cannot be weighed: name one of "
-            + ", ".join(ENVS)
+            + ", ".join((*ENVS, "any Gymnasium task"))
         )
     rows, version = run.buffer()
     if run.problems or not len(rows):
@@ -96,17 +102,20 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
     _check_dims(run.run_id, rows, task(run.env))
     settings = run.config.get("config", {})
     random_rows = int(settings.get("exploration_steps" if run.fits_model else "steps", 0))
+    if not run.is_run:
+        random_rows = int(run.config.get("ordered_from", 0))
     kept = slice(None) if step is None else _held_at(step, run, len(rows))
-    starts = initial_obs(rows[: kept.stop])  # of episodes whose rows may have been dropped, too
+    starts = initial_obs(rows[: kept.stop])  # also of episodes whose rows have left the buffer
     rows, version = rows[kept], version[kept]
     random_rows -= kept.start or 0
     return OrderedData(
-        name=run.run_id,
+        name=run.run_id if run.is_run else str(run.config.get("data", run.run_id)),
         env=run.env,
         transitions=rows.torch(),
         policy_version=torch.from_numpy(version),
         initial_obs=torch.as_tensor(starts),
         ordered_from=max(min(random_rows, len(rows) - 1), 0),
+        stored=run.is_run,  # a weighing's folder also holds rows
     )
 
 
@@ -136,15 +145,28 @@ def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
     )
 
 
-def to_unit_range(action: NDArray, known: MujocoTask) -> NDArray[np.float32]:
+def to_unit_range(action: NDArray, known: Task) -> NDArray[np.float32]:
     """Actions (N, A) in the task's own control range, rescaled to [-1, 1]."""
+    low, high = action_bounds(known)
+    return ((2 * action - (high + low)) / (high - low)).astype(np.float32)
+
+
+def action_bounds(known: Task) -> tuple[NDArray, NDArray]:
+    """The least and the largest action of a task, (A,) each, in its own units."""
     space = known.make().unwrapped.action_space
     assert isinstance(space, Box)
-    return ((2 * action - (space.high + space.low)) / (space.high - space.low)).astype(np.float32)
+    return space.low, space.high
+
+
+def _kept_rows(name: str) -> RunReader | None:
+    """The rows that a weighing keeps, whose folder is `name`: they are read as a run's are."""
+    path = Path(name).absolute()
+    weighing = path.parent.name == layout.WEIGHINGS and (path / layout.CONFIG).is_file()
+    return RunReader(path) if weighing else None
 
 
 def find_run(name: str, store: Store) -> RunReader | None:
-    """The run called `name`, an id in the store or a folder; None where there is no such run."""
+    """The run called `name`, an id in the store or a folder; None if there is no such run."""
     path = Path(name)
     if (path / "config.json").is_file():
         return Store(path.absolute().parent).run(path.absolute().name)
@@ -153,7 +175,7 @@ def find_run(name: str, store: Store) -> RunReader | None:
 
 
 def _held_at(step: int, run: RunReader, rows: int) -> slice:
-    """Which of its recorded `rows` a run's replay buffer held at env step `step`."""
+    """The slice of a run's recorded `rows` that its replay buffer held at env step `step`."""
     if not run.fits_model or not 0 < step <= rows:
         has = f"{rows} steps" if run.fits_model else "no fits of a model"
         raise UserError(f"run {run.run_id} has {has}: --step {step} is none of them")
@@ -161,7 +183,7 @@ def _held_at(step: int, run: RunReader, rows: int) -> slice:
     return slice(max(step - capacity, 0), step)
 
 
-def _check_dims(name: str, rows: Transitions, known: MujocoTask) -> None:
+def _check_dims(name: str, rows: Transitions, known: Task) -> None:
     dims = rows.obs.shape[1], rows.action.shape[1]
     if dims != (known.obs_dim, known.action_dim):
         raise UserError(

@@ -1,6 +1,6 @@
-"""What a weight profile over an ordered buffer says: do the weights follow the policy?
+"""Do weights follow the policy? Statistics of a weight profile over an ordered buffer.
 
-The buffer's first part is random data, its second part comes from a policy that was learning, in
+The first part of the buffer is random data, the second part comes from a policy while it learns, in
 order (paper, section 5.2, "Analysis of TOM Importance Weights"). Pure functions of weights.
 """
 
@@ -10,22 +10,22 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
-from tom.data.sampling import bin_means, ess
+from tom.data.sampling import bin_means, ess, zero_share
 
 BINS = 20
 DECILES = 10
-LATE = 2  # deciles, and bins, that count as the very end
+LATE = 2  # number of last deciles, and of last bins, that count as the end
 
 
 @dataclass(frozen=True)
 class Progression:
     """One learner's weights along one ordered buffer; every mean in units of the mean weight.
 
-    `random_mean` is None where the buffer has no random part. `first_rise` is the first decile
-    (1 to 10) of the ordered part that counts more than a uniform weight would, None if none does.
+    `random_mean` is None if the buffer has no random part. `first_rise` is the first decile (1 to
+    10) of the ordered part whose mean weight is above 1, None if there is none.
     """
 
     random_mean: float | None
@@ -38,7 +38,7 @@ class Progression:
 
     @property
     def rises_before_end(self) -> bool:
-        """Whether an early decile already counts more than a uniform weight would."""
+        """Whether the first decile with a mean weight above 1 is an early one."""
         return self.first_rise is not None and self.first_rise <= DECILES - LATE
 
     def row(self) -> dict[str, Any]:
@@ -61,17 +61,17 @@ def progression(weights: NDArray, ordered_from: int) -> Progression:
         spearman=rank_correlation(np.arange(DECILES), deciles),
         first_rise=int(above[0]) + 1 if len(above) else None,
         ess=ess(w),
-        zeros=float((w == 0).mean()),
+        zeros=zero_share(w),
     )
 
 
 def rank_correlation(x: NDArray, y: NDArray) -> float:
     """Spearman's rank correlation of x and y (n,), ties ranked alike; 0 where one is constant."""
-    # Mean weights are of order one: bins that differ by rounding alone are ties.
-    ranks = rankdata(np.round(x, 9)), rankdata(np.round(y, 9))
+    # Mean weights are of order one: bins that differ only by rounding are ties.
+    ranks = [pd.Series(np.round(values, 9)).rank().to_numpy() for values in (x, y)]
     if min(np.ptp(r) for r in ranks) == 0:
         return 0.0
-    return float(np.corrcoef(*ranks)[0, 1])
+    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])
 
 
 def same_profile(weights: NDArray, others: NDArray) -> float:
@@ -80,7 +80,7 @@ def same_profile(weights: NDArray, others: NDArray) -> float:
 
 
 def medians(reports: Sequence[Progression]) -> dict[str, float | None]:
-    """Median over seeds of the numbers that the acceptance looks at."""
+    """Medians over seeds of the numbers in the acceptance test."""
     names = ("random_mean", "last_two", "spearman", "ess", "zeros")
     columns = {name: [getattr(report, name) for report in reports] for name in names}
     return {name: None if None in values else median(values) for name, values in columns.items()}

@@ -1,8 +1,9 @@
-"""Honest numbers over seeds and tasks, after Agarwal et al. 2021 (the rliable paper).
+"""Statistics over seeds and tasks, after Agarwal et al. 2021 (the rliable paper).
 
-Scores are a matrix (runs, tasks): a row a seed, a column a task, NaN where a run is missing. A
-statistic takes the tasks as separate samples, as `scipy.stats.bootstrap` gives them. Knows nothing
-of runs on disk or of figures. To average over tasks, bring their scores onto one scale first.
+Scores are a matrix (runs, tasks): one row per seed, one column per task, NaN for a missing run. A
+statistic takes the tasks as separate samples, as `scipy.stats.bootstrap` passes them. To average
+over tasks, bring their scores onto one scale first. This module knows neither run folders nor
+figures.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,17 +20,17 @@ Statistic = Callable[..., Array]
 LEVEL = 0.95  # of every interval and band
 RESAMPLES = 2000
 ENOUGH = 10
-"""Fewer seeds than this are called few."""
+"""With fewer seeds than this a result carries a remark."""
 
 COVERAGE = {2: 51, 3: 74, 4: 79, 5: 84, 6: 85, 7: 87, 8: 89, 9: 89}
-"""How many of 100 nominal 95 % intervals of n normal scores hold their true mean (measured)."""
+"""Measured coverage, in percent, of nominal 95 % intervals of n normal scores."""
 
-_BATCH_NUMBERS = 4_000_000  # so many are resampled at once: bounds a bootstrap's memory
+_BATCH_NUMBERS = 4_000_000  # resampled at once, which bounds a bootstrap's memory
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A statistic and its bootstrap interval; the bounds are NaN where a task has one run."""
+    """A statistic and its bootstrap interval; the bounds are NaN if a task has only one run."""
 
     value: float
     low: float
@@ -40,16 +41,9 @@ class Interval:
         return f"{self.value:.4g}{bounds}"
 
 
-@dataclass(frozen=True)
-class Summary:
-    """The three aggregates of a matrix of scores; `remark` says what they cannot carry."""
-
-    runs: int
-    tasks: int
-    mean: Interval
-    median: Interval
-    iqm: Interval
-    remark: str
+def draws() -> np.random.Generator:
+    """A generator with a fixed seed: the same scores have the same interval everywhere."""
+    return np.random.default_rng(0)
 
 
 def mean(*tasks: Array, axis: int = -1) -> Array:
@@ -58,7 +52,7 @@ def mean(*tasks: Array, axis: int = -1) -> Array:
 
 
 def median(*tasks: Array, axis: int = -1) -> Array:
-    """Median over tasks of the mean over runs; where there is one task, median over its runs."""
+    """Median over tasks of the mean over runs; for a single task, the median over its runs."""
     if len(tasks) == 1:
         return np.median(tasks[0], axis=axis)
     return np.median([task.mean(axis) for task in tasks], axis=0)
@@ -67,7 +61,7 @@ def median(*tasks: Array, axis: int = -1) -> Array:
 def iqm(*tasks: Array, axis: int = -1) -> Array:
     """Interquartile mean: the mean of the middle half of all runs of all tasks.
 
-    A quarter of the scores, rounded down, is cut from either end: under four it is the mean.
+    A quarter of the scores, rounded down, is cut at each end; with fewer than four it is the mean.
     """
     return stats.trim_mean(np.concatenate(tasks, axis=axis), 0.25, axis=axis)
 
@@ -83,7 +77,7 @@ def interval(
 ) -> Interval:
     """A statistic of `scores` (runs, tasks) with its stratified percentile bootstrap interval.
 
-    Runs are resampled within each task, never across tasks. Raises ValueError without any score.
+    Runs are resampled within each task, never across tasks. Raises ValueError if there is no score.
     """
     tasks = _columns(scores)
     value = float(statistic(*tasks))
@@ -101,20 +95,12 @@ def band(
 ) -> tuple[Array, Array]:
     """The bootstrap interval at every point of curves (n, T): low (T,) and high (T,).
 
-    All points share their resamples; NaN where n is 1.
+    All points share their resamples; NaN if n is 1.
     """
     curves = np.asarray(values, np.float64).T  # (T, n)
     if curves.shape[1] < 2:
         return np.full(len(curves), np.nan), np.full(len(curves), np.nan)
     return _bootstrap([curves], statistic, rng, resamples)
-
-
-def summary(scores: ArrayLike, rng: np.random.Generator) -> Summary:
-    """Mean, median and IQM of `scores` (runs, tasks) with intervals and what to bear in mind."""
-    tasks = _columns(scores)
-    found = {name: interval(scores, statistic, rng) for name, statistic in STATISTICS.items()}
-    counts = [len(task) for task in tasks]
-    return Summary(max(counts), len(tasks), **found, remark=remark(counts))
 
 
 def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
@@ -140,8 +126,8 @@ def profile_band(
 def probability_of_improvement(x: ArrayLike, y: ArrayLike, rng: np.random.Generator) -> Interval:
     """P(a run of X beats a run of Y), ties counting half, averaged over tasks.
 
-    For one task it is Mann and Whitney's U over the number of pairs. `x` (runs, tasks) and `y`
-    (other runs, tasks) hold the same tasks; ValueError otherwise.
+    For one task it is Mann and Whitney's U divided by the number of pairs. `x` (runs, tasks) and
+    `y` (other runs, tasks) must have the same tasks, else ValueError.
     """
     ours, theirs = _columns(x), _columns(y)
     if len(ours) != len(theirs):
@@ -155,9 +141,9 @@ def probability_of_improvement(x: ArrayLike, y: ArrayLike, rng: np.random.Genera
 
 
 def steps_to_reach(step: ArrayLike, value: ArrayLike, level: float) -> float:
-    """Sample efficiency: the first step at which a curve is at `level`; infinity if it never is.
+    """The first step at which a curve reaches `level`; infinity if it never does.
 
-    As infinity it enters a median over seeds as what it is: later than every run that got there.
+    In a median over seeds, infinity counts as later than every run that reached the level.
     """
     reached = np.asarray(step)[np.asarray(value, np.float64) >= level]
     return float(reached[0]) if len(reached) else np.inf
@@ -166,7 +152,7 @@ def steps_to_reach(step: ArrayLike, value: ArrayLike, level: float) -> float:
 def area_under_curve(step: ArrayLike, value: ArrayLike, until: float) -> float:
     """Mean height of a curve from its first step to step `until`, by the trapezoid rule.
 
-    NaN for a curve that ends before `until`: it is never prolonged.
+    NaN for a curve that ends before `until`: curves are never extrapolated.
     """
     steps, values = np.asarray(step, np.float64), np.asarray(value, np.float64)
     if not len(steps) or steps[-1] < until or until <= steps[0]:
@@ -183,7 +169,7 @@ def running_maximum(value: ArrayLike) -> Array:
 
 
 def remark(runs: int | Sequence[int]) -> str:
-    """What so few seeds cannot carry; empty from ten on. `runs`: seeds, or seeds of each task."""
+    """A warning if there are fewer than ten seeds. `runs`: seeds, or the seeds of each task."""
     n = min(runs, default=0) if isinstance(runs, Sequence) else runs
     if n == 0:
         return "no runs"
@@ -214,7 +200,7 @@ def _bootstrap(
     resamples: int,
 ) -> tuple[Array, Array]:
     numbers = sum(task.size for task in tasks)
-    found: Any = stats.bootstrap(
+    result: Any = stats.bootstrap(
         tasks,
         statistic,
         n_resamples=resamples,
@@ -225,11 +211,11 @@ def _bootstrap(
         method="percentile",
         rng=rng,
     )
-    return found.confidence_interval.low, found.confidence_interval.high
+    return result.confidence_interval.low, result.confidence_interval.high
 
 
 def _shares(thresholds: Array) -> Statistic:
-    """The statistic whose value at each threshold, in front, is the share of runs above it."""
+    """A statistic: the share of runs above each threshold, thresholds on the first axis."""
 
     def shares(*tasks: Array, axis: int = -1) -> Array:
         at = [[(task > t).mean(axis) for t in thresholds] for task in tasks]
@@ -239,7 +225,7 @@ def _shares(thresholds: Array) -> Statistic:
 
 
 def _wins(*tasks: Array, axis: int = -1) -> Array:
-    """The first half of `tasks` are X's, the other half Y's; runs on the last axis."""
+    """The first half of `tasks` belongs to X, the second half to Y; runs on the last axis."""
     half = len(tasks) // 2
     each = []
     for x, y in zip(tasks[:half], tasks[half:], strict=True):

@@ -1,11 +1,11 @@
 """Small MDPs whose occupancies and TOM weights are known to machine precision.
 
-What `occupancy_weights` estimates from samples is here a linear solve and a convex programme in
-S A variables. States and actions are one-hot vectors to a learner.
+`occupancy_weights` estimates weights from samples; here they follow from a linear solve and a
+convex programme in S A variables. A learner sees states and actions as one-hot vectors.
 
-A flow (`tom/learners/flows.py`) says what comes after the end of an episode. Its own occupancy is
-the one that obeys it: discounted visits until the end, discounted visits with a new start after
-every end, or the stream of transitions as it is collected, resets included.
+A flow (`tom/learners/flows.py`) defines what follows the end of an episode, and with it an
+occupancy: discounted visits until the end, discounted visits with a new start after every end, or
+the stream of transitions as it is collected, resets included.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from tom.data.transitions import Transitions
 
 Array = NDArray[np.float64]
 MAX_NEWTON_STEPS = 200
-GAP = 1e-11  # duality gap and flow residual at which a solution is exact
+GAP = 1e-11  # largest duality gap and flow residual of an exact solution
 
 
 @dataclass(frozen=True)
 class Mdp:
-    """S states, A actions, no reward (none is needed). Entering a `terminal` state ends a path."""
+    """S states, A actions, no reward. Entering a `terminal` state ends an episode."""
 
     transition: Array  # (S, A, S)
     start: Array  # (S,)
@@ -52,9 +52,9 @@ def random_mdp(
     rng: np.random.Generator,
     concentration: float = 1.0,
 ) -> Mdp:
-    """Each (s, a) leads to `successors` random states; one makes the MDP deterministic.
+    """Each (s, a) leads to `successors` random states; 1 makes the MDP deterministic.
 
-    Their probabilities are a Dirichlet draw: the less its concentration, the fewer matter.
+    Their probabilities are a Dirichlet draw: a small concentration makes few of them matter.
     """
     transition, alpha = np.zeros((states, actions, states)), np.full(successors, concentration)
     for row in transition.reshape(-1, states):
@@ -64,10 +64,10 @@ def random_mdp(
 
 
 def with_endings(mdp: Mdp, share: float, rng: np.random.Generator) -> Mdp:
-    """The same MDP with one more state, its last, that ends an episode; none starts there.
+    """The same MDP with one more state, the last, that ends an episode; no episode starts there.
 
-    An exponential draw of mean `share` says with which probability each (s, a) leads to it, so
-    that about that share of all steps ends, at some (s, a) more often than at others.
+    The probability that (s, a) leads to it is an exponential draw of mean `share`, so that about
+    this share of all steps ends, at some (s, a) more often than at others.
     """
     ends = np.minimum(share * rng.exponential(size=(mdp.states, mdp.actions, 1)), 1.0)
     end = np.eye(mdp.states + 1)[-1]
@@ -88,8 +88,8 @@ FlowName = Literal["discounted", "restart", "stationary"]
 def occupancy(mdp: Mdp, policy: Array, flow: FlowName = "discounted") -> Array:
     """d^pi(s, a) (S, A), the solution of a flow constraint (discounted: paper, eq. 4).
 
-    Stationary is the stream as it is collected: no discount, mass 1. Raises ArithmeticError where
-    the stream depends on its past for good: more than one closed set of states and no end.
+    `stationary` is the stream as it is collected: no discount, mass 1. Raises ArithmeticError if
+    the stationary distribution is not unique (several closed sets of states and no end).
     """
     into = np.einsum("ij,kli->ijkl", policy, _following(mdp, flow))  # (i, j) out of (k, l)
     step = into.reshape(policy.size, policy.size)
@@ -106,7 +106,7 @@ def transition_occupancy(mdp: Mdp, policy: Array, flow: FlowName = "discounted")
 
 
 def _following(mdp: Mdp, flow: FlowName) -> Array:
-    """Where the next step is taken, (S, A, S): nowhere after an end, or at a new start."""
+    """The distribution of the next state, (S, A, S); after an end zero, or that of a new start."""
     alive = mdp.transition * ~mdp.terminal
     if flow == "discounted":
         return alive
@@ -117,7 +117,7 @@ def _following(mdp: Mdp, flow: FlowName) -> Array:
 def _stationary(step: Array) -> Array:
     """The distribution d (N,) with d = step d, the columns of `step` (N, N) summing to 1."""
     system = np.eye(len(step)) - step
-    system[0] = 1.0  # the rows sum to zero: any one of them may give way to the mass
+    system[0] = 1.0  # the rows sum to zero, so one of them can be replaced by the mass constraint
     if np.linalg.matrix_rank(system) < len(step):
         raise ArithmeticError("the stream has no distribution of its own: no episode ends")
     return np.linalg.solve(system, np.eye(len(step))[0]).clip(min=0.0)
@@ -125,13 +125,13 @@ def _stationary(step: Array) -> Array:
 
 @dataclass(frozen=True)
 class OccupancyProblem:
-    """TOM's primal (paper, eq. 15) and dual (eq. 16) over the R transitions the replay holds.
+    """TOM's primal (paper, eq. 15) and dual (eq. 16) over the R transitions in the replay buffer.
 
     `flow` (R, S A) is the operator of the dual: y = r + flow Q with
     (flow Q)(s, a, s') = g E_{a'~pi}[Q(s', a')] - Q(s, a); `inflow` (S A) = (1-g) mu0(s) pi(a|s).
-    After an end, E_{mu0,pi}[Q] stands for Q(s', a') where the flow restarts, else 0. A stationary
-    flow has g = 1 and one more dual variable, the last: the multiplier lambda of the mass, whose
-    column is -1 and whose inflow is 1.
+    After an end, Q(s', a') is replaced by E_{mu0,pi}[Q] if the flow restarts, else by 0. A
+    stationary flow has g = 1 and one more dual variable, the last: the multiplier lambda of the
+    mass constraint, whose column is -1 and whose inflow is 1.
     """
 
     index: tuple[NDArray[np.intp], ...]  # s, a and s' of each, (R,)
@@ -150,25 +150,25 @@ class OccupancyProblem:
     ) -> OccupancyProblem:
         """The problem of `policy` against the replay distribution q (S, A, S).
 
-        `made` (S, A, S) is the distribution p of the policy's own samples, for r = log p/q; by
-        default the flow's own occupancy (of mass below 1 where discounted episodes end).
+        `made` (S, A, S) is the distribution p of the policy's own samples, for r = log p/q; the
+        default is the flow's occupancy (its mass is below 1 if discounted episodes end).
         """
         index = np.nonzero(replay)
         q = replay[index] / replay.sum()
         p = transition_occupancy(mdp, policy, flow) if made is None else made / made.sum()
-        with np.errstate(divide="ignore"):  # a transition the policy never makes: r = -inf
+        with np.errstate(divide="ignore"):  # r = -inf for a transition that the policy never makes
             log_ratio = np.log(p[index] / q)
         operator, inflow = _constraint(mdp, policy, index, flow)
         return OccupancyProblem(index, q, log_ratio, operator, inflow)
 
     def residual(self, weights: Array) -> Array:
-        """How far q w is from satisfying the flow constraint, (S A), and from mass 1, last."""
+        """The residual of the flow constraint at q w, (S A), and last that of the mass."""
         return self.inflow + self.flow.T @ (self.replay * weights)
 
     def fitted_model(self, weights: Array, mdp: Mdp) -> Array:
         """The transition function that weighted maximum likelihood fits (eqs. 9, 18), (S, A, S).
 
-        NaN where the weights leave a state and action without mass.
+        NaN if a state and action has no weight.
         """
         mass = np.zeros_like(mdp.transition)
         mass[self.index] = self.replay * weights
@@ -199,7 +199,7 @@ Name = Literal["chi2", "kl"]
 
 @dataclass(frozen=True)
 class Solution:
-    """Optimal weights (R,) and dual Q (S A), lambda last under a stationary flow; both values."""
+    """Optimal weights (R,) and dual Q (S A; lambda last if stationary), and both values."""
 
     weights: Array
     q: Array
@@ -225,7 +225,7 @@ def solve(problem: OccupancyProblem, name: Name) -> Solution:
     The dual is convex: piecewise quadratic under chi-square, smooth under KL. The weights are the
     primal optimum when they are feasible and both values agree, which is checked.
 
-    Raises ArithmeticError where that is not reached: the replay then does not cover the policy.
+    Raises ArithmeticError if they do not: the replay then does not cover the policy.
     """
     q = np.zeros(len(problem.inflow))
     curvature = problem.flow.T @ (problem.replay[:, None] * problem.flow)
@@ -234,16 +234,18 @@ def solve(problem: OccupancyProblem, name: Name) -> Solution:
         gradient = problem.residual(weights)
         if np.abs(gradient).sum() < GAP:
             break
-        # Rows of weight zero have no curvature: lend them a little, ever less as we converge.
+        # Rows of weight zero have no curvature: add a little, which shrinks with convergence.
         damped = hessian + min(1e-2, float(np.abs(gradient).sum())) * curvature
         step = -np.asarray(np.linalg.lstsq(damped, gradient, rcond=1e-14)[0], np.float64)
         q = q + _line_search(problem, q, step, float(gradient @ step), name) * step
     weights = _dual_terms(problem, q, name)[1]
-    found = Solution(weights, q, primal_value(problem, weights, name), dual_value(problem, q, name))
-    gap = abs(found.dual - found.primal) / max(1.0, abs(found.dual))
+    solution = Solution(
+        weights, q, primal_value(problem, weights, name), dual_value(problem, q, name)
+    )
+    gap = abs(solution.dual - solution.primal) / max(1.0, abs(solution.dual))
     if not (gap < 1e-8 and np.abs(problem.residual(weights)).sum() < 1e-8):
         raise ArithmeticError(f"no dual optimum (gap {gap:.1e}): does the replay cover the policy?")
-    return found
+    return solution
 
 
 def _dual_terms(problem: OccupancyProblem, q: Array, name: Name) -> tuple[float, Array, Array]:
@@ -276,7 +278,7 @@ def _line_search(
 
 @dataclass(frozen=True)
 class OneHotPolicy:
-    """A tabular policy (S, A) as a learner meets it: one-hot observations and actions."""
+    """A tabular policy (S, A) as a learner sees it: one-hot observations and actions."""
 
     probs: Tensor  # (S, A)
 
@@ -317,7 +319,7 @@ def sample_stream(
 
 
 def _ladder(p: Array) -> Array:
-    """Cumulative probabilities over the last axis whose last is 1 to the bit."""
+    """Cumulative probabilities over the last axis; the last one is exactly 1."""
     total = p.cumsum(-1)
     return total / total[..., -1:]
 

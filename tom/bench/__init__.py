@@ -1,1 +1,1 @@
-"""What the parts of a training cost on this machine, beside the floor of its matrix products."""
+"""The cost of the parts of a training on this machine, against the floor of its matrix products."""

@@ -1,4 +1,4 @@
-"""What a checkpoint costs: its size, its time, and its share of the training between two."""
+"""The cost of a checkpoint: its size, its time, and its share of the training time."""
 
 import tempfile
 from dataclasses import dataclass
@@ -10,17 +10,16 @@ import torch
 from tom.config import OnlineConfig
 from tom.data.transitions import TensorTransitions
 from tom.mbpo import Mbpo
-from tom.nn.lockstep import alone
 from tom.record import checkpoint
 from tom.training.presets import resolve
 
 REPEATS = 3
-CYCLE = 250  # env steps that a training's time is known for
+CYCLE = 250  # env steps between two checkpoints whose training time is measured
 
 
 @dataclass(frozen=True)
 class CheckpointCost:
-    """One checkpoint with full buffers; three are the most that ever lie on the disk."""
+    """One checkpoint with full buffers; at most three are on the disk at a time."""
 
     run: str
     megabytes: float
@@ -30,7 +29,7 @@ class CheckpointCost:
 
 
 def checkpoint_costs(train_s: float) -> list[CheckpointCost]:
-    """Hopper's and Humanoid's; `train_s` are the seconds of 250 training steps of Hopper."""
+    """The costs for Hopper and Humanoid; `train_s` is the time of 250 training steps of Hopper."""
     return [_cost(env, train_s if env == "hopper" else None) for env in ("hopper", "humanoid")]
 
 
@@ -53,9 +52,9 @@ def _cost(env: str, train_s: float | None) -> CheckpointCost:
 
 
 def _full(config: OnlineConfig) -> Mbpo:
-    """A training whose model buffer holds as much as it can."""
+    """A training whose model buffer is full."""
     training = Mbpo(config)
-    for _ in alone(training.step_environment(explore=True)):
+    for _ in training.step_environment(explore=True):
         pass
     dims = (training.task.obs_dim, training.task.action_dim)
     training.model_buffer.extend(_rows(training.model_buffer.capacity, *dims))

@@ -1,6 +1,6 @@
-"""What the steps of a fleet take on a device, on the clock: Hopper's in the preset `paper`.
+"""Wall-clock time of a fleet's steps on a device, for Hopper with the preset `paper`.
 
-Each part runs as a training runs it, through `Lockstep`: on a GPU joined and captured.
+Each part runs through `Lockstep`, as in a training: joined, and on a GPU captured.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +19,7 @@ from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.fitting import Fit
 from tom.envs import task
-from tom.learners.base import FitContext, weighing
+from tom.learners.base import FitContext
 from tom.learners.tom import TomLearner
 from tom.nn.lockstep import Call, Lockstep
 from tom.policy.rollout import roll_out
@@ -28,7 +28,7 @@ from tom.policy.sac_work import SacUpdates
 from tom.training.presets import resolve
 
 PAPER = TomConfig.preset("paper").but(warmup=1)
-WARM = 2  # repeats that are not counted: captures, allocators, first kernels
+WARM = 2  # repeats that are not counted, because of captures, allocators and first kernels
 UPDATES = 5
 EAGER, ALONE = "SAC update, one alone, eager", "SAC update, one alone"
 SAC, MDN, WEIGHTS = "SAC update", "MDN step in a fit", "TOM's weights"
@@ -38,19 +38,19 @@ TARGETS = {SAC: "a GPU: >= 1 500 a second with 20 members", ALONE: "a GPU: >= 5 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much of each part a repeat does."""
+    """How many units of each part one repeat does."""
 
     updates: int = 20
     mdn_steps: int = 100
     tom: TomConfig = PAPER
     rows: int = 60_000
-    """of the replay buffer: the mean over 125 000 env steps"""
+    """rows of the replay buffer: its mean size over 125 000 env steps"""
     starts: int = RolloutConfig().starts
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Wall milliseconds of a part for all of its members, and what that is a second."""
+    """Wall milliseconds of a part for all members together, and the units per second."""
 
     part: str
     members: int
@@ -73,7 +73,7 @@ class _Part:
 def measure(
     device: torch.device, members: int, repeats: int, sizes: Sizes | None = None
 ) -> list[Measured]:
-    """Every part for a fleet of so many members, repeats interleaved."""
+    """Time every part for a fleet of `members` members, with interleaved repeats."""
     parts = list(_parts(device, members, sizes or Sizes()))
     seconds: dict[str, list[float]] = {part.name: [] for part in parts}
     for repeat in range(WARM + repeats):
@@ -88,9 +88,9 @@ def measure(
 
 
 def minutes(rows: Sequence[Measured]) -> float:
-    """Of the paper's Hopper for this fleet, all of it TOM's: every fit uses all its rounds.
+    """Minutes that this fleet needs for the paper's Hopper with TOM, if every fit uses all rounds.
 
-    Evaluation, recording and the drawing of minibatches are left out.
+    Evaluation, recording and the drawing of minibatches are not included.
     """
     ms = {row.part: row.ms for row in rows}
     members = max(row.members for row in rows)
@@ -166,7 +166,7 @@ def _weights(device: torch.device, members: int, sizes: Sizes) -> _Part:
 
     def weigh() -> object:
         asked = zip(learners, map(context, range(members)), strict=True)
-        return Lockstep().run([weighing(*one) for one in asked])
+        return Lockstep().run([partial(learner.weigh, seen) for learner, seen in asked])
 
     def context(member: int) -> FitContext:
         return FitContext(

@@ -17,7 +17,7 @@ SOURCE = "tom bench, at most"
 
 
 def save(ms: Mapping[str, float]) -> None:
-    """Keep CPU milliseconds by part in the user's cache, where that can be written."""
+    """Store CPU milliseconds by part in the user's cache, if it can be written."""
     path = cache_file("bench")
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -25,7 +25,7 @@ def save(ms: Mapping[str, float]) -> None:
 
 
 def last_bench() -> dict[str, float] | None:
-    """What was kept last; None where that is nothing, damaged, or lacks a part."""
+    """The last stored result; None if there is none, or it is damaged or incomplete."""
     try:
         content = json.loads(cache_file("bench").read_text())
         ms = {name: float(content[name]) for name in NEEDED}
@@ -35,9 +35,9 @@ def last_bench() -> dict[str, float] | None:
 
 
 def bench_cost(trial: Trial, ms: Mapping[str, float], done: int = 0) -> Cost | None:
-    """The cost of a training on a core of this machine that goes on from step `done`.
+    """The remaining cost of a training on one core of this machine, from step `done` on.
 
-    None for what `tom bench` does not measure: road-and-rocks, and a GPU.
+    None for road-and-rocks and for a GPU, which `tom bench` does not measure.
     """
     config = trial.config
     if not isinstance(config, OnlineConfig) or config.device != "cpu":

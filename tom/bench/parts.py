@@ -1,4 +1,4 @@
-"""The parts of a Hopper step in the `paper` preset, each as something to time."""
+"""The parts of a Hopper step in the `paper` preset, ready to be timed."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -25,15 +25,15 @@ from tom.record import Store
 
 OBS, ACTION, BATCH = 11, 3, 256
 ROLLED = 20_000
-"""start states of a rollout; their cost is printed for a thousand"""
+"""start states of a rollout; the cost is printed per thousand"""
 WEIGHED = 100_000
-"""rows that are weighed: beside so many the one step of each network is nothing"""
+"""rows that are weighed: so many that the one training step of each network is negligible"""
 EXAMINED = 250
-"""rows of a fit's exam; of its buffer there are `WEIGHED`"""
+"""rows of a fit's exam; its buffer has `WEIGHED` rows"""
 
 
 def parts() -> Iterator[Part]:
-    """Every part that needs nothing but the project itself."""
+    """Every part that needs no other library to compare with."""
     yield _sac()
     yield _model_step("mdn")
     yield _model_step("ensemble")

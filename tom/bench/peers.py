@@ -1,20 +1,27 @@
-"""The same work by well-known code, for comparison, where it is installed."""
+"""The same work done by other libraries, for comparison, if they are installed."""
 
 from collections.abc import Iterator
 from importlib.util import find_spec
 from types import SimpleNamespace
 
+import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.distributions import Categorical, MixtureSameFamily, Normal
 
 from tom.bench.parts import ACTION, BATCH, OBS, transitions
 from tom.bench.timing import Part
+from tom.config import ModelConfig, SacConfig
+from tom.dynamics.mdn import Mdn
+from tom.nn.mlp import StackedMLP
+from tom.policy.sac import Sac, squashed_gaussian
 
 
 def peers() -> Iterator[Part]:
-    """Plain `torch.distributions`, and whatever of the peers is installed."""
+    """Plain torch implementations, and every peer that is installed."""
     yield _plain_mdn()
+    yield _autograd_mdn()
+    yield _autograd_sac()
     if find_spec("stable_baselines3"):
         yield _stable_baselines3()
     if find_spec("mbrl"):
@@ -23,7 +30,7 @@ def peers() -> Iterator[Part]:
 
 INSTALL = {
     "stable_baselines3": "pip install 'stable-baselines3>=2.9'",
-    # Its own requirement of gymnasium 0.26.3 would take ours away.
+    # It requires gymnasium 0.26.3, which would replace ours.
     "mbrl": "pip install --no-deps mbrl && pip install omegaconf hydra-core PyYAML termcolor",
 }
 
@@ -34,7 +41,7 @@ def missing() -> list[str]:
 
 
 def _plain_mdn() -> Part:
-    """A mixture density network as one would write it: linear layers, MixtureSameFamily, Adam."""
+    """A mixture density network in plain torch: linear layers, MixtureSameFamily, Adam."""
     layers: list[nn.Module] = []
     for n_in in (OBS + ACTION, 200, 200, 200):
         layers += [nn.Linear(n_in, 200), nn.SiLU()]
@@ -60,6 +67,76 @@ def _plain_mdn() -> Part:
     )
 
 
+def _autograd_mdn() -> Part:
+    """Our own network and loss, with gradients by autograd and torch's fused Adam."""
+    model = Mdn(OBS, ACTION, ModelConfig(), torch.Generator().manual_seed(0))
+    model.net.requires_grad_(True)
+    optimiser = torch.optim.Adam(model.net.parameters(), lr=1e-3, fused=True)
+    x, y = torch.randn(1, BATCH, OBS + ACTION), torch.randn(1, BATCH, 1 + OBS)
+
+    def step() -> None:
+        optimiser.zero_grad()
+        model.loss_per_dim(model.net(x), y).mean().backward()
+        optimiser.step()
+
+    return Part(
+        "MDN step, autograd and fused Adam",
+        lambda: [step() for _ in range(20)],
+        20,
+        peer_of="mdn step (in a fit)",
+    )
+
+
+def _autograd_sac() -> Part:
+    """Our own networks and three losses, with gradients by autograd and torch's fused Adam."""
+    sac = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)])
+    actor, critic = sac.actor.requires_grad_(True), sac.critic.requires_grad_(True)
+    temperature = sac.log_temperature.clone().requires_grad_(True)
+    optimisers = [
+        torch.optim.Adam(tensors, lr=3e-4, fused=True)
+        for tensors in (critic.tensors(), actor.tensors(), [temperature])
+    ]
+    batch = transitions(BATCH)[None]
+
+    def descend(optimiser: torch.optim.Adam, loss: Tensor) -> None:
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+
+    def drawn(obs: Tensor) -> tuple[Tensor, Tensor]:
+        mean, raw = actor(obs).chunk(2, -1)
+        noise = torch.randn_like(mean)
+        action, log_prob = squashed_gaussian(mean, raw.clamp(-20, 2), noise)
+        return action, log_prob.squeeze(-1)
+
+    def values(net: StackedMLP, obs: Tensor, action: Tensor) -> Tensor:
+        return net(torch.cat([obs, action], -1).expand(2, -1, -1))[..., 0]
+
+    def step() -> None:
+        with torch.no_grad():
+            target = sac.critic_target(batch, torch.randn(1, BATCH, ACTION))
+        critic_loss = (values(critic, batch.obs, batch.action) - target).square().mean(1).sum()
+        descend(optimisers[0], critic_loss)
+        action, log_prob = drawn(batch.obs)
+        critic.requires_grad_(False)
+        q = values(critic, batch.obs, action).amin(0)
+        descend(optimisers[1], (temperature.detach().exp() * log_prob - q).mean())
+        critic.requires_grad_(True)
+        gap = (log_prob.detach() - ACTION).mean()
+        descend(optimisers[2], -(temperature * gap).sum())
+        with torch.no_grad():
+            pairs = zip(sac.target_critic.tensors(), critic.tensors(), strict=True)
+            for averaged, now in pairs:
+                averaged.lerp_(now, sac.config.tau)
+
+    return Part(
+        "SAC update, autograd and fused Adam",
+        lambda: [step() for _ in range(20)],
+        20,
+        peer_of="SAC update",
+    )
+
+
 def _stable_baselines3() -> Part:
     import gymnasium as gym
     from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
@@ -68,10 +145,12 @@ def _stable_baselines3() -> Part:
     agent = SAC("MlpPolicy", gym.make("Hopper-v5"), batch_size=BATCH, device="cpu", verbose=0)
     agent.set_logger(configure(None, []))
     rows = transitions(1000).numpy()
-    for i in range(1000):
-        agent.replay_buffer.add(
-            rows.obs[i], rows.next_obs[i], rows.action[i], rows.reward[i], rows.terminated[i], [{}]
-        )
+    buffer = agent.replay_buffer
+    assert buffer is not None
+    fields = rows.obs, rows.next_obs, rows.action, rows.reward, rows.terminated
+    columns = map(np.asarray, fields)
+    for obs, following, action, reward, end in zip(*columns, strict=True):
+        buffer.add(obs, following, action, reward, end, [{}])
     return Part(
         "stable-baselines3 SAC update",
         lambda: agent.train(gradient_steps=20, batch_size=BATCH),

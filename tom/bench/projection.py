@@ -1,11 +1,12 @@
-"""How long whole trainings take on one core, and what they write, from the parts of a Hopper."""
+"""Projected time of whole trainings on one core and size of their files, from Hopper's parts."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from tom.bench.parts import model_flops, rollout_flops, sac_flops
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig, SacConfig
-from tom.envs import ENVS, MujocoTask
+from tom.envs import ENVS, Task
+from tom.learners import SUBJECT
 from tom.training.presets import resolve
 
 PRESETS = ("paper", "mbpo")
@@ -13,41 +14,41 @@ NEEDED = (
     *("SAC update", "mdn step (in a fit)", "ensemble step (in a fit)", "dual Q step"),
     *("discriminator step", "weights, 1000 transitions", "rollout, 1000 states", "Hopper-v5 step"),
 )
-"""the parts of `tom bench` that a projection is made of"""
-EPISODE = 1000  # steps of an episode at most, in every task
+"""the parts of `tom bench` that a projection needs"""
+EPISODE = 1000  # maximum length of an episode in every task
 
 
 def hours(ms: Mapping[str, float]) -> list[dict[str, Any]]:
-    """At most so many hours for TOM in each environment and preset, to its number of steps.
+    """Upper bounds in hours for TOM in each environment and preset, for its number of steps.
 
     `ms` is CPU milliseconds by part. Networks of other sizes are scaled by their arithmetic; every
-    fit is counted as if it used all its rounds; evaluation and recording are left out.
+    fit counts as if it used all its rounds; evaluation and recording are not included.
     """
     rows = []
     for name, task in ENVS.items():
         row: dict[str, Any] = {"env": name, "steps": task.steps}
         for preset in PRESETS:
-            config = resolve(name, "tom", preset)
+            config = resolve(name, SUBJECT, preset)
             assert isinstance(config, OnlineConfig)
             row[f"{preset}_h"] = per_step_ms(config, task, ms) * task.steps / 3.6e6
         rows.append(row)
     return rows
 
 
-def per_step_ms(config: OnlineConfig, task: MujocoTask, ms: Mapping[str, float]) -> float:
-    """CPU milliseconds of one env step, the fits' share in it.
+def per_step_ms(config: OnlineConfig, task: Task, ms: Mapping[str, float]) -> float:
+    """CPU milliseconds of one env step, including its share of the fits.
 
-    Of the learners TOM's own work is counted, no other's: it was measured for TOM alone.
+    Of the learners only TOM's work is counted, because only TOM is measured.
     """
     dims = task.obs_dim, task.action_dim
     sac = ms["SAC update"] * sac_flops(config.sac, *dims) / sac_flops(SacConfig())
-    # Mean-only networks have half the outputs of the ensemble and were not measured by themselves.
+    # Mean-only networks have half the outputs of the ensemble and are not measured separately.
     timed = "mdn" if config.model.kind == "mdn" else "ensemble"
     own, kind = config.model.but(kind=timed), ModelConfig(kind=timed)
     model = ms[f"{timed} step (in a fit)"] * model_flops(own, *dims) / model_flops(kind)
     rolled = rollout_flops(own, config.sac, *dims) / rollout_flops(kind, SacConfig())
     fit = config.model.rounds * config.model.batches_per_round * model
-    if config.learner == "tom":
+    if config.learner == SUBJECT:
         fit += config.tom.q_steps * ms["dual Q step"]
         fit += config.tom.discriminator_steps * ms["discriminator step"]
         fit += ms["weights, 1000 transitions"] * config.steps / 2 / 1000  # the buffer's mean size
@@ -55,11 +56,11 @@ def per_step_ms(config: OnlineConfig, task: MujocoTask, ms: Mapping[str, float])
     return config.updates_per_step * sac + fit / config.fit_every + ms["Hopper-v5 step"]
 
 
-def written_bytes(config: OnlineConfig, task: MujocoTask) -> float:
-    """Bytes of a run folder without a recording, at most: as if episodes never ended early.
+def written_bytes(config: OnlineConfig, task: Task) -> float:
+    """Upper bound in bytes of a run folder without recording: episodes never end early.
 
     The replay buffer, two checkpoints (modelled transitions, networks, Adam's moments), the
-    evaluations, and the policies and weights that are kept with some fits.
+    evaluations, and the policies and weights that some fits store.
     """
     row = 2 * task.obs_dim + task.action_dim + 2
     last = config.rollout.kept_at(config.steps - config.exploration_steps, config.fit_every)
@@ -73,12 +74,12 @@ def written_bytes(config: OnlineConfig, task: MujocoTask) -> float:
     return 4.0 * (config.steps * row + 2 * checkpoint + evaluations * EPISODE * frame + kept)
 
 
-def _numbers(hidden: int, layers: int, task: MujocoTask) -> int:
-    """Parameters of a network over (s, a), about."""
+def _numbers(hidden: int, layers: int, task: Task) -> int:
+    """Approximate number of parameters of a network over (s, a)."""
     return hidden * (task.obs_dim + task.action_dim + hidden * (layers - 1))
 
 
 def _starts(rollout: RolloutConfig, steps: int) -> float:
-    """Rollout steps of a fit, at the mean length over a training of so many env steps."""
+    """Rollout steps of a fit, at the mean rollout length over a training of `steps` env steps."""
     lengths = [rollout.length_at(at) for at in range(0, steps, max(steps // 100, 1))]
     return rollout.starts * sum(lengths) / len(lengths)

@@ -1,7 +1,7 @@
-"""What recording costs, in CPU time, while a training takes 250 environment steps.
+"""CPU time of recording during 250 environment steps of a training.
 
-The load is Hopper's late in the paper's schedule: 100 000 weights at every fit, ten evaluation
-episodes of 1 000 steps every 1 000 steps, 250 new rows of the buffer, 30 metrics.
+The load is that of Hopper late in the paper's schedule: 100 000 weights at every fit, ten
+evaluation episodes of 1 000 steps every 1 000 steps, 250 new rows of the buffer, 30 metrics.
 """
 
 import tempfile
@@ -41,9 +41,9 @@ class RecordingCost:
 
 
 def cost(train_s: float | None = None) -> list[RecordingCost]:
-    """The cost of each part and of all of it, without and with Rerun.
+    """The cost of each part and of all parts, without and with Rerun.
 
-    `train_s` is the CPU time that training itself needs for 250 env steps; shares are of that.
+    Shares are relative to `train_s`, the CPU seconds of training for 250 env steps.
     """
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
@@ -66,7 +66,7 @@ def _share(ms: float, train_s: float | None) -> float | None:
 
 
 def _parts(rng: np.random.Generator) -> dict[str, Callable[[int], Iterable[Event]]]:
-    """What happens in the 250 steps that end with env step `step`."""
+    """The events of the 250 steps that end with env step `step`."""
     weight = rng.random(WEIGHTS, np.float32)
     values = {name: float(rng.random()) for name in list(METRICS)[:METRICS_A_ROW]}
     rows, version = _transitions(rng), np.zeros(CYCLE, np.int64)
@@ -92,7 +92,7 @@ def _all(store: Store, rng: np.random.Generator, *, with_rerun: bool) -> float:
 def _each(
     store: Store, events: Callable[[int], Iterable[Event]], *, with_rerun: bool = False
 ) -> float:
-    """CPU ms for 250 steps of `events`, the mean of many."""
+    """Mean CPU milliseconds for 250 steps of `events`."""
     config = OnlineConfig(env="hopper", learner="tom", steps=CYCLE * CYCLES)
     writer = RunWriter.create(store, store.new_run_id("bench", "tom", 0), config)
     given = [list(events(CYCLE * cycle)) for cycle in range(1, CYCLES + 1)]
@@ -105,7 +105,7 @@ def _each(
 
 
 def _heartbeats(store: Store, seconds: float) -> float:
-    """CPU ms of the status updates in `seconds` of training."""
+    """CPU milliseconds of the status updates in `seconds` of training."""
     config = OnlineConfig(env="hopper", learner="tom")
     writer = RunWriter.create(store, store.new_run_id("bench", "tom", 0), config)
     recorder = Recorder(writer)

@@ -1,4 +1,4 @@
-"""The bench's tables as Markdown, put between two lines of a page."""
+"""The bench's tables as Markdown, written between two marker lines of a page."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,8 +9,8 @@ from tom.errors import UserError
 BEGIN, END = "<!-- bench -->", "<!-- /bench -->"
 
 
-def page(found: Mapping[str, Any]) -> str:
-    """What `tom bench --json` prints (`gflops`, `matmul`, `parts`, `hours`, `not_measured`)."""
+def page(measured: Mapping[str, Any]) -> str:
+    """The tables for the output of `tom bench --json`."""
     head = ("part", "CPU ms", "lowest to highest", "times the floor", "times ours", "target")
     parts = [
         (
@@ -21,29 +21,29 @@ def page(found: Mapping[str, Any]) -> str:
             _number(row["times_ours"]),
             _target(row),
         )
-        for row in found["parts"]
+        for row in measured["parts"]
     ]
-    hours = [[_number(value) for value in row.values()] for row in found["hours"]]
+    hours = [[_number(value) for value in row.values()] for row in measured["hours"]]
     return "\n\n".join(
         (
-            f"One thread, medians; {found['gflops']:.0f} GFLOP/s in 256^3 products "
-            f"({found['matmul']}).",
+            f"One thread, medians; {measured['gflops']:.0f} GFLOP/s in 256^3 products "
+            f"({measured['matmul']}).",
             _table(head, parts),
             "TOM on one core, hours at most:",
-            _table(list(found["hours"][0]), hours),
-            f"Not measured: {'; '.join(found['not_measured'])}.",
+            _table(list(measured["hours"][0]), hours),
+            f"Not measured: {'; '.join(measured['not_measured'])}.",
         )
     )
 
 
 def put(path: Path, text: str) -> None:
-    """Put `text` between the lines BEGIN and END of the file. Raises UserError without them."""
+    """Replace the text between the lines BEGIN and END. Raises UserError if they are missing."""
     before, after = require_place(path)
     path.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}")
 
 
 def require_place(path: Path) -> tuple[str, str]:
-    """What stands before BEGIN and after END. Raises UserError where there is no such place."""
+    """The text before BEGIN and after END. Raises UserError if they are missing."""
     try:
         before, begin, rest = path.read_text().partition(f"{BEGIN}\n")
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What the parts are to cost: ratios in one run, or milliseconds on the reference machine."""
+"""Target costs of the parts: ratios in one run, or milliseconds on the reference machine."""
 
 from tom.bench.timing import Timing
 
@@ -13,7 +13,7 @@ MILLISECONDS = {"weights, 1000 transitions": 4.0, "rollout, 1000 states": 3.0}
 
 
 def target(row: Timing) -> tuple[str, bool] | None:
-    """A part's target in words and whether it is met; None where it has none."""
+    """A part's target in words and whether it is met; None if it has no target."""
     if row.part in TIMES_FLOOR and row.times_floor is not None:
         bound = TIMES_FLOOR[row.part]
         return f"<= {bound} x floor", row.times_floor <= bound

@@ -12,11 +12,10 @@ from tom.machine.matmul import Backend, use
 
 @dataclass(frozen=True)
 class Part:
-    """Something to time: `run` does it `units` times over.
+    """A part to time: `run` does it `units` times.
 
-    `flops` is the arithmetic of one unit's matrix products, where that is its floor; `peer_of`
-    names the part that this one is another library's version of; a peer runs as it comes, with
-    torch's default matrix products.
+    `flops` counts the matrix products of one unit, if they are its floor. A peer is another
+    library's version of the part `peer_of`; it runs with torch's default matrix products.
     """
 
     name: str
@@ -28,7 +27,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Timing:
-    """One part's cost: CPU milliseconds a unit, its spread, floor and ratio to the floor."""
+    """One part's cost: CPU milliseconds per unit, spread, floor and ratio to the floor."""
 
     part: str
     ms: float
@@ -40,10 +39,10 @@ class Timing:
 
 
 def measure(parts: Sequence[Part], repeats: int, backend: Backend) -> tuple[list[Timing], float]:
-    """Time all parts, one repeat of each in turn; also the machine's GFLOP/s in that time.
+    """Time all parts in turn, repeatedly; also return the machine's GFLOP/s in that time.
 
     The machine's speed is that of a 256^3 product of the chosen backend, measured among the
-    parts, so that the ratios hold when the machine's speed drifts.
+    parts, so that the ratios stay right when the machine's speed drifts.
     """
     a, b = torch.randn(256, 256), torch.randn(256, 256)
     product = Part("256^3 product", lambda: [a @ b for _ in range(100)], units=100)
@@ -53,7 +52,7 @@ def measure(parts: Sequence[Part], repeats: int, backend: Backend) -> tuple[list
             use("default" if part.peer_of else backend)
             start = process_time()
             part.run()
-            if repeat:  # the first is for allocators and kernels' first choice
+            if repeat:  # the first repeat only warms up allocators and kernels
                 seconds[part.name].append((process_time() - start) / part.units)
     use(backend)
     flops_per_s = 2 * 256**3 / median(seconds[product.name])

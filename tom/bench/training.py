@@ -1,4 +1,4 @@
-"""What a whole env step of the paper's Hopper training costs, and what a large buffer weighs."""
+"""The cost of a whole env step of the paper's Hopper training, and the memory of a large buffer."""
 
 import resource
 import tempfile
@@ -22,7 +22,7 @@ from tom.training.run import train
 CYCLE = 250  # env steps from one model fit to the next
 EXPLORE = 1000
 AUTHORS_MS = 106.0
-"""an env step of the authors' code over the first 1000, on one core with 107 GFLOP/s (MKL)"""
+"""an env step of the authors' code, mean of the first 1000, one core with 107 GFLOP/s (MKL)"""
 
 
 def config_of(steps: int) -> OnlineConfig:

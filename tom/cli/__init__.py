@@ -1,26 +1,34 @@
-"""The command line: thin; a command is a module, or a package, with `add_parser` and `run`."""
+"""The command line. Each command is a module or package with `add_parser` and `run`."""
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from tom import __version__
-from tom.cli import bench, demo, doctor, record_sac, reproduce, runs, studio, sweep, train, weigh
+from tom import __version__, plugins
+from tom.cli.named import bring_named
 from tom.cli.parser import Parser
 from tom.errors import UserError
 from tom.harmless import terminal
 
-COMMANDS = (demo, train, studio, record_sac, weigh, sweep, reproduce, bench, runs, doctor)
+COMMANDS = (
+    "demo", "train", "studio", "record-sac", "weigh", "brush", "sweep", "reproduce", "bench",
+    "runs", "doctor",
+)  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command: 0 done, 1 failed, 2 bad input (one line that names the fix)."""
+    """Run one command and return 0 (done), 1 (failed) or 2 (bad input, with a line on the fix)."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["studio"]:
+        from tom.cli import studio
+
         studio.hand_over(arguments[1:])
     try:
+        plugins.load(plugins.given(arguments))
         args = build_parser(arguments).parse_args(arguments)
+        bring_named(args)
         code = args.run(args)
         sys.stdout.flush()
         return code
@@ -36,20 +44,22 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _close_stdout() -> None:
-    """Nobody reads any more: what is left in the buffer would be an error at the very end."""
+    """Nobody reads stdout any more: flushing its buffer at exit would raise an error."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def build_parser(arguments: Sequence[str] = ()) -> Parser:
-    """The parser of every command; some options depend on what `arguments` ask for."""
+    """The parser of all commands; some options depend on `arguments`."""
     parser = Parser(
         prog="tom",
         description="See which data a learned dynamics model pays attention to, while it trains.",
     )
     parser.add_argument("--version", action="version", version=f"tom {__version__}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in COMMANDS:
+    # Of one command alone: the modules of the others take a second to import.
+    for name in [name for name in COMMANDS if arguments[:1] == [name]] or COMMANDS:
+        command = importlib.import_module(f"tom.cli.{name.replace('-', '_')}")
         command.add_parser(subparsers, list(arguments))
     return parser
 

@@ -1,10 +1,12 @@
-"""`tom bench`: what is measured on this machine, in tables."""
+"""`tom bench`: measurements on this machine, as tables."""
 
 import argparse
+import io
 import json
 import signal
 import tempfile
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,10 +16,11 @@ import torch
 
 from tom.cli import studio
 from tom.cli.parser import folder
+from tom.cli.runs import list_runs
 from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.errors import UserError, unknown
-from tom.learners import LEARNER_NAMES
+from tom.learners import LEARNERS
 from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
@@ -40,9 +43,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         choices=("parts", "step", "fleet", "memory", "learn", "record", "studio"),
         help="parts: what each part of a training costs, and whole trainings from that [the "
         "default]; step: a whole env step of the paper's Hopper; fleet: a fleet's steps on a GPU, "
-        "on the clock; memory: a full Humanoid buffer; record: the cost of recording; learn: does "
-        "inverted pendulum reach 950 within 6000 steps; studio: how long its pages take over a "
-        "store of 200 runs",
+        "on the clock; memory: a full Humanoid buffer; record: the cost of recording, and of "
+        "listing 1000 runs; learn: does inverted pendulum reach 950 within 6000 steps; studio: how "
+        "long its pages take over a store of 200 runs",
     )
     parser.add_argument("--repeats", type=int, default=9, help="interleaved repeats (parts, fleet)")
     parser.add_argument("--members", type=int, default=20, help="of the fleet [20] (fleet)")
@@ -68,7 +71,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     if args.what == "learn":
         _check_learn(args)
-        on_stopping(signal.default_int_handler)  # its trainings end with it
+        on_stopping(signal.default_int_handler)  # its trainings must end with it
         rows = learn(args.learner, args.seeds, args.steps, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         reached = [row for row in rows if row["reached_at"] is not None]
@@ -107,12 +110,12 @@ def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
     last.save(ms)
     hours = projection.hours(ms)
     missing = [*NOT_MEASURED, *peers.missing()]
-    found = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
-    found["not_measured"] = missing
+    result = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
+    result["not_measured"] = missing
     if into is not None:
-        report.put(into, report.page(found))
+        report.put(into, report.page(result))
     if as_json:
-        print(json.dumps(found))
+        print(json.dumps(result))
         return 0
     title = f"CPU ms, one thread; {gflops:.0f} GFLOP/s in 256^3 products ({backend})"
     _print(title, rows, as_json)
@@ -166,6 +169,7 @@ def _memory(as_json: bool) -> int:
 
 
 def _record(as_json: bool) -> int:
+    from tom.bench import listing
     from tom.bench.checkpoints import checkpoint_costs
     from tom.bench.recording import cost
     from tom.bench.training import cycle_s
@@ -176,20 +180,31 @@ def _record(as_json: bool) -> int:
     title = f"recording, for each 250 env steps of Hopper ({train_s:.1f} s of CPU time)"
     costs = [asdict(row) for row in cost(train_s)]
     checkpoints = [asdict(row) for row in checkpoint_costs(train_s)]
+    listed = listing.measure(_list)
+    lists = [{**asdict(listed), "met": listed.met}]
     if as_json:
-        print(json.dumps({"recording": costs, "checkpoints": checkpoints}))
+        measured = {"recording": costs, "checkpoints": checkpoints, "listing": lists}
+        print(json.dumps(measured))
         return 0
     _print(title, costs, as_json)
     _print("checkpoints, one every 2000 steps", checkpoints, as_json)
+    _print("tom runs list, once tom is loaded", lists, as_json)
     return 0
 
 
+def _list(store: Path) -> None:
+    """`tom runs list --json` of `store`, with its output discarded."""
+    everything = dict.fromkeys(("env", "learner", "tag", "state"))
+    with redirect_stdout(io.StringIO()):
+        list_runs(argparse.Namespace(store=store, json=True, **everything))
+
+
 def _check_learn(args: argparse.Namespace) -> None:
-    """Each learner and seed once. Raises UserError where one of them is no training."""
+    """Remove duplicate learners and seeds. Raises UserError for an impossible one."""
     args.learner, args.seeds = list(dict.fromkeys(args.learner)), list(dict.fromkeys(args.seeds))
     for learner in args.learner:
-        if learner not in LEARNER_NAMES:
-            raise unknown("learner", learner, LEARNER_NAMES)
+        if learner not in LEARNERS:
+            raise unknown("learner", learner, LEARNERS)
     if min(args.seeds) < 0 or args.steps < 1:
         raise UserError("--seeds must be at least 0 and --steps at least 1")
 
@@ -197,7 +212,7 @@ def _check_learn(args: argparse.Namespace) -> None:
 def learn(
     learners: list[str], seeds: list[int], steps: int, store: Path | None
 ) -> list[dict[str, Any]]:
-    """Train inverted pendulum for each learner and seed: where each first reached 950."""
+    """Train inverted pendulum for each learner and seed; report when each first reached 950."""
     with tempfile.TemporaryDirectory() as scratch:
         path = store or Path(scratch)
         before = {run.run_id for run in Store(path).runs()}
@@ -235,7 +250,7 @@ def _learn_row(run: RunReader) -> dict[str, Any]:
 
 
 def studio_words(args: argparse.Namespace) -> list[str]:
-    """What the studio's own measurement is told."""
+    """The arguments for the studio's own measurement."""
     runs = [] if args.runs is None else ["--runs", str(args.runs)]
     return runs + ["--json"] * args.json
 

@@ -2,7 +2,6 @@
 
 import argparse
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ from tom.cli.parser import folder
 from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.cli.train import number, summary
-from tom.machine.parent import end_with_parent
+from tom.machine.processes import Process, start, stop
 from tom.record import RunReader, Store
 from tom.sweep import Command, run_commands
 
@@ -93,17 +92,11 @@ def _print_table(runs: list[RunReader]) -> None:
 
 
 @contextmanager
-def _studio(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
+def _studio(args: argparse.Namespace) -> Iterator[Process]:
     command = [sys.executable, "-m", "app", "--store", str(args.store)]
-    studio = subprocess.Popen(
-        command + (["--no-browser"] if args.no_browser else []),
-        preexec_fn=end_with_parent if sys.platform == "linux" else None,
-    )
+    # In this terminal's session, so that Ctrl-C reaches the studio too.
+    studio = start(command + (["--no-browser"] if args.no_browser else []), None, session=False)
     try:
         yield studio
     finally:
-        studio.send_signal(signal.SIGTERM)
-        try:
-            studio.wait(STUDIO_GRACE_S)
-        except subprocess.TimeoutExpired:
-            studio.kill()
+        stop([studio], STUDIO_GRACE_S)

@@ -1,4 +1,4 @@
-"""Arguments: one-line errors with the nearest option, and options made from a configuration."""
+"""The argument parser: one-line errors with a suggestion, options made from a configuration."""
 
 import argparse
 import sys
@@ -11,13 +11,14 @@ from typing import Any, Literal, NoReturn, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from tom import plugins
 from tom.errors import UserError
 
 DEST = "config:"  # marks arguments that belong to the configuration
 
 
 def folder(word: str) -> Path:
-    """A folder of this machine, for argparse."""
+    """The type of a folder argument, for argparse."""
     if "://" in word:
         raise argparse.ArgumentTypeError(
             f"{word} is no folder; runs in an object store are fetched first: "
@@ -27,13 +28,19 @@ def folder(word: str) -> Path:
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and offer the nearest known option.
+    """An argument parser whose errors are one line and suggest the nearest known option.
 
-    Options are written out: `--seed 3` is not short for `--seeds 3`.
+    Options cannot be abbreviated: `--seed 3` does not mean `--seeds 3`.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, allow_abbrev=False, **options)
+        self.add_argument(
+            plugins.OPTION,
+            action="append",
+            metavar="FILE.py|MODULE",
+            help="a plug-in of yours: its learners, tasks, metrics and pages join ours",
+        )
 
     def error(self, message: str) -> NoReturn:
         print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
@@ -50,7 +57,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """The options every command that trains shares."""
+    """Add the options that all training commands share."""
     group = parser.add_argument_group("where and how")
     group.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     add_accept_versions(group)
@@ -60,7 +67,7 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_accept_versions(parser: argparse._ActionsContainer) -> None:
-    """The option of every command that goes on with runs."""
+    """Add the option of all commands that resume runs."""
     parser.add_argument(
         "--accept-versions",
         action="store_true",
@@ -93,7 +100,7 @@ def leaf_fields(config: type[BaseModel], prefix: str = "") -> Iterator[tuple[str
 
 
 def overrides(args: argparse.Namespace) -> dict[str, Any]:
-    """The configuration values that were given, as a nested dict."""
+    """The configuration values given on the command line, as a nested dict."""
     nested: dict[str, Any] = {}
     for dest, value in vars(args).items():
         if not dest.startswith(DEST) or value is None:
@@ -107,7 +114,7 @@ def overrides(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def one_line(error: ValidationError) -> UserError:
-    """Pydantic's first complaint as one line that names the option."""
+    """Pydantic's first error as one line that names the option."""
     first = error.errors(include_url=False)[0]
     option = "--" + ".".join(str(part) for part in first["loc"]).replace("_", "-")
     message = first["msg"].replace("Input should be", "must be")

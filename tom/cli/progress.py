@@ -4,16 +4,16 @@ from collections import deque
 from time import monotonic
 from typing import TextIO
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from tom.cli.screen import Screen, Shown
 from tom.events import Evaluation, Event, Notice, Tick
 
 LINE_EVERY_S = 20.0
 
 
 class Pace:
-    """Env steps a second of late, whatever step a run began at."""
+    """Recent env steps per second, whatever step a run began at."""
 
     def __init__(self) -> None:
         self.step = 0
@@ -25,7 +25,7 @@ class Pace:
             self._recent.append((now, self.step))
 
     def rate(self) -> float:
-        """0 where that is not known yet."""
+        """Steps per second; 0 if not known yet."""
         if not self._recent:
             return 0.0
         (t0, s0), (t1, s1) = self._recent[0], self._recent[-1]
@@ -39,74 +39,73 @@ class Pace:
         return f"eta {left / rate:.0f} s" if rate > 0 and left > 0 else ""
 
 
-class ProgressReport:
-    """Shows phase, env steps/s, last and best return and the time to go."""
+class ProgressReport(Shown):
+    """Shows phase, env steps/s, last and best return and the remaining time."""
 
     def __init__(self, label: str, total: int, stream: TextIO) -> None:
-        self._label, self._total, self._stream = label, total, stream
-        self._console = StoppableConsole(file=stream)
-        self._bar = _bar(self._console) if self._console.is_terminal else None
-        self._task = self._bar.add_task(label, total=total, text="") if self._bar else None
+        self._label, self._total = label, total
+        self._bar = _bar()
+        self._task = self._bar.add_task(label, total=total, text="")
+        self._screen = Screen(stream, lambda: self._bar, self._line, LINE_EVERY_S, monotonic())
         self._pace = Pace()
-        self._shown = monotonic()
         self._phase = ""
         self._last: float | None = None
         self._best: float | None = None
-
-    def __enter__(self) -> "ProgressReport":
-        if self._bar:
-            self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar:
-            self._bar.stop()
 
     def consume(self, event: Event) -> None:
         if isinstance(event, Evaluation):
             self._last = event.mean_return
             self._best = self._last if self._best is None else max(self._best, self._last)
         elif isinstance(event, Notice):
-            self._console.print(
-                f"{self._label} step {event.env_step}: {event.message}", markup=False
-            )
+            self._screen.say(f"{self._label} step {event.env_step}: {event.message}")
         elif isinstance(event, Tick):
             self._tick(event)
 
     def _tick(self, event: Tick) -> None:
-        now = monotonic()
-        self._pace.reach(event.env_step, now)
+        at = monotonic()
+        self._pace.reach(event.env_step, at)
         self._phase = event.phase
-        if self._bar and self._task is not None:
-            self._bar.update(self._task, completed=event.env_step, text=self._text())
-        elif now - self._shown > LINE_EVERY_S or event.env_step == self._total:
-            self._shown = now
-            at = f"{self._label} {event.env_step}/{self._total}"
-            line = joined(at, self._text(), self._pace.eta_text(self._total))
-            print(line, file=self._stream, flush=True)
+        self._bar.update(self._task, completed=event.env_step, text=self._text())
+        self._screen.look(at, now=event.env_step == self._total)
+
+    def _line(self) -> str:
+        at = f"{self._label} {self._pace.step}/{self._total}"
+        return joined(at, self._text(), self._pace.eta_text(self._total))
 
     def _text(self) -> str:
         returns = "" if self._last is None else f"return {self._last:.1f} best {self._best:.1f}"
         return joined(self._phase, self._pace.rate_text(), returns)
 
 
+class CountReport(Shown):
+    """Shows how many of `total` steps are done: a bar on a terminal, else a line every 20 s."""
+
+    def __init__(self, label: str, total: int, stream: TextIO) -> None:
+        self._label, self._total, self._done = label, total, 0
+        self._bar = _bar()
+        self._task = self._bar.add_task(label, total=total, text="")
+        self._screen = Screen(stream, lambda: self._bar, self._line, LINE_EVERY_S, monotonic())
+
+    def step(self) -> None:
+        """Count one more step."""
+        self._done += 1
+        self._bar.update(self._task, completed=self._done)
+        self._screen.look(monotonic())
+
+    def _line(self) -> str:
+        return f"{self._label}: {self._done} of {self._total} steps"
+
+
 def joined(*parts: str) -> str:
-    """What there is to say, as one line."""
+    """The non-empty parts as one line."""
     return " ".join(part for part in parts if part)
 
 
-class StoppableConsole(Console):
-    def on_broken_pipe(self) -> None:
-        """Rich would end the process here; whoever trains decides instead."""
-        raise BrokenPipeError
-
-
-def _bar(console: Console) -> Progress:
+def _bar() -> Progress:
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[text]}"),
         TimeRemainingColumn(),
-        console=console,
     )

@@ -1,4 +1,4 @@
-"""`tom record-sac`: SAC alone after as many random steps, its whole replay kept in order."""
+"""`tom record-sac`: equally many random and SAC steps, with the replay buffer kept in order."""
 
 import argparse
 
@@ -7,7 +7,7 @@ from pydantic import ValidationError
 from tom.cli.parser import add_config_options, add_run_options, leaf_fields, one_line, overrides
 from tom.cli.train import begin
 from tom.config import SacRecordingConfig
-from tom.envs import ENVS, task
+from tom.envs import ANY, ENVS, task
 
 OWN_OPTIONS = ("env", "learner", "preset")
 WITHOUT_MEANING = ("tom.", "pmac.", "vagram.", "bins", "device")
@@ -21,7 +21,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "MuJoCo states and the final policy. `tom weigh RUN --policy RUN` shows what the learners "
         "make of it.",
     )
-    parser.add_argument("--env", required=True, metavar="ENV", help=", ".join(ENVS))
+    parser.add_argument("--env", required=True, metavar="ENV", help=f"{', '.join(ENVS)}, {ANY}")
     parser.add_argument(
         "--resume",
         choices=("auto",),

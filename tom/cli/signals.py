@@ -1,4 +1,4 @@
-"""The signals that ask a command which trains to stop."""
+"""The signals that ask a training command to stop."""
 
 import signal
 from collections.abc import Callable
@@ -8,9 +8,9 @@ STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def on_stopping(stop: Callable[[int, FrameType | None], object]) -> None:
-    """Call `stop` on Ctrl-C (also where a shell put us in the background), SIGTERM and SIGHUP.
+    """Call `stop` on Ctrl-C (also if a shell started us in the background), SIGTERM and SIGHUP.
 
-    A closed terminal sends SIGHUP; what was begun under nohup goes on without one.
+    A closed terminal sends SIGHUP; a command started with nohup ignores it.
     """
     for number in STOPPING:
         under_nohup = number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN

@@ -1,4 +1,4 @@
-"""`tom studio`: hand over to the studio, a package of its own that the backend never imports."""
+"""`tom studio`: hand over to the studio, a package that the backend never imports."""
 
 import os
 import sys
@@ -11,6 +11,6 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 
 def hand_over(arguments: Sequence[str], module: str = "app") -> NoReturn:
-    """Become `python -m MODULE` with these arguments."""
+    """Replace this process by `python -m MODULE` with these arguments."""
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, "-m", module, *arguments])

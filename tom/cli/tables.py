@@ -1,4 +1,4 @@
-"""Tables on a terminal, and in full width elsewhere."""
+"""Tables as wide as the terminal, or in full width elsewhere."""
 
 from collections.abc import Iterable, Sequence
 
@@ -8,21 +8,21 @@ from rich.text import Text
 
 from tom.harmless import terminal, terminal_lines
 
-WIDTH = 160  # where nobody says how wide the output is
+WIDTH = 160  # if the width of the output is unknown
 
 
 def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table; columns of numbers are set to the right."""
+    """Print a table; columns of numbers are aligned to the right."""
     listed = [list(row) for row in rows]
     table = Table()
     for i, column in enumerate(columns):
         numeric = bool(listed) and all(_is_number(row[i]) for row in listed)
         table.add_column(terminal(column), justify="right" if numeric else "left", overflow="fold")
     for row in listed:
-        # Not strings: brackets in them would be markup.
+        # Text objects, because Rich would read brackets in strings as markup.
         table.add_row(*(Text(terminal_lines(cell)) for cell in row))
     console = Console(width=None if Console().is_terminal else WIDTH)
-    # The table's own title would be as narrow as the table.
+    # The table's own title would be wrapped to the width of the table.
     console.print(Text(terminal(title), style="italic"))
     console.print(table)
 
@@ -35,3 +35,8 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def cell(value: object) -> str:
+    """A value as text, numbers with two decimals."""
+    return f"{value:.2f}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""`tom train`: one training, or every learner with every seed, each in its own run folder."""
+"""`tom train`: one training, or one for each learner and seed, each in its own run folder."""
 
 import argparse
 import json
@@ -6,22 +6,24 @@ import os
 import shlex
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from tom.cli import train_many
+from tom.cli.named import add_termination
 from tom.cli.parser import DEST, add_config_options, add_run_options, one_line, overrides
 from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
-from tom.envs import ENV_NAMES
+from tom.envs import ANY, ENV_NAMES, ROAD
 from tom.errors import DivergedError, UserError
 from tom.harmless import terminal
-from tom.learners import LEARNER_NAMES
+from tom.learners import LEARNERS
 from tom.machine.memory import out_of_memory, ran_out
-from tom.record import RunReader, Store, checkpoint
+from tom.record import RunReader, Status, Store, checkpoint
 from tom.record.files import size_of
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
@@ -43,13 +45,15 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "tom train --env road-and-rocks --help.",
     )
     goes_on = any(word.split("=")[0] == "--resume" for word in arguments)
-    parser.add_argument("--env", required=not goes_on, metavar="ENV", help=", ".join(ENV_NAMES))
+    parser.add_argument(
+        "--env", required=not goes_on, metavar="ENV", help=f"{', '.join(ENV_NAMES)}, {ANY}"
+    )
     parser.add_argument(
         "--learner",
         nargs="+",
         required=not goes_on,
         metavar="LEARNER",
-        help=f"one or more of {', '.join(LEARNER_NAMES)}",
+        help=f"one or more of {', '.join(LEARNERS)}",
     )
     parser.add_argument(
         "--seeds", nargs="+", type=_seed, metavar="N", help="a training for each of these seeds"
@@ -73,8 +77,11 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "newest run of this very command, or of fewer steps, that is not complete; else a new one",
     )
     parser.add_argument("--run-id", help="name of the run folder [env-learner-seed-time]")
+    if _given(arguments, "--env") != ROAD:
+        add_termination(parser)
     add_run_options(parser)
-    add_config_options(parser, config_type(_given(arguments, "--env")), leave_out=OWN_OPTIONS)
+    settings = config_type(_given(arguments, "--env"), *LEARNERS)
+    add_config_options(parser, settings, leave_out=OWN_OPTIONS)
     parser.set_defaults(run=run)
 
 
@@ -82,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     given = overrides(args)
     if args.resume and args.resume != "auto":
         _refuse_others(args)
-        return _resume(args, args.resume, _steps(given))
+        return _resume(args, args.resume, _steps(_without_rule(given, args.resume, args.store)))
     if not (args.env and args.learner):
         raise UserError("--resume auto needs the --env and --learner of the run")
     if len(args.learner) > 1 or args.seeds or args.engine or given.get("device", "cpu") != "cpu":
@@ -95,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def begin(config: AnyConfig, args: argparse.Namespace) -> int:
-    """Record `config`; with `--resume auto` go on where the same command left off."""
+    """Train `config`; with `--resume auto`, resume the run of an earlier same command."""
     begun = unfinished(Store(args.store), config) if args.resume else None
     return _resume(args, begun, config.steps) if begun else record(config, args)
 
@@ -112,7 +119,7 @@ def _train_many(args: argparse.Namespace) -> int:
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
-    """Run `config` under the options that every recorded run shares; the exit code."""
+    """Train `config` with the options shared by all training commands; returns the exit code."""
     store = Store(args.store)
     return _watched(args, config, lambda **options: train(config, store, args.run_id, **options))
 
@@ -133,7 +140,7 @@ def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> 
 def _watched(
     args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
 ) -> int:
-    """Run `training` with progress on the terminal; the signals that ask for it stop it cleanly."""
+    """Run `training` with progress on the terminal; a signal stops it cleanly."""
     stop = _stop_on_signals()
     label = f"{config.env} {config.learner} seed {config.seed}"
     stream = sys.stderr if args.json else sys.stdout
@@ -161,14 +168,14 @@ def _watched(
 
 
 def _stop_on_signals() -> Stop:
-    """Asked to stop by a signal, a training writes a checkpoint and ends."""
+    """A stop request that signals set: the training then writes a checkpoint and ends."""
     stop = Stop()
     on_stopping(stop)
     return stop
 
 
 def _refuse_others(args: argparse.Namespace) -> None:
-    """Raises UserError for what has no meaning where a named run goes on."""
+    """Raises UserError for options that have no meaning when a named run is resumed."""
     for option in ("seeds", "engine", "run_id"):
         if getattr(args, option) is not None:
             name = option.replace("_", "-")
@@ -183,8 +190,21 @@ def _seed(word: str) -> int:
     return int(word)
 
 
+def _without_rule(given: dict[str, Any], run_id: str, store: Path) -> dict[str, Any]:
+    """`given` without the termination rule, which is named only to be imported, not changed."""
+    name = given.get("model", {}).get("termination")
+    if name is None:
+        return given
+    config = Store(store).run(run_id).config.get("config", {})
+    recorded = config.get("model", {}).get("termination")
+    if name != recorded:
+        raise UserError(f"--termination {name}: run '{run_id}' was made with {recorded or 'none'}")
+    rest = {key: value for key, value in given["model"].items() if key != "termination"}
+    return {**given, "model": rest} if rest else {k: v for k, v in given.items() if k != "model"}
+
+
 def _steps(given: dict[str, Any]) -> int | None:
-    """The only value that may change when a run goes on."""
+    """The number of steps, the only setting that may change when a run is resumed."""
     if set(given) - {"steps"}:
         raise UserError("--resume takes --steps alone: a run goes on with its own settings")
     steps = given.get("steps")
@@ -193,9 +213,9 @@ def _steps(given: dict[str, Any]) -> int | None:
     return None if steps is None else int(steps)
 
 
-def summary(done: RunReader) -> dict[str, Any]:
-    """What a run came to: its last and best return and where it lies."""
-    status = done.status
+def summary(done: RunReader, status: Status | None = None) -> dict[str, Any]:
+    """A run's last and best return and its folder; `status` is read if None."""
+    status = status or done.status
     return {
         "run_id": done.run_id,
         "env": done.env,
@@ -229,7 +249,7 @@ def _print_summary(done: RunReader, as_json: bool) -> None:
 
 
 def checkpoint_share(done: RunReader) -> float:
-    """The share of a run's time that its checkpoints took."""
+    """The share of a run's time that was spent on checkpoints."""
     table = done.metrics()
     known = {"time/checkpoint_s", "time/wall_s"} <= set(table) and len(table) > 0
     spent, wall = (
@@ -240,7 +260,7 @@ def checkpoint_share(done: RunReader) -> float:
 
 
 def number(value: float | None) -> str:
-    """A return for a table or a line; a dash where there was no evaluation yet."""
+    """A return as text; a dash before the first evaluation."""
     return "-" if value is None else f"{value:.1f}"
 
 

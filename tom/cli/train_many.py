@@ -24,7 +24,7 @@ FEWER = "give fewer learners or --seeds at a time; each goes on from its last ch
 
 
 def trials_of(args: argparse.Namespace) -> list[Trial]:
-    """Every learner with every seed, each once. Raises UserError where one is impossible."""
+    """Every learner with every seed, without duplicates. Raises UserError if one is impossible."""
     settings = overrides(args)
     if args.seeds and "seed" in settings:
         raise UserError("--seed and --seeds: give one of them")
@@ -34,21 +34,21 @@ def trials_of(args: argparse.Namespace) -> list[Trial]:
     if not seed.isdecimal():
         raise UserError(f"--seed {seed}: must be a whole number, 0 or more")
     seeds = args.seeds or [int(seed)]
-    found = [
+    trials = [
         Trial(args.env, learner, seed, args.preset, settings)
         for learner in dict.fromkeys(args.learner)
         for seed in dict.fromkeys(seeds)
     ]
-    for trial in found:
+    for trial in trials:
         try:
             _ = trial.config
         except ValidationError as error:
             raise one_line(error) from None
-    return found
+    return trials
 
 
 def wants_fleet(args: argparse.Namespace, trials: Sequence[Trial]) -> bool:
-    """Whether they are to be a fleet: where it is asked for, or on a GPU."""
+    """Whether the trainings form a fleet: on request, or on a GPU."""
     on_gpu = any(trial.config.device != "cpu" for trial in trials)
     if on_gpu and args.engine == "processes":
         raise UserError("--engine processes is for --device cpu: on a GPU trainings are a fleet")
@@ -58,11 +58,11 @@ def wants_fleet(args: argparse.Namespace, trials: Sequence[Trial]) -> bool:
 def run_fleets(
     args: argparse.Namespace, fleets: Sequence[Sequence[Trial]], stop: Stop, *, rerun: bool
 ) -> int:
-    """Train fleet after fleet, each with one report of progress; the exit code.
+    """Train the fleets one after another, each with a progress display; returns the exit code.
 
-    Of `args` count the options that all commands share which train.
+    Reads from `args` the options that all training commands share.
 
-    Raises UserError, before anything is trained, where one of them cannot be a fleet.
+    Raises UserError, before anything is trained, if some runs cannot form a fleet.
     """
     for trials in fleets:
         check(trials)
@@ -70,7 +70,7 @@ def run_fleets(
     rows: list[dict[str, Any]] = []
     for trials in fleets:
         results = () if stop.asked else _train(trials, args, stop, rerun, stream)
-        done = [_row(trial, found) for trial, found in zip(trials, results, strict=False)]
+        done = [_row(trial, result) for trial, result in zip(trials, results, strict=False)]
         _say(done, stream)
         rows += done
     if args.json:
@@ -82,7 +82,7 @@ def run_fleets(
 def _train(
     trials: Sequence[Trial], args: argparse.Namespace, stop: Stop, rerun: bool, stream: TextIO
 ) -> Sequence[RunReader | Exception]:
-    """Train in lock-step; nothing where it is stopped at once."""
+    """Train in lock-step; returns nothing if stopped at once."""
     with FleetReport(trials, stream) as report:
         try:
             return train_fleet(
@@ -112,7 +112,7 @@ def _say(rows: Sequence[dict[str, Any]], stream: TextIO) -> None:
             print(terminal(f"{row['run_id']} failed: {row['error']}"), file=sys.stderr)
 
 
-def _row(trial: Trial, found: RunReader | Exception) -> dict[str, Any]:
+def _row(trial: Trial, result: RunReader | Exception) -> dict[str, Any]:
     row: dict[str, Any] = {
         "run_id": trial.run_id,
         "env": trial.env,
@@ -122,10 +122,10 @@ def _row(trial: Trial, found: RunReader | Exception) -> dict[str, Any]:
         "env_step": None,
         "last_return": None,
         "best_return": None,
-        "error": str(found) if isinstance(found, Exception) else None,
+        "error": str(result) if isinstance(result, Exception) else None,
     }
-    if isinstance(found, RunReader):
-        status = found.status
+    if isinstance(result, RunReader):
+        status = result.status
         row |= {name: getattr(status, name) for name in ("state", "env_step", "last_return")}
-        row |= {"run_id": found.run_id, "best_return": status.best_return}
+        row |= {"run_id": result.run_id, "best_return": status.best_return}
     return row

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from tom.data.hdf5 import column, open_hdf5
+from tom.data.recorded import assemble, check_finite
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 
@@ -12,11 +11,8 @@ from tom.errors import UserError
 def read_d4rl(path: str | Path) -> Transitions:
     """The transitions of a D4RL file (`observations`, `actions`, `rewards`, `terminals`, ...).
 
-    `timeouts` become `truncated`, and so does every other place where the recording of an episode
-    stops without a terminal state: a row after a terminated or truncated one starts an episode.
-    Where the file has no `next_observations`, the next row's observation is taken, never across
-    episodes: the last row of each episode has none and is left out, and the row before it is
-    marked as truncated. Actions are in the recorded task's own units. Raises UserError.
+    `timeouts` become `truncated`; `assemble` completes a missing `timeouts` or `next_observations`.
+    Actions are in the recorded task's own units. Raises UserError.
     """
     with open_hdf5(Path(path)) as file:
         obs, action = column(file, "observations", 2), column(file, "actions", 2)
@@ -32,22 +28,8 @@ def read_d4rl(path: str | Path) -> Transitions:
             f"{path} has neither 'next_observations' nor 'timeouts', so its episodes cannot be "
             "told apart: use a version of the data that has one of them"
         )
-    if next_obs is None:
-        ends = terminated | timeouts
-        ends[-1] = True
-        return _shifted(obs, action, reward, ends)
-    if timeouts is None:
-        timeouts = np.append((next_obs[:-1] != obs[1:]).any(axis=1), True)
-    timeouts[-1] = True
-    return Transitions(obs, action, reward, next_obs, terminated, timeouts & ~terminated)
-
-
-def _shifted(
-    obs: np.ndarray, action: np.ndarray, reward: np.ndarray, ends: np.ndarray
-) -> Transitions:
-    """All rows but the last of each episode, with the next row's observation."""
-    kept = np.flatnonzero(~ends)
-    terminated = np.zeros(len(kept), bool)
-    return Transitions(
-        obs[kept], action[kept], reward[kept], obs[kept + 1], terminated, ends[kept + 1]
+    check_finite(
+        path,
+        {"observations": obs, "actions": action, "rewards": reward, "next_observations": next_obs},
     )
+    return assemble(obs, action, reward, terminated, next_obs, timeouts)

@@ -1,20 +1,37 @@
-"""Recorded experience from disk, whatever its format."""
+"""Read recorded experience in any of the known formats."""
 
 from pathlib import Path
 
 import numpy as np
 
+from tom.data.columnar import SUFFIXES, read_columnar
 from tom.data.d4rl import read_d4rl
 from tom.data.minari import read_minari
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 
+FORMATS = "an .npz or Parquet file of transitions, a D4RL file (.hdf5) or a Minari folder"
+_HDF5 = (".hdf5", ".h5", ".hdf")
+_PICKLES = (".pkl", ".pickle", ".zip", ".pt", ".pth")
+
 
 def read_dataset(path: str | Path) -> Transitions:
-    """The transitions of a D4RL file or a Minari folder, in the order of collection."""
-    if not Path(path).exists():
-        raise UserError(f"no data at {path}: give a D4RL file (.hdf5) or a Minari folder")
-    return read_minari(path) if Path(path).is_dir() else read_d4rl(path)
+    """The transitions of a dataset (FORMATS), in the order of collection. Raises UserError."""
+    path = Path(path)
+    if not path.exists():
+        raise UserError(f"no data at {path}: give {FORMATS}")
+    if path.is_dir():
+        return read_minari(path)
+    if path.suffix in SUFFIXES:
+        return read_columnar(path)
+    if path.suffix in _PICKLES:
+        raise UserError(
+            f"{path} may hold pickles, which are code and are not loaded: export the transitions "
+            "to .npz (docs/your-own.md has ten lines for stable-baselines3)"
+        )
+    if path.suffix not in _HDF5:
+        raise UserError(f"{path} is of no kind that can be read here: give {FORMATS}")
+    return read_d4rl(path)
 
 
 def initial_obs(transitions: Transitions) -> np.ndarray:

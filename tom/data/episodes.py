@@ -1,16 +1,16 @@
-"""Rows in order of collection as episodes."""
+"""Split rows in order of collection into episodes."""
 
 import torch
 from torch import Tensor
 
 from tom.data.transitions import TensorTransitions
 
-FEW = 10  # with fewer episodes than this, blocks of rows are held out in their place
+FEW = 10  # with fewer episodes than this, blocks of rows are held out instead
 BLOCK = 100  # rows
 
 
 def episode_numbers(rows: TensorTransitions) -> Tensor:
-    """Which episode each of the rows (N,) belongs to, counted from 0, int64."""
+    """The episode number of each row (N,), int64, counted from 0."""
     ended = ((rows.terminated + rows.truncated) > 0).to(torch.int64)
     return ended.cumsum(0) - ended
 
@@ -18,8 +18,8 @@ def episode_numbers(rows: TensorTransitions) -> Tensor:
 def held_out_rows(rows: TensorTransitions, share: float, generator: torch.Generator) -> Tensor:
     """A mask (N,) of whole episodes, drawn at random, with at least `share` of the rows.
 
-    At least one episode is left out of it. Where there are fewer than `FEW` episodes, blocks of
-    `BLOCK` successive rows stand for them (single rows where these would be few, too).
+    At least one episode is not held out. With fewer than `FEW` episodes, blocks of `BLOCK`
+    successive rows are used instead, or single rows if there would be few blocks as well.
     """
     groups = _groups(rows)
     length = torch.bincount(groups)

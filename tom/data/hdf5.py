@@ -1,4 +1,4 @@
-"""Opening HDF5 files of recorded experience, with errors that a user can mend."""
+"""Open HDF5 files of recorded experience, with errors that tell the user what to fix."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +12,7 @@ from tom.errors import UserError
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[h5py.File]:
-    """The file at `path`, open for reading; a UserError where it is not HDF5."""
+    """Open the file at `path` for reading. Raises UserError if it is not HDF5."""
     if not path.is_file():
         raise UserError(f"no file {path}: give the path of an HDF5 file")
     try:
@@ -23,12 +23,12 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 def column(group: h5py.Group, name: str, axes: int) -> np.ndarray:
-    """The array `name` of a group as float32; a trailing axis of one row may stand for none."""
+    """The array `name` of a group as float32; a trailing axis of length one may be dropped."""
     stored = group.get(name)
     where = f"'{name}' in {group.file.filename}:{group.name}"
     if not isinstance(stored, h5py.Dataset):
         raise UserError(f"no array {where}: only data with flat observations and actions is read")
-    if stored.external:  # the bytes of any file on this machine
+    if stored.external:  # external storage could read any file on this machine
         raise UserError(f"{where} lies in another file: only data within the file is read")
     values = np.asarray(stored[()])
     if axes == 1 and values.ndim == 2 and values.shape[1] == 1:

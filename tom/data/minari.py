@@ -1,6 +1,6 @@
 """Minari's dataset folders as transitions, episode by episode in the order of collection.
 
-The files are read as they lie (HDF5, Arrow or Parquet), so the `minari` package is not needed.
+The files (HDF5, Arrow or Parquet) are read directly, so the `minari` package is not needed.
 """
 
 import json
@@ -13,16 +13,19 @@ import pyarrow as pa
 import pyarrow.dataset
 
 from tom.data.hdf5 import column, open_hdf5
+from tom.data.recorded import check_finite
 from tom.data.transitions import Transitions
 from tom.errors import UserError, reason
+
+CHECKED = ("obs", "action", "reward", "next_obs")
 
 
 def read_minari(path: str | Path) -> Transitions:
     """The transitions of the Minari dataset in folder `path` (with `data/`, or `data/` itself).
 
-    Only flat (Box) observations and actions can be read. An episode that was cut short with
-    neither flag set is marked as truncated, so a row after a terminated or truncated one starts an
-    episode. Actions are in the recorded task's own units. Raises UserError.
+    Only flat (Box) observations and actions can be read. An episode that was cut short without
+    either flag is marked as truncated, so a row after a terminated or truncated one always starts
+    an episode. Actions are in the recorded task's own units. Raises UserError.
     """
     folder = Path(path)
     folder = folder / "data" if (folder / "data").is_dir() else folder
@@ -30,7 +33,9 @@ def read_minari(path: str | Path) -> Transitions:
     parts = list(_hdf5_episodes(folder) if form == "hdf5" else _arrow_episodes(folder, form))
     if not parts:
         raise UserError(f"{path} holds no episodes: record or download the dataset again")
-    return Transitions.concatenate(parts)
+    rows = Transitions.concatenate(parts).numpy()
+    check_finite(path, {name: np.asarray(getattr(rows, name)) for name in CHECKED})
+    return rows
 
 
 def _data_format(folder: Path) -> str:
@@ -72,7 +77,7 @@ def _arrow_episodes(folder: Path, form: str) -> Iterator[Transitions]:
             raise UserError(
                 f"{episode} cannot be read: download it again ({reason(error)})"
             ) from error
-        # The columns are as long as the observations: the last row of the others is padding.
+        # All columns are as long as the observations: the last row of the others is padding.
         yield _episode(str(episode), obs, action[:-1], *(c[:-1] for c in flat))
 
 

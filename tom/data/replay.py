@@ -13,9 +13,9 @@ class ReplayBuffer:
     """The last `capacity` transitions added, oldest first.
 
     A transition is one row of a packed float32 tensor (capacity, 2 O + A + 3), so that a minibatch
-    is one `index_select`; beside it stands the version of the policy that collected it. Memory is
-    reserved at once but touched row by row. Batches handed out without a copy are views of the
-    live rows: they change when the buffer, once full, writes over them.
+    is one `index_select`; a second tensor has the version of the policy that collected each row.
+    Memory is reserved at once but touched row by row. Batches returned without a copy are views of
+    the live rows: they change when the full buffer overwrites them.
     """
 
     def __init__(
@@ -47,15 +47,15 @@ class ReplayBuffer:
         """Append one transition: obs and next_obs (O,), action (A,)."""
         row = np.concatenate((obs, action, (reward,), next_obs, (terminated, truncated)))
         self._rows[self._end] = torch.from_numpy(row.astype(np.float32))
-        # Filled, not assigned: a number that is assigned on a GPU becomes a tensor first.
+        # `fill_` because assigning a number on a GPU would first make a tensor of it.
         self._versions[self._end].fill_(policy_version)
         self._advance(1)
 
     def extend(self, rows: TensorTransitions, policy_version: Tensor | int = 0) -> None:
         """Append N transitions in order; `policy_version` is (N,) or one for all."""
         if not len(rows):
-            return  # a run folder without rows yet does not know their width
-        if isinstance(policy_version, int):  # made where the buffer is, not sent there
+            return  # a run folder without rows does not know their width
+        if isinstance(policy_version, int):  # created on the buffer's device, not copied to it
             policy_version = self._versions.new_full((len(rows),), policy_version)
         self._extend(rows.packed(), policy_version)
 
@@ -76,21 +76,21 @@ class ReplayBuffer:
         return self._rows.index_select(0, self._physical(index))
 
     def last(self, n: int) -> TensorTransitions:
-        """The newest n rows (all, where there are fewer), oldest of them first."""
+        """The newest n rows (or all, if there are fewer), oldest first."""
         n = min(n, self._size)
         if n <= self._end:
             return self._unpack(self._rows[self._end - n : self._end])
         return self.gather(torch.arange(self._size - n, self._size, device=self._rows.device))
 
     def since(self, total: int) -> TensorTransitions:
-        """The rows added after the `total`-th ever added that are still held.
+        """The rows added after the first `total` ever added, as far as they are still held.
 
         Their policy versions are the last entries of `policy_version()`.
         """
         return self.last(max(self.total_added - total, 0))
 
     def tail(self, n: int) -> dict[str, Tensor]:
-        """The newest n rows and their policy versions, as `restore_tail` takes them."""
+        """The newest n rows and their policy versions, for `restore_tail`."""
         rows, versions = self._ordered(self._rows), self.policy_version()
         start = len(rows) - n
         return {"rows": rows[start:].clone(), "policy_version": versions[start:].clone()}
@@ -104,7 +104,7 @@ class ReplayBuffer:
         self._size = self._end = 0
 
     def resize(self, capacity: int) -> None:
-        """Hold `capacity` rows from now on; the newest stay."""
+        """Change the capacity; the newest rows stay."""
         if capacity == self.capacity:
             return
         kept = self.tail(min(self._size, capacity))
@@ -125,7 +125,7 @@ class ReplayBuffer:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Become the buffer that `state_dict` was taken from (the capacity must hold it)."""
+        """Restore the buffer that `state_dict` was taken from (its rows must fit)."""
         rows: Tensor = state["rows"]
         if rows.shape[1] != self._rows.shape[1] or len(rows) > self.capacity:
             raise ValueError(f"rows {tuple(rows.shape)} do not fit {tuple(self._rows.shape)}")

@@ -1,4 +1,4 @@
-"""Weights over the rows of a buffer: normalising, drawing by them, summing them up."""
+"""Weights over the rows of a buffer: normalise them, sample by them, summarise them."""
 
 import numpy as np
 import torch
@@ -25,7 +25,7 @@ class WeightedSampler:
     def __init__(self, weights: Tensor, generator: torch.Generator) -> None:
         if not _usable(weights, weights.sum(dtype=torch.float64)):
             raise ValueError("weights must be finite, non-negative and not all zero: normalise")
-        # Rows of weight zero are left out, so that no rounding can ever draw one.
+        # Rows of weight zero are left out, so that rounding can never draw one.
         self._rows = torch.nonzero(weights).squeeze(1)
         self._cumulative = weights[self._rows].to(torch.float64).cumsum(0)
         self._generator = generator
@@ -36,10 +36,10 @@ class WeightedSampler:
         return self.at(torch.rand(n, dtype=torch.float64, generator=g, device=g.device))
 
     def at(self, u: Tensor) -> Tensor:
-        """The row numbers (n,) that uniform draws on [0, 1), (n,) float64, come to."""
+        """The row numbers (n,) for uniform draws on [0, 1), (n,) float64."""
         u = u.to(self._cumulative.device) * self._cumulative[-1]
-        found = torch.searchsorted(self._cumulative, u, right=True)
-        return self._rows[found.clamp_(max=len(self._rows) - 1)]
+        place = torch.searchsorted(self._cumulative, u, right=True)
+        return self._rows[place.clamp_(max=len(self._rows) - 1)]
 
 
 def uniform_indices(high: int, n: int, generator: torch.Generator) -> Tensor:
@@ -48,7 +48,7 @@ def uniform_indices(high: int, n: int, generator: torch.Generator) -> Tensor:
 
 
 def block_size(device: torch.device, cpu: int, gpu: int) -> int:
-    """How many minibatches to gather at once: few stay in a CPU's cache, a GPU counts launches."""
+    """Minibatches to gather at once: few fit a CPU's cache, many save launches on a GPU."""
     return cpu if device.type == "cpu" else gpu
 
 
@@ -62,11 +62,17 @@ def ess(weights: Tensor | np.ndarray) -> float:
     return float(w.sum().square() / (squares * len(w))) if squares > 0 else 0.0
 
 
+def zero_share(weights: Tensor | np.ndarray) -> float:
+    """Share of the rows whose weight is zero; 0 without rows."""
+    w = torch.as_tensor(weights)
+    return float((w == 0).to(torch.float64).mean()) if len(w) else 0.0
+
+
 def bin_means(weights: Tensor | np.ndarray, bins: int) -> Tensor:
     """Mean weight in each of `bins` equal parts, oldest to newest, (bins,) float64.
 
-    A row that lies across a border counts in both parts in proportion, so the mean of the bins is
-    the mean weight whatever N is, and with fewer rows than bins a row spans several.
+    A row across a border counts in both parts in proportion. So the mean of the bins is the mean
+    weight for every N, and with fewer rows than bins a row spans several bins.
     """
     w = torch.as_tensor(weights).to(torch.float64)
     n = len(w)

@@ -1,4 +1,4 @@
-"""z-scores of what a network reads or predicts, by the mean and spread of a buffer's columns."""
+"""z-scores of a network's inputs or targets, by the mean and spread of a buffer's columns."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from tom.data.columns import column_moments
-
 MIN_STD = 1e-6  # a constant column is centred and left unscaled
+AT_ONCE = 4  # columns gathered at once, which bounds the memory to a few columns
 
 
 @dataclass(frozen=True)
@@ -26,10 +25,10 @@ class Scaling:
         change: tuple[Tensor, Tensor] | None = None,
         rows: Tensor | None = None,
     ) -> Scaling:
-        """The scaling of groups of columns, (N, D_i) each, laid side by side.
+        """The scaling of groups of columns, (N, D_i) each, concatenated.
 
-        `change` is (after, before), (N, D) each: a last group, of the differences. By the moments
-        of the rows (n,) alone, where they are given.
+        `change` is (after, before), (N, D) each, and adds a last group, their difference. If given,
+        only `rows` (n,) are used for the moments.
         """
         moments = [column_moments(group, rows=rows) for group in columns]
         if change:
@@ -42,7 +41,7 @@ class Scaling:
 
     @staticmethod
     def identity(dim: int, device: torch.device) -> Scaling:
-        """The scaling of `dim` columns that changes nothing."""
+        """The scaling of `dim` columns that leaves them as they are."""
         return Scaling(torch.zeros(dim, device=device), torch.ones(dim, device=device))
 
     def first(self, n: int) -> Scaling:
@@ -58,5 +57,22 @@ class Scaling:
         return (x - self.mean) / self.std
 
     def inverse(self, z: Tensor) -> Tensor:
-        """z-scores (..., D) as the columns they are of."""
+        """The columns (..., D) with these z-scores."""
         return z * self.std + self.mean
+
+
+def column_moments(
+    columns: Tensor, minus: Tensor | None = None, rows: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Standard deviation and mean, (D,) each, of the columns of a table (N, D).
+
+    If given, `minus` (N, D) is subtracted first and only `rows` (n,) are used.
+    """
+
+    def moments(part: slice) -> tuple[Tensor, Tensor]:
+        chosen = columns[:, part] if minus is None else columns[:, part] - minus[:, part]
+        return torch.std_mean(chosen if rows is None else chosen[rows], 0, correction=0)
+
+    starts = range(0, columns.shape[1], AT_ONCE)
+    std, mean = zip(*(moments(slice(i, i + AT_ONCE)) for i in starts), strict=True)
+    return torch.cat(std), torch.cat(mean)

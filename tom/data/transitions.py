@@ -1,4 +1,4 @@
-"""A batch of transitions (s, a, r, s'), the currency of the whole backend."""
+"""A batch of transitions (s, a, r, s'), the data type that the whole backend shares."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ class TensorTransitions(Transitions):
         return TensorTransitions(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def copy(self) -> TensorTransitions:
-        """The same rows in memory of their own (a buffer's rows are views that may change)."""
+        """A copy of the rows (a buffer's rows are views that may change)."""
         return TensorTransitions(*(getattr(self, f.name).clone() for f in fields(self)))
 
     def packed(self) -> Tensor:
-        """The same rows as one tensor (..., R), R = 2 O + A + 3: what `unpack` takes apart."""
+        """The same rows as one tensor (..., R), R = 2 O + A + 3; `unpack` is the inverse."""
         flags = torch.stack((self.terminated, self.truncated), -1)
         return torch.cat((self.obs, self.action, self.reward[..., None], self.next_obs, flags), -1)
 

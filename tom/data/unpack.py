@@ -1,7 +1,7 @@
-"""Files of others, which may be damaged or made to harm: judged by what they declare.
+"""Checks of files that may be damaged or malicious, before their content is loaded.
 
-Nothing here allocates what a file says it holds. A header that promises more than the file has, and
-a small file that inflates to what no run can have, raise ValueError before anything is made of it.
+Nothing here trusts a file's own sizes. A header that declares more than the file holds, or a small
+file that inflates to more than a run can have, raises ValueError before memory is allocated.
 """
 
 import lzma
@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from io import BufferedReader
 from pathlib import Path
-from typing import IO
+from typing import IO, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 
 DAMAGE = (
     OSError,
-    ValueError,  # also what numpy and JSON raise
+    ValueError,  # numpy and JSON raise it too
     LookupError,
     TypeError,
     EOFError,
-    OverflowError,  # a number beyond every array's
+    OverflowError,  # a number too large for an array
     SyntaxError,
-    tokenize.TokenError,  # numpy's header is Python's
-    RuntimeError,  # zipfile, for what is encrypted; with NotImplementedError and RecursionError
+    tokenize.TokenError,  # numpy's header is a Python literal
+    RuntimeError,  # encrypted zip files; includes NotImplementedError and RecursionError
     MemoryError,
     struct.error,
     zlib.error,
@@ -40,10 +40,10 @@ DAMAGE = (
     zipfile.BadZipFile,
     pa.ArrowException,
 )
-"""what reading a damaged file may raise"""
+"""errors that reading a damaged file may raise"""
 
 MOST = 256 * 2**20
-"""bytes that a file of no particular run may unpack to"""
+"""bytes that a file may unpack to if no run sets a bound"""
 
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
@@ -56,9 +56,9 @@ BATCH_ROWS = 65_536
 
 
 def open_file(path: Path) -> BufferedReader:
-    """Open `path` for reading. Raises OSError, or ValueError for what is no file.
+    """Open `path` for reading. Raises OSError, or ValueError if it is not a regular file.
 
-    A pipe in its place would hold up whoever opens it for good.
+    Opening a pipe would block for good.
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
@@ -76,20 +76,20 @@ def read_bytes(path: Path) -> bytes:
 def read_arrays(
     path: Path, most: int = MOST, wanted: Callable[[str], bool] = lambda name: True
 ) -> dict[str, NDArray]:
-    """The arrays of an `.npz` file by name, at most `most` bytes, loaded without pickle.
+    """The arrays of an `.npz` file by name, at most `most` bytes in total, loaded without pickle.
 
-    Those whose names are `wanted`. Raises one of DAMAGE.
+    Only those whose names are `wanted`. Raises one of DAMAGE.
     """
     with open_file(path) as file:
         check_arrays(file, most)
-        with np.load(file, allow_pickle=False) as found:
-            return {name: found[name] for name in found.files if wanted(name)}
+        with np.load(file, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files if wanted(name)}
 
 
 def check_arrays(file: IO[bytes], most: int = MOST) -> None:
-    """Raises ValueError unless every array of an `.npz` file is as long as its header says.
+    """Raises ValueError unless every array of an `.npz` file is as long as its header declares.
 
-    `most` bytes may all of them be. A damaged archive raises others of DAMAGE.
+    All arrays together may have `most` bytes. A damaged archive raises another of DAMAGE.
     """
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
@@ -104,12 +104,15 @@ def check_arrays(file: IO[bytes], most: int = MOST) -> None:
     file.seek(0)
 
 
-def read_batches(table: pq.ParquetFile, most: int = MOST) -> pa.Table:
-    """A Parquet file's columns, which must be numbers, and `most` bytes of them at most.
+def read_columns(file: BinaryIO, most: int = MOST) -> pa.Table:
+    """The columns of a Parquet file, which must be numeric and have at most `most` bytes.
 
-    Read in batches: what its footer says of its length need not be so. Raises one of DAMAGE.
+    Read in batches, because the length in the footer may be wrong, and without Arrow's threads:
+    one that is alive when the process exits may abort it, after everything was done
+    (github.com/apache/arrow/issues/34314). Raises one of DAMAGE.
     """
-    # The schema's columns, not the footer's: at those Arrow takes a process down where they differ.
+    table = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
+    # The schema's columns, not the footer's: if the two differ, Arrow crashes the process.
     schema = table.schema
     strange = {schema.column(i).physical_type for i in range(len(schema))} - NUMBERS
     if strange:
@@ -124,9 +127,9 @@ def read_batches(table: pq.ParquetFile, most: int = MOST) -> pa.Table:
 
 
 def check_tensors(file: IO[bytes]) -> None:
-    """Raises ValueError unless a file of torch's holds its tensors as they are, not packed.
+    """Raises ValueError unless a torch file stores its tensors uncompressed.
 
-    So it allocates no more than its own length. Raises zipfile's errors where it is none.
+    Then loading allocates no more than the file's length. Raises zipfile's errors as well.
     """
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
@@ -138,7 +141,7 @@ def check_tensors(file: IO[bytes]) -> None:
 
 
 def check_views(state: object) -> None:
-    """Raises ValueError where a loaded tensor has more elements than memory of its own."""
+    """Raises ValueError if a loaded tensor has more elements than its storage."""
     for tensor in _tensors(state, set()):
         whole = tensor.layout is torch.strided and not tensor.is_meta and not tensor.is_quantized
         held = tensor.untyped_storage().nbytes() if whole else -1
@@ -147,7 +150,7 @@ def check_views(state: object) -> None:
 
 
 def _tensors(value: object, seen: set[int]) -> Iterator[torch.Tensor]:
-    """Every tensor in nested containers, each container once: they may hold one another."""
+    """Every tensor in nested containers, each container once, because they may be cyclic."""
     waiting = [value]
     while waiting:
         one = waiting.pop()
@@ -159,7 +162,7 @@ def _tensors(value: object, seen: set[int]) -> Iterator[torch.Tensor]:
 
 
 def _declared(stream: IO[bytes]) -> int:
-    """The length of an `.npy` file by its header."""
+    """The length of an `.npy` file that its header declares."""
     read = _HEADERS.get(np.lib.format.read_magic(stream))
     if read is None:
         raise ValueError("an array of an unknown format")

@@ -21,5 +21,5 @@ MODELS = {
 def make_model(
     obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
 ) -> DynamicsModel:
-    """The dynamics model that `config.kind` names."""
+    """Make the dynamics model of kind `config.kind`."""
     return MODELS[config.kind](obs_dim, action_dim, config, generator)

@@ -1,6 +1,5 @@
-"""What a dynamics model is to the rest: fitted with weights, sampled from, asked for its mean."""
+"""The interface of a dynamics model: a weighted fit, samples and the mean prediction."""
 
-from collections.abc import Generator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -8,12 +7,11 @@ import torch
 from torch import Tensor
 
 from tom.data.transitions import TensorTransitions
-from tom.nn.lockstep import Work
 
 
 @dataclass(frozen=True)
 class FitReport:
-    """What a fit came to: metrics by path, and (kind, message) notices for the run's record."""
+    """The result of a fit: metrics by path, and (kind, message) notices for the run's record."""
 
     metrics: dict[str, float] = field(default_factory=dict)
     notices: tuple[tuple[str, str], ...] = ()
@@ -30,16 +28,6 @@ class DynamicsModel(Protocol):
         generator: torch.Generator,
     ) -> FitReport:
         """Fit to N transitions with weights (N,), mean 1, and per-dimension weights (N, O)."""
-        ...
-
-    def fitting(
-        self,
-        data: TensorTransitions,
-        weights: Tensor,
-        per_dim: Tensor | None,
-        generator: torch.Generator,
-    ) -> Generator[Work, None, FitReport]:
-        """`fit` as work that members of a fleet may do in one go."""
         ...
 
     def sample(
@@ -64,5 +52,5 @@ class DynamicsModel(Protocol):
     def load_state_dict(self, state: dict[str, Any]) -> None: ...
 
     def load_parameters(self, state: dict[str, Any]) -> None:
-        """What predictions need of a `state_dict`; what only a further fit needs stays."""
+        """Load only those parts of a `state_dict` that predictions need."""
         ...

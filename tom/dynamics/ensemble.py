@@ -17,7 +17,7 @@ BOUND_PENALTY = 0.01
 
 class _Ensemble(FittedDynamics):
     def weight_decay(self) -> list[float]:
-        """By layer; the last layer takes the last value, what stands outside the networks none."""
+        """One coefficient per layer; the last layer takes the last value, extra parameters none."""
         layers = len(self.net.layers)
         decays = [*WEIGHT_DECAY[: layers - 1], WEIGHT_DECAY[-1]]
         decays = [WEIGHT_DECAY[-2]] * (layers - len(decays)) + decays
@@ -74,9 +74,9 @@ class MeanEnsemble(_Ensemble):
     """E networks that predict the mean only, with VaGram's squared loss.
 
     VaGram's is sum_d (dV/ds'_d)^2 (pred_d - s'_d)^2 + (pred_r - r)^2. With z-scored targets the
-    weight of dimension d is (sigma_d dV/ds'_d)^2, to which the learner's per-dimension weights are
-    proportional: they have mean 1, and the reward's z-scored error counts 1. So the balance of
-    state and reward is not VaGram's. The first round is plain MSE.
+    weight of dimension d is (sigma_d dV/ds'_d)^2. The learner's per-dimension weights are
+    proportional to it but scaled to mean 1, and the z-scored error of the reward has weight 1. So
+    the balance of state and reward differs from VaGram's. The first round is plain MSE.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class MeanEnsemble(_Ensemble):
         return (output - target).square()
 
     def nll(self, rows: TensorTransitions) -> None:
-        """It predicts no distribution."""
+        """None: this model predicts no distribution."""
 
     def uses_dim_weights(self, first_round: bool) -> bool:
         return not first_round

@@ -1,12 +1,12 @@
 """The weighted fit of neural dynamics models, one or many in lock-step.
 
-Members of a fleet share every gradient step, and nothing else: each has its own data, weights,
-random stream, holdout and end.
+Members of a fleet share the gradient steps and nothing else: each has its own data, weights, random
+stream, holdout and stopping time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -18,7 +18,8 @@ from tom.data.sampling import WeightedSampler, block_size, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import FitReport
 from tom.dynamics.neural import NeuralDynamics
-from tom.nn.lockstep import Work, finished
+from tom.nn.graphs import captured_step
+from tom.nn.lockstep import Rank, Work, do
 
 BLOCK, GPU_BLOCK = 10, 100  # minibatches gathered at once
 
@@ -28,12 +29,12 @@ Step = Callable[..., Tensor]
 
 @dataclass
 class Fit(Work):
-    """Work: a model is fitted to N transitions; then `report` is there.
+    """Work that fits a model to N transitions; afterwards `report` is set.
 
-    With weights (N,), and per-dimension weights (N, O).
+    `weights` are (N,), per-dimension weights (N, O).
     """
 
-    rank: ClassVar[int] = 4
+    rank: ClassVar[Rank] = Rank.FIT
     subject: NeuralDynamics
     data: TensorTransitions
     weights: Tensor
@@ -47,7 +48,7 @@ class Fit(Work):
 
     @classmethod
     def do(cls, works: Sequence[Fit], subject: NeuralDynamics) -> None:
-        reports = fit(works, subject.step)
+        reports = fit(works, captured_step(subject))
         for work, report in zip(works, reports, strict=True):
             work.report = report
 
@@ -63,19 +64,7 @@ class FittedDynamics(NeuralDynamics):
         generator: torch.Generator,
     ) -> FitReport:
         """Weighted maximum likelihood with early stopping: see this module's `fit`."""
-        return finished(self.fitting(data, weights, per_dim, generator))
-
-    def fitting(
-        self,
-        data: TensorTransitions,
-        weights: Tensor,
-        per_dim: Tensor | None,
-        generator: torch.Generator,
-    ) -> Generator[Work, None, FitReport]:
-        """`fit` as work that members of a fleet may do in one go."""
-        work = Fit(self, data, weights, per_dim, generator)
-        yield work
-        return work.report
+        return do(Fit(self, data, weights, per_dim, generator)).report
 
 
 @torch.no_grad()
@@ -83,9 +72,10 @@ def fit(works: Sequence[Fit], step: Step) -> list[FitReport]:
     """Weighted maximum likelihood (eq. 18) with early stopping; the best networks are kept.
 
     Weights have mean 1. They draw the minibatches or scale the loss, never both. A round is
-    `batches_per_round` minibatches; a fit stops after more than `patience` rounds in a row without
-    a gain: a weighted holdout loss that is `min_gain` (relative) below that of the last gain. The
-    first round is one. `step` moves the networks of all works at once; their configs are equal.
+    `batches_per_round` minibatches. A gain is a weighted holdout loss that is `min_gain` (relative)
+    below that of the last gain; the first round counts as one. A fit stops after more than
+    `patience` rounds in a row without a gain. `step` updates the networks of all works at once;
+    their configs are equal.
     """
     members = [_Member(work) for work in works]
     while any(m.goes_on for m in members):
@@ -129,7 +119,7 @@ def _round(members: Sequence[_Member], step: Step) -> None:
 
 
 class _Member:
-    """One model's way through its fit."""
+    """The state of one model's fit."""
 
     def __init__(self, work: Fit) -> None:
         self.model, self.data, self.generator = work.subject, work.data, work.generator
@@ -156,13 +146,13 @@ class _Member:
 
     @property
     def scales_dims(self) -> bool:
-        """Whether this round's loss counts some dimensions more than others."""
+        """Whether this round's loss weighs dimensions differently."""
         return self.per_dim is not None and self.model.uses_dim_weights(self._rounds == 0)
 
     def plan(self) -> Tensor:
-        """Row numbers (rounds' batches, E, B) of a round; each network draws its own."""
+        """Row numbers (batches of the round, E, B); each network draws its own."""
         shape = self.config.batches_per_round, self.model.ensemble, self.config.batch_size
-        if not self.goes_on:  # it is moved along with the others, and put back at the end
+        if not self.goes_on:  # the shared steps still change it; `report` restores it at the end
             return self.train[:1].expand(shape)
         n = shape[0] * shape[1] * shape[2]
         if self._sampler:
@@ -183,7 +173,7 @@ class _Member:
         return [part.view(*index.shape, -1) for part in parts]
 
     def end_round(self, loss: Tensor) -> None:
-        """Take the networks that gained on the holdout; stop where none has for long enough."""
+        """Keep the networks that improved on the holdout; stop if none has for long enough."""
         if not self.goes_on:
             return
         self._train_loss = loss
@@ -195,7 +185,7 @@ class _Member:
             self._stopped = [(x, x.clone()) for x in kept]
 
     def report(self) -> FitReport:
-        """Put back what was best, and what the others' further rounds have moved."""
+        """Restore the best networks, also if other members' later rounds have changed them."""
         for tensor, kept in self._stopped:
             tensor.copy_(kept)
         self._best.restore()

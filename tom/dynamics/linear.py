@@ -1,6 +1,5 @@
 """Linear dynamics, fitted in closed form by weighted least squares."""
 
-from collections.abc import Generator
 from dataclasses import dataclass
 from math import log, pi
 from typing import Any
@@ -11,10 +10,9 @@ from torch import Tensor
 from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics.base import FitReport
-from tom.nn.lockstep import Work
 
 RIDGE = 1e-8
-"""keeps the normal equations solvable where the weighted data does not span the inputs"""
+"""keeps the normal equations solvable if the weighted data does not span the inputs"""
 MIN_VARIANCE = 1e-12
 
 
@@ -78,17 +76,6 @@ class LinearDynamics:
         self.std = variance.clamp(min=MIN_VARIANCE).sqrt()
         nll = 0.5 * (log(2 * pi) + self.std.square().log() + 1)
         return FitReport({"model/train_nll": float(nll.mean())})
-
-    def fitting(
-        self,
-        data: TensorTransitions,
-        weights: Tensor,
-        per_dim: Tensor | None,
-        generator: torch.Generator,
-    ) -> Generator[Work, None, FitReport]:
-        """`fit`, which is no work that a fleet could share."""
-        yield from ()
-        return self.fit(data, weights, per_dim, generator)
 
     def predict(self, obs: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The mean (reward (B,), next_obs (B, O))."""

@@ -22,7 +22,7 @@ class Mdn(FittedDynamics):
     ) -> None:
         super().__init__(obs_dim, action_dim, 3 * config.components, 1, config, generator)
 
-    # Components stand before dimensions, (E, B, K, D): sums over K then run over whole vectors.
+    # Components come before dimensions, (E, B, K, D), so that sums over K run over whole vectors.
 
     def _split_output(self, output: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Raw output -> mixture logits, means, log variances, each (E, B, K, D)."""
@@ -84,10 +84,9 @@ class Mdn(FittedDynamics):
 def pick_component(logits: Tensor, u: Tensor) -> Tensor:
     """The component of each mixture (E, B, D) for `u` (E, B, D), uniform on [0, 1).
 
-    As many components come before it as have shares that add up to less than u; `logits` are
-    (E, B, K, D).
+    It is the first whose cumulative probability reaches u; `logits` are (E, B, K, D).
     """
-    ahead = logits.permute(2, 3, 0, 1).contiguous()  # (K, D, E, B): every step over whole vectors
+    ahead = logits.permute(2, 3, 0, 1).contiguous()  # (K, D, E, B): whole vectors at every step
     ahead = ahead.sub_(ahead.amax(0)).exp_().cumsum(0)
     return (ahead[:-1] < u.permute(2, 0, 1) * ahead[-1]).sum(0).permute(1, 2, 0)
 

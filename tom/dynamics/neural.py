@@ -1,11 +1,11 @@
-"""What the neural dynamics models share: E networks, z-scored inputs and targets.
+"""The base of the neural dynamics models: E networks, z-scored inputs and targets.
 
 A model is a stack of E networks over inputs (obs, action) and targets (reward, next_obs - obs).
-What it predicts, and with which loss, is its subclass's affair (`mdn`, `ensemble`); how it is
-fitted, alone or in a fleet, is told in `fitting`.
+Subclasses define the distribution and its loss (`mdn`, `ensemble`); `fitting` defines the fit,
+alone or in a fleet.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from typing import Any, Self
 
@@ -23,13 +23,15 @@ from tom.nn.mlp import StackedMLP
 
 
 def soft_bound(x: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
-    """x pressed smoothly between two bounds (Chua et al. 2018)."""
+    """x bounded smoothly from both sides (Chua et al. 2018)."""
     x = high - softplus(high - x)
     return low + softplus(x - low)
 
 
 class NeuralDynamics:
-    """E stacked networks and a step of their fit; subclasses say what their outputs mean."""
+    """E stacked networks and a gradient step; subclasses define the meaning of the outputs."""
+
+    capture: Callable[..., Any] | None = None
 
     def __init__(
         self,
@@ -53,10 +55,10 @@ class NeuralDynamics:
         self.optimiser = Adam(self.parameters(), config.lr, self.weight_decay())
 
     def parameters(self) -> list[Tensor]:
-        """All that is learnt: the networks', then what stands outside them."""
+        """All learnt tensors: the networks' first, then the extra ones."""
         return [*self.net.tensors(), *self.extra_parameters()]
 
-    # What a subclass decides
+    # Defined by subclasses
 
     def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
         """Loss of each target dimension, (E, B, 1 + O), from raw outputs and z-scored targets."""
@@ -79,7 +81,7 @@ class NeuralDynamics:
         return []
 
     def share_extra(self, parts: Sequence[list[Tensor]]) -> None:
-        """Take many models' `extra_parameters()` as views of this one's own."""
+        """Turn the `extra_parameters()` of many models into views of this model's."""
 
     def weight_decay(self) -> float | list[float]:
         """L2 coefficient of all `parameters()`, or one for each."""
@@ -95,7 +97,7 @@ class NeuralDynamics:
         return self.elites.device
 
     def step(self, x: Tensor, y: Tensor, *scales: Tensor) -> Tensor:
-        """A gradient step on minibatches (E, B, ...) already z-scored; each network's loss, (E,).
+        """A gradient step on z-scored minibatches (E, B, ...); returns each network's loss, (E,).
 
         `scales` multiply the loss of each dimension, (E, B, 1 + O) or (E, B, 1), in this order.
         """
@@ -107,7 +109,7 @@ class NeuralDynamics:
     def loss_gradient(
         self, output: Tensor, target: Tensor, scales: Sequence[Tensor]
     ) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """Mean loss of each network (E,); gradients of their sum: the output's, the extras'."""
+        """Each network's mean loss (E,); gradients of their sum for the output and the extras."""
         output, extra = output.requires_grad_(), self.extra_parameters()
         with torch.enable_grad():
             loss = self.loss_per_dim(output, target)
@@ -122,7 +124,7 @@ class NeuralDynamics:
     def joined(cls, models: Sequence[Self]) -> Self:
         """One model of all networks; from now on the models' parameters are views of its own.
 
-        It is there to be stepped: its scalings and elites are those of no fit.
+        It only serves to take steps: it has no fitted scalings or elites.
         """
         joint = copy(models[0])
         joint.net = StackedMLP.joined([m.net for m in models])
@@ -131,7 +133,7 @@ class NeuralDynamics:
         joint.share_extra([m.extra_parameters() for m in models])
         return joint
 
-    # Data as the networks read it
+    # Network inputs and targets
 
     def inputs(self, rows: TensorTransitions) -> Tensor:
         """z-scored (obs, action), (..., O + A)."""

@@ -1,16 +1,68 @@
-"""The registry of tasks."""
+"""The registry of tasks: our own, those of plug-ins, and any of Gymnasium's by `module:Id`."""
 
+from collections.abc import Callable
+from functools import cache
+
+from tom.envs.gymnasium_task import OWN, GymnasiumTask, describe
 from tom.envs.mujoco import TASKS, MujocoTask
-from tom.errors import unknown
+from tom.envs.task import Task, Termination
+from tom.errors import UserError, unknown
 
+ROAD = "road-and-rocks"
 ENVS: dict[str, MujocoTask] = {task.name: task for task in TASKS}
-ENV_NAMES: tuple[str, ...] = (*ENVS, "road-and-rocks")
+ENV_NAMES: tuple[str, ...] = (*ENVS, ROAD)
+OTHERS: dict[str, Callable[[], Task]] = {}
+"""tasks of plug-ins and of modules that the user named; each is made on first use"""
+ANY = "or any Gymnasium task: gymnasium:Swimmer-v5, my_package:MyTask-v0"
 
-__all__ = ["ENVS", "ENV_NAMES", "MujocoTask", "task"]
+__all__ = [
+    "ANY", "ENVS", "ENV_NAMES", "OTHERS", "ROAD", "GymnasiumTask", "MujocoTask", "Task",
+    "Termination", "bring", "is_code", "is_known", "task",
+]  # fmt: skip
 
 
-def task(name: str) -> MujocoTask:
-    """The MuJoCo task called `name`; a UserError with the known names where there is none."""
-    if name not in ENVS:
-        raise unknown("environment", name, ENVS)
-    return ENVS[name]
+def task(name: str) -> Task:
+    """The task called `name`. Imports no module of the user; that is done by `bring`.
+
+    Raises UserError with the known names if there is none.
+    """
+    if name in ENVS:
+        return ENVS[name]
+    if name in OTHERS:
+        return OTHERS[name]()
+    module, colon, _ = name.partition(":")
+    if module == OWN and colon:
+        return _of_gymnasium(name)
+    if colon:
+        raise UserError(
+            f"task {name} is code of the module '{module}', which is imported where you name it "
+            f"alone: add --env {name}"
+        )
+    raise unknown("environment", name, (*ENVS, *OTHERS))
+
+
+def bring(name: str | None) -> None:
+    """Import the module of a task that the user names, and register the task.
+
+    The module is code that the user chose to run. Raises UserError if this fails.
+    """
+    if name is None or name in OTHERS or not is_code(name):
+        return
+    known = describe(name)
+    OTHERS[name] = lambda: known
+
+
+def is_code(name: str) -> bool:
+    """It is a task of a module that has to be imported; Gymnasium's own is here anyway."""
+    module, colon, _ = name.partition(":")
+    return bool(colon) and module != OWN
+
+
+def is_known(name: str) -> bool:
+    """Whether `name` is one of our tasks, a plug-in's, or one whose module was imported."""
+    return name in ENV_NAMES or name in OTHERS or ":" in name
+
+
+@cache
+def _of_gymnasium(name: str) -> GymnasiumTask:
+    return describe(name)

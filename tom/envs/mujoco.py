@@ -1,10 +1,10 @@
-"""The MuJoCo tasks: which Gymnasium environment, with which options, bounds and names.
+"""The MuJoCo tasks: their Gymnasium environments, options, bounds and names.
 
 Agents act in [-1, 1]; `make` rescales to the task's own control range. Nothing here renders.
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import ClassVar
@@ -13,46 +13,30 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 from gymnasium.wrappers import RescaleAction
-from torch import Tensor
 
 from tom.envs import termination
+from tom.envs.task import Task
 
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class MujocoTask:
-    """A task and all that a training must know about it without making it.
+@dataclass(frozen=True, kw_only=True)
+class MujocoTask(Task):
+    """One of the tasks below: an observation is qpos without the root's position, then qvel.
 
-    `terminated` maps next_obs (B, O) to a bool tensor (B,); `steps` is the paper's number of
-    environment steps; an observation is qpos without its `root_dims` leading entries (the place
-    on the ground), then qvel; `obs_names` names each of its O dimensions. `of_paper`: the paper
-    compares learners on it.
+    `steps` is the paper's number of environment steps. `of_paper`: the paper compares learners
+    on it.
     """
 
-    name: str
     gym_id: str
-    terminated: Callable[[Tensor], Tensor]
-    steps: int
-    root_dims: int
-    nq: int
-    action_dim: int
-    obs_names: tuple[str, ...]
     kwargs: Mapping[str, bool] = field(default_factory=lambda: MappingProxyType({}))
-    max_episode_steps: int = 1000
-    of_paper: bool = False
 
     action_low: ClassVar[float] = -1.0
     action_high: ClassVar[float] = 1.0
 
-    @property
-    def obs_dim(self) -> int:
-        return len(self.obs_names)
-
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
         """The environment, with actions in [-1, 1]; its random streams follow `seed`, if given."""
-        # MuJoCo's own handler writes MUJOCO_LOG.TXT into the working directory.
-        mujoco.set_mju_user_warning(_log.info)  # pyright: ignore[reportAttributeAccessIssue]
+        log_warnings()
         env = gym.make(
             self.gym_id,
             max_episode_steps=self.max_episode_steps,
@@ -65,10 +49,10 @@ class MujocoTask:
             env.action_space.seed(seed)
         return env
 
-    def qpos_from_obs(self, obs: np.ndarray) -> np.ndarray:
-        """Joint positions (..., nq) of observations (..., O), the root at the origin."""
-        root = np.zeros((*obs.shape[:-1], self.root_dims), obs.dtype)
-        return np.concatenate((root, obs[..., : self.nq - self.root_dims]), axis=-1)
+
+def log_warnings() -> None:
+    """Send MuJoCo's warnings to our log: its own handler writes a file to the working directory."""
+    mujoco.set_mju_user_warning(_log.info)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _planar(joints: Sequence[str]) -> tuple[str, ...]:

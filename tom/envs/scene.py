@@ -1,7 +1,7 @@
-"""A MuJoCo task's geometry along recorded joint positions, without rendering anything.
+"""A MuJoCo task's geometry at recorded joint positions, without rendering.
 
-Knows nothing of any viewer: capsules, spheres and ellipsoids as arrays. The tasks are made of
-these and a floor; geoms of other kinds are not drawn.
+The geometry is arrays of capsules, ellipsoids, cylinders and boxes, and a floor, for any viewer.
+Geoms of other kinds (meshes) are not drawn.
 """
 
 from dataclasses import dataclass
@@ -10,16 +10,19 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from gymnasium.envs.mujoco import MujocoEnv
 from numpy.typing import NDArray
 
-from tom.envs import task
+from tom.envs import Task, task
+from tom.envs.simulator import simulated
 
 _mj: Any = mujoco  # it ships no types
 
 CAPSULE = int(_mj.mjtGeom.mjGEOM_CAPSULE)
 SPHERE = int(_mj.mjtGeom.mjGEOM_SPHERE)
 ELLIPSOID = int(_mj.mjtGeom.mjGEOM_ELLIPSOID)
+CYLINDER = int(_mj.mjtGeom.mjGEOM_CYLINDER)
+BOX = int(_mj.mjtGeom.mjGEOM_BOX)
+DRAWN = (CAPSULE, SPHERE, ELLIPSOID, CYLINDER, BOX)
 PLANE = int(_mj.mjtGeom.mjGEOM_PLANE)
 
 MjModel = Any
@@ -28,9 +31,9 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Shape:
-    """G capsules or G ellipsoids over H frames; lengths in metres, colours in [0, 1]."""
+    """G solids of one kind over H frames; lengths in metres, colours in [0, 1]."""
 
-    size: Floats  # capsules (G, 2): radius, half length; ellipsoids (G, 3): half sizes
+    size: Floats  # capsules, cylinders (G, 2): radius, half length; others (G, 3): half sizes
     color: Floats  # (G, 4)
     center: Floats  # (H, G, 3)
     axis: Floats  # (H, G, 3) the geom's z axis
@@ -38,18 +41,33 @@ class Shape:
 
     @property
     def capsule_end(self) -> Floats:
-        """Where each capsule's lower end cap is centred, (H, G, 3)."""
+        """The centre of each capsule's lower end cap, (H, G, 3)."""
         return (self.center - self.axis * self.size[:, 1:2]).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """What there is to draw in H frames."""
+    """All shapes in H frames."""
 
     capsules: Shape
     ellipsoids: Shape
+    cylinders: Shape
+    boxes: Shape
     root: Floats  # (H, 3) the first moving body
     floor: float | None  # height of the floor
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The shapes of every kind."""
+        return self.capsules, self.ellipsoids, self.cylinders, self.boxes
+
+    @property
+    def ground(self) -> float:
+        """The floor's height; half a metre below everything if there is no floor."""
+        if self.floor is not None:
+            return self.floor
+        heights = [shape.center[..., 2].min() for shape in self.shapes if shape.center.size]
+        return float(min(heights, default=0.5)) - 0.5
 
 
 @dataclass(frozen=True)
@@ -63,12 +81,18 @@ class Model:
 @cache
 def model(env: str) -> Model:
     """The model of a MuJoCo task. Raises UserError for an unknown task."""
-    made = task(env).make()
-    inner = made.unwrapped
-    assert isinstance(inner, MujocoEnv)
-    found = Model(inner.model, float(inner.dt))
+    made = made_model(task(env))
+    assert made is not None, f"{env} is a MuJoCo task"
+    return made
+
+
+def made_model(known: Task) -> Model | None:
+    """The model of a task, which is made for this; None for a task without MuJoCo."""
+    made = known.make()
+    inside = simulated(made)
+    result = None if inside is None else Model(inside.model, inside.dt)
     made.close()
-    return found
+    return result
 
 
 def geometry(mj: MjModel, qpos: NDArray) -> Geometry:
@@ -83,7 +107,7 @@ def geometry(mj: MjModel, qpos: NDArray) -> Geometry:
         data.qpos[:] = position
         _mj.mj_kinematics(mj, data)
         center[i], matrix[i] = data.geom_xpos, data.geom_xmat
-        body[i], root[i] = data.xquat, data.xpos[1]
+        body[i], root[i] = data.xquat, data.xpos[min(1, mj.nbody - 1)]
     quaternion = _product(body[:, mj.geom_bodyid], mj.geom_quat)[..., [1, 2, 3, 0]]
     axis = matrix[..., 2::3]
 
@@ -100,6 +124,8 @@ def geometry(mj: MjModel, qpos: NDArray) -> Geometry:
     return Geometry(
         shape((CAPSULE,), mj.geom_size[:, :2]),
         shape((SPHERE, ELLIPSOID), _half_sizes(mj)),
+        shape((CYLINDER,), mj.geom_size[:, :2]),
+        shape((BOX,), mj.geom_size),
         root,
         _floor(mj),
     )

@@ -1,4 +1,4 @@
-"""The exact state of a running environment, so that a resumed run takes the very same steps."""
+"""The exact state of a running environment, so that a resumed run takes the same steps."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -13,13 +13,17 @@ from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.wrappers import OrderEnforcing, RescaleAction, TimeLimit
 from torch import Tensor
 
-# Ant's and Humanoid's `step` read these before they simulate, and they lag one step behind qpos.
+from tom.envs.unit import Unit
+
+# Ant and Humanoid read these in `step` before they simulate; they lag one step behind qpos.
 _LAGGING = ("xpos", "xipos")
 _COUNTERS = ("_elapsed_steps", "_has_reset")
 
 
 def capture(env: gym.Env) -> dict[str, Any]:
-    """Everything that `env`'s future depends on, as tensors and primitives; it must be reset."""
+    """All state that `env`'s future depends on, as tensors and primitives; `env` must be reset."""
+    if isinstance(env, Unit):
+        return env.capture()
     simulator = _simulator(env)
     state = np.empty(mujoco.mj_stateSize(simulator.model, mujoco.mjtState.mjSTATE_INTEGRATION))
     mujoco.mj_getState(simulator.model, simulator.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -36,7 +40,10 @@ def capture(env: gym.Env) -> dict[str, Any]:
 
 
 def restore(env: gym.Env, state: dict[str, Any]) -> None:
-    """Put `env`, made as the captured one was, into the captured state, to the last bit."""
+    """Put `env`, made like the captured one, into exactly the captured state."""
+    if isinstance(env, Unit):
+        env.restore(state)
+        return
     simulator = _simulator(env)
     model, data = simulator.model, simulator.data
     mujoco.mj_resetData(model, data)
@@ -56,10 +63,10 @@ def _simulator(env: gym.Env) -> MujocoEnv:
 
 
 def _wrappers(env: gym.Env) -> list[gym.Wrapper]:
-    found: list[gym.Wrapper] = []
+    wrappers: list[gym.Wrapper] = []
     while isinstance(env, gym.Wrapper):
         if not isinstance(env, TimeLimit | OrderEnforcing | RescaleAction):
             raise TypeError(f"the state of {type(env).__name__} cannot be captured")
-        found.append(env)
+        wrappers.append(env)
         env = env.env
-    return found
+    return wrappers

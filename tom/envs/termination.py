@@ -1,10 +1,15 @@
 """Which next observations end an episode, for rollouts in a learnt model.
 
 Each function maps next_obs (B, O) to a bool tensor (B,), with the bounds of Gymnasium's v5 task of
-that name and no other. A NaN is never healthy where the task tests a bound.
+that name only. If the task tests a bound, a NaN ends the episode.
 """
 
 from torch import Tensor
+
+
+def never(next_obs: Tensor) -> Tensor:
+    """Never ends."""
+    return next_obs.new_zeros(len(next_obs)).bool()
 
 
 def inverted_pendulum(next_obs: Tensor) -> Tensor:
@@ -15,10 +20,10 @@ def inverted_pendulum(next_obs: Tensor) -> Tensor:
 def hopper(next_obs: Tensor) -> Tensor:
     """Ends unless finite, |obs[1:]| < 100, z > 0.7 and |angle| < 0.2. obs = (z, angle, ...).
 
-    The state's bound holds on both sides: the released code loses the lower one.
+    The bound on the state is two-sided; the released code has only the upper one.
     """
     z, angle = next_obs[:, 0], next_obs[:, 1]
-    bounded = z.isfinite() & (next_obs[:, 1:].abs().amax(1) < 100)  # a NaN is no maximum below
+    bounded = z.isfinite() & (next_obs[:, 1:].abs().amax(1) < 100)  # false for NaN
     return ~(bounded & (z > 0.7) & (angle.abs() < 0.2))
 
 
@@ -30,7 +35,7 @@ def walker2d(next_obs: Tensor) -> Tensor:
 
 def halfcheetah(next_obs: Tensor) -> Tensor:
     """Never ends."""
-    return next_obs.new_zeros(len(next_obs)).bool()
+    return never(next_obs)
 
 
 def ant(next_obs: Tensor) -> Tensor:

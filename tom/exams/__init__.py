@@ -1,1 +1,1 @@
-"""What a fit is judged by: its weights' shape, where its model errs, what it was worth."""
+"""Measures of a fit: the shape of its weights, its model's errors, and its exam."""

@@ -1,35 +1,36 @@
-"""What a model fit is judged by: the weights' shape and where the model errs.
+"""Metrics of a model fit: the shape of the weights and the errors of the model.
 
 `model/error_policy` against `model/error_other` says whether a learner focuses the model on the
 data that the current policy meets. Both are in-sample: the model was just fitted to these rows.
-What it is worth on transitions that nobody has seen, `tom reproduce focus` measures.
+`tom reproduce focus` measures errors on transitions that the model was not fitted to.
 """
 
 import numpy as np
+import pandas as pd
 import torch
-from scipy.stats import rankdata
 from torch import Tensor
 
-from tom.data.sampling import ess, uniform_indices
+from tom.data.sampling import ess, uniform_indices, zero_share
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import DynamicsModel
 from tom.learners.base import FitContext, Weighting
 
-ROWS = 2000  # transitions a one-step error is measured on
+ROWS = 2000  # transitions for a one-step error
 HORIZON = 5  # steps of a rollout error
-RANKED = 20_000  # transitions a rank correlation is measured on
+RANKED = 20_000  # transitions for a rank correlation
 
 
 def weight_metrics(weights: Tensor) -> dict[str, float]:
-    """Shape of weights (N,), oldest first: ess, share of zeros, largest, rank against position."""
+    """Shape of weights (N,), oldest first: ESS, zeros, maximum, rank correlation with position."""
     w = weights.to("cpu", torch.float64).numpy()
     step = max(len(w) // RANKED, 1)
     thinned = w[::step]
     varied = len(thinned) > 1 and bool(np.ptp(thinned) > 0)
-    rank = np.corrcoef(rankdata(thinned), np.arange(len(thinned)))[0, 1] if varied else 0.0
+    ranks = pd.Series(thinned).rank()
+    rank = np.corrcoef(ranks, np.arange(len(thinned)))[0, 1] if varied else 0.0
     return {
         "weights/ess": ess(weights),
-        "weights/zeros": float((w == 0).mean()),
+        "weights/zeros": zero_share(weights),
         "weights/max": float(w.max()),
         "weights/age_correlation": float(rank),
     }
@@ -40,6 +41,16 @@ def one_step_error(model: DynamicsModel, rows: TensorTransitions, scale: Tensor)
     """Root mean square error of the predicted next_obs, each dimension in units of `scale` (O,)."""
     _, predicted = model.predict(rows.obs, rows.action)
     return rms(predicted - rows.next_obs, scale)
+
+
+def step_scale(rows: TensorTransitions) -> Tensor:
+    """Standard deviation of a step's change in each dimension of the state, (O,)."""
+    return (rows.next_obs - rows.obs).std(0, correction=0).clamp(min=1e-6)
+
+
+def row_errors(error: Tensor, scale: Tensor) -> Tensor:
+    """Root mean square (N,) over the dimensions of each of errors (N, O), in units of `scale`."""
+    return (error / scale).square().mean(1).sqrt()
 
 
 def rms(error: Tensor, scale: Tensor) -> float:
@@ -61,9 +72,9 @@ def rolled_out(
 ) -> tuple[Tensor, Tensor]:
     """The last (reward (K,), next_obs (K, O)) of `steps` (1 or more) of the model's mean.
 
-    Under the recorded actions: `rows` are in order of collection and `starts` (K,) are rows from
-    which as many more follow in the same episode, so the recording is what the real environment
-    did from the same state.
+    Under the recorded actions: `rows` are in order of collection, and at least `steps` rows of the
+    same episode follow each of `starts` (K,). So the recording shows what the real environment did
+    from the same state.
     """
     obs, reward = rows.obs[starts], rows.reward[starts]
     for step in range(steps):
@@ -74,9 +85,9 @@ def rolled_out(
 def ending_metrics(
     replay: TensorTransitions, policy_buffer: TensorTransitions, weights: Tensor
 ) -> dict[str, float]:
-    """How much the transitions count that end an episode in a terminal state, if any does.
+    """The weight of transitions that end in a terminal state, if there are any.
 
-    Their share of the weights (N,), beside their share of the policy's last transitions.
+    Their share of the weights (N,), and their share of the policy's last transitions.
     """
     ends = replay.terminated
     if not len(policy_buffer) or not bool(ends.any()) or not bool(weights.any()):
@@ -88,11 +99,11 @@ def ending_metrics(
 
 
 def unbroken(rows: TensorTransitions) -> Tensor:
-    """The rows (K,) from which `HORIZON` steps follow without an episode's end."""
+    """The rows (K,) that are followed by `HORIZON` steps without an end of the episode."""
     ended = ((rows.terminated + rows.truncated) > 0).to(torch.float32)
     if len(rows) < HORIZON:
         return torch.empty(0, dtype=torch.int64)
-    # An end at the last of the steps does no harm: nothing is predicted beyond it.
+    # An end at the last step is allowed: nothing is predicted beyond it.
     inner = ended.unfold(0, HORIZON, 1)[:, :-1].sum(1)
     return torch.nonzero(inner == 0).squeeze(1)
 
@@ -102,8 +113,9 @@ def fit_metrics(
 ) -> dict[str, float]:
     """Metrics of one model fit: the weights' shape and the errors on and off policy.
 
-    Errors are in standard deviations of a step's change, so that dimensions and tasks compare. They
-    are in-sample; the rollout error off policy is over the newest 10 `ROWS` of the other rows.
+    Errors are in standard deviations of a step's change, so that dimensions and tasks can be
+    compared. They are in-sample; the rollout error off policy uses the newest 10 `ROWS` of the
+    other rows.
     """
     replay = context.replay
     metrics = {**weight_metrics(weighting.weights), "buffer/size": float(len(replay))}
@@ -112,10 +124,10 @@ def fit_metrics(
     if others < 1 or not len(context.policy_buffer):
         return metrics
     sample = replay[uniform_indices(others, ROWS, generator)]
-    scale = (sample.next_obs - sample.obs).std(0, correction=0).clamp(min=1e-6)
+    scale = step_scale(sample)
     metrics["model/error_policy"] = one_step_error(model, context.policy_buffer, scale)
     metrics["model/error_other"] = one_step_error(model, sample, scale)
-    older = replay[max(others - 10 * ROWS, 0) : others]  # enough of them, and nothing copied
+    older = replay[max(others - 10 * ROWS, 0) : others]  # enough rows, as a view
     for name, rows in (("policy", context.policy_buffer), ("other", older)):
         starts = unbroken(rows)
         if len(starts):

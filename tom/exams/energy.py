@@ -1,8 +1,8 @@
-"""The energy distance: how far two samples lie apart, over all their dimensions at once.
+"""The energy distance between two samples, over all their dimensions at once.
 
-E = 2 E|x - y| - E|x - x'| - E|y - y'| is zero where both have one distribution, and positive
-elsewhere (Szekely and Rizzo 2013). Here it says how far a weighted buffer lies from what a policy
-does: its footprint.
+E = 2 E|x - y| - E|x - x'| - E|y - y'| is zero if both have the same distribution, else positive
+(Szekely and Rizzo 2013). Here it measures the distance of a weighted buffer from a policy's
+footprint.
 """
 
 from math import isfinite
@@ -15,30 +15,30 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 
 DRAWS = 2000
-"""draws that stand for a buffer, and the rows of a footprint that are compared at most"""
+"""draws from a buffer, and maximum rows of a footprint, that are compared"""
 STRETCHES = 10
-"""parts in time of a footprint, each left out once: steps near each other are much alike"""
+"""parts of a footprint in time for the jackknife, because neighbouring steps are correlated"""
 MOMENTS = 20_000
-"""rows of a buffer that its moments are taken of at most"""
+"""maximum rows of a buffer from which its moments are computed"""
 
 
 def energy_distance(x: Tensor, y: Tensor) -> float:
-    """E of samples x (N, D) and y (M, D) by U-statistics: no pair of a row with itself.
+    """E of samples x (N, D) and y (M, D) by U-statistics, without pairs of a row with itself.
 
-    So it is unbiased, and may be below zero. NaN where a sample has no two rows.
+    So it is unbiased and may be negative. NaN if a sample has fewer than two rows.
     """
-    x, y = x.double(), y.double()  # distances are found by products, which lose half the digits
+    x, y = x.double(), y.double()  # distances from products lose half the digits
     cross = torch.cdist(x, y).mean()
     within = [torch.cdist(z, z).sum() / (len(z) * (len(z) - 1)) for z in (x, y) if len(z) > 1]
     return float(2 * cross - sum(within)) if len(within) == 2 else float("nan")
 
 
 def drawn_distance(x: Tensor, rows: Tensor) -> Tensor:
-    """E|x - x'| over pairs of different rows of a weighted table, by draws x (N, D) of its `rows`.
+    """E|x - x'| over pairs of different rows of a weighted table, from draws x (N, D) of `rows`.
 
-    Draws 2 k and 2 k + 1 are of the k-th of N / 2 equal parts of the weight. Two of one part count
-    twice, because a draw makes no pair with itself: so parts pair with themselves as often as with
-    others. Not finite where all draws are of one row.
+    Draws 2 k and 2 k + 1 come from the k-th of N / 2 equal parts of the weight. A pair within one
+    part counts twice, because a draw makes no pair with itself; so a part pairs with itself as
+    often as with others. Not finite if all draws are the same row.
     """
     first, second = slice(0, None, 2), slice(1, None, 2)
     total = torch.cdist(x, x).sum() + 2 * (x[first] - x[second]).norm(dim=1).sum()
@@ -48,7 +48,7 @@ def drawn_distance(x: Tensor, rows: Tensor) -> Tensor:
 
 
 def step_scaling(buffer: TensorTransitions) -> Scaling:
-    """The scaling of z = (s, a, s' - s), 2 O + A columns, by `MOMENTS` rows of a buffer at most."""
+    """The scaling of z = (s, a, s' - s), 2 O + A columns, from `MOMENTS` rows at most."""
     rows = _thinned(buffer, MOMENTS)
     return Scaling.of((rows.obs, rows.action), (rows.next_obs, rows.obs))
 
@@ -60,13 +60,14 @@ def footprint_match(
     scaling: Scaling,
     generator: torch.Generator,
 ) -> dict[str, float]:
-    """How far a buffer weighted by (N,) lies from a policy's footprint, over z (`step_scaling`).
+    """The distance of a buffer with weights (N,) from a footprint, over z (`step_scaling`).
 
-    `footprint_uniform` is E between the buffer without weights and the footprint (rows in order).
-    Over it are `footprint`, E of the weighted buffer: 1 is no better than no weights, 0 like the
-    policy itself; `footprint_se`, its standard error by a jackknife over `STRETCHES` of the
-    footprint; `footprint_noise`, E of two halves of the footprint (`first_half`). What cannot be
-    measured is left out: with too few rows, and ratios where `footprint_uniform` is not above 0.
+    `footprint_uniform` is E between the unweighted buffer and the footprint (rows in order). The
+    others are divided by it: `footprint`, E of the weighted buffer (1: no better than no weights,
+    0: like the policy itself); `footprint_se`, its standard error by a jackknife over `STRETCHES`
+    of the footprint; `footprint_noise`, E between two halves of the footprint (`first_half`).
+    Values that cannot be measured are left out: with too few rows, and ratios if
+    `footprint_uniform` is not positive.
     """
     met = _thinned(footprint, DRAWS)
     z, first = _steps(met, scaling).double(), first_half(met)
@@ -75,7 +76,7 @@ def footprint_match(
     apart, kept = torch.cdist(z, z), _selections(len(z), z.device)
 
     def distances(by: Tensor) -> Tensor:
-        """Both by the same random numbers: equal weights are equal to the last bit."""
+        """Both use the same random numbers, so that equal weights give exactly equal distances."""
         rows = WeightedSampler(by, generator).at(u)
         x = _steps(buffer[rows], scaling).double()
         count = kept.sum(0)
@@ -84,20 +85,20 @@ def footprint_match(
         return 2 * cross - drawn_distance(x, rows) - within
 
     uniform = distances(torch.ones_like(weights))
-    found = {"footprint_uniform": float(uniform[0])}
+    metrics = {"footprint_uniform": float(uniform[0])}
     if uniform[0] > 0:
         ratio = distances(weights) / uniform
-        found["footprint"] = float(ratio[0])
+        metrics["footprint"] = float(ratio[0])
         if len(ratio) > 1:
-            found["footprint_se"] = float((ratio[1:].var(correction=0) * (STRETCHES - 1)).sqrt())
-        found["footprint_noise"] = energy_distance(z[first], z[~first]) / float(uniform[0])
-    return {name: value for name, value in found.items() if isfinite(value)}
+            metrics["footprint_se"] = float((ratio[1:].var(correction=0) * (STRETCHES - 1)).sqrt())
+        metrics["footprint_noise"] = energy_distance(z[first], z[~first]) / float(uniform[0])
+    return {name: value for name, value in metrics.items() if isfinite(value)}
 
 
 def _selections(n: int, device: torch.device) -> Tensor:
-    """Of n rows all, and all but each of `STRETCHES` in turn, (n, 1 + STRETCHES) of 0 and 1.
+    """Masks (n, 1 + STRETCHES) of 0 and 1: all n rows, then all except one of `STRETCHES` in turn.
 
-    All alone where a stretch would hold fewer than two rows.
+    Only the first mask if a stretch would have fewer than two rows.
     """
     every = torch.ones(n, 1, dtype=torch.float64, device=device)
     if n < 2 * STRETCHES:
@@ -108,10 +109,10 @@ def _selections(n: int, device: torch.device) -> Tensor:
 
 
 def first_half(rows: TensorTransitions) -> Tensor:
-    """Which rows (N,) are of the first of two halves: whole episodes where there are several.
+    """A mask (N,) of the first of two halves, made of whole episodes if there are several.
 
-    The longest episode goes into the first half and each next one into the smaller, so that they
-    are about even. A single episode is parted in the middle.
+    The longest episode goes into the first half and each next one into the smaller half, so that
+    they are about equal. A single episode is split in the middle.
     """
     ended = ((rows.terminated + rows.truncated) > 0).long()
     lengths = (ended.cumsum(0) - ended).unique(return_counts=True)[1].tolist()
@@ -131,5 +132,5 @@ def _steps(rows: TensorTransitions, scaling: Scaling) -> Tensor:
 
 
 def _thinned(rows: TensorTransitions, most: int) -> TensorTransitions:
-    """Every k-th row, so that there are `most` at most."""
+    """Every k-th row, so that at most `most` remain."""
     return rows[:: max(-(-len(rows) // most), 1)]

@@ -1,8 +1,8 @@
-"""A fit's exam: what it was worth on the steps that it served (prequential evaluation, Dawid 1984).
+"""A fit's exam: its quality on the steps that it served (prequential evaluation, Dawid 1984).
 
-The model fitted at step t serves until the next fit, and what the real environment does meanwhile
-is not in its buffer. Those rows are its exam: out of sample, and of the very policy that the
-weights were meant for. docs/exams.md has the idea, every number and its limits.
+The model fitted at step t is used until the next fit. The transitions collected meanwhile are not
+in its buffer; they are its exam: out of sample, and from the policy that the weights were computed
+for. docs/exams.md has the idea, every number and its limits.
 """
 
 from collections.abc import Callable
@@ -20,12 +20,12 @@ from tom.exams.diagnostics import HORIZON, rms, rolled_out, unbroken
 from tom.exams.energy import footprint_match, step_scaling
 
 CAUGHT_DRAWS, FALSE_DRAWS = 32, 4
-"""predictions for each row that terminated (there are few), and for each that did not"""
+"""predictions for each terminated row (there are few), and for each other row"""
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit that has yet to sit its exam: its step, and how much each row counted in it, (N,)."""
+    """A fit before its exam: its step, and the weight of each row in it, (N,)."""
 
     env_step: int
     weights: Tensor
@@ -33,7 +33,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Exam:
-    """The buffer of a fit with its weights (N,), and the rows collected since, in that order."""
+    """The buffer of a fit with its weights (N,), and the rows collected since then, in order."""
 
     buffer: TensorTransitions
     weights: Tensor
@@ -43,7 +43,7 @@ class Exam:
     def of(cls, fitted: Fitted, replay: TensorTransitions, new: int) -> Self:
         """The exam whose rows are the newest `new` of the replay buffer.
 
-        What the replay buffer has dropped since the fit is missing from the exam's.
+        Rows that the replay buffer has dropped since the fit are missing.
         """
         held = max(len(replay) - new, 0)
         weights = fitted.weights[len(fitted.weights) - held :]
@@ -51,7 +51,7 @@ class Exam:
 
     @cached_property
     def scaling(self) -> Scaling:
-        """z-scores of (s, a, s' - s) by the buffer."""
+        """The scaling of (s, a, s' - s) by the buffer's moments."""
         return step_scaling(self.buffer)
 
 
@@ -68,11 +68,11 @@ class Critic(Protocol):
 
 
 def weight_metrics(exam: Exam, generator: torch.Generator) -> dict[str, float]:
-    """How near the weighted buffer is to what the policy did then (`footprint_match`)."""
-    if not bool(exam.weights.any()):  # all that counted has been dropped, or the buffer is gone
+    """How near the weighted buffer is to the policy's transitions since (`footprint_match`)."""
+    if not bool(exam.weights.any()):  # all rows with weight have been dropped
         return {}
-    found = footprint_match(exam.buffer, exam.weights, exam.rows, exam.scaling, generator)
-    return {f"exam/{name}": value for name, value in found.items()}
+    metrics = footprint_match(exam.buffer, exam.weights, exam.rows, exam.scaling, generator)
+    return {f"exam/{name}": value for name, value in metrics.items()}
 
 
 def model_metrics(
@@ -81,10 +81,10 @@ def model_metrics(
     terminated: Callable[[Tensor], Tensor],
     generator: torch.Generator,
 ) -> dict[str, float]:
-    """Errors of the model on the exam, one step and `HORIZON` steps ahead, and of its falls.
+    """Errors of the model on the exam, one step and `HORIZON` steps ahead, and of its terminations.
 
-    In standard deviations of a step's change, and of the reward, in the buffer. `terminated` says
-    which next_obs (B, O) end an episode, (B,).
+    In units of the standard deviation of a step's change, and of the reward, in the buffer.
+    `terminated` maps next_obs (B, O) to the mask (B,) of those that end an episode.
     """
     rows, buffer = exam.rows, exam.buffer
     if not len(buffer):
@@ -123,9 +123,9 @@ def critic_metrics(
 ) -> dict[str, float]:
     """`exam/critic_bias`: mean return to go of the episodes that finished, minus Q(s, a).
 
-    SAC's Q counts entropy from the next step on, so the return has to: every later state adds
-    -temperature log pi(a'|s') of an action drawn there. (Drawn, not recorded: the critic means
-    today's policy, and log pi of a recorded action that tanh has pressed to +-1 is lost.)
+    SAC's Q contains the entropy from the next step on, so the return must as well: every later
+    state adds -temperature log pi(a'|s') of an action drawn there. (Drawn, not recorded: Q is that
+    of the current policy, and log pi of a recorded action that tanh saturated to +-1 is lost.)
     """
     action, log_prob = critic.draw(rows.next_obs, generator)
     entropy = -temperature * log_prob
@@ -139,11 +139,11 @@ def critic_metrics(
 def returns_to_go(
     rows: TensorTransitions, entropy: Tensor, next_value: Tensor, discount: float
 ) -> Tensor:
-    """G (K,) of the first K of N rows in order: up to the last one that ends an episode.
+    """G (K,) of the first K of N rows in order, up to the last row that ends an episode.
 
-    G_t = r_t + g (entropy_t + G_{t+1}), `entropy` (N,) being that of the policy at next_obs. An
-    episode that terminates ends with its reward, one that is truncated goes on with `next_value`
-    (N,), which is Q there.
+    G_t = r_t + g (entropy_t + G_{t+1}), where `entropy` (N,) is that of the policy at next_obs. A
+    terminated episode ends with its reward; a truncated one is continued with `next_value` (N,),
+    which is Q there.
     """
     ended = torch.nonzero((rows.terminated + rows.truncated) > 0).flatten().tolist()
     count = ended[-1] + 1 if ended else 0

@@ -1,12 +1,14 @@
 """The learners: one file and one registry line each."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cache
+from typing import Any, TypeVar
 
 import torch
+from pydantic import create_model
 
-from tom.config import RunConfig
+from tom.config import Config, RunConfig
 from tom.errors import unknown
 from tom.learners.base import Learner
 from tom.learners.mle import MleLearner
@@ -15,18 +17,23 @@ from tom.learners.ratio import RatioLearner
 from tom.learners.tom import TomLearner
 from tom.learners.vagram import VagramLearner
 
+C = TypeVar("C", bound=Config)
+
 Build = Callable[[RunConfig, int, int, torch.Generator], Learner]
 """(config, obs_dim, action_dim, generator) -> learner."""
 
 
 @dataclass(frozen=True)
 class LearnerEntry:
-    """How a learner is shown and built, and what else goes by its name.
+    """How a learner is shown and built, and its other properties.
 
-    `colour` is its own in every figure. `group` names the settings it reads (a field of
-    `RunConfig`); they are shown for it alone and set only its runs apart. `uniform`: it counts all
-    transitions the same. `follows_value`: its weights come from a value function and change with
-    it. `settings` change the preset of its online runs.
+    `colour` is its colour in every figure. `group` names the settings it reads (a field of
+    `RunConfig`); they are shown only for it and distinguish only its runs. `uniform`: all
+    transitions have the same weight. `follows_value`: its weights depend on a value function and
+    change with it. `has_terms`: its weights come from a dual Q under `TomConfig`, and their terms
+    are recorded (`tom.learners.terms`). `charts` are its own metrics in a run's layout, by title.
+    `settings` change the preset of its online runs. `own` is the class of a plug-in's settings; the
+    configuration of its runs has them as `group` (`with_own_settings`).
     """
 
     label: str
@@ -35,7 +42,10 @@ class LearnerEntry:
     group: str | None = None
     uniform: bool = False
     follows_value: bool = False
+    has_terms: bool = False
+    charts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    own: type[Config] | None = None
 
 
 # Colours: at least 3:1 against light and dark; any two differ by 14 or more (CIE 1976) under
@@ -43,7 +53,16 @@ class LearnerEntry:
 LEARNERS: dict[str, LearnerEntry] = {
     "mle": LearnerEntry("MLE", lambda *_: MleLearner(), "#2b6fe0", uniform=True),
     "pmac": LearnerEntry("PMAC", lambda c, o, a, g: PmacLearner(c.pmac), "#0c8577", "pmac"),
-    "tom": LearnerEntry("TOM", lambda c, o, a, g: TomLearner(c.tom, o, a, g), "#c8441c", "tom"),
+    "tom": LearnerEntry(
+        "TOM",
+        lambda c, o, a, g: TomLearner(c.tom, o, a, g),
+        "#c8441c",
+        "tom",
+        has_terms=True,
+        charts={
+            "TOM: discriminator and dual Q": ("discriminator/loss", "dual/loss", "dual/q_mean")
+        },
+    ),
     "ratio": LearnerEntry(
         "Ratio", lambda c, o, a, g: RatioLearner(c.tom, o, a, g), "#849060", "tom"
     ),
@@ -65,22 +84,43 @@ LEARNERS: dict[str, LearnerEntry] = {
 }
 
 LEARNER_NAMES: tuple[str, ...] = tuple(LEARNERS)
+SUBJECT = "tom"
+"""the main learner of this program, and the default selection of pages"""
+WEIGHED_FIRST = (SUBJECT, "pmac", "mle")
+"""the default learners of a weighing"""
+WITH_TERMS = tuple(name for name, entry in LEARNERS.items() if entry.has_terms)
 FOLLOW_THE_VALUE = tuple(name for name, entry in LEARNERS.items() if entry.follows_value)
 
 
 def others_groups(learner: str) -> frozenset[str]:
-    """The groups of settings that only other learners read: they change nothing in its runs."""
+    """The groups of settings that only other learners read, so that they do not affect its runs."""
     groups = {entry.group for entry in LEARNERS.values() if entry.group}
     own = LEARNERS[learner].group if learner in LEARNERS else None
     return frozenset(groups - {own})
 
 
+def with_own_settings(base: type[C], learners: Iterable[str]) -> type[C]:
+    """`base` extended by the plug-in settings of `learners`; `base` itself if there are none."""
+    own = {
+        entry.group: entry.own
+        for entry in (LEARNERS[name] for name in learners if name in LEARNERS)
+        if entry.group and entry.own
+    }
+    return _extended(base, tuple(sorted(own.items()))) if own else base
+
+
+@cache
+def _extended(base: type[C], groups: tuple[tuple[str, type[Config]], ...]) -> type[C]:
+    fields: dict[str, Any] = {name: (kind, kind()) for name, kind in groups}
+    return create_model(base.__name__, __base__=base, __doc__=base.__doc__, **fields)
+
+
 def make_learner(
     name: str, config: RunConfig, obs_dim: int, action_dim: int, generator: torch.Generator
 ) -> Learner:
-    """The learner called `name`; `generator` draws its first parameters.
+    """Make the learner `name`; `generator` draws its initial parameters.
 
-    Raises UserError where there is none of that name.
+    Raises UserError if there is no learner of that name.
     """
     if name not in LEARNERS:
         raise unknown("learner", name, LEARNERS)

@@ -1,10 +1,10 @@
-"""What a learner is: a weighting of the replay buffer.
+"""The interface of a learner: a weighting of the replay buffer.
 
-Every learner fits the same dynamics model by weighted maximum likelihood; they differ only in
-the answer to one question: how much does each transition (and dimension) count?
+All learners fit the same dynamics model by weighted maximum likelihood; they differ only in the
+weight of each transition (and dimension).
 """
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -15,7 +15,7 @@ from torch import Tensor
 from tom.config import ModelConfig, RolloutConfig
 from tom.data.transitions import TensorTransitions
 from tom.events import FloatArray, Weights
-from tom.nn.lockstep import Work
+from tom.learners.terms import Terms
 
 
 class Policy(Protocol):
@@ -38,7 +38,7 @@ class FinitePolicy(Protocol):
 def policy_actions(
     policy: Policy, obs: Tensor, n: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Actions (K, B, A) and probabilities (K, B) that stand for a ~ pi(.|obs): all, or n draws."""
+    """Actions (K, B, A) and probabilities (K, B) for a ~ pi(.|obs): all actions, or n draws."""
     if isinstance(policy, FinitePolicy):
         actions, probs = policy.support(obs)
     else:
@@ -49,7 +49,7 @@ def policy_actions(
 
 @dataclass(frozen=True)
 class FitContext:
-    """All that a learner may look at when the model is about to be fitted.
+    """The information that a learner may use before a model fit.
 
     `replay` is the whole replay buffer, oldest first; `policy_version` says which policy
     collected each row (0 is exploration); `policy_buffer` holds the last on-policy transitions
@@ -70,16 +70,17 @@ class FitContext:
 
 @dataclass(frozen=True)
 class Weighting:
-    """The answer: one weight a transition, normalised to mean 1.
+    """A learner's result: one weight per transition, normalised to mean 1.
 
-    `ready` is False while the learner has nothing to say yet (its weights are uniform then);
-    `clipped` says that the fit clips them, which rollouts' start states and records do not.
-    `notices` are (kind, message) pairs that belong into the run's record.
+    `ready` is False as long as the learner cannot compute weights (they are uniform then).
+    `clipped`: the fit clips them, but the rollouts' start states and the record do not.
+    `notices` are (kind, message) pairs for the run's record.
     """
 
     weights: Tensor  # (N,)
     per_dim: Tensor | None = None  # (N, O)
     log_ratio: Tensor | None = None  # (N,)
+    terms: Terms | None = None  # their sum determines the weights, if they come from a dual Q
     ready: bool = True
     clipped: bool = False
     metrics: Mapping[str, float] = field(default_factory=dict)
@@ -87,16 +88,16 @@ class Weighting:
 
     @property
     def row_weights(self) -> Tensor:
-        """What rows are drawn by, (N,): ones where the dimensions' weights scale the loss.
+        """The weights for drawing rows, (N,): ones if per-dimension weights scale the loss.
 
-        A weight that drew a row and scaled its loss as well would count squared.
+        A weight that both drew a row and scaled its loss would count twice.
         """
         return self.weights if self.per_dim is None else torch.ones_like(self.weights)
 
     def for_fit(self, config: ModelConfig) -> tuple[Tensor, Tensor | None]:
         """The rows' weights (N,) and the dimensions' (N, O) for a fit of the model.
 
-        Clipped where they are to be, then mixed with the uniform share.
+        Clipped if `clipped`, then mixed with the uniform share.
         """
         rows, share = self.row_weights, config.uniform_share
         rows = rows.clamp(max=config.weight_clip) if self.clipped else rows
@@ -104,18 +105,18 @@ class Weighting:
         return mixed_with_uniform(rows, share), per_dim
 
     def counted(self, config: ModelConfig) -> Tensor:
-        """How much each row counts in that fit, (N,), on average over its dimensions."""
+        """The weight of each row in that fit, (N,), averaged over its dimensions."""
         rows, per_dim = self.for_fit(config)
         return rows if per_dim is None else per_dim.mean(1)
 
     def for_starts(self, config: RolloutConfig) -> Tensor | None:
-        """The weights (N,) by which start states of rollouts are drawn; None: uniformly."""
+        """The weights (N,) for drawing start states of rollouts; None for uniform draws."""
         if not config.weighted_starts or not self.ready:
             return None
         return mixed_with_uniform(self.row_weights, config.uniform_share)
 
     def event(self, env_step: int, policy: Mapping[str, NDArray] | None = None) -> Weights:
-        """What a training tells of a fit by these weights; `policy` as in `Weights`."""
+        """The event for a fit with these weights; `policy` as in `Weights`."""
 
         def array(x: Tensor) -> FloatArray:
             return x.to("cpu", torch.float32).numpy()
@@ -125,6 +126,9 @@ class Weighting:
             weight=array(self.weights),
             per_dim=None if self.per_dim is None else array(self.per_dim),
             log_ratio=None if self.log_ratio is None else array(self.log_ratio),
+            terms={}
+            if self.terms is None
+            else {name: array(term) for name, term in self.terms.recorded().items()},
             policy=policy,
         )
 
@@ -132,7 +136,7 @@ class Weighting:
 def mixed_with_uniform(weights: Tensor, share: float) -> Tensor:
     """The defensive mixture share + (1 - share) w of weights with mean 1: none is below `share`.
 
-    With w = p/q a uniform share bounds by how much a row of p may be starved (Hesterberg 1995).
+    With w = p/q, a uniform share bounds how much a row of p can lose (Hesterberg 1995).
     """
     return share + (1 - share) * weights if share else weights
 
@@ -146,25 +150,11 @@ DEGENERATE = (
     "degenerate-weights",
     "every weight is zero or some weight is not finite: this fit uses uniform weights",
 )
-"""The notice of a fit whose weights were unusable."""
-
-
-def weighing(learner: "Learner", context: FitContext) -> Generator[Work, None, Weighting]:
-    """What `learner.weigh` answers, its trainings as work that a fleet may do in one go."""
-    if isinstance(learner, LearnerWithWork):
-        return (yield from learner.weighing(context))
-    return learner.weigh(context)
-
-
-@runtime_checkable
-class LearnerWithWork(Protocol):
-    """A learner that trains networks of its own at every fit."""
-
-    def weighing(self, context: FitContext) -> Generator[Work, None, Weighting]: ...
+"""kind of the notice about unusable weights"""
 
 
 class Learner(Protocol):
-    """A model learner. It keeps what it warm-starts; `state_dict` is all of that."""
+    """A model learner. It may keep networks between fits; `state_dict` holds all of its state."""
 
     def weigh(self, context: FitContext) -> Weighting: ...
 

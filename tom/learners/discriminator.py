@@ -1,11 +1,11 @@
-"""The discriminator: which transitions does the current policy make? Its logit is r.
+"""The discriminator between the policy's transitions and the replay's. Its logit is r.
 
-Trained with label 1 on the policy buffer and 0 on the replay buffer in balanced batches, its best
-logit is log(p/q), p the policy's and q the replay's distribution (paper, eq. 26).
+Trained with label 1 on the policy buffer and 0 on the replay buffer in balanced batches, its
+optimal logit is log(p/q), with the policy's distribution p and the replay's q (paper, eq. 26).
 
-Where one environment made both buffers, p(s'|s, a) = q(s'|s, a) and log p(s, a, s')/q(s, a, s') is
-log p(s, a)/q(s, a). A discriminator that reads (s, a) alone then has the same best logit, and far
-fewer cells to tell apart by the same rows.
+If both buffers come from the same environment, p(s'|s, a) = q(s'|s, a) and log p(s, a, s')/q(s, a,
+s') is log p(s, a)/q(s, a). A discriminator of (s, a) alone then has the same optimal logit, in a
+space of fewer dimensions.
 """
 
 from collections.abc import Hashable, Iterator, Sequence
@@ -22,11 +22,12 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.nn.averaging import Average
 from tom.nn.backprop import forward_trace, gradients
-from tom.nn.lockstep import Work
+from tom.nn.graphs import captured_step
+from tom.nn.lockstep import Rank, Work, do
 from tom.nn.mlp import StackedMLP, rows_at_once
 from tom.nn.trained import Trained
 
-CHUNK = 1024  # rows judged at once; they stay in the processor's cache
+CHUNK = 1024  # rows evaluated at once; they stay in the processor's cache
 BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once
 
 Inputs = Literal["transitions", "state-actions"]
@@ -43,7 +44,7 @@ def discriminator_net(
 
 
 class Discriminator(Trained):
-    """The network and its optimiser, of one member or of many in lock-step."""
+    """The network and its optimiser, for one member or for many in lock-step."""
 
     def __init__(self, net: StackedMLP, config: TomConfig) -> None:
         super().__init__(net, config.discriminator_lr)
@@ -52,7 +53,7 @@ class Discriminator(Trained):
     def step(self, positive: Tensor, negative: Tensor, *mix: Tensor) -> tuple[Tensor, Tensor]:
         """A gradient step on rows (M, B, D) of both kinds; the losses (M,), the logits (M, 2 B).
 
-        `mix` (M, B, 1), uniform on [0, 1), says where the gradient penalty looks.
+        `mix` (M, B, 1), uniform on [0, 1), interpolates the points of the gradient penalty.
         """
         x, smoothing = torch.cat((positive, negative), 1), self.config.label_smoothing
         if mix:
@@ -60,7 +61,7 @@ class Discriminator(Trained):
             losses = torch.stack([cross_entropy(one, smoothing) for one in logits])
             penalty = gradient_penalty(self.net, mix[0] * positive + (1 - mix[0]) * negative)
             total = (losses + self.config.gradient_penalty * penalty).sum()
-            found = torch.autograd.grad(total, self.net.tensors())
+            grads = torch.autograd.grad(total, self.net.tensors())
         else:
             with torch.no_grad():
                 trace = forward_trace(self.net, x)
@@ -68,14 +69,14 @@ class Discriminator(Trained):
             losses = torch.stack([cross_entropy(one, smoothing) for one in logits])
             (slope,) = torch.autograd.grad(losses.sum(), logits)
             with torch.no_grad():
-                found = gradients(self.net, trace, slope.unsqueeze(-1))
-        self.optimiser.step(found)
+                grads = gradients(self.net, trace, slope.unsqueeze(-1))
+        self.optimiser.step(grads)
         return losses.detach(), logits.detach()
 
 
 @dataclass(frozen=True)
 class RatioProblem:
-    """A policy buffer and a replay buffer: what the discriminator is fitted to tell apart."""
+    """A policy buffer and a replay buffer, which the discriminator learns to tell apart."""
 
     policy_buffer: TensorTransitions
     replay: TensorTransitions
@@ -89,7 +90,7 @@ class RatioProblem:
         replay: TensorTransitions,
         inputs: Inputs = "transitions",
     ) -> "RatioProblem":
-        """The problem whose inputs are z-scored by the replay buffer's moments."""
+        """The problem with inputs z-scored by the replay buffer's moments."""
         scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
         return cls(policy_buffer, replay, scaling, inputs)
 
@@ -97,14 +98,13 @@ class RatioProblem:
         self, discriminator: Discriminator, generator: torch.Generator
     ) -> tuple[StackedMLP, dict[str, float]]:
         """`TrainDiscriminator`: the discriminator's (average) network, and metrics."""
-        work = TrainDiscriminator(self, discriminator, generator)
-        TrainDiscriminator.do([work], discriminator)
+        work = do(TrainDiscriminator(self, discriminator, generator))
         return work.net, work.metrics
 
     @torch.no_grad()
     def log_ratio(self, net: StackedMLP) -> Tensor:
         """r: the logit of every replay row, (N,)."""
-        logits = torch.empty_like(self.replay.reward)  # written in place: pieces fragment memory
+        logits = torch.empty_like(self.replay.reward)  # in place: pieces would fragment memory
         size = rows_at_once(logits.device, CHUNK)
         for i in range(0, len(logits), size):
             rows = self.replay[i : i + size]
@@ -114,7 +114,7 @@ class RatioProblem:
     def batches(
         self, config: TomConfig, generator: torch.Generator
     ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Inputs of rows of the policy buffer and of the replay, (B, D) each, for every step."""
+        """Inputs from the policy buffer and from the replay buffer, (B, D) each, for every step."""
         size, steps = config.discriminator_batch, config.discriminator_steps
         block = block_size(self.replay.obs.device, BLOCK, GPU_BLOCK)
         for first in range(0, steps, block):
@@ -135,12 +135,12 @@ class RatioProblem:
 
 @dataclass
 class TrainDiscriminator(Work):
-    """Work: gradient steps on the cross entropy; then `net` is the (average) network.
+    """Work that takes gradient steps on the cross entropy; then `net` is the (average) network.
 
-    `metrics` are of the last tenth of the steps.
+    `metrics` are means over the last tenth of the steps.
     """
 
-    rank: ClassVar[int] = 2
+    rank: ClassVar[Rank] = Rank.DISCRIMINATOR
     problem: RatioProblem
     subject: Discriminator
     generator: torch.Generator
@@ -156,9 +156,9 @@ class TrainDiscriminator(Work):
         config = subject.config
         averages = [Average(w.subject.net, config.parameter_average) for w in works]
         last = config.discriminator_steps - max(config.discriminator_steps // 10, 1)
-        losses, judged = [], []
+        step_on, losses, judged = captured_step(subject), [], []
         for step, rows in enumerate(zip(*(w._inputs() for w in works), strict=True)):
-            loss, logits = subject.step(*(torch.stack(part) for part in zip(*rows, strict=True)))
+            loss, logits = step_on(*(torch.stack(part) for part in zip(*rows, strict=True)))
             for average in averages:
                 average.update()
             if step >= last:
@@ -226,12 +226,12 @@ def calibration_error(logits: Tensor, bins: int = 10) -> Tensor:
 
 
 def membership_reward(replay: TensorTransitions, policy_buffer: TensorTransitions) -> Tensor:
-    """The ablation without a discriminator: 1 on replay rows of the policy buffer, else 0, (N,)."""
+    """The ablation without discriminator: 1 on replay rows of the policy buffer, else 0, (N,)."""
     return torch.isin(_row_hash(replay), _row_hash(policy_buffer)).to(replay.obs)
 
 
 def _row_hash(rows: TensorTransitions) -> Tensor:
-    """A 64-bit hash of each row's (s, a, s') bits, the same wherever the row stands."""
+    """A 64-bit hash of each row's (s, a, s') bits, independent of the row's position."""
     total = torch.zeros(len(rows), dtype=torch.int64, device=rows.obs.device)
     for part in (rows.obs, rows.action, rows.next_obs):
         for column in part.unbind(1):

@@ -17,9 +17,10 @@ from torch import Tensor
 class Divergence:
     """D_f(d || q) = E_q[f(d/q)], its dual term and its weights.
 
-    `generator` is f itself, elementwise. `dual_term` maps y (..., N), drawn from q, to what stands
-    for E_q[f*(y)], (...,); `weights` maps y (N,) to the weights (N,). `multiplier` maps y (..., N)
-    to the lambda (...,) that minimises lambda + E_q[f*(y - lambda)]: the weights have mean 1 there.
+    `generator` is f itself, elementwise. `dual_term` maps y (..., N), drawn from q, to E_q[f*(y)]
+    or its counterpart for KL, (...,); `weights` maps y (N,) to the weights (N,). `multiplier` maps
+    y (..., N) to the lambda (...,) that minimises lambda + E_q[f*(y - lambda)], where the weights
+    have mean 1.
     """
 
     generator: Callable[[Tensor], Tensor]
@@ -46,8 +47,8 @@ def chi2_weights(y: Tensor) -> Tensor:
 def chi2_multiplier(y: Tensor) -> Tensor:
     """lambda (...,) with E max(0, 1 + y - lambda) = 1 over the last axis of y (..., N), exactly.
 
-    With z = y sorted downwards and the k largest active, lambda_k = (z_1 + ... + z_k + k - N) / k;
-    the right k is the largest one whose smallest weight, 1 + z_k - lambda_k, is positive.
+    With z = y in descending order and the k largest active, lambda_k = (z_1 + ... + z_k + k - N) /
+    k; the right k is the largest one whose smallest weight, 1 + z_k - lambda_k, is positive.
     """
     z = y.sort(dim=-1, descending=True).values.to(torch.float64)
     k = torch.arange(1, z.shape[-1] + 1, dtype=z.dtype, device=z.device)
@@ -110,7 +111,7 @@ def divergence(
             full_chi2_weights,
             full_chi2_multiplier,
         )
-    if conjugate == "released":  # the parabola's slope is 1 + y: its mean is 1 where y's is 0
+    if conjugate == "released":  # the parabola's slope is 1 + y, with mean 1 if y has mean 0
         return Divergence(
             chi2_generator,
             lambda y: released_conjugate(y).mean(-1),

@@ -1,4 +1,4 @@
-"""The dual problem of TOM (paper, eq. 16) over a network Q, and the weights at its Q (eq. 17)."""
+"""The dual problem of TOM (paper, eq. 16) for a network Q, and the weights at that Q (eq. 17)."""
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,22 +16,24 @@ from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, policy_actions
 from tom.learners.divergences import divergence
 from tom.learners.flows import Flow
+from tom.learners.terms import Terms
 from tom.learners.validation import Validation
 from tom.nn.averaging import Average
 from tom.nn.backprop import forward_trace, gradients
-from tom.nn.lockstep import Work
+from tom.nn.graphs import captured_step
+from tom.nn.lockstep import Rank, Work, do
 from tom.nn.mlp import StackedMLP, rows_at_once
 from tom.nn.trained import Trained
 from tom.rng import fork
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
-HELD_OUT = 4096  # draws of held-out rows that judge Q
+HELD_OUT = 4096  # draws of held-out rows that validate Q
 BLOCK, GPU_BLOCK = 8, 100  # minibatches gathered, and their actions drawn, at once
 
 
 @dataclass(frozen=True)
 class Batch:
-    """B transitions and B start states as Q reads them; many members' have an M in front."""
+    """B transitions and B start states as inputs of Q; for many members with a leading M."""
 
     inputs: Tensor  # (B + K B + L B, O + A): (s, a), every (s', a'), every (s0, a0)
     next_probs: Tensor  # (K, B) of the a'
@@ -45,7 +47,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class Values:
-    """What the dual needs of Q on a batch."""
+    """The values of Q on a batch that the dual needs."""
 
     now: Tensor  # Q(s, a), (B,)
     following: Tensor  # E_{a'~pi}[Q(s', a')], (B,), before any mask
@@ -70,8 +72,8 @@ def dual_loss(values: Values, batch: Batch, config: TomConfig) -> Tensor:
     """The dual's value on a batch (..., B), (...,).
 
     (1-g) E_{mu0,pi}[Q(s0, a0)] + E_q[f*(y)] (paper, eq. 16); under a stationary flow
-    lambda + E_q[f*(y - lambda)] at the least lambda, which is a constant for Q's gradient (the
-    envelope theorem).
+    lambda + E_q[f*(y - lambda)] at the minimising lambda, which is a constant for Q's gradient (by
+    the envelope theorem).
     """
     f, flow = divergence(config.divergence, config.conjugate), Flow.of(config)
     y = dual_argument(values, batch.log_ratio, batch.ends, flow)
@@ -87,7 +89,7 @@ def as_value(output: Tensor, config: TomConfig) -> Tensor:
 
 
 def values_of(q: Tensor, batch: Batch, config: TomConfig) -> Values:
-    """What the dual needs of Q at `batch.inputs`, (..., B + K B + L B)."""
+    """The values that the dual needs, from Q at `batch.inputs`, (..., B + K B + L B)."""
     probs = batch.next_probs, batch.start_probs
     b = batch.log_ratio.shape[-1]
     now, *others = q.split([b, *(p.shape[-2] * b for p in probs)], -1)
@@ -98,7 +100,7 @@ def values_of(q: Tensor, batch: Batch, config: TomConfig) -> Values:
 
 
 class QFunction(Trained):
-    """TOM's dual variable, of one member or of many in lock-step."""
+    """TOM's dual variable, for one member or for many in lock-step."""
 
     def __init__(self, net: StackedMLP, config: TomConfig) -> None:
         super().__init__(net, config.q_lr, config.q_weight_decay)
@@ -116,21 +118,21 @@ class QFunction(Trained):
             batch, q = Batch(*batches), as_value(output, self.config)
             losses = dual_loss(values_of(q, batch, self.config), batch, self.config)
             (slope,) = torch.autograd.grad(losses.sum(), output)
-        found = gradients(self.net, trace, slope.unsqueeze(-1))
-        self.optimiser.step(found)
+        grads = gradients(self.net, trace, slope.unsqueeze(-1))
+        self.optimiser.step(grads)
         if self.config.q_bias_step:
-            self.net.layers[-1][1].sub_(bias_step[:, None, None] * found[-1])
+            self.net.layers[-1][1].sub_(bias_step[:, None, None] * grads[-1])
         return losses.detach()
 
 
 @dataclass
 class Minimise(Work):
-    """Work: gradient steps on the dual; then `net` is the (average) network that counts.
+    """Work that takes gradient steps on the dual; then `net` is the resulting (average) network.
 
-    It is the last one, or the one of the least held-out loss where episodes are held out.
+    It is the last one, or if episodes are held out, the one with the lowest held-out loss.
     """
 
-    rank: ClassVar[int] = 3
+    rank: ClassVar[Rank] = Rank.DUAL
     problem: "DualProblem"
     subject: QFunction
     generator: torch.Generator
@@ -148,12 +150,12 @@ class Minimise(Work):
         averages = [Average(w.subject.net, config.parameter_average) for w in works]
         judges = [w._judged(average.net) for w, average in zip(works, averages, strict=True)]
         bias_step = works[0].problem.log_ratio.new_tensor([w.problem.bias_step() for w in works])
-        losses = []
+        step_on, losses = captured_step(subject), []
         for step, batches in enumerate(zip(*(w._batches() for w in works), strict=True), 1):
             stacked = [
                 torch.stack(parts) for parts in zip(*(one.fields() for one in batches), strict=True)
             ]
-            losses.append(subject.step(bias_step, *stacked).clone())
+            losses.append(step_on(bias_step, *stacked).clone())
             for average in averages:
                 average.update()
             over = [judge.look(step) for judge in judges if judge]
@@ -166,22 +168,22 @@ class Minimise(Work):
             work.metrics = judge.metrics if judge else {}
 
     def _judged(self, net: StackedMLP) -> "Validation | None":
-        """Hold episodes out, where the settings say so, and judge `net` by them from now on."""
+        """If the settings say so, hold episodes out and validate `net` on them from now on."""
         if not self.problem.config.q_holdout:
             return None
         self.problem, held_out = self.problem.split(self.generator)
         return Validation(net, held_out.loss_of(HELD_OUT, self.generator), self.problem.config)
 
     def _batches(self) -> Iterator[Batch]:
-        # A member of a fleet that has stopped goes on beside the others: their number must not
-        # show in what it draws next.
+        # A member of a fleet that has stopped is still stepped with the others; its later draws
+        # must not depend on their number.
         validated = self.problem.config.q_holdout > 0
         return self.problem.batches(fork(self.generator) if validated else self.generator)
 
 
 @dataclass(frozen=True)
 class DualProblem:
-    """A replay buffer with its r, a policy and a start distribution: what Q is fitted to.
+    """The data for Q: a replay buffer with its r, a policy and a start distribution.
 
     Batches are drawn from the rows numbered in `drawn_from`, or from all.
     """
@@ -198,20 +200,18 @@ class DualProblem:
     def flow(self) -> Flow:
         return Flow.of(self.config)
 
-    def minimise(self, q: QFunction, generator: torch.Generator) -> tuple[StackedMLP, float]:
-        """Gradient steps on the dual: Q's network that counts, and the last tenth's mean loss."""
-        work = Minimise(self, q, generator)
-        Minimise.do([work], q)
-        return work.net, work.loss
+    def minimise(self, q: QFunction, generator: torch.Generator) -> Minimise:
+        """Take the gradient steps on the dual."""
+        return do(Minimise(self, q, generator))
 
     def split(self, generator: torch.Generator) -> "tuple[DualProblem, DualProblem]":
-        """The same problem on the episodes to train on, and on those held out."""
+        """The same problem on the training episodes, and on the held-out ones."""
         held_out = held_out_rows(self.replay, self.config.q_holdout, generator)
         parts = (~held_out).nonzero().squeeze(1), held_out.nonzero().squeeze(1)
         return replace(self, drawn_from=parts[0]), replace(self, drawn_from=parts[1])
 
     def loss_of(self, rows: int, generator: torch.Generator) -> Callable[[StackedMLP], float]:
-        """The dual of a network on one and the same `rows` draws."""
+        """The dual's value as a function of the network, on `rows` fixed draws."""
         config = self.config.but(q_batch=rows, q_steps=1)
         (batch,) = replace(self, config=config).batches(generator)
 
@@ -225,47 +225,54 @@ class DualProblem:
     @torch.no_grad()
     def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Weights f*'(y), not normalised, and Q(s, a) of every replay row, (N,) each."""
+        terms = self.terms(net, generator)
+        return terms.raw(self.config), terms.now
+
+    @torch.no_grad()
+    def terms(self, net: StackedMLP, generator: torch.Generator) -> Terms:
+        """The terms of y, for every replay row."""
         samples, size = self.config.action_samples, rows_at_once(self.log_ratio.device, CHUNK)
-        y, now = torch.empty_like(self.log_ratio), torch.empty_like(self.log_ratio)
+        now, following = torch.empty_like(self.log_ratio), torch.empty_like(self.log_ratio)
+        restart = torch.zeros_like(self.log_ratio)
         flow = self.flow
-        start = self.start_values(net, samples, generator) if flow.restarts else y.new_zeros(1)
+        start = self.start_values(net, samples, generator) if flow.restarts else now.new_zeros(1)
         ends = flow.ends(self.replay)
-        for i in range(0, len(y), size):
+        for i in range(0, len(now), size):
             part = slice(i, i + size)
             rows = self.replay[part]
             inputs, probs = self._policy_inputs(rows.next_obs, samples, generator)
             every = torch.cat((self._inputs(rows.obs, rows.action), inputs.flatten(0, 1)))
             q = torch.cat([self._q(net, block) for block in every.split(size)])
-            following = (probs * q[len(rows) :].view_as(probs)).sum(0)
-            values = Values(q[: len(rows)], following, start)
-            y[part] = dual_argument(values, self.log_ratio[part], ends[part], flow)
-            now[part] = values.now
-        f = divergence(self.config.divergence, self.config.conjugate)
-        return f.weights(y - f.multiplier(y) if flow.normalised else y), now
+            now[part] = q[: len(rows)]
+            value = (probs * q[len(rows) :].view_as(probs)).sum(0)
+            following[part] = flow.going_on(value, ends[part])
+            if flow.restarts:
+                restart[part] = flow.restarting(start.mean(-1, keepdim=True), ends[part])
+        return Terms(self.log_ratio, now, following, restart)
 
     @torch.no_grad()
     def start_values(self, net: StackedMLP, n: int, generator: torch.Generator) -> Tensor:
-        """E_{a~pi}[Q(s0, a)] by n actions, of the first start states, (B,)."""
+        """E_{a~pi}[Q(s0, a)] from n actions, at the first start states, (B,)."""
         inputs, probs = self._policy_inputs(self.initial_obs[:CHUNK], n, generator)
         return (probs * self._q(net, inputs.flatten(0, 1)).view_as(probs)).sum(0)
 
     @torch.no_grad()
     def start_gap(self, net: StackedMLP, q: Tensor, generator: torch.Generator) -> float:
-        """How far Q(s0, a ~ pi) lies below Q on the replay, `q` (N,), in 1 + its range.
+        """How far Q(s0, a ~ pi) lies below Q on the replay, `q` (N,), relative to 1 + its range.
 
-        Near zero where the replay covers the policy's starts. Where it does not, nothing holds Q
-        there, the dual is unbounded below and this grows from fit to fit.
+        Near zero if the replay covers the policy's starts. If it does not, Q is unconstrained
+        there, the dual is unbounded below, and the gap grows from fit to fit.
         """
         q_start = self.start_values(net, 1, generator)
-        low, high = torch.quantile(q, q.new_tensor([0.001, 0.999]))
+        low, high = quantiles(q, q.new_tensor([0.001, 0.999]))
         return float((low - q_start).clamp(min=0).mean() / (1 + high - low))
 
     def bias_step(self) -> float:
         """The step of plain gradient descent on Q's output bias, in units of Q.
 
-        A shift of Q by c moves y by -c times the flow's `shift`: next to nothing, which makes
-        gradient descent slow, and a known curvature, E[shift^2]. Under KL and under a stationary
-        flow the weights do not depend on it.
+        A shift of Q by c changes y by only -c times the flow's `shift`, so that gradient descent is
+        slow; but its curvature is known, E[shift^2]. Under KL and under a stationary flow the
+        weights do not depend on such a shift.
         """
         free = self.config.divergence == "kl" or self.flow.normalised
         if free or self.config.q_bias_step == 0:
@@ -283,7 +290,7 @@ class DualProblem:
             start = self._draw(len(self.initial_obs), n * size, generator)
             rows = self.replay[index]
             following, next_probs = self._policy_inputs(rows.next_obs, samples, generator)
-            # One a0 will do: its expectation enters linearly, that over a' sits inside f*.
+            # One a0 is enough: its expectation enters linearly, but that over a' is inside f*.
             starts, start_probs = self._policy_inputs(self.initial_obs[start], 1, generator)
             now = self._inputs(rows.obs, rows.action)[None]
             inputs = torch.cat([_steps(x, n) for x in (now, following, starts)], dim=1)
@@ -305,7 +312,7 @@ class DualProblem:
     def _policy_inputs(
         self, obs: Tensor, n: int, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """(s, a ~ pi) as Q reads them, (K, B, O + A), and the probability of each a, (K, B)."""
+        """Inputs (s, a ~ pi) of Q, (K, B, O + A), and the probability of each a, (K, B)."""
         actions, probs = policy_actions(self.policy, obs, n, generator)
         return self._inputs(obs.expand(len(actions), *obs.shape), actions), probs
 
@@ -316,6 +323,15 @@ class DualProblem:
 
     def _draw(self, high: int, n: int, generator: torch.Generator) -> Tensor:
         return uniform_indices(high, n, generator).to(self.replay.obs.device)
+
+
+def quantiles(values: Tensor, shares: Tensor) -> Tensor:
+    """`torch.quantile` of values (N,) at shares (K,), without its limit of 2^24 rows."""
+    ordered = values.sort().values  # NaN comes last
+    rank = shares * (len(values) - 1)
+    rank = torch.where(ordered[-1].isnan(), torch.full_like(rank, len(values) - 1), rank)
+    below = rank.long()
+    return ordered[below].lerp(ordered[rank.ceil().long()], rank - below)
 
 
 def _steps(inputs: Tensor, n: int) -> Tensor:

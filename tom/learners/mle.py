@@ -1,4 +1,4 @@
-"""MLE: maximum likelihood on all past experience, every transition counting the same."""
+"""MLE: maximum likelihood on all past experience, with the same weight for all transitions."""
 
 from typing import Any
 

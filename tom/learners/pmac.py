@@ -1,4 +1,4 @@
-"""PMAC: the more recent the policy that collected a transition, the more it counts."""
+"""PMAC: a transition has more weight if a more recent policy collected it."""
 
 from typing import Any
 
@@ -15,8 +15,8 @@ def recency_probabilities(policy_version: Tensor, decay: float) -> Tensor:
 
     The oldest policy's transitions start by sharing 1 equally. At each policy change p <- decay p
     and the new policy's transitions share 1 - decay equally. With K changes the transitions of
-    the k-th policy share (1 - decay) decay^(K-k), those of the oldest decay^K. Policies are
-    counted by their transitions: a version number that collected nothing is no change.
+    the k-th policy share (1 - decay) decay^(K-k), those of the oldest decay^K. A version number
+    without transitions does not count as a change.
 
     policy_version (N,): which policy collected each row, growing with time, in any row order.
     """

@@ -1,9 +1,8 @@
-"""The ratio alone: w = p/q as the discriminator says it, without TOM's dual Q.
+"""The ratio alone: w = p/q from the discriminator, without TOM's dual Q.
 
-What TOM's flow constraint brings on top of its discriminator shows against this.
+The comparison with TOM shows the effect of the flow constraint.
 """
 
-from collections.abc import Generator
 from typing import Any
 
 import torch
@@ -14,10 +13,8 @@ from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
 from tom.learners.discriminator import (
     Discriminator,
     RatioProblem,
-    TrainDiscriminator,
     discriminator_net,
 )
-from tom.nn.lockstep import Work, finished
 
 
 class RatioLearner:
@@ -35,10 +32,6 @@ class RatioLearner:
         self.degenerate = 0
 
     def weigh(self, context: FitContext) -> Weighting:
-        return finished(self.weighing(context))
-
-    def weighing(self, context: FitContext) -> Generator[Work, None, Weighting]:
-        """`weigh`, its training as work that members of a fleet may do in one go."""
         if context.on_policy_steps < self.config.warmup:
             return uniform(context.replay, ready=False)
         if self.config.discriminator_reset:
@@ -47,9 +40,8 @@ class RatioLearner:
         ratio = RatioProblem.of(
             context.policy_buffer, context.replay, self.config.discriminator_input
         )
-        training = TrainDiscriminator(ratio, self.discriminator, context.generator)
-        yield training
-        log_ratio = ratio.log_ratio(training.net)
+        net, metrics = ratio.solve(self.discriminator, context.generator)
+        log_ratio = ratio.log_ratio(net)
         weights, degenerate = normalise((log_ratio - log_ratio.max()).exp())
         self.degenerate += degenerate
         return Weighting(
@@ -57,7 +49,7 @@ class RatioLearner:
             log_ratio=log_ratio,
             ready=not degenerate,
             clipped=True,
-            metrics={**training.metrics, "weights/degenerate": float(self.degenerate)},
+            metrics={**metrics, "weights/degenerate": float(self.degenerate)},
             notices=(DEGENERATE,) if degenerate else (),
         )
 

@@ -1,10 +1,9 @@
-"""Transition occupancy matching: the replay buffer weighed by the current policy's footprint.
+"""Transition occupancy matching: the replay buffer is weighted towards the policy's occupancy.
 
 Discriminator, dual Q, weights: lines 3-11 of the paper's Algorithm 2.
-`occupancy_weights` is the way in for other programs; `TomLearner` is what a training keeps.
+`occupancy_weights` is the function for other programs; `TomLearner` is used by trainings.
 """
 
-from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,43 +19,47 @@ from tom.learners.base import DEGENERATE, FitContext, Policy, Weighting, uniform
 from tom.learners.discriminator import (
     Discriminator,
     RatioProblem,
-    TrainDiscriminator,
     discriminator_net,
     membership_reward,
 )
-from tom.learners.dual import DualProblem, Minimise, QFunction, q_net
-from tom.nn.lockstep import Work, finished
+from tom.learners.dual import DualProblem, QFunction, q_net
+from tom.learners.terms import Terms
 
 __all__ = ["Occupancy", "TomConfig", "TomLearner", "occupancy_weights"]
 
-MAX_START_GAP = 1.0  # a covered start lies within Q's range; an uncovered one soon far below it
+MAX_START_GAP = 1.0  # covered starts lie within Q's range, uncovered ones soon far below it
 RUNAWAY = (
     "runaway-dual",
     "TOM's dual Q falls without bound at the start states: the replay buffer does not hold what "
     "the policy does there, and the weights cannot be trusted",
 )
-"""The notice of a fit whose dual problem has no solution."""
+"""kind of the notice about a dual problem without solution"""
 
 ENDS_UNDER_KL = (
     "kl-drops-terminations",
     "KL with normalised weights drives the weight of terminated transitions to zero: use chi2 "
     "or the stationary flow where episodes terminate",
 )
-"""The notice of a fit under KL on a buffer with terminated transitions."""
+"""kind of the notice about KL on a buffer with terminated transitions"""
 
 
 @dataclass(frozen=True)
 class Occupancy:
-    """The weights (N,) of a replay buffer, mean 1, and the r (N,) that was fed to Q."""
+    """The weights (N,) of a replay buffer, mean 1, and the terms of each weight."""
 
     weights: Tensor
-    log_ratio: Tensor
+    terms: Terms
     metrics: dict[str, float]
     notices: tuple[tuple[str, str], ...]
 
+    @property
+    def log_ratio(self) -> Tensor:
+        """The r (N,) that was fed to Q."""
+        return self.terms.log_ratio
+
 
 class Networks:
-    """TOM's two networks for given dimensions; either may be started afresh."""
+    """TOM's two networks for given dimensions; each can be restarted."""
 
     def __init__(
         self,
@@ -87,24 +90,22 @@ def estimate(
     policy: Policy,
     initial_obs: Tensor,
     generator: torch.Generator,
-) -> Generator[Work, None, Occupancy]:
-    """Train the networks further and weigh `replay` by them."""
+) -> Occupancy:
+    """Train the networks further and compute the weights of `replay` from them."""
     config = networks.config
     metrics: dict[str, float] = {}
     if config.discriminator:
         ratio = RatioProblem.of(policy_buffer, replay, config.discriminator_input)
-        training = TrainDiscriminator(ratio, networks.discriminator, generator)
-        yield training
-        metrics |= training.metrics
-        log_ratio = ratio.log_ratio(training.net)
+        net, metrics = ratio.solve(networks.discriminator, generator)
+        log_ratio = ratio.log_ratio(net)
         scaling = ratio.scaling.first(sum(networks.dims))  # of (s, a); (s' - s) comes after
     else:
         log_ratio = membership_reward(replay, policy_buffer)
         scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, log_ratio, initial_obs, policy, config, scaling)
-    dual = Minimise(problem, networks.q, generator)
-    yield dual
-    raw, q = problem.solution(dual.net, generator)
+    dual = problem.minimise(networks.q, generator)
+    terms = problem.terms(dual.net, generator)
+    raw, q = terms.raw(config), terms.now
     weights, degenerate = normalise(raw)
     start_gap = problem.start_gap(dual.net, q, generator)
     metrics |= dual.metrics | {
@@ -113,17 +114,17 @@ def estimate(
         "dual/start_gap": start_gap,
         "weights/raw_mean": float(raw.mean()),
     }
-    found = (
+    conditions = (
         (DEGENERATE, degenerate),
         (RUNAWAY, start_gap > MAX_START_GAP),
         (ENDS_UNDER_KL, _kl_drops_ends(config) and bool(replay.terminated.any())),
     )
-    notices = tuple(notice for notice, holds in found if holds)
-    return Occupancy(weights, log_ratio, metrics, notices)
+    notices = tuple(notice for notice, holds in conditions if holds)
+    return Occupancy(weights, terms, metrics, notices)
 
 
 def _kl_drops_ends(config: TomConfig) -> bool:
-    """Whether mass is lost at ends while KL's weights keep their sum."""
+    """Whether the flow loses mass at ends although KL's weights keep their sum."""
     return config.divergence == "kl" and config.flow == "discounted"
 
 
@@ -135,24 +136,24 @@ def occupancy_weights(
     config: TomConfig,
     generator: torch.Generator,
 ) -> Occupancy:
-    """Weigh `buffer` by how much the policy's own transitions look like each of its rows.
+    """Weights for `buffer` under which its rows look like the policy's own transitions.
 
     w = f*'(r + g E_{a'~pi}[Q(s', a')] - Q(s, a)) at the Q that minimises the dual (paper, eqs. 16
-    and 17), scaled to mean 1. `buffer` holds N transitions, `policy_buffer` those the policy made
-    lately; both may be numpy arrays or tensors. `policy(obs, n, generator)` returns (n, B, A)
+    and 17), scaled to mean 1. `buffer` holds N transitions, `policy_buffer` recent ones of the
+    policy; both may be numpy arrays or tensors. `policy(obs, n, generator)` returns (n, B, A)
     actions for obs (B, O); with a method `support(obs) -> (actions (K, B, A), probs (K, B))` the
     expectation over a' is exact. `initial_obs` (M0, O) are draws of the start distribution. Both
-    networks start afresh; all randomness comes from `generator`.
+    networks start anew; all randomness comes from `generator`.
     """
     replay, lately = buffer.torch(), policy_buffer.torch()
     starts = torch.as_tensor(initial_obs).to(replay.obs)
     dims = replay.obs.shape[1], replay.action.shape[1]
     networks = Networks(*dims, config, generator, replay.obs.device)
-    return finished(estimate(networks, replay, lately, policy, starts, generator))
+    return estimate(networks, replay, lately, policy, starts, generator)
 
 
 class TomLearner:
-    """Occupancy weights, with a Q that goes on from fit to fit.
+    """Occupancy weights, with a Q that is trained further at every fit.
 
     Uniform, and not ready, until the policy has taken `config.warmup` steps in the environment.
     """
@@ -169,10 +170,6 @@ class TomLearner:
         self.degenerate = 0
 
     def weigh(self, context: FitContext) -> Weighting:
-        return finished(self.weighing(context))
-
-    def weighing(self, context: FitContext) -> Generator[Work, None, Weighting]:
-        """`weigh`, its two trainings as work that members of a fleet may do in one go."""
         config, networks = self.config, self.networks
         if context.on_policy_steps < config.warmup:
             return uniform(context.replay, ready=False)
@@ -180,7 +177,7 @@ class TomLearner:
             networks.restart_discriminator(context.generator)
         if config.starts_afresh:
             networks.restart_q(context.generator)
-        found = yield from estimate(
+        occupancy = estimate(
             networks,
             context.replay,
             context.policy_buffer,
@@ -188,15 +185,16 @@ class TomLearner:
             context.initial_obs,
             context.generator,
         )
-        degenerate = DEGENERATE in found.notices
+        degenerate = DEGENERATE in occupancy.notices
         self.degenerate += degenerate
         return Weighting(
-            weights=found.weights,
-            log_ratio=found.log_ratio,
+            weights=occupancy.weights,
+            log_ratio=occupancy.log_ratio,
+            terms=None if degenerate else occupancy.terms,
             ready=not degenerate,
             clipped=True,
-            metrics={**found.metrics, "weights/degenerate": float(self.degenerate)},
-            notices=found.notices,
+            metrics={**occupancy.metrics, "weights/degenerate": float(self.degenerate)},
+            notices=occupancy.notices,
         )
 
     def state_dict(self) -> dict[str, Any]:

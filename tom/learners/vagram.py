@@ -1,4 +1,4 @@
-"""VaGram: a transition's dimensions count by how much the value function reacts to them."""
+"""VaGram: each dimension of a transition is weighted by the gradient of the value function."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from tom.config import VagramConfig
-from tom.data.columns import column_moments
 from tom.data.sampling import normalise
+from tom.data.scaling import column_moments
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
 from tom.nn.mlp import rows_at_once
 
@@ -20,10 +20,10 @@ def value_gradient_weights(
 ) -> Tensor:
     """(scale_d dV_k/ds'_d)^2, averaged over the K value heads, (N, O).
 
-    The model's likelihood is that of z-scored targets, so a unit of its error in dimension d is
-    scale_d units of s'_d. Heads are averaged after squaring: their gradients may cancel, and how
-    much each reacts may not. `value_gradient` maps states (B, O) to dV_k/ds, (K, B, O). Rows whose
-    s' is terminal count like others, though the value function was never trained there.
+    The model's likelihood is that of z-scored targets, so one unit of error in dimension d is
+    scale_d units of s'_d. Heads are averaged after squaring, so that their gradients cannot cancel.
+    `value_gradient` maps states (B, O) to dV_k/ds, (K, B, O). Rows with a terminal s' are treated
+    like others, although the value function was never trained there.
     """
     size = rows_at_once(next_obs.device, CHUNK)
     parts = [value_gradient(rows).square().mean(0) for rows in next_obs.split(size)]
@@ -31,10 +31,10 @@ def value_gradient_weights(
 
 
 def clip_rows(per_dim: Tensor, quantile: float) -> Tensor:
-    """Rows (N, O) scaled down so that no row's mean exceeds that quantile of the rows' means.
+    """Rows (N, O) scaled down so that no row's mean exceeds a quantile of the rows' means.
 
-    A row keeps the proportions of its dimensions: clipping says how much a transition counts,
-    never which of its dimensions do.
+    A row keeps the proportions of its dimensions: clipping changes the weight of a transition, not
+    the balance of its dimensions.
     """
     mean = per_dim.mean(1)
     ordered = mean.sort().values  # torch.quantile refuses more than 2^24 rows

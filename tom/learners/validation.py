@@ -1,4 +1,4 @@
-"""Stopping a network's training where its loss on held-out rows is least."""
+"""Early stopping of a network's training at the minimum of its held-out loss."""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -8,9 +8,9 @@ from tom.nn.mlp import StackedMLP
 
 
 class Validation:
-    """Looks at a moving network's held-out loss now and then; keeps the network of the least.
+    """Evaluates a network's held-out loss from time to time; keeps the network with the lowest.
 
-    A training is over after `q_patience` looks without a new least loss.
+    A training is over after `q_patience` evaluations without a new minimum.
     """
 
     def __init__(
@@ -19,14 +19,14 @@ class Validation:
         self._net, self._loss, self._config = net, loss, config
         self._best = net
         self._least, self._kept_at, self._idle = float("inf"), 0, 0
-        self.steps = 0  # of the training until it was over
+        self.steps = 0  # training steps until it was over
 
     @property
     def over(self) -> bool:
         return self._idle >= self._config.q_patience
 
     def look(self, step: int) -> bool:
-        """Judge the network where a look is due; whether its training is over."""
+        """Evaluate the network if it is due; returns whether its training is over."""
         if not self.over:
             self.steps = step
             if step % self._config.q_check_every == 0 or step == self._config.q_steps:
@@ -34,7 +34,7 @@ class Validation:
         return self.over
 
     def best(self) -> StackedMLP:
-        """The network of the least held-out loss; the last one where no loss was a number."""
+        """The network with the lowest held-out loss; the last one if every loss was NaN."""
         return self._best
 
     @property

@@ -1,1 +1,1 @@
-"""What a training needs of the machine it runs on."""
+"""The machine that a training runs on: devices, memory, processes, addresses."""

@@ -6,7 +6,7 @@ from tom.errors import UserError
 
 
 def require_device(device: str) -> None:
-    """Raise UserError where torch does not know `device` or cannot use it here."""
+    """Raises UserError if torch does not know `device` or cannot use it here."""
     try:
         kind, index = torch.device(device).type, torch.device(device).index
     except RuntimeError:

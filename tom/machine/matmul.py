@@ -2,11 +2,11 @@
 
 `torch.backends.mkldnn.matmul.fp32_precision = "bf16"` sends fp32 products to oneDNN. On chips
 without bf16 matrix units the kernel that runs is plain fp32 and often twice as fast; on others
-it may really round to bf16. So it is kept only where it is clearly faster *and* as exact.
+it may really round to bf16. So it is used only if it is clearly faster *and* as exact.
 
-The kernel decides the last bits of a run, and a chip may stand at the bound, where two probes
-disagree. So a machine is probed once: what was found is kept in a file, and every later process
-on the same kind of CPU with the same torch reads it.
+The kernel determines the last bits of a run, and near the bound two probes may disagree. So a
+machine is probed once: the result is stored in a file, which every later process on the same kind
+of CPU with the same torch reads.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 MAX_ERROR = 2e-4  # of a 256-term product of unit normals, against float64; fp32 gives 2e-5 to 4e-5
-MIN_GAIN = 1.15  # below this the default stays: a tie must not flip between runs
+MIN_GAIN = 1.15  # below this the default is used: a tie must not flip between runs
 REPEATS = 7
 X86_LINES = ("vendor_id", "cpu family", "model", "stepping", "flags")
 ARM_LINES = ("CPU implementer", "CPU variant", "CPU part", "CPU revision", "Features")
@@ -35,7 +35,7 @@ CPU_LINES = X86_LINES + ARM_LINES  # of /proc/cpuinfo
 
 @dataclass(frozen=True)
 class MatmulReport:
-    """What the probe found; recorded with the run, because it decides the last bits."""
+    """The probe's result; recorded with the run, because it determines the last bits."""
 
     chosen: "Backend"
     default_ms: float
@@ -49,7 +49,7 @@ class MatmulReport:
 Backend = Literal["default", "onednn"]
 
 
-_ONEDNN: Any = torch.backends.mkldnn  # what it holds is made at run time
+_ONEDNN: Any = torch.backends.mkldnn  # its attributes are made at run time
 
 
 def use(backend: Backend) -> None:
@@ -58,7 +58,7 @@ def use(backend: Backend) -> None:
 
 
 def current() -> Backend:
-    """Where this process's fp32 matrix products go."""
+    """The backend of this process's fp32 matrix products."""
     return "onednn" if _ONEDNN.matmul.fp32_precision == "bf16" else "default"
 
 
@@ -70,19 +70,19 @@ def _milliseconds(product: Callable[[], Tensor]) -> float:
 
 
 def choose_matmul(wanted: Literal["auto", "default", "onednn"] = "auto") -> MatmulReport:
-    """Set this process's product, and report what this machine's probe found.
+    """Set this process's backend and report the result of this machine's probe.
 
-    `auto` takes oneDNN where it is at least 1.15 times faster (median of interleaved repeats) and
-    its error against float64 stays fp32-like.
+    `auto` takes oneDNN if it is at least 1.15 times faster (median of interleaved repeats) and its
+    error against float64 is that of fp32.
     """
-    found = _of_this_machine(cache_file())
-    report = found if wanted == "auto" else replace(found, chosen=wanted)
+    answer = _of_this_machine(cache_file())
+    report = answer if wanted == "auto" else replace(answer, chosen=wanted)
     use(report.chosen)
     return report
 
 
 def probe() -> MatmulReport:
-    """Measure both products; this process's choice stays as it is."""
+    """Measure both backends; this process's choice is not changed."""
     before = current()
     generator = torch.Generator().manual_seed(0)
     a = torch.randn(256, 256, generator=generator)
@@ -103,36 +103,36 @@ def probe() -> MatmulReport:
 
 
 def cache_file(what: str = "matmul") -> Path:
-    """The file that keeps the probe's answer, or another's, for this kind of CPU and this torch."""
+    """The file with the probe's or another result for this kind of CPU and this torch."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tom-studio"
     kind = hashlib.sha256(f"{_cpu()}\n{torch.__version__}".encode()).hexdigest()
     return folder / f"{what}-{kind[:12]}.json"
 
 
 def _cpu() -> str:
-    """What tells one kind of CPU from another, and is the same at every start."""
+    """An identification of the kind of CPU that is the same at every start."""
     with contextlib.suppress(OSError):
         return kind_of(Path("/proc/cpuinfo").read_text())
     return f"{platform.machine()} {platform.processor()}"
 
 
 def kind_of(cpuinfo: str) -> str:
-    """What `/proc/cpuinfo` says of the kind of its first core."""
+    """The lines of `/proc/cpuinfo` that identify the kind of the first core."""
     first = cpuinfo.split("\n\n")[0].splitlines()
     return "\n".join(line for line in first if line.startswith(CPU_LINES))
 
 
 def _of_this_machine(path: Path) -> MatmulReport:
-    """The answer kept in `path`, or a probe's, kept from now on where the folder can be written."""
+    """The result stored in `path`, else that of a probe, which is then stored if possible."""
     kept = _read(path)
     if kept is not None:
         return kept
-    found = probe()
+    report = probe()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return _keep(found, path)
+        return _keep(report, path)
     except OSError:
-        return found
+        return report
 
 
 def _read(path: Path) -> MatmulReport | None:
@@ -143,10 +143,10 @@ def _read(path: Path) -> MatmulReport | None:
     return report if report.chosen in ("default", "onednn") else None
 
 
-def _keep(found: MatmulReport, path: Path) -> MatmulReport:
-    """Keep `found`; where another process was first, its answer counts."""
+def _keep(report: MatmulReport, path: Path) -> MatmulReport:
+    """Store `report`; if another process was first, return its result."""
     with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp") as file:
-        json.dump(found.record(), file)
+        json.dump(report.record(), file)
         file.flush()
         try:
             os.link(file.name, path)
@@ -154,6 +154,6 @@ def _keep(found: MatmulReport, path: Path) -> MatmulReport:
             first = _read(path)
             if first is not None:
                 return first
-            path.unlink(missing_ok=True)  # damaged: nobody reads it
+            path.unlink(missing_ok=True)  # it is damaged
             os.link(file.name, path)
-    return found
+    return report

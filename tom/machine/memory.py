@@ -1,4 +1,4 @@
-"""Memory: what is free, and the C library's, which a training asks for again at once."""
+"""Free memory, errors for lack of memory, and the C library's allocator."""
 
 import ctypes
 import sys
@@ -12,9 +12,12 @@ from tom.errors import reason
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
 MEBIBYTE = 2**20
 
+STUDIO_CACHE_BYTES = 512 * MEBIBYTE
+"""maximum size of the cache in each of the studio's two servers"""
+
 
 def available() -> int:
-    """Bytes of memory that this machine has free; where nobody knows, more than any has."""
+    """Bytes of free memory; more than any machine has if that is unknown."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
@@ -24,17 +27,17 @@ def available() -> int:
 
 
 _REFUSALS = ("can't allocate memory", "not allocate memory", "can't start new thread")
-"""what torch, MuJoCo and the kernel say when there is no more memory"""
+"""parts of the messages of torch, MuJoCo and the kernel when memory runs out"""
 
 
 def ran_out(error: BaseException) -> bool:
-    """The error says that there was not enough memory for what was asked."""
+    """Whether the error means that there was not enough memory."""
     known = isinstance(error, MemoryError | torch.OutOfMemoryError)
     return known or any(words in str(error) for words in _REFUSALS)
 
 
 def out_of_memory(error: BaseException) -> str:
-    """Such an error in words, with what to do about it."""
+    """A message for such an error, with the fix."""
     return (
         f"not enough memory ({reason(error)}): take smaller networks, batches or buffers, or free "
         "some"
@@ -42,10 +45,10 @@ def out_of_memory(error: BaseException) -> str:
 
 
 def keep_freed_memory() -> bool:
-    """Keep freed memory in this process instead of handing it back; whether that could be done.
+    """Keep freed memory in this process instead of returning it; returns whether that worked.
 
-    By default glibc returns blocks of some hundred kilobytes to the system and fetches them again
-    page by page, which made whole network evaluations a third slower, or not, by their sizes.
+    By default glibc returns blocks of some hundred kilobytes to the system and gets them back page
+    by page, which made network evaluations of some sizes a third slower.
     """
     if sys.platform != "linux":
         return False
@@ -53,9 +56,9 @@ def keep_freed_memory() -> bool:
     if mallopt is None:  # another C library
         return False
     settings = {
-        _MMAP_THRESHOLD: 32 * MEBIBYTE,  # the most that it takes
+        _MMAP_THRESHOLD: 32 * MEBIBYTE,  # the largest value that it accepts
         _TRIM_THRESHOLD: 512 * MEBIBYTE,
         _TOP_PAD: 16 * MEBIBYTE,
     }
-    taken = [mallopt(name, value) == 1 for name, value in settings.items()]  # every one is asked
+    taken = [mallopt(name, value) == 1 for name, value in settings.items()]  # set all of them
     return all(taken)

@@ -1,7 +1,7 @@
 """Adam (Kingma & Ba 2015) over the tensors of stacked networks, in one fused call.
 
-The arithmetic is that of `torch.optim.Adam(fused=True)`, to the last bit; what is left out is the
-bookkeeping around it, which at these sizes takes longer than the arithmetic.
+The arithmetic is exactly that of `torch.optim.Adam(fused=True)`, without its bookkeeping, which at
+these sizes takes longer than the arithmetic.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ EPS = 1e-8
 
 
 class Adam:
-    """First and second moments of parameters, and the step that they ask for.
+    """First and second moments of parameters, and the update step.
 
     `weight_decay` is one L2 coefficient for all parameters, or one for each.
     """
@@ -39,14 +39,14 @@ class Adam:
 
     @torch.no_grad()
     def step(self, gradients: Sequence[Tensor]) -> None:
-        """Move every parameter in place by its gradient.
+        """Update every parameter in place.
 
-        A joined one takes the gradients of the joined networks, members stacked in front.
+        A joined optimiser takes the gradients of the joined networks, with a leading member axis.
         """
         if self.members > 1:
             parts = [g.chunk(self.members) for g in gradients]
             gradients = [g for member in zip(*parts, strict=True) for g in member]
-        # The fused kernel reads memory in order, whatever a gradient's strides are.
+        # The fused kernel ignores a gradient's strides.
         gradients = [g.contiguous() for g in gradients]
         torch._foreach_add_(self.counters, 1)  # pyright: ignore[reportPrivateImportUsage]
         for decay, members, moved in self._groups:
@@ -58,9 +58,9 @@ class Adam:
 
     @staticmethod
     def joined(optimisers: "Sequence[Adam]") -> "Adam":
-        """One Adam over the parameters of all: the same tensors, so that each goes on being itself.
+        """One Adam over all parameters. The tensors are shared, so that each optimiser stays valid.
 
-        Each may have taken another number of steps.
+        They may have taken different numbers of steps.
         """
         joint = Adam([], optimisers[0].lr)
         joint.members = len(optimisers)
@@ -70,7 +70,7 @@ class Adam:
         return joint
 
     def tensors(self) -> list[Tensor]:
-        """All that a step changes, but for the parameters."""
+        """All tensors that a step changes, except the parameters."""
         return [*self.counters, *self.means, *self.squares]
 
     def state_dict(self) -> dict[str, Any]:
@@ -80,14 +80,14 @@ class Adam:
         return {"state": {i: dict(zip(names, one, strict=True)) for i, one in enumerate(kept)}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Take the values of `state` in place: whoever shares this state sees them."""
+        """Copy the values of `state` in place, so that all who share the tensors see them."""
         for i, kept in state["state"].items():
             self.taken[i].copy_(kept["step"])
             self.means[i].copy_(kept["exp_avg"])
             self.squares[i].copy_(kept["exp_avg_sq"])
 
     def _group(self) -> None:
-        """A call for each weight decay: which parameters, and their four lists."""
+        """Group the parameters by weight decay, with the four lists of each fused call."""
         lists = (self.parameters, self.means, self.squares, self.taken)
         self._groups: list[tuple[float, list[int], list[list[Tensor]]]] = []
         for decay in dict.fromkeys(self.decays):

@@ -8,10 +8,10 @@ from tom.nn.mlp import StackedMLP
 
 
 class Average:
-    """Follows `net`; `Average.net` holds the average, or `net` itself where decay is 0.
+    """Averages `net`'s parameters; `Average.net` is the average, or `net` itself if decay is 0.
 
-    The early steps count less: the t-th step's decay is at most t / (t + 10), so that no trace of
-    the first parameters stays.
+    The decay of the t-th step is at most t / (t + 10), so that the initial parameters are soon
+    forgotten.
     """
 
     def __init__(self, net: StackedMLP, decay: float) -> None:
@@ -21,7 +21,7 @@ class Average:
         self.steps = 0
 
     def update(self) -> None:
-        """Take in the parameters as they stand."""
+        """Include the current parameters in the average."""
         if self.decay:
             decay = min(self.decay, self.steps / (self.steps + 10))
             source = [p.detach() for p in self.source.parameters()]

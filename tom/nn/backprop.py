@@ -1,8 +1,8 @@
 """Backpropagation through stacked networks, by hand.
 
-A training step is small matrix products and much bookkeeping; without autograd's share of it a
-SAC update takes three quarters of the time on a CPU, and the whole of it can be captured as one
-CUDA graph. The tests hold every gradient against autograd's.
+A training step consists of small matrix products and much bookkeeping. Without autograd's
+bookkeeping a SAC update takes three quarters of the time on a CPU and can be captured as one CUDA
+graph. The tests compare every gradient with autograd's.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from tom.nn.mlp import Activation, StackedMLP
 _aten = torch.ops.aten
 
 _BACKWARD: dict[Activation, Callable[[Tensor, Tensor, Tensor], object]] = {
-    # (gradient, layer's raw output, the same activated): turns the gradient in place
+    # (gradient, layer's output before and after the activation): changes the gradient in place
     relu: lambda grad, raw, out: _aten.threshold_backward.grad_input(grad, out, 0, grad_input=grad),
     silu: lambda grad, raw, out: _aten.silu_backward.grad_input(grad, raw, grad_input=grad),
     torch.tanh: lambda grad, raw, out: _aten.tanh_backward.grad_input(grad, out, grad_input=grad),
@@ -26,7 +26,7 @@ _BACKWARD: dict[Activation, Callable[[Tensor, Tensor, Tensor], object]] = {
 
 @dataclass(frozen=True)
 class Trace:
-    """A forward pass: what the backward pass needs of it, and its output (M, B, out)."""
+    """A forward pass: the values that the backward pass needs, and the output (M, B, out)."""
 
     inputs: list[Tensor]  # of each layer, (M, B, in)
     raw: list[Tensor]  # output of each hidden layer before its activation
@@ -34,7 +34,7 @@ class Trace:
 
 
 def forward_trace(net: StackedMLP, x: Tensor) -> Trace:
-    """The forward pass over x (M, B, in), kept."""
+    """The forward pass over x (M, B, in), with its intermediate values."""
     inputs, raw = [x], []
     *hidden, (last_weight, last_bias) = net.layers
     in_place = net.activation is relu  # its gradient needs no raw outputs
@@ -67,12 +67,12 @@ def input_gradient(net: StackedMLP, trace: Trace, grad: Tensor) -> Tensor:
 
 
 def _through(net: StackedMLP, trace: Trace, layer: int, grad: Tensor) -> Tensor:
-    """From the gradient of a layer's output to that of the layer's before, unactivated."""
+    """From the gradient of a layer's output to the previous layer's, before its activation."""
     grad = _times_transposed(grad, net.layers[layer][0])
     _BACKWARD[net.activation](grad, trace.raw[layer - 1], trace.inputs[layer])
     return grad
 
 
 def _times_transposed(grad: Tensor, weight: Tensor) -> Tensor:
-    # Where there is one output the product has one term, and no call of a matrix product pays.
+    # With a single output the product has one term, and a matrix product is not worth its call.
     return grad * weight.mT if grad.shape[-1] == 1 else torch.bmm(grad, weight.mT)

@@ -1,37 +1,47 @@
-"""Many trainings side by side: what each does alone, a fleet does in one go.
+"""Many trainings side by side, whose heavy work is done together.
 
-A training is a generator. It yields what it has to tell and, where the heavy work is, a piece of
-`Work`; when it is asked to go on, that work is done. `alone` does every piece by itself.
-`Lockstep.run` waits until all trainings have brought theirs and does equal ones as one, on
-networks joined into a stack. A training cannot tell the difference.
+A training is plain code. For heavy work it calls `do` with a piece of `Work`; when the call
+returns, the work is done. A single training does it at once. In a fleet every training has its own
+stack (a greenlet): `do` suspends it until all trainings have brought their work, and work of equal
+kind is done together, on networks joined into a stack. A training cannot tell the difference.
 """
 
 import os
 from collections import defaultdict
-from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from contextvars import copy_context
+from enum import IntEnum
 from functools import cache
 from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
+from greenlet import getcurrent, greenlet
 
-from tom.nn.graphs import graphed
-
-Told = TypeVar("Told")
 Result = TypeVar("Result")
 
 
-class Work:
-    """A piece of a training that members of equal `kind` can do in one go.
+class Rank(IntEnum):
+    """If members wait with different kinds of work, the lowest rank is done first, because its
+    members may then bring the same kind of work as the others."""
 
-    Its `subject` is what it moves: networks and their optimisers, with a `step`, a `device`, and
-    `joined`, which makes one of many; work that moves no network has none. Where members wait with
-    different work, that of the lowest `rank` is done first: the others may be brought the same in
-    the meantime.
+    ACT = 0
+    CALL = 1
+    DISCRIMINATOR = 2
+    DUAL = 3
+    FIT = 4
+    SAC = 5
+
+
+class Work:
+    """A piece of a training that can be done together with others of equal `kind`.
+
+    Its `subject` is the network that it trains (`Stepped`), whose `joined` makes one of many; work
+    that trains no network has none.
     """
 
-    rank: ClassVar[int]
+    rank: ClassVar[Rank]
     subject: Any
 
     @property
@@ -40,22 +50,40 @@ class Work:
 
     @classmethod
     def do(cls, works: Sequence[Any], subject: Any) -> None:
-        """Do all of them with `subject`, theirs joined in the same order."""
+        """Do all works with `subject`, which joins their subjects in the same order."""
         raise NotImplementedError
 
 
-class Call(Work, Generic[Result]):
-    """Work that is one member's own call and trains no network; in a fleet each has a thread.
+AnyWork = TypeVar("AnyWork", bound=Work)
 
-    What it takes of the processor must be done without Python's lock, as MuJoCo does, for threads
-    to bring something. An error is the member's own: `result` raises it.
+
+def do(work: AnyWork) -> AnyWork:
+    """Do the work at once, or in a fleet together with that of other members; returns the work."""
+    member = getcurrent()
+    if isinstance(member, _Member):
+        member.bring(work)
+    else:
+        type(work).do([work], work.subject)
+    return work
+
+
+def call(function: Callable[[], Result]) -> Result:
+    """The result of `function`; in a fleet the members' calls run in parallel (see `Call`)."""
+    return do(Call(function)).result()
+
+
+class Call(Work, Generic[Result]):
+    """A function call of one member that trains no network; in a fleet each call has a thread.
+
+    Threads only help if the function releases Python's lock, as MuJoCo does. An error belongs to
+    the member: `result` raises it.
     """
 
-    rank = 1
+    rank = Rank.CALL
     subject = None
 
-    def __init__(self, call: Callable[[], Result]) -> None:
-        self._call = call
+    def __init__(self, function: Callable[[], Result]) -> None:
+        self._function = function
         self._done: Future[Result] = Future()
 
     @property
@@ -71,7 +99,7 @@ class Call(Work, Generic[Result]):
 
     def run(self) -> None:
         try:
-            self._done.set_result(self._call())
+            self._done.set_result(self._function())
         except Exception as error:  # the others' calls go on
             self._done.set_exception(error)
 
@@ -82,80 +110,67 @@ class Call(Work, Generic[Result]):
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    """One a core; torch in them takes no further ones."""
+    """One thread per core; torch starts no further ones in them."""
     return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "call", torch.set_num_threads, (1,))
 
 
-def alone(steps: Generator[Told | Work, None, Result]) -> Generator[Told, None, Result]:
-    """A training by itself: its work is done as it comes."""
-    lockstep = Lockstep()
-    while True:
-        try:
-            item = next(steps)
-        except StopIteration as end:
-            return end.value
-        if isinstance(item, Work):
-            try:
-                lockstep.do([item])
-            except Exception as error:
-                steps.throw(error)  # its record says what ended it
-                raise
-        else:
-            yield item
+class _Member(greenlet):
+    """A training on its own stack; a switch resumes it until it brings its next work."""
 
+    def __init__(self, training: Callable[[], Any]) -> None:
+        super().__init__(training)
+        self.gr_context = copy_context()
+        self.moved: dict[int, Any] = {}  # the subjects of its work, by id
 
-def finished(steps: Generator[Work, None, Result]) -> Result:
-    """The result of something that has nothing to tell, by itself."""
-    quiet = alone(steps)
-    while True:
-        try:
-            next(quiet)
-        except StopIteration as end:
-            return end.value
+    def bring(self, work: Work) -> None:
+        """Suspend the training with `work` until it is done."""
+        assert self.parent is not None
+        self.parent.switch(work)
 
 
 class Lockstep:
-    """Runs trainings side by side; keeps what it has joined."""
+    """Runs trainings side by side; keeps the joined networks."""
 
     def __init__(self) -> None:
         self._joints: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
 
-    def run(self, trainings: Sequence[Generator[Work, None, Result]]) -> list[Result | Exception]:
-        """What each training comes to, or the error that ended it; the others are joined
-        anew and go on without it.
+    def run(self, trainings: Sequence[Callable[[], Result]]) -> list[Result | Exception]:
+        """The result of each training, or the error that ended it; the others are joined
+        again and go on without it.
 
-        KeyboardInterrupt, and an error in the shared work itself, end all.
+        KeyboardInterrupt, or an error in the shared work itself, ends all.
         """
-        running, waiting = dict(enumerate(trainings)), {}
+        running = {number: _Member(training) for number, training in enumerate(trainings)}
+        waiting: dict[int, Work] = {}
         results: dict[int, Result | Exception] = {}
-        moved: dict[int, set[int]] = defaultdict(set)  # the subjects of each one's work
         try:
             while running:
                 for number in [n for n in running if n not in waiting]:
+                    member = running[number]
+                    brought: Any  # work, or at its end the training's result
                     try:
-                        waiting[number] = next(running[number])
-                        moved[number].add(id(waiting[number].subject))
-                    except StopIteration as end:
-                        results[number] = end.value
-                    except Exception as error:  # its own affair, and told to the caller
-                        results[number] = error
-                    if number in results:
+                        brought = member.switch()
+                    except Exception as error:  # ends only this training; the caller gets it
+                        brought = error
+                    if member.dead:
+                        results[number] = brought
                         del running[number]
-                        self._part(moved[number])
+                        self._part(member.moved)
+                        _forget_captures(member.moved.values())
+                    else:
+                        waiting[number] = brought
+                        member.moved[id(brought.subject)] = brought.subject
                 self._do_first(waiting)
-        except Exception as error:
-            for training in running.values():
-                with suppress(Exception):  # the same one again
-                    training.throw(error)  # each one's record says what ended it
+        except BaseException as error:
+            for member in running.values():
+                with suppress(BaseException):  # the member raises the same error again
+                    member.throw(error)  # so that each record says what ended it
             raise
-        finally:
-            for training in running.values():
-                training.close()
         return [results[number] for number in range(len(trainings))]
 
     def _do_first(self, waiting: dict[int, Work]) -> None:
-        """Do the work of lowest rank, equal kinds in one go."""
-        rank = min((work.rank for work in waiting.values()), default=0)
+        """Do the work of the lowest rank, equal kinds together."""
+        rank = min((work.rank for work in waiting.values()), default=None)
         kinds: dict[Hashable, list[Work]] = defaultdict(list)
         for number in sorted(n for n, work in waiting.items() if work.rank == rank):
             work = waiting.pop(number)
@@ -164,40 +179,42 @@ class Lockstep:
             self.do(works)
 
     def do(self, works: Sequence[Work]) -> None:
-        """Do works of one kind, in one go where they can be."""
+        """Do works of one kind, together if possible."""
         for some, subject in self._joined(works):
             type(works[0]).do(some, subject)
 
     def _joined(self, works: Sequence[Work]) -> Iterator[tuple[Sequence[Work], Any]]:
-        """The works with their subjects' joint, or one by one where the others are elsewhere."""
+        """The works with their joined subject, or one by one if part of a joint is not waiting."""
         subjects = [work.subject for work in works]
-        if subjects[0] is None:
-            yield works, None
+        if len(works) == 1 or subjects[0] is None:
+            yield works, subjects[0]
             return
         key = tuple(id(subject) for subject in subjects)
-        if key not in self._joints and len(key) > 1 and self._among_others(key):
+        if key not in self._joints and self._among_others(key):
             for work in works:
-                yield from self._joined([work])
+                yield [work], work.subject
             return
         if key not in self._joints:
-            joint = self._join(subjects) if len(key) > 1 else subjects[0]
-            vars(joint).pop("step", None)  # a copy of a member that was captured by itself
-            if joint.device.type == "cuda":
-                joint.step = graphed(joint.step)
-            self._joints[key] = subjects, joint  # the subjects too: an id lives as they do
+            self._joints[key] = subjects, self._join(subjects)  # kept: their ids are keys
         yield works, self._joints[key][1]
 
     def _join(self, subjects: Sequence[Any]) -> Any:
-        """One subject of many; what was captured of one alone stands at tensors it has left."""
-        self._part({id(subject) for subject in subjects})
+        """One subject of many; captures of the single ones refer to old tensors and are dropped."""
+        self._part([id(subject) for subject in subjects])
+        _forget_captures(subjects)
         return type(subjects[0]).joined(subjects)
 
-    def _part(self, subjects: set[int]) -> None:
-        """Forget what any of these was joined to, and at once the memory of its capture."""
-        for key in [key for key in self._joints if subjects & set(key)]:
-            _, joint = self._joints.pop(key)
-            vars(joint).pop("step", None)
+    def _part(self, subjects: Iterable[int]) -> None:
+        """Drop all joints that contain one of these, and free the memory of their captures."""
+        for key in [key for key in self._joints if not set(key).isdisjoint(subjects)]:
+            _forget_captures([self._joints.pop(key)[1]])
 
     def _among_others(self, key: tuple[int, ...]) -> bool:
-        """Whether some of them are joined with more: joining them anew would part those."""
-        return any(len(known) > 1 and set(known) & set(key) for known in self._joints)
+        """Whether some of them are joined with others, which a new joint would separate."""
+        return any(set(known) & set(key) for known in self._joints)
+
+
+def _forget_captures(subjects: Iterable[Any]) -> None:
+    for subject in subjects:
+        if subject is not None:
+            subject.capture = None

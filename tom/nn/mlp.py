@@ -1,4 +1,4 @@
-"""Stacked multi-layer perceptrons: M independent networks as one batched matrix product.
+"""Stacked multi-layer perceptrons: M independent networks evaluated by batched matrix products.
 
 Twin critics, ensemble members and the seeds of a fleet are all members. A parameter's leading
 axis is always the member axis M.
@@ -16,9 +16,9 @@ from torch.nn.functional import relu, silu
 from tom.machine import matmul
 from tom.rng import Generators
 
-BULK = 256  # rows from which on the passes over memory count
+BULK = 256  # number of rows from which passes over memory dominate
 GPU_ROWS = 20_000
-"""rows evaluated at once at least on a GPU, where it is launches that cost"""
+"""minimum number of rows evaluated at once on a GPU, where launches dominate"""
 
 Activation = Callable[[Tensor], Tensor]
 
@@ -27,15 +27,15 @@ _IN_PLACE: dict[Activation, Activation] = {
     silu: partial(silu, inplace=True),
     torch.tanh: torch.tanh_,
 }
-"""the same without memory of its own, where no gradient will ask for what was there"""
+"""the same in place, for use without gradients"""
 
 
 class StackedMLP(nn.Module):
     """M independent MLPs with sizes (in, hidden, ..., out): (M, B, in) -> (M, B, out).
 
     Weights start as in `torch.nn.Linear`, uniform in +-1/sqrt(in). `generators` is one generator
-    for each seed; where there are more members than generators (twin critics, ensembles), each
-    fills an equal run of consecutive members.
+    for each seed; if there are more members than generators (twin critics, ensembles), each
+    initialises an equal number of consecutive members.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class StackedMLP(nn.Module):
         self.activation = activation
         self.weights = nn.ParameterList(w for w, _ in layers)  # (M, in, out) each
         self.biases = nn.ParameterList(b for _, b in layers)  # (M, 1, out) each
-        # The same tensors in a plain tuple: looking them up in a list of parameters is slow.
+        # The same tensors in a plain tuple, because access to a ParameterList is slow.
         self.layers = tuple(zip(self.weights, self.biases, strict=True))
 
     def tensors(self) -> list[Tensor]:
@@ -74,17 +74,17 @@ class StackedMLP(nn.Module):
         return [*(weight for weight, _ in self.layers), *(bias for _, bias in self.layers)]
 
     def own_state(self) -> dict[str, Tensor]:
-        """`state_dict` in memory of its own.
+        """A copy of `state_dict`.
 
-        A file takes all the memory behind a view, and a joined stack's parameters are views.
+        Saving a view writes all the memory behind it, and parameters of a joined stack are views.
         """
         return {name: value.clone() for name, value in self.state_dict().items()}
 
     @classmethod
     def joined(cls, nets: "Sequence[StackedMLP]") -> "StackedMLP":
-        """All networks of all stacks as one; the stacks' parameters become views of its own.
+        """One stack of all networks; the parameters of `nets` become views of its parameters.
 
-        What moves the one moves the other from now on.
+        From now on a change of one changes the other.
         """
         joint = cls.__new__(cls)
         nn.Module.__init__(joint)
@@ -117,21 +117,21 @@ def _bias_last(bias: Tensor, x: Tensor, weight: Tensor) -> Tensor:
 
 
 def _is_bulk(x: Tensor) -> bool:
-    """Whether x (M, B, in) has so many rows, and oneDNN, that a bias is added faster afterwards.
+    """Whether adding the bias after the product is faster for x (M, B, in): many rows, and oneDNN.
 
-    oneDNN's `baddbmm` copies the bias to every row first and adds the product to it; the bits are
-    the same either way. The default product has neither that copy nor those bits.
+    oneDNN's `baddbmm` first copies the bias to every row; both ways give the same bits. The default
+    backend makes no such copy, and there the bits differ.
     """
     return x.shape[1] >= BULK and x.device.type == "cpu" and matmul.current() == "onednn"
 
 
 def rows_at_once(device: torch.device, in_cache: int) -> int:
-    """How many rows to evaluate at once: on a CPU those whose layers stay in its cache."""
+    """How many rows to evaluate at once: on a CPU as many as fit its cache."""
     return in_cache if device.type == "cpu" else max(in_cache, GPU_ROWS)
 
 
 def share(tensors: Sequence[Tensor]) -> Tensor:
-    """The tensors (M_i, ...) in one (sum M_i, ...); each becomes a view of its part of it."""
+    """Join tensors (M_i, ...) into one (sum M_i, ...); each becomes a view of its part."""
     joint = torch.cat([t.detach() for t in tensors])
     for tensor, part in zip(tensors, joint.split([len(t) for t in tensors]), strict=True):
         tensor.data = part

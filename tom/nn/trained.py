@@ -1,8 +1,8 @@
-"""A network that goes on being trained from fit to fit, alone or beside those of other members."""
+"""A network that is trained further from fit to fit, alone or joined with other members'."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from typing import Any, Self
 
@@ -15,6 +15,8 @@ from tom.nn.mlp import StackedMLP
 class Trained:
     """A network and its optimiser."""
 
+    capture: Callable[..., Any] | None = None
+
     def __init__(self, net: StackedMLP, lr: float, weight_decay: float = 0.0) -> None:
         self.net = net
         self.optimiser = Adam(net.tensors(), lr, weight_decay)
@@ -25,14 +27,14 @@ class Trained:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """All of them as one; each goes on being itself, its tensors views of this one's."""
+        """All networks as one; each stays valid, its tensors become views of this one's."""
         joint = copy(parts[0])
         joint.net = StackedMLP.joined([one.net for one in parts])
         joint.optimiser = Adam.joined([one.optimiser for one in parts])
         return joint
 
     def restart(self, net: StackedMLP) -> None:
-        """Take the parameters of `net`, in place, and forget all steps."""
+        """Copy the parameters of `net` in place and reset the optimiser."""
         with torch.no_grad():
             for own, fresh in zip(self.net.tensors(), net.tensors(), strict=True):
                 own.copy_(fresh)

@@ -1,1 +1,1 @@
-"""The policy: SAC, its rollouts in the model, its steps and evaluation in the real task."""
+"""The policy: SAC, rollouts in the model, steps and evaluation in the real task."""

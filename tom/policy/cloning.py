@@ -1,4 +1,4 @@
-"""Behaviour cloning: the policy behind recorded transitions."""
+"""Behaviour cloning: estimate the policy behind recorded transitions."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from tom.data.transitions import TensorTransitions
 from tom.nn.mlp import StackedMLP
 
 HIDDEN = 64
-STEPS = 200  # few: a trajectory is a few dozen rows, and more would fit their noise
+STEPS = 200  # few, because more steps would fit the noise of a trajectory's few dozen rows
 LR = 3e-3
 WEIGHT_DECAY = 1e-3
 MIN_STD = 1e-2
@@ -18,7 +18,7 @@ MIN_STD = 1e-2
 
 @dataclass(frozen=True)
 class ClonedPolicy:
-    """A Gaussian around a network's mean, cut at the bounds: a `tom.learners.base.Policy`."""
+    """A Gaussian around a network's mean, clipped at the bounds: a `tom.learners.base.Policy`."""
 
     net: StackedMLP
     centre: Tensor  # (O,) mean and
@@ -33,12 +33,12 @@ class ClonedPolicy:
         return (mean + self.std * noise).clamp(-1, 1)
 
     def mean(self, obs: Tensor) -> Tensor:
-        """Mean actions (B, A), before they are cut at the bounds."""
+        """Mean actions (B, A), before clipping."""
         return self.net(((obs - self.centre) / self.spread)[None])[0]
 
 
 def clone(rows: TensorTransitions, generator: torch.Generator) -> ClonedPolicy:
-    """The policy that maximises the likelihood of `rows`' actions, its std one for all states."""
+    """The policy that maximises the likelihood of `rows`' actions, with a constant std."""
     sizes = [rows.obs.shape[1], HIDDEN, HIDDEN, rows.action.shape[1]]
     net = StackedMLP(1, sizes, relu, [generator])
     spread, centre = torch.std_mean(rows.obs, 0, correction=0)

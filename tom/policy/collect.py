@@ -1,22 +1,25 @@
-"""Steps taken in a real environment, with the simulator's state beside each of them."""
+"""Steps in a real environment, with the simulator's state at each step."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from gymnasium.envs.mujoco import MujocoEnv
 from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
-from tom.envs.mujoco import MujocoTask
+from tom.envs.simulator import simulated
 from tom.envs.state import capture, restore
+from tom.envs.task import Task
 from tom.learners.base import Policy
 
 
 class Step(NamedTuple):
-    """One transition, the simulator's state at its obs, and the episode so far (this step too)."""
+    """One transition, the simulator's state at its obs, and the episode up to this step.
+
+    The state is empty if there is no simulator.
+    """
 
     obs: NDArray
     action: NDArray
@@ -37,17 +40,18 @@ class Step(NamedTuple):
 class Collector:
     """One environment of `task`, stepped through episode after episode."""
 
-    def __init__(self, task: MujocoTask, seed: int) -> None:
+    def __init__(self, task: Task, seed: int) -> None:
         self._env = task.make()
-        simulator = self._env.unwrapped
-        assert isinstance(simulator, MujocoEnv)
-        self._data = simulator.data
+        simulator = simulated(self._env)
+        self._data = None if simulator is None else simulator.data
         self.obs = self._env.reset(seed=seed)[0]
         self._return, self._length = 0.0, 0
 
     def step(self, action: NDArray) -> Step:
-        """Take `action` (A,) in [-1, 1]; a new episode begins by itself after the last step."""
-        obs, qpos, qvel = self.obs, self._data.qpos.copy(), self._data.qvel.copy()
+        """Take `action` (A,) in [-1, 1]; after the last step a new episode starts automatically."""
+        obs, qpos, qvel = self.obs, np.zeros(0), np.zeros(0)
+        if self._data is not None:
+            qpos, qvel = self._data.qpos.copy(), self._data.qvel.copy()
         next_obs, reward, terminated, truncated, _ = self._env.step(action)
         self._return += float(reward)
         self._length += 1
@@ -60,7 +64,7 @@ class Collector:
         return step
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the episode stands, as tensors and primitives."""
+        """The state of the episode, as tensors and primitives."""
         return {
             "env": capture(self._env),
             "obs": torch.from_numpy(self.obs),
@@ -68,7 +72,7 @@ class Collector:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on with that episode, to the last bit."""
+        """Continue that episode exactly."""
         restore(self._env, state["env"])
         self.obs = state["obs"].numpy()
         self._return, length = state["episode"]
@@ -77,32 +81,38 @@ class Collector:
 
 @dataclass(frozen=True)
 class Footprint:
-    """What a policy does in the real environment: its transitions and whole episodes' returns."""
+    """A policy's transitions in the real environment and the returns of its whole episodes."""
 
     transitions: Transitions
     returns: tuple[float, ...]
 
 
 def footprint(
-    task: MujocoTask, policy: Policy, rows: int, seed: int, generator: torch.Generator
+    task: Task,
+    policy: Policy,
+    rows: int,
+    seed: int,
+    generator: torch.Generator,
+    stepped: Callable[[], None] = lambda: None,
 ) -> Footprint:
     """The first `rows` transitions of fresh episodes under the policy's sampled actions.
 
-    The environment's start states follow `seed`, the actions `generator`. Where the last episode
-    is cut short, its last row is truncated.
+    `seed` determines the environment's start states, `generator` the actions. If the last episode
+    is cut short, its last row is marked as truncated. `stepped` is called after each step.
     """
     collector = Collector(task, seed)
     steps: list[Step] = []
     while len(steps) < rows:
         obs = torch.as_tensor(collector.obs, dtype=torch.float32)[None]
         steps.append(collector.step(policy(obs, 1, generator)[0, 0].numpy()))
+        stepped()
     return Footprint(
         transitions_of(steps, cut=True), tuple(s.episode_return for s in steps if s.ended)
     )
 
 
 def transitions_of(steps: Sequence[Step], *, cut: bool) -> Transitions:
-    """The steps as transitions in float32; `cut` ends the recording: its last row is truncated."""
+    """The steps as transitions in float32; with `cut` the last row is marked as truncated."""
     obs, action, reward, next_obs, terminated, truncated = (
         np.array([step[i] for step in steps]) for i in range(6)
     )

@@ -1,13 +1,13 @@
-"""Evaluation episodes of a policy, in environments of their own."""
+"""Evaluation episodes of a policy, in separate environments."""
 
 from collections.abc import Callable
 
 import numpy as np
 import torch
-from gymnasium.envs.mujoco import MujocoEnv
 from torch import Tensor
 
-from tom.envs.mujoco import MujocoTask
+from tom.envs.simulator import simulated
+from tom.envs.task import Task
 from tom.events import Episode
 
 PolicyMean = Callable[[Tensor], Tensor]
@@ -15,17 +15,17 @@ PolicyMean = Callable[[Tensor], Tensor]
 
 
 class Evaluator:
-    """Plays episodes in lock-step, so that one forward pass serves all that still run.
+    """Plays episodes in lock-step, so that one forward pass serves all running episodes.
 
-    It keeps its environments between evaluations; an evaluation depends on the policy and the
-    seed alone, never on earlier ones or on a training's environment.
+    It keeps its environments between evaluations; an evaluation depends only on the policy and the
+    seed, never on earlier evaluations or on the training's environment.
     """
 
-    def __init__(self, task: MujocoTask, episodes: int) -> None:
+    def __init__(self, task: Task, episodes: int) -> None:
         self._tapes = [_Tape(task) for _ in range(episodes)]
 
     def run(self, policy_mean: PolicyMean, seed: int) -> list[Episode]:
-        """One episode in each environment, to its own end or time limit."""
+        """One episode in each environment, to its end or time limit."""
         seeds = np.random.SeedSequence(seed).generate_state(len(self._tapes))
         for tape, reset_seed in zip(self._tapes, seeds, strict=True):
             tape.begin(int(reset_seed))
@@ -41,17 +41,17 @@ class Evaluator:
 
 
 class _Tape:
-    """One environment and the recording of its running episode."""
+    """One environment and the record of its current episode."""
 
-    def __init__(self, task: MujocoTask) -> None:
+    def __init__(self, task: Task) -> None:
         self._env = task.make()
-        simulator = self._env.unwrapped
-        assert isinstance(simulator, MujocoEnv)
-        self._data = simulator.data
+        simulator = simulated(self._env)
+        self._data = None if simulator is None else simulator.data
         steps = task.max_episode_steps
         self._obs = np.empty((steps + 1, task.obs_dim), np.float32)
-        self._qpos = np.empty((steps + 1, self._data.qpos.size), np.float32)
-        self._qvel = np.empty((steps + 1, self._data.qvel.size), np.float32)
+        nq, nv = (0, 0) if self._data is None else (self._data.qpos.size, self._data.qvel.size)
+        self._qpos = np.empty((steps + 1, nq), np.float32)
+        self._qvel = np.empty((steps + 1, nv), np.float32)
         self._action = np.empty((steps, task.action_dim), np.float32)
         self._reward = np.empty(steps, np.float32)
         self._length = 0
@@ -84,13 +84,14 @@ class _Tape:
             reward=self._reward[:h].copy(),
             action=self._action[:h].copy(),
             obs=self._obs[: h + 1].copy(),
-            qpos=self._qpos[: h + 1].copy(),
-            qvel=self._qvel[: h + 1].copy(),
+            qpos=None if self._data is None else self._qpos[: h + 1].copy(),
+            qvel=None if self._data is None else self._qvel[: h + 1].copy(),
             terminated=self._terminated,
             truncated=self._truncated,
         )
 
     def _write_state(self, obs: np.ndarray) -> None:
         self._obs[self._length] = obs
-        self._qpos[self._length] = self._data.qpos
-        self._qvel[self._length] = self._data.qvel
+        if self._data is not None:
+            self._qpos[self._length] = self._data.qpos
+            self._qvel[self._length] = self._data.qvel

@@ -16,11 +16,11 @@ from tom.nn.mlp import rows_at_once
 Termination = Callable[[Tensor], Tensor]  # next_obs (B, O) -> terminated (B,)
 
 EXPLODED = 100.0
-"""a modelled state this many times beyond the largest start state has exploded"""
+"""a modelled state has exploded if it is this many times larger than the largest start state"""
 
 
 class Simulator(Protocol):
-    """What a rollout needs of a dynamics model."""
+    """A dynamics model as far as a rollout needs it."""
 
     def sample(
         self, obs: Tensor, action: Tensor, generator: torch.Generator
@@ -32,7 +32,7 @@ class Simulator(Protocol):
 def start_states(
     replay: TensorTransitions, weights: Tensor | None, n: int, generator: torch.Generator
 ) -> Tensor:
-    """n states of the replay buffer, (n, O): by weight (N,), or uniformly without weights."""
+    """Draw n states of the replay buffer, (n, O): by weights (N,), or uniformly if None."""
     if weights is None:
         return replay.obs[uniform_indices(len(replay), n, generator)]
     return replay.obs[WeightedSampler(weights, generator).draw(n)]
@@ -51,9 +51,9 @@ def roll_out(
 ) -> dict[str, float]:
     """Play `length` steps of `policy` in `model` from `starts` (B, O) into the model buffer.
 
-    A rollout ends where `terminated` says so, or where the model's prediction is not finite.
-    Rows are predicted in chunks that stay in the processor's cache. On a GPU each chunk and step is
-    asked once whether all of it is finite, and a step that is not the last who has ended.
+    A rollout ends if `terminated` is true or the model's prediction is not finite. Rows are
+    predicted in chunks that stay in the processor's cache. On a GPU each chunk and step costs one
+    host read to check that all is finite, and one more, except at the last step, for the ends.
     """
     far = EXPLODED * starts.abs().amax()
     steps, diverged = 0, 0

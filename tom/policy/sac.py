@@ -1,10 +1,10 @@
 """Soft actor-critic (Haarnoja et al. 2018) with a learnt temperature, for M members at once.
 
-Everything has a leading member axis M: a member is one seed of one learner. Members share no
-parameter and no random number, so each trains as it would alone.
+Everything has a leading member axis M; a member is one seed of one learner. Members share neither
+parameters nor random numbers, so each trains as it would alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy, deepcopy
 from math import log
 from typing import Any, NamedTuple
@@ -38,6 +38,8 @@ def squashed_gaussian(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Ten
 class Sac:
     """Actor, twin critics, their targets and the temperature of M members."""
 
+    capture: Callable[..., Any] | None = None
+
     def __init__(
         self, obs_dim: int, action_dim: int, config: SacConfig, generators: Generators
     ) -> None:
@@ -67,7 +69,7 @@ class Sac:
 
     @classmethod
     def joined(cls, members: "Sequence[Sac]") -> "Sac":
-        """All members' SACs as one; each goes on being itself, its tensors views of this one's."""
+        """All members' SACs as one; each stays valid, its tensors become views of this one's."""
         joint = copy(members[0])
         joint.generators = [g for one in members for g in one.generators]
         for name in ("actor", "critic", "target_critic"):
@@ -81,19 +83,25 @@ class Sac:
     def update(self, batch: TensorTransitions) -> dict[str, Tensor]:
         """One gradient step of critics, actor and temperature on a (M, B, ...) batch.
 
-        Returns what it measured, (M,) each.
+        Returns its metrics, (M,) each.
         """
         return self.updates(batch.packed()[None])
 
     @torch.no_grad()
-    def updates(self, batches: Tensor) -> dict[str, Tensor]:
-        """G gradient steps on packed transitions (G, M, B, R); the last one's metrics, (M,)."""
+    def updates(
+        self, batches: Tensor, step: Callable[..., "SacStep"] | None = None
+    ) -> dict[str, Tensor]:
+        """G gradient steps on packed transitions (G, M, B, R); the last one's metrics, (M,).
+
+        `step` is this object's own, or its captured form.
+        """
         shape = (len(batches), 2, batches.shape[2], self.dims[1])
         noise = normal(self.generators, shape).movedim(0, 2)  # (G, 2, M, B, A)
-        steps = [self.step(*drawn) for drawn in zip(batches, noise, strict=True)]
+        take = step or self.step
+        steps = [take(*drawn) for drawn in zip(batches, noise, strict=True)]
         return {**steps[-1].metrics(), "temperature/value": self.log_temperature.exp()}
 
-    def step(self, rows: Tensor, noise: Tensor) -> "Step":
+    def step(self, rows: Tensor, noise: Tensor) -> "SacStep":
         """A gradient step on packed transitions (M, B, R) with normal draws (2, M, B, A).
 
         Gradients are written out by hand (see `backprop`): on a GPU this whole step is one graph.
@@ -107,7 +115,7 @@ class Sac:
         self.temperature_optimiser.step([-(log_prob.mean(1) + self.target_entropy)])
         critics, targets = self._critics
         torch._foreach_lerp_(targets, critics, self.config.tau)  # pyright: ignore[reportPrivateImportUsage]
-        return Step(error, q, loss, log_prob)
+        return SacStep(error, q, loss, log_prob)
 
     def critic_target(self, batch: TensorTransitions, noise: Tensor) -> Tensor:
         """r + g (1 - terminated) (min_k Q'_k(s', a') - temperature log pi(a'|s')), (M, B).
@@ -184,7 +192,7 @@ class Sac:
         return self.log_temperature.exp().unsqueeze(-1)  # (M, 1)
 
     def _twin_inputs(self, obs: Tensor, action: Tensor) -> Tensor:
-        """What both critics read, (2 M, B, O + A)."""
+        """The inputs of both critics, (2 M, B, O + A)."""
         return torch.cat([obs, action], -1).repeat_interleave(2, 0)
 
     def state_dict(self) -> dict[str, Any]:
@@ -206,8 +214,8 @@ class Sac:
         self.log_temperature.copy_(state["log_temperature"])
 
 
-class Step(NamedTuple):
-    """What a gradient step saw, reduced only where somebody asks."""
+class SacStep(NamedTuple):
+    """The values of a gradient step, reduced to metrics only on request."""
 
     critic_error: Tensor  # (M, 2, B)
     critic_q: Tensor  # (M, 2, B)

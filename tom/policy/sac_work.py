@@ -1,4 +1,4 @@
-"""What a training asks of its SAC, as work that members of a fleet do in one go."""
+"""SAC's actions and updates as work that members of a fleet can do together."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
@@ -7,15 +7,16 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from tom.nn.lockstep import Work
+from tom.nn.graphs import captured_step
+from tom.nn.lockstep import Rank, Work
 from tom.policy.sac import Sac
 
 
 @dataclass
 class Act(Work):
-    """Work: an action drawn for one observation (O,); then `action` (A,) is there, on the CPU."""
+    """Work that draws an action for one observation (O,); then `action` (A,) is set, on the CPU."""
 
-    rank: ClassVar[int] = 0
+    rank: ClassVar[Rank] = Rank.ACT
     subject: Sac
     obs: Tensor
     generator: torch.Generator
@@ -35,9 +36,9 @@ class Act(Work):
 
 @dataclass
 class SacUpdates(Work):
-    """Work: a gradient step on each of G packed batches (G, B, R); then `metrics`, (1,) each."""
+    """Work that takes a gradient step on each of G packed batches (G, B, R); sets `metrics`."""
 
-    rank: ClassVar[int] = 5
+    rank: ClassVar[Rank] = Rank.SAC
     subject: Sac
     batches: Tensor
     metrics: dict[str, Tensor] = field(init=False)
@@ -48,6 +49,7 @@ class SacUpdates(Work):
 
     @classmethod
     def do(cls, works: "Sequence[SacUpdates]", subject: Sac) -> None:
-        found = subject.updates(torch.stack([w.batches for w in works], 1))
+        batches = torch.stack([w.batches for w in works], 1)
+        metrics = subject.updates(batches, captured_step(subject))
         for m, work in enumerate(works):
-            work.metrics = {name: value[m : m + 1] for name, value in found.items()}
+            work.metrics = {name: value[m : m + 1] for name, value in metrics.items()}

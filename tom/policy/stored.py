@@ -30,7 +30,7 @@ Arrays = Mapping[str, NDArray]
 
 
 def policy_arrays(env: str, sac: Sac) -> dict[str, NDArray]:
-    """What the file of the first member of `sac` holds."""
+    """The arrays of the file for the first member of `sac`."""
     arrays: dict[str, NDArray] = {"env": np.array(env)}
     for k, (weight, bias) in enumerate(sac.actor.layers):
         arrays[f"weight_{k}"] = _array(weight[0])
@@ -44,11 +44,11 @@ def policy_arrays(env: str, sac: Sac) -> dict[str, NDArray]:
 class StoredPolicy(GaussianPolicy):
     """The policy in a file, with the name of the task it was trained for.
 
-    `value_gradient` is that of its critics, None where the file has none.
+    `value_gradient` is that of its critics, None if the file has no critics.
     """
 
     def __init__(self, arrays: Arrays) -> None:
-        """Raises ValueError or KeyError when the arrays are no policy's."""
+        """Raises ValueError or KeyError if the arrays are not those of a policy."""
         self.env = str(arrays["env"])
         layers = {name: array[None] for name, array in _layers(arrays).items()}
         actor, sizes = _network(layers, members=1)
@@ -71,9 +71,9 @@ class StoredPolicy(GaussianPolicy):
 
 
 class UniformPolicy:
-    """Actions uniform in [-1, 1], whatever is observed."""
+    """Actions uniform in [-1, 1], independent of the observation."""
 
-    value_gradient = None  # nothing is known of its value
+    value_gradient = None  # it has no value function
 
     def __init__(self, obs_dim: int, action_dim: int) -> None:
         self.obs_dim, self.action_dim = obs_dim, action_dim
@@ -84,12 +84,13 @@ class UniformPolicy:
 
 
 def read_policy(path: Path) -> StoredPolicy:
-    """The policy in the file `path`. Raises UserError when there is none or it is damaged."""
+    """The policy in the file `path`. Raises UserError if it is missing or damaged."""
     try:
         return StoredPolicy(read_arrays(path))
     except FileNotFoundError:
         raise UserError(
-            f"no policy at {path}: name a run folder, its policy.npz or 'random'"
+            f"no policy at {path}: name a run, its policy.npz, a TorchScript (.pt) or ONNX file, a "
+            "function module:name, or 'random'"
         ) from None
     except (*DAMAGE, AttributeError) as error:
         raise UserError(f"{path} is no stored policy ({reason(error)}): name another") from error

@@ -1,10 +1,11 @@
-"""The record of a run: files that are the truth, and Rerun as a view. Never slows training."""
+"""The record of a run: files hold all of it, Rerun is only a view. It never slows training.
+
+This package exports the reading of runs. The modules that write (`recorder`, `writer`,
+`rerun.sink`) are imported separately, so that a reader does not load them.
+"""
 
 from tom.record.reader import RunReader
-from tom.record.recorder import Recorder
-from tom.record.rerun.sink import Sink, open_sink
 from tom.record.status import Status
 from tom.record.store import Store
-from tom.record.writer import RunWriter
 
-__all__ = ["Recorder", "RunReader", "RunWriter", "Sink", "Status", "Store", "open_sink"]
+__all__ = ["RunReader", "Status", "Store"]

@@ -1,4 +1,4 @@
-"""How much a file of a run can hold, by the run's settings."""
+"""Upper bounds on the size of a run's files, from the run's settings."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,17 +7,17 @@ from tom.data.unpack import MOST
 from tom.machine.memory import available
 
 ROW_BYTES = 16_000
-"""More than a step of any task takes: Humanoid's, its simulator's state too, is 6 kB in doubles."""
+"""bytes above those of a step in any task: Humanoid's with simulator state is 6 kB in doubles"""
 
 EPISODE_ROWS = 1000
-"""steps at most of an evaluation's episode"""
+"""maximum number of steps of an evaluation's episode"""
 
 
 def most_bytes(config: Mapping[str, Any]) -> int:
-    """Bytes that no file of arrays of the run unpacks to; `config` is its `config.json`.
+    """Upper bound in bytes of an unpacked array file of the run; `config` is its `config.json`.
 
-    Rows for every step (two for one of SAC's) and for an evaluation's episodes, and its networks;
-    never more than this machine has free.
+    It counts rows for every step (two in a recording of SAC) and for an evaluation's episodes, and
+    the networks, but is never more than this machine's free memory.
     """
     rows = 2 * _count(config, "steps") + EPISODE_ROWS * _count(config, "evaluation", "episodes")
     hidden, layers = _count(config, "sac", "hidden"), _count(config, "sac", "layers")
@@ -25,7 +25,7 @@ def most_bytes(config: Mapping[str, Any]) -> int:
 
 
 def _count(config: Mapping[str, Any], *path: str) -> int:
-    """The whole number at `path` of the settings; 0 where there is none."""
+    """The integer at `path` of the settings; 0 if there is none."""
     value: Any = config.get("config")
     for name in path:
         value = value.get(name) if isinstance(value, Mapping) else None

@@ -1,4 +1,4 @@
-"""Checkpoints: where a training stands, whole or not at all, loaded without executing code.
+"""Checkpoints: the state of a training, written atomically and loaded without executing code.
 
 `checkpoint/<env_step>/` holds `state.pt` (tensors and primitives) and `manifest.json` with its
 sha256. The folder is written under a temporary name, synced and renamed; the previous one stays
@@ -19,19 +19,22 @@ import torch
 
 from tom.data.unpack import DAMAGE, check_tensors, check_views, open_file
 from tom.errors import reason
+from tom.record import layout
 from tom.record.files import read_json, sync
 
 SCHEMA = 1
 FOLDER = "checkpoint"
 KEPT = 2
 STATE, MANIFEST = "state.pt", "manifest.json"
+MODEL_PLACES = (FOLDER, layout.MODEL)
+"""folders of a run that may hold its dynamics model"""
 UNUSABLE = (*DAMAGE, AttributeError, AssertionError, pickle.UnpicklingError)
-"""what loading a damaged checkpoint may raise"""
+"""errors that loading a damaged checkpoint may raise"""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A loaded checkpoint; `unusable` are newer ones, and `problems` says what is wrong there."""
+    """A loaded checkpoint; `unusable` are newer damaged ones, `problems` their errors."""
 
     env_step: int
     state: dict[str, Any]
@@ -39,7 +42,7 @@ class Checkpoint:
     unusable: list[Path] = field(default_factory=list)
 
     def drop_unusable(self) -> None:
-        """Remove what could not be used, so that it is not counted among the two that are kept."""
+        """Remove the unusable checkpoints, so that they are not among the two that are kept."""
         for path in self.unusable:
             shutil.rmtree(path, ignore_errors=True)
 
@@ -47,8 +50,8 @@ class Checkpoint:
 def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
     """Write the checkpoint of `env_step` into `folder` and drop all but the last two.
 
-    Raises OSError when it does not fit the disk; nothing is left of it then, and what was there
-    before stays.
+    Raises OSError if it does not fit the disk; then nothing of it remains and earlier checkpoints
+    stay.
     """
     unfinished = folder / f".{env_step:09d}.{os.getpid()}.tmp"
     _drop_unfinished(folder)
@@ -59,7 +62,7 @@ def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
             file.write(json.dumps(manifest, indent=1).encode())
             _sync_file(file)
         path = folder / f"{env_step:09d}"
-        if path.exists():  # a resumed run comes by here again, with the same content
+        if path.exists():  # a resumed run writes this step again, with the same content
             shutil.rmtree(path)
         unfinished.rename(path)
     except BaseException:
@@ -72,7 +75,7 @@ def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
 
 
 def load(folder: Path) -> Checkpoint | None:
-    """The newest checkpoint that is whole; None where there is none."""
+    """The newest undamaged checkpoint, or None."""
     problems: list[str] = []
     unusable: list[Path] = []
     for path in folders(folder):
@@ -87,25 +90,13 @@ def load(folder: Path) -> Checkpoint | None:
 
 
 def newest(folder: Path) -> int | None:
-    """The step of the newest checkpoint, whole or not; None where there is none."""
-    found = folders(folder)
-    return int(found[0].name) if found else None
-
-
-def stamps(folder: Path) -> tuple[tuple[int, int, int], ...]:
-    """Step, mtime_ns and size of each checkpoint, newest first: another one differs somewhere."""
-    found = []
-    for path in folders(folder):
-        try:
-            state = (path / STATE).stat()
-        except OSError:  # dropped at this moment, or damaged
-            continue
-        found.append((int(path.name), state.st_mtime_ns, state.st_size))
-    return tuple(found)
+    """The step of the newest checkpoint, damaged or not, or None."""
+    checkpoints = folders(folder)
+    return int(checkpoints[0].name) if checkpoints else None
 
 
 class _Hashing:
-    """Writes on to a file and keeps the sha256 and the length of all that was written."""
+    """A file for writing that also computes sha256 and length."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -116,7 +107,7 @@ class _Hashing:
     def write(self, content: bytes) -> int:
         try:
             self._file.write(content)
-        except OSError as error:  # torch would turn it into one of its own
+        except OSError as error:  # torch would replace it by an error of its own
             self.error = error
             raise
         self.digest.update(content)
@@ -128,7 +119,7 @@ class _Hashing:
 
 
 def _save_state(folder: Path, state: dict[str, Any]) -> dict[str, Any]:
-    """Write the state; what the manifest says of its content."""
+    """Write the state; returns the manifest."""
     with (folder / STATE).open("wb") as file:
         hashing = _Hashing(file)
         try:
@@ -147,7 +138,7 @@ def _load_one(path: Path) -> dict[str, Any]:
         if hashlib.file_digest(file, "sha256").hexdigest() != manifest.get("sha256"):
             raise ValueError("its content is torn or was altered (sha256 differs)")
         check_tensors(file)
-        # On the CPU, where it can be read without the GPU that it may have been written on.
+        # On the CPU, so that it can be read on a machine without GPU.
         state = torch.load(file, map_location="cpu", weights_only=True)
     check_views(state)
     if not isinstance(state, dict):
@@ -156,15 +147,17 @@ def _load_one(path: Path) -> dict[str, Any]:
 
 
 def folders(folder: Path) -> list[Path]:
-    """The checkpoints in `folder`, newest first, whole or not."""
+    """The checkpoints in `folder`, newest first, damaged or not."""
     if not folder.is_dir():
         return []
-    found = [p for p in folder.iterdir() if p.name.isdigit() and p.is_dir() and not p.is_symlink()]
-    return sorted(found, key=lambda p: int(p.name), reverse=True)
+    checkpoints = [
+        p for p in folder.iterdir() if p.name.isdigit() and p.is_dir() and not p.is_symlink()
+    ]
+    return sorted(checkpoints, key=lambda p: int(p.name), reverse=True)
 
 
 def _drop_unfinished(folder: Path) -> None:
-    """Remove what a killed process left half-written (the run's lock is held by us)."""
+    """Remove the unfinished files of a killed process (we hold the run's lock)."""
     for path in folder.glob(".*.tmp"):
         shutil.rmtree(path, ignore_errors=True)
 

@@ -1,27 +1,29 @@
-"""Makes a new run folder: `config.json` with everything that a run was begun with."""
+"""Make a new run folder, whose `config.json` has everything that a run was started with."""
 
 import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from tom import plugins
 from tom.config import RunConfig
 from tom.errors import UserError
 from tom.record import layout
 from tom.record.files import replace_json, whole_folder
 from tom.record.store import Store
+from tom.record.task_record import description, save_scene
 from tom.record.versions import git_commit, machine, versions
 
 
 class TakenError(UserError):
-    """There is a run of that name already."""
+    """A run of that name exists already."""
 
 
 def make_folder(store: Store, run_id: str, config: RunConfig, matmul: object, command: str) -> Path:
     """Make the run folder, `config.json` first; it appears whole or not at all.
 
-    `matmul` says what the probe for fast matrix products found (anything JSON can hold).
-    Raises UserError when the id is bad or taken, or when the store cannot be written.
+    `matmul` is the result of the probe for fast matrix products (any JSON value).
+    Raises UserError if the id is invalid or taken, or if the store cannot be written.
     """
     path = store.resolve(run_id)
     store.ensure_writable()
@@ -31,8 +33,9 @@ def make_folder(store: Store, run_id: str, config: RunConfig, matmul: object, co
         with whole_folder(path) as unfinished:
             for folder in layout.FOLDERS:
                 (unfinished / folder).mkdir()
-            description = _describe(run_id, config, matmul, command)
-            replace_json(unfinished / layout.CONFIG, description, sync=True)
+            content = _describe(run_id, config, matmul, command)
+            replace_json(unfinished / layout.CONFIG, content, sync=True)
+            save_scene(config.env, unfinished)
     except OSError as error:
         if path.exists():  # another writer was first
             raise _taken(run_id) from error
@@ -41,6 +44,7 @@ def make_folder(store: Store, run_id: str, config: RunConfig, matmul: object, co
 
 
 def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> dict[str, Any]:
+    task = description(config.env)
     return {
         "schema": layout.SCHEMA,
         "run_id": run_id,
@@ -55,6 +59,8 @@ def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> d
         "matmul": matmul,
         "command": command,
         "created": datetime.now(UTC).isoformat(),
+        **({} if task is None else {"task": task}),
+        **({"plugins": needed} if (needed := plugins.needed(config)) else {}),
     }
 
 

@@ -1,8 +1,8 @@
-"""Between arrays on disk and the backend's types; wrong content raises ValueError or KeyError."""
+"""Convert arrays on disk to the backend's types. Wrong content raises ValueError or KeyError."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import pandas as pd
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from tom.data.transitions import Transitions
 from tom.events import Episode
 from tom.record.profiles import Profiles
+from tom.record.status import HUGE
 
 Arrays = Mapping[str, NDArray]
+
+LARGEST = float(np.finfo(np.float64).max)
 
 
 def episode_arrays(episodes: Sequence[Episode]) -> dict[str, NDArray]:
@@ -52,7 +55,7 @@ def _episode(arrays: Arrays, i: int) -> Episode:
 
 
 STATE = "state_"
-"""Prefix of the arrays of the simulator's state in `buffer/<first row>.npz`."""
+"""prefix of the arrays of the simulator's state in `buffer/<first row>.npz`"""
 
 
 def transition_arrays(
@@ -66,7 +69,7 @@ def transition_arrays(
 
 
 def state_of(arrays: Arrays) -> dict[str, NDArray]:
-    """The simulator's states in `buffer/<first row>.npz`, where the run kept them."""
+    """The simulator's states in `buffer/<first row>.npz`, if the run stored them."""
     length = len(arrays["policy_version"])
     state = {n.removeprefix(STATE): arrays[n] for n in arrays if n.startswith(STATE)}
     if any(len(array) != length for array in state.values()):
@@ -86,10 +89,10 @@ def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:
 
 
 def without_next_obs(arrays: Arrays) -> dict[str, NDArray]:
-    """The arrays of `buffer/<first row>.npz`, nearly half as large and just as good.
+    """The arrays of `buffer/<first row>.npz` at little more than half the size, without loss.
 
-    In place of `next_obs` stand `jump` (K,), the rows whose next observation is not that of the
-    following row (the last of every episode), and `jump_obs` (K, O), what it is there.
+    Instead of `next_obs` there are `jump` (K,), the rows whose next observation is not that of the
+    following row (the last of every episode), and `jump_obs` (K, O), their next observations.
     """
     obs, following = arrays["obs"], arrays["next_obs"]
     kept = {name: array for name, array in arrays.items() if name != "next_obs"}
@@ -99,7 +102,7 @@ def without_next_obs(arrays: Arrays) -> dict[str, NDArray]:
 
 
 def _following(arrays: Arrays) -> NDArray:
-    """`next_obs` (N, O) of what `without_next_obs` made."""
+    """`next_obs` (N, O), restored from the result of `without_next_obs`."""
     obs, jump = arrays["obs"], arrays["jump"]
     inside = jump.dtype.kind == "i" and ((jump >= 0) & (jump < len(obs))).all()
     if not inside:
@@ -144,9 +147,11 @@ def _profile_row(row: Mapping[str, Any]) -> tuple[int, NDArray, int, float, floa
         bins = np.array(row["bins"], np.float64)  # null becomes NaN
         if bins.ndim != 1:
             return None
+        if not (is_whole(row["env_step"]) and is_whole(row["count"])):
+            return None
         ess, zeros = _number(row["ess"]), _number(row["zeros"])
-        return int(row["env_step"]), bins, int(row["count"]), ess, zeros
-    except (KeyError, TypeError, ValueError):
+        return row["env_step"], bins, row["count"], ess, zeros
+    except (KeyError, TypeError, ValueError, OverflowError):
         return None
 
 
@@ -154,20 +159,37 @@ def _number(value: Any) -> float:
     return np.nan if value is None else float(value)
 
 
+def is_whole(value: Any) -> TypeGuard[int]:
+    """Whether it is an integer that an array can hold."""
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < HUGE
+
+
+def numbers(row: Mapping[str, Any]) -> dict[str, float]:
+    """The finite numbers among the values of a metric row, by name, without its `env_step`."""
+    return {
+        name: float(value)
+        for name, value in row.items()
+        if name != "env_step" and isinstance(value, int | float) and abs(value) < LARGEST
+    }
+
+
 def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """The table of metric rows: `env_step` as int64, every metric as float64, null as NaN.
 
-    Rows of one step become one; where both know a metric the later one counts.
+    Rows of the same step are merged; for a metric in several of them the last one counts.
     """
-    usable = [row for row in rows if isinstance(row.get("env_step"), int)]
-    table = pd.DataFrame(usable)
-    if table.empty:
+    usable = [row for row in rows if is_whole(row.get("env_step"))]
+    if not usable:
         return pd.DataFrame({"env_step": np.zeros(0, np.int64)})
-    return tidy(table)
+    try:
+        return tidy(pd.DataFrame(usable))
+    except (OverflowError, TypeError, ValueError):  # some value is not a number
+        plain = [{"env_step": row["env_step"], **numbers(row)} for row in usable]
+        return tidy(pd.DataFrame(plain))
 
 
 def tidy(table: pd.DataFrame) -> pd.DataFrame:
-    """Rows with an `env_step` each, as `metrics_table` promises them."""
+    """The table in the form of `metrics_table`, one row for each `env_step`."""
     metrics = [name for name in table.columns if name != "env_step"]
     numbers = table[metrics].apply(pd.to_numeric, errors="coerce").astype(np.float64)
     table = pd.concat([table[["env_step"]].astype(np.int64), numbers], axis=1)

@@ -1,7 +1,7 @@
-"""The sha256 of every file of a finished run, so that a changed bit is found however it reads.
+"""The sha256 of every file of a finished run, so that every changed bit is detected.
 
-Left out is what somebody may change or remove afterwards: the status and the labels, recordings,
-which are made again from the files, and checkpoints, whose manifests hold digests of their own.
+Files that may change or be removed afterwards are left out: the status and the labels, recordings,
+which can be made again from the files, and checkpoints, whose manifests have their own digests.
 """
 
 import hashlib
@@ -20,20 +20,20 @@ FOLDERS_LEFT_OUT = (checkpoint.FOLDER, layout.DAMAGED)
 
 def write(path: Path) -> None:
     """Write the digests of the run folder `path`. Raises OSError."""
-    found = {name: _digest(path / name) for name in sorted(_names(path))}
-    replace_json(path / layout.DIGESTS, {"schema": SCHEMA, "sha256": found}, sync=True)
+    digests = {name: _digest(path / name) for name in sorted(_names(path))}
+    replace_json(path / layout.DIGESTS, {"schema": SCHEMA, "sha256": digests}, sync=True)
 
 
 def forget(path: Path) -> None:
-    """The run goes on: its files are to change."""
+    """Remove the digests of a run that is resumed, because its files will change."""
     (path / layout.DIGESTS).unlink(missing_ok=True)
 
 
 def changed(path: Path) -> dict[str, str]:
-    """The files that are not what the run wrote, and what is wrong with each.
+    """The files that differ from what the run wrote, with the reason for each.
 
-    Empty for a run without digests: one that has not finished, or of an earlier version. Raises
-    OSError or ValueError where its digests cannot be read.
+    Empty for a run without digests (not finished, or of an earlier version). Raises OSError or
+    ValueError if the digests cannot be read.
     """
     if not os.path.lexists(path / layout.DIGESTS):
         return {}

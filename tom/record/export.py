@@ -1,4 +1,4 @@
-"""A run in the formats of other tools: CSV, Parquet, JSON, TensorBoard events, a Rerun recording.
+"""Export a run to other formats: CSV, Parquet, JSON, TensorBoard events, a Rerun recording.
 
 Everything is made from the run's files and written under a temporary name first.
 """
@@ -22,9 +22,9 @@ from tom.record.thin import thin
 
 
 def export(reader: RunReader, kind: str, folder: Path) -> Path:
-    """Write the run as `kind` into `folder` and return where it lies.
+    """Write the run as `kind` into `folder` and return the path.
 
-    Raises UserError for an export that is there already and for a folder that cannot be written.
+    Raises UserError if the export exists already or the folder cannot be written.
     """
     suffix, write = EXPORTERS[kind]
     return _written(folder / (reader.run_id + suffix), lambda path: write(reader, path))
@@ -75,8 +75,8 @@ def _json(reader: RunReader, path: Path) -> None:
 
 
 def _tensorboard(reader: RunReader, folder: Path) -> None:
-    """A scalar for each metric; the clock is the run's own."""
-    # Imported here: most commands do without it.
+    """Write a scalar for each metric, with the run's own clock."""
+    # Imported here because most commands do not need it.
     from tensorboardX import SummaryWriter
 
     begun = _unix(reader.created)
@@ -91,7 +91,7 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
 
 
 def _rrd(reader: RunReader, path: Path) -> None:
-    # Imported here: Rerun takes half a second that the other formats need not wait for.
+    # Imported here because Rerun takes half a second, which other formats do not need.
     from tom.record.rerun.file import write
 
     write(reader, path)
@@ -111,4 +111,4 @@ EXPORTERS: dict[str, tuple[str, Callable[[RunReader, Path], object]]] = {
     "tensorboard": ("", _tensorboard),
     "rrd": (".rrd", _rrd),
 }
-"""What is written for each kind: its suffix and its writer."""
+"""the suffix and the writer of each kind"""

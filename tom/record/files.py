@@ -1,4 +1,4 @@
-"""Files and folders that are whole or not there, and append-only JSON lines, at a kill too."""
+"""Atomic writes of files and folders, and append-only JSON lines, safe also after a kill."""
 
 import errno
 import json
@@ -17,9 +17,9 @@ from tom.data.unpack import read_bytes
 
 
 def replace(path: Path, write: Callable[[BinaryIO], object], *, sync: bool) -> None:
-    """Replace `path` whole: a reader sees the old file or the new one, never a part.
+    """Replace `path` atomically: a reader sees the old file or the new one, never a part.
 
-    `sync` also survives a power loss, for the price of waiting for the disk. A failed write
+    With `sync` the file survives a power loss, at the price of waiting for the disk. A failed write
     leaves the old file and nothing else.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -37,10 +37,10 @@ def replace(path: Path, write: Callable[[BinaryIO], object], *, sync: bool) -> N
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """A new folder that becomes `path` when the block has filled it.
+    """A temporary folder that is renamed to `path` at the end of the block.
 
-    Nothing is left of it otherwise. Raises OSError where it cannot be made, or where `path` holds
-    something already: of two writers one wins.
+    After an error nothing of it remains. Raises OSError if it cannot be made, or if `path` has
+    content already: of two writers one wins.
     """
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -52,13 +52,13 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def replace_json(path: Path, content: Mapping[str, Any], *, sync: bool) -> None:
-    """Replace `path` by `content` as JSON; what is not finite becomes null."""
+    """Replace `path` by `content` as JSON; numbers that are not finite become null."""
     text = json.dumps(plain(content), allow_nan=False, indent=1) + "\n"
     replace(path, lambda file: file.write(text.encode()), sync=sync)
 
 
 def plain(value: Any) -> Any:
-    """`value` in JSON's own types: numpy unwrapped, NaN and infinities turned into None."""
+    """`value` in JSON's types: numpy values are converted, NaN and infinities become None."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, float):
@@ -71,19 +71,19 @@ def plain(value: Any) -> Any:
 
 
 class JsonLines:
-    """An append-only file of JSON objects; one row is one write, so a kill tears nothing."""
+    """An append-only file of JSON objects; a row is a single write, so a kill leaves no part."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW  # a link may lead anywhere
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW  # never follow a link
         self._file = os.open(path, flags, 0o644)
         self._drop_half_line()
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Append one row.
 
-        Raises OSError when the disk is full; a part that was written is cut off again, so that
-        the next row does not stick to it.
+        Raises OSError if the disk is full; a partly written row is cut off again, so that the next
+        row starts a new line.
         """
         line = (json.dumps(plain(row), allow_nan=False, separators=(",", ":")) + "\n").encode()
         size = os.fstat(self._file).st_size
@@ -101,7 +101,7 @@ class JsonLines:
         return os.fstat(self._file).st_size
 
     def cut(self, size: int) -> None:
-        """Drop what lies behind the first `size` bytes."""
+        """Truncate the file to `size` bytes."""
         if size < self.size:
             os.ftruncate(self._file, size)
 
@@ -121,7 +121,7 @@ class JsonLines:
 
 
 def sync(path: Path) -> None:
-    """Wait until a file's content, or the names in a folder, are on the disk."""
+    """Wait until a file's content, or a folder's entries, are on the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -130,24 +130,24 @@ def sync(path: Path) -> None:
 
 
 def files_in(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
-    """Every file under `folder`, no links, also while others write there: what goes is left out."""
+    """Every file under `folder` except links; files that vanish meanwhile are skipped."""
     for base, _, names in os.walk(folder):
         for path in (Path(base, name) for name in names):
             try:
-                found = path.lstat()
+                entry = path.lstat()
             except OSError:
                 continue
-            if stat.S_ISREG(found.st_mode):
-                yield path, found
+            if stat.S_ISREG(entry.st_mode):
+                yield path, entry
 
 
 def size_of(folder: Path) -> int:
-    """Bytes of the files under `folder`; 0 where there is none."""
-    return sum(found.st_size for _, found in files_in(folder))
+    """Bytes of the files under `folder`; 0 if it does not exist."""
+    return sum(stat.st_size for _, stat in files_in(folder))
 
 
 def modified(path: Path) -> int:
-    """When `path` was last written, in ns of unix time; 0 when it is not there."""
+    """The modification time of `path` in ns of unix time; 0 if it does not exist."""
     try:
         return path.stat().st_mtime_ns
     except OSError:
@@ -155,7 +155,7 @@ def modified(path: Path) -> int:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The JSON object in `path`. Raises OSError, or ValueError when it is something else."""
+    """The JSON object in `path`. Raises OSError, or ValueError if it is something else."""
     try:
         content = json.loads(read_bytes(path))
     except RecursionError:
@@ -166,7 +166,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """The rows of a JSON lines file, and what was wrong with the lines that were skipped."""
+    """The rows of a JSON lines file, and the errors of the skipped lines."""
     lines = read_bytes(path).split(b"\n")
     rows: list[dict[str, Any]] = []
     problems: list[str] = []
@@ -185,7 +185,7 @@ def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def parse_json_line(line: bytes) -> dict[str, Any] | None:
-    """The JSON object in a line; None when it holds anything else."""
+    """The JSON object in a line; None if it is anything else."""
     try:
         row = json.loads(line)
     except (ValueError, RecursionError):

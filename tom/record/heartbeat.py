@@ -1,4 +1,4 @@
-"""Keeps `status.json` fresh from a thread of its own, also through a model fit of minutes."""
+"""A thread that keeps `status.json` fresh, also during a model fit of minutes."""
 
 import os
 import threading
@@ -10,18 +10,18 @@ from tom.record.status import Status
 from tom.record.writer import RunWriter
 
 BEAT_S = 2.0
-"""Seconds between two heartbeats."""
+"""seconds between two heartbeats"""
 
 WARNINGS = 8
-"""kinds of warnings that the status names"""
+"""kinds of notices that appear as warnings in the status"""
 
 WINDOW_S = 120.0
-"""Speed and time left are judged by the last so many seconds."""
+"""seconds over which speed and remaining time are estimated"""
 
 
 @dataclass(frozen=True)
 class Begun:
-    """Where a run stands when its heart begins to beat: what a resumed one has behind it."""
+    """The progress of a run when its heartbeat starts; not zero for a resumed run."""
 
     env_step: int = 0
     last_return: float | None = None
@@ -30,7 +30,7 @@ class Begun:
 
 
 class Heartbeat:
-    """The living status of one run."""
+    """The live status of one run."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class Heartbeat:
         timer: Callable[[], float],
         begun: Begun,
     ) -> None:
-        """`clock` gives unix seconds, `timer` seconds that never go back."""
+        """`clock` gives unix seconds, `timer` monotonic seconds."""
         self._writer = writer
         self._clock = clock
         self._timer = timer
@@ -66,15 +66,15 @@ class Heartbeat:
         self._thread.start()
 
     def tick(self, env_step: int, phase: str) -> None:
-        """The training is at `env_step` and does `phase` now."""
+        """Tell that the training is at `env_step`, in `phase`."""
         with self._lock:
             if phase != self.status.phase and self.status.phase == "explore":
-                # Exploration is much faster than training: it says nothing about the time left.
+                # Exploration is much faster than training, so it does not predict the time left.
                 self._samples = deque([(self._timer(), env_step)])
             self.status = replace(self.status, env_step=env_step, phase=phase)
 
     def warn(self, kind: str, warning: str) -> None:
-        """What a reader of the run must know; a newer warning takes the place of its kind's."""
+        """Add a warning for readers of the run; it replaces the last one of its kind."""
         with self._lock:
             self._warnings.pop(kind, None)
             self._warnings[kind] = warning
@@ -82,7 +82,7 @@ class Heartbeat:
             self.status = replace(self.status, warnings=newest)
 
     def returned(self, value: float) -> float:
-        """An evaluation returned `value`; the best return so far."""
+        """Tell an evaluation's return; gives back the best return so far."""
         with self._lock:
             before = self.status.best_return
             best = value if before is None or value > before else before
@@ -109,12 +109,12 @@ class Heartbeat:
             self._writer.status(self.status)
 
     def stop(self) -> None:
-        """No more beats by itself."""
+        """Stop the thread."""
         self._stop.set()
         self._thread.join()
 
     def end(self, state: str, reason: str) -> None:
-        """Write the final status; its speed is that of the whole run."""
+        """Write the final status, with the speed of the whole run."""
         span = self._timer() - self._begun
         rate = self.status.env_step / span if span > 0 else None
         beat = self._clock()
@@ -134,5 +134,5 @@ class Heartbeat:
             try:
                 self.beat()
             except OSError:
-                # A full disk: the run looks dead until there is room again, and trains on.
+                # The disk is full: the run looks dead until there is room again, but goes on.
                 continue

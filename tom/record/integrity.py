@@ -1,6 +1,6 @@
-"""Integrity of a run: `verify` reads every file of it; `repair` mends what it can, losing nothing.
+"""Integrity of a run: `verify` reads every file; `repair` fixes what it can without loss.
 
-What is damaged is moved into the run's `damaged/` folder, never deleted.
+Damaged files are moved into the run's `damaged/` folder, never deleted.
 """
 
 import os
@@ -22,11 +22,13 @@ from tom.record.opening import refuse_links
 from tom.record.reader import RunReader
 
 LINES = (layout.METRICS, layout.PROFILES, layout.NOTICES)
-ENDED = "its process ended without a word: tom train --resume {run} goes on from a checkpoint"
+ENDED = "its process ended without a word: "
+GOES_ON = "tom train --resume {run} goes on from a checkpoint"
+NO_CHECKPOINT = "it has no checkpoint to go on from"
 
 
 def verify(reader: RunReader) -> list[str]:
-    """Everything that is wrong with a run: a line each, none for a healthy one."""
+    """All defects of a run, one line each."""
     fresh = RunReader(reader.path)
     _ = fresh.config, fresh.labels
     status = fresh.status
@@ -58,12 +60,13 @@ def verify(reader: RunReader) -> list[str]:
 
 
 def repair(reader: RunReader) -> list[str]:
-    """Mend a run; what was done, a line each.
+    """Repair a run; returns what was done, one line each.
 
-    Raises UserError while the run is being written, and where a part of it is a link.
+    Raises UserError while the run is being written, and if a part of it is a link.
 
-    Damaged lines are cut out and damaged arrays set aside, the state of a run that died becomes
-    `stopped`, the Parquet copy is made again, and what an interrupted write left is removed.
+    Damaged lines are cut out, damaged arrays are set aside, the state of a dead run becomes
+    `stopped`, the Parquet copy is made again, and temporary files of an interrupted write are
+    removed.
     """
     done: list[str] = []
     refuse_links(reader.path)
@@ -89,7 +92,7 @@ def _arrays(path: Path) -> Iterator[Path]:
 
 
 def _unreadable(path: Path, most: int) -> str | None:
-    """Why an array file cannot be read to its end; None where it can, to at most `most` bytes."""
+    """Why an array file cannot be read completely (at most `most` bytes); None if it can."""
     try:
         if path.is_symlink():
             raise ValueError("a link is not followed")
@@ -103,7 +106,7 @@ def _unreadable(path: Path, most: int) -> str | None:
 
 
 def _altered(path: Path) -> dict[str, str]:
-    """The files that are not what a finished run wrote, and what is wrong with each."""
+    """The files that differ from what a finished run wrote, with the reason for each."""
     try:
         return digests.changed(path)
     except (OSError, ValueError) as error:
@@ -111,9 +114,11 @@ def _altered(path: Path) -> dict[str, str]:
 
 
 def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
-    """Write the digests of a run anew that was mended; what of `altered` had to be kept."""
+    """Write new digests of a repaired run; returns lines on `altered` files that stay."""
     if not _altered(reader.path):
         return []
+    if (reader.path / layout.DIGESTS).is_dir():
+        _set_aside(reader, reader.path / layout.DIGESTS)
     digests.write(reader.path)
     kept = [name for name in altered if (reader.path / name).is_file()]
     return [
@@ -125,7 +130,7 @@ def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
 
 
 def _left(reader: RunReader) -> list[Path]:
-    """Temporary files that an interrupted write left behind."""
+    """Temporary files of an interrupted write."""
     return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file() and not p.is_symlink())
 
 
@@ -144,7 +149,7 @@ def _mend_lines(reader: RunReader, name: str) -> str | None:
 
 
 def _set_aside(reader: RunReader, path: Path) -> str:
-    """Move a damaged file into the run's `damaged/` folder; says where."""
+    """Move a damaged file into the run's `damaged/` folder; returns a line that says where."""
     place = reader.path / layout.DAMAGED / path.relative_to(reader.path)
     place.parent.mkdir(parents=True, exist_ok=True)
     number = 1
@@ -156,20 +161,21 @@ def _set_aside(reader: RunReader, path: Path) -> str:
 
 
 def _mend_status(reader: RunReader) -> str | None:
-    """Give a run that died, or whose status is damaged, a final state."""
+    """Give a final state to a run that is dead or has a damaged status."""
     file, status = reader.path / layout.STATUS, reader.status
     if status.state not in ("running", "unknown"):
         return None
-    if status.state == "unknown" and file.is_file():
+    if status.state == "unknown" and os.path.lexists(file):
         _set_aside(reader, file)
     table = reader.metrics()
     last = int(table["env_step"].to_numpy().max(initial=0))
     total = reader.config.get("config", {}).get("steps", 0)
+    held = checkpoint.newest(reader.path / checkpoint.FOLDER)
     ended = replace(
         status,
         state="stopped",
         phase="",
-        reason=ENDED.format(run=reader.run_id),
+        reason=ENDED + (GOES_ON.format(run=reader.run_id) if held is not None else NO_CHECKPOINT),
         env_step=max(status.env_step, last),
         total=status.total or (total if isinstance(total, int) else 0),
         eta_s=None,

@@ -1,4 +1,4 @@
-"""What people say about a run: `labels.json`, the one file of a run folder not of the training."""
+"""A user's labels of a run: `labels.json`, the only file that the training does not write."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -21,12 +21,12 @@ class Labels:
     note: str = ""
 
     def record(self) -> dict[str, Any]:
-        """What `labels.json` holds."""
+        """The content of `labels.json`."""
         return {"schema": SCHEMA, **asdict(self)}
 
 
 def parse(content: dict[str, Any]) -> Labels:
-    """The labels in a JSON object. Raises ValueError naming what is wrong."""
+    """The labels in a JSON object. Raises ValueError that names the error."""
     tags = content.get("tags", [])
     if not isinstance(tags, list):
         raise ValueError(f"tags is {tags!r:.80}")
@@ -37,7 +37,7 @@ def parse(content: dict[str, Any]) -> Labels:
 
 
 def checked(labels: Labels) -> Labels:
-    """`labels` in a tidy form. Raises UserError where a text is too long or not plain."""
+    """`labels` in normal form. Raises UserError if a text is too long or not plain."""
     tags = dict.fromkeys(_line("tag", tag, TAG_LENGTH) for tag in labels.tags)
     if "" in tags:
         raise UserError("a tag cannot be empty")

@@ -1,4 +1,4 @@
-"""Names in a store and in a run folder (docs/run-folder.md)."""
+"""Names of files and folders in a store and in a run folder (docs/run-folder.md)."""
 
 import re
 from pathlib import Path
@@ -17,15 +17,25 @@ LABELS = "labels.json"
 POLICY = "policy.npz"
 POLICIES = "policies"
 MODEL = "model"
+BUFFER = "buffer"
+SCENE = "scene.npz"
 DAMAGED = "damaged"
 DIGESTS = "digests.json"
 WEIGHINGS = "weighings"
+STUDIES = "studies"
+BESIDE_RUNS = {WEIGHINGS: "weighings", STUDIES: "studies"}
+"""folders of a store that are not runs, and their content"""
 LOCK = ".writer"
 BALLAST = ".ballast"
-FOLDERS = ("weights", POLICIES, "episodes", "buffer", "fields")
+FOLDERS = ("weights", POLICIES, "episodes", BUFFER, "fields")
 
 _NUMBERED = re.compile(r"(?:(?P<name>.+)-)?(?P<number>\d{9,18})")
 _RRD = re.compile(r"run(?:-(\d+))?\.rrd")
+
+
+def in_a_name(env: str) -> str:
+    """A task's name in a run's: `gymnasium:Swimmer-v5` becomes `gymnasium-Swimmer-v5`."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", env).strip("-._") or "task"
 
 
 def snapshot(step: int) -> str:
@@ -41,7 +51,7 @@ def episodes(step: int) -> str:
 
 
 def segment(first_row: int) -> str:
-    return f"buffer/{first_row:09d}.npz"
+    return f"{BUFFER}/{first_row:09d}.npz"
 
 
 def field(name: str, step: int) -> str:
@@ -50,14 +60,14 @@ def field(name: str, step: int) -> str:
 
 def numbers(folder: Path, suffix: str, name: str | None = None) -> list[int]:
     """The numbers of the files `<name>-<number><suffix>` in `folder`, ascending."""
-    found = [_NUMBERED.fullmatch(p.stem) for p in _files(folder) if p.suffix == suffix]
-    return sorted(int(match["number"]) for match in found if match and match["name"] == name)
+    matches = [_NUMBERED.fullmatch(p.stem) for p in _files(folder) if p.suffix == suffix]
+    return sorted(int(match["number"]) for match in matches if match and match["name"] == name)
 
 
 def names(folder: Path, suffix: str) -> list[str]:
     """The names of the files `<name>-<number><suffix>` in `folder`."""
-    found = [_NUMBERED.fullmatch(p.stem) for p in _files(folder) if p.suffix == suffix]
-    return sorted({match["name"] for match in found if match and match["name"]})
+    matches = [_NUMBERED.fullmatch(p.stem) for p in _files(folder) if p.suffix == suffix]
+    return sorted({match["name"] for match in matches if match and match["name"]})
 
 
 def rrd_files(folder: Path) -> list[Path]:
@@ -66,14 +76,14 @@ def rrd_files(folder: Path) -> list[Path]:
 
 
 def next_rrd(folder: Path) -> Path:
-    """Where the next recording goes: a recording is never overwritten."""
-    found = _rrds(folder)
-    return folder / (f"run-{found[-1][0] + 1}.rrd" if found else "run.rrd")
+    """The path of the next recording; recordings are never overwritten."""
+    recordings = _rrds(folder)
+    return folder / (f"run-{recordings[-1][0] + 1}.rrd" if recordings else "run.rrd")
 
 
 def _rrds(folder: Path) -> list[tuple[int, Path]]:
-    found = [(_RRD.fullmatch(path.name), path) for path in _files(folder)]
-    return sorted((int(match[1] or 1), path) for match, path in found if match)
+    matches = [(_RRD.fullmatch(path.name), path) for path in _files(folder)]
+    return sorted((int(match[1] or 1), path) for match, path in matches if match)
 
 
 def _files(folder: Path) -> list[Path]:

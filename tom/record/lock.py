@@ -1,8 +1,8 @@
-"""One writer for a run folder: a lock that ends with the process that holds it.
+"""One writer for a run folder: a lock that is released when its process ends.
 
-The lock file names the boot of the machine that wrote last, and which writer of it that was. On
-another machine, whose lock may not be seen here, the heartbeat decides who may write; a writer that
-was thought dead finds another one's name in the file and writes no more.
+The lock file has the boot id of the machine that wrote last, and the id of the writer. A lock of
+another machine may be invisible here, so the heartbeat decides who may write; a writer that was
+taken for dead sees another writer's id in the file and stops writing.
 """
 
 import fcntl
@@ -19,11 +19,11 @@ from tom.data.unpack import read_bytes
 from tom.errors import UserError
 from tom.record import layout
 
-LOOKS, LOOK_S = 100, 0.01  # how often, and how long, a look at the lock is waited for
+LOOKS, LOOK_S = 100, 0.01  # number of tries and seconds between them, while others look at it
 
 
 class LostError(OSError):
-    """Another writer has taken the run folder over."""
+    """Another writer has taken over the run folder."""
 
 
 @dataclass
@@ -36,14 +36,14 @@ class RunLock:
 
     @property
     def lost(self) -> bool:
-        """Another writer has taken the folder over, or nothing is there any more."""
+        """Whether another writer has taken over the folder, or it is gone."""
         try:
             return (self.path / layout.LOCK).read_bytes() != self.name
         except OSError:
             return True
 
     def check(self) -> None:
-        """Raises LostError when the folder was taken over: nothing may be written then."""
+        """Raises LostError if the folder was taken over; nothing may be written then."""
         if self.lost:
             raise LostError(f"run '{self.path.name}' was taken over by another writer")
 
@@ -55,9 +55,9 @@ class RunLock:
 
 
 def acquire(path: Path) -> RunLock:
-    """Lock the run folder `path`; the lock lasts until what is returned is closed.
+    """Lock the run folder `path` until the returned lock is closed.
 
-    Raises UserError when another process holds it, or when the folder cannot be written.
+    Raises UserError if another process holds the lock, or if the folder cannot be written.
     """
     try:
         lock = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
@@ -78,29 +78,29 @@ def acquire(path: Path) -> RunLock:
             f"run '{path.name}' is being written by another process: wait for it, or stop it"
         ) from error
     name = _boot() + secrets.token_hex(8).encode()
-    with suppress(OSError):  # a full disk: the lock holds all the same
+    with suppress(OSError):  # a full disk; the lock holds anyway
         os.pwrite(lock, name, 0)
         os.ftruncate(lock, len(name))
     return RunLock(path, os.pread(lock, 4096, 0), lock)
 
 
 def _lock(file: int) -> None:
-    """Lock `file` for one writer. Raises OSError where another one has it.
+    """Lock `file` for one writer. Raises OSError if another writer has it.
 
-    Who only looks (`held`) shares the lock for an instant, which is waited for.
+    `held` takes a shared lock for an instant, so this retries.
     """
     for _ in range(LOOKS):
         with suppress(OSError):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # a writer's lock refuses this as well
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # fails if a writer has the lock
         fcntl.flock(file, fcntl.LOCK_UN)
         time.sleep(LOOK_S)
     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def held(path: Path) -> bool:
-    """A process on this machine holds the run folder `path`."""
+    """Whether a process on this machine holds the lock of the run folder `path`."""
     try:
         lock = os.open(path / layout.LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:
@@ -114,11 +114,27 @@ def held(path: Path) -> bool:
     return False
 
 
+def opened_by(pid: int, path: Path) -> bool:
+    """Whether process `pid` of this machine writes the run folder `path` (has its lock file open).
+
+    Raises OSError if there is no such process, or it belongs to another user.
+    """
+    own = (path / layout.LOCK).stat()
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            file = link.stat()
+        except OSError:
+            continue  # closed meanwhile
+        if (file.st_dev, file.st_ino) == (own.st_dev, own.st_ino):
+            return True
+    return False
+
+
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Inside the block is one process of this machine at a time, of those that ask for `folder`.
+    """A lock on `folder` among the processes of this machine, held inside the block.
 
-    Raises OSError where there is no such folder. No writer of a run asks for its folder.
+    It is independent of the writers' lock. Raises OSError if there is no such folder.
     """
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -129,7 +145,7 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def written_here(path: Path) -> bool | None:
-    """This machine, since it was started, wrote the run folder last; None where nobody knows."""
+    """Whether the last writer was this machine since its boot; None if unknown."""
     try:
         return read_bytes(path / layout.LOCK).startswith(_boot())
     except (OSError, ValueError):
@@ -137,9 +153,9 @@ def written_here(path: Path) -> bool | None:
 
 
 def refuse_if_elsewhere(path: Path, heartbeat: Callable[[], float], patience_s: float) -> None:
-    """Raises UserError where another machine is writing the run: its heart beats within patience.
+    """Raises UserError if another machine writes the run: a heartbeat within `patience_s`.
 
-    Returns at once where this machine wrote last: the lock itself is proof then.
+    Returns at once if this machine wrote last, because then the lock is proof enough.
     """
     if written_here(path) is not False:
         return
@@ -150,7 +166,7 @@ def refuse_if_elsewhere(path: Path, heartbeat: Callable[[], float], patience_s: 
 
 
 def _boot() -> bytes:
-    """What this machine is called until it starts again; nothing that names it."""
+    """The boot id of this machine, which does not identify it."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_bytes()
     except OSError:

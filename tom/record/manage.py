@@ -1,4 +1,4 @@
-"""Managing the runs of a store: labels, trash and restore. Never touches what a training wrote."""
+"""Labels, trash and restore of a store's runs. Never changes a training's files."""
 
 import os
 import re
@@ -20,19 +20,19 @@ _TRASHED = re.compile(rf"({layout.RUN_ID.pattern})(?:~(\d+))?")  # "~" is in no 
 
 
 def rename(store: Store, run_id: str, name: str) -> Labels:
-    """Give a run a display name; "" takes it away. The folder and the run id stay."""
+    """Give a run a display name; "" removes it. The folder and the run id stay."""
     with _changing(store, run_id) as (path, held):
         return _write(path, replace(held, name=name))
 
 
 def note(store: Store, run_id: str, text: str) -> Labels:
-    """Give a run a note; "" takes it away."""
+    """Give a run a note; "" removes it."""
     with _changing(store, run_id) as (path, held):
         return _write(path, replace(held, note=text))
 
 
 def tag(store: Store, run_id: str, add: Sequence[str] = (), remove: Sequence[str] = ()) -> Labels:
-    """Add tags to a run and remove others. Raises UserError for one to remove that it lacks."""
+    """Add and remove tags of a run. Raises UserError if a tag to remove is missing."""
     with _changing(store, run_id) as (path, held):
         missing = [name for name in remove if name not in held.tags]
         if missing:
@@ -43,9 +43,9 @@ def tag(store: Store, run_id: str, add: Sequence[str] = (), remove: Sequence[str
 
 
 def trash(store: Store, run_id: str) -> Path:
-    """Move a run into `<store>/.trash/`, whole, and return where it lies.
+    """Move a run into `<store>/.trash/` and return its path there.
 
-    Raises UserError for what is no run folder of this store, and for a run that is being written.
+    Raises UserError if it is not a run folder of this store, or the run is being written.
     """
     reader = store.run(run_id)
     with unwritten(reader), _refused(f"cannot trash run '{run_id}'"):
@@ -53,9 +53,9 @@ def trash(store: Store, run_id: str) -> Path:
 
 
 def into_trash(store: Store, run_id: str, path: Path) -> Path:
-    """Move the folder `path`, which holds a run `run_id`, into the trash; where it lies then.
+    """Move the folder `path`, which holds the run `run_id`, into the trash; returns its new path.
 
-    Raises OSError where it cannot be moved, UserError where the trash is a link.
+    Raises OSError if it cannot be moved, UserError if the trash is a link.
     """
     folder = _trash_folder(store)
     folder.mkdir(exist_ok=True)
@@ -70,9 +70,9 @@ def trashed(store: Store) -> list[str]:
 
 
 def restore(store: Store, run_id: str) -> Path:
-    """Move a run back out of the trash: the one trashed last under that id.
+    """Move the run that was trashed last under that id back into the store.
 
-    Raises UserError when it is not there, or when the store holds another run of that id.
+    Raises UserError if there is none, or if the store has another run of that id.
     """
     place, folder = store.resolve(run_id), _trash_folder(store)
     newest = _newest(folder, run_id)
@@ -88,9 +88,9 @@ def restore(store: Store, run_id: str) -> Path:
 
 @contextmanager
 def unwritten(reader: RunReader) -> Iterator[None]:
-    """Holds the writer's place: no training can open or go on with the run inside the block.
+    """Hold the writer's lock: no training can open or resume the run inside the block.
 
-    Raises UserError when one is writing it.
+    Raises UserError if one is writing it.
     """
     if reader.status.alive:
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
@@ -103,14 +103,14 @@ def unwritten(reader: RunReader) -> Iterator[None]:
 
 @contextmanager
 def _changing(store: Store, run_id: str) -> Iterator[tuple[Path, Labels]]:
-    """The folder of a run and its labels, which nobody else changes inside the block."""
+    """The folder of a run and its labels, locked against other changes inside the block."""
     path = store.run(run_id).path
     with _refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
         yield path, _held(path)
 
 
 def _held(path: Path) -> Labels:
-    """The labels to change: never written over where they cannot be read."""
+    """The labels to change. Raises UserError if they are unreadable, so as not to lose them."""
     file = path / layout.LABELS
     if not os.path.lexists(file):
         return Labels()
@@ -136,7 +136,7 @@ def _trash_folder(store: Store) -> Path:
 
 
 def _entries(folder: Path) -> Iterator[tuple[str, int]]:
-    """(run id, which of that id) of everything in the trash."""
+    """(run id, number among those of that id) of everything in the trash."""
     for path in folder.iterdir() if folder.is_dir() else ():
         match = _TRASHED.fullmatch(path.name)
         if match and path.is_dir() and not path.is_symlink():
@@ -144,7 +144,7 @@ def _entries(folder: Path) -> Iterator[tuple[str, int]]:
 
 
 def _newest(folder: Path, run_id: str) -> int:
-    """The number of the run that was trashed last under `run_id`; 0 where there is none."""
+    """The number of the run that was trashed last under `run_id`; 0 if there is none."""
     return max((number for name, number in _entries(folder) if name == run_id), default=0)
 
 

@@ -1,4 +1,4 @@
-"""What a run folder goes through before its next writer writes."""
+"""Preparation of a run folder for its next writer."""
 
 from pathlib import Path
 
@@ -8,24 +8,24 @@ from tom.record.files import replace
 
 
 def drop_unfinished(path: Path) -> None:
-    """Remove the temporary files that a killed writer left; the lock is ours."""
+    """Remove the temporary files of a killed writer (we hold the lock)."""
     for folder in (path, *(path / name for name in layout.FOLDERS)):
         for temporary in folder.glob(".*.tmp"):
-            if not temporary.name.startswith(f".{layout.LABELS}"):  # that is another's to write
+            if not temporary.name.startswith(f".{layout.LABELS}"):  # labels are written by others
                 temporary.unlink(missing_ok=True)
 
 
 def make_folders(path: Path) -> None:
-    """Make the folders that an earlier version did not make."""
+    """Make folders that an earlier version did not make."""
     for name in layout.FOLDERS:
         (path / name).mkdir(exist_ok=True)
 
 
 def renew(path: Path) -> None:
-    """Give the growing files new ones in their place.
+    """Replace the growing files by copies.
 
-    A writer on another machine may have them open still, with rows that its kernel has yet to send:
-    those end in files that no longer have a name.
+    A writer on another machine may still have them open, with rows that its kernel has not sent
+    yet; those rows then end in files that no longer have a name.
     """
     for name in (layout.METRICS, layout.PROFILES, layout.NOTICES):
         held = path / name
@@ -34,7 +34,7 @@ def renew(path: Path) -> None:
 
 
 def refuse_links(path: Path) -> None:
-    """Raises UserError where a part of the run folder leads elsewhere or is no file of its own."""
+    """Raises UserError if a part of the run folder is a link or not a regular file."""
     names = [*layout.FOLDERS, "checkpoint", layout.METRICS, layout.PROFILES, layout.NOTICES]
     for name in (*names, layout.DAMAGED, layout.LOCK):
         if (path / name).is_symlink():

@@ -1,4 +1,4 @@
-"""Weight profiles: the mean weight of equal parts of the buffer, oldest first, at every fit."""
+"""Weight profiles: the mean weight in equal parts of the buffer, oldest first, at every fit."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 class Profiles:
     """The profiles of F model fits (`tom.data.sampling.bin_means`).
 
-    Runs recorded until 2026-11-22 have whole rows in a bin, and NaN in one without any.
+    In runs recorded before 2026-11-22 bins have whole rows, and NaN if there are none.
     """
 
     env_step: NDArray[np.int64]  # (F,)
@@ -18,8 +18,3 @@ class Profiles:
     count: NDArray[np.int64]  # (F,) transitions in the buffer
     ess: NDArray[np.float64]  # (F,) effective sample size as a share of the buffer
     zeros: NDArray[np.float64]  # (F,) share of transitions with weight zero
-
-
-def zero_share(weight: NDArray) -> float:
-    """Share of transitions with weight zero."""
-    return float(np.mean(np.asarray(weight) == 0)) if len(weight) else 0.0

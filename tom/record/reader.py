@@ -1,6 +1,6 @@
-"""Reads a run folder (docs/run-folder.md), also one that is live, killed, newer or damaged.
+"""Read a run folder (docs/run-folder.md), also if it is live, killed, newer or damaged.
 
-What cannot be read is left out and named in `problems`; nothing here raises for bad content.
+Unreadable parts are left out and listed in `problems`; bad content never raises an error.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tom.config import SAC_ALONE, completed
+from tom.config import SAC_ALONE, Settings, completed, in_words
 from tom.data.transitions import Transitions
 from tom.errors import reason
 from tom.events import Episode
@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 
 def at_or_before(steps: Sequence[int], step: int) -> int:
-    """The last of recorded `steps` that is not after `step`, else the first of them."""
+    """The last of `steps` that is not after `step`, else the first one."""
     return max((at for at in steps if at <= step), default=steps[0])
 
 
@@ -41,7 +41,7 @@ def _widths(part: tuple[tuple[Transitions, NDArray[np.int64]], Arrays]) -> list[
 
 
 class RunReader:
-    """One run folder. Cheap to make; every call reads what is on the disk now."""
+    """One run folder. Cheap to make; every call reads the current files."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -53,7 +53,7 @@ class RunReader:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """The whole of `config.json`, its settings `completed`; empty when it cannot be read."""
+        """The whole of `config.json`, its settings `completed`; empty if it cannot be read."""
         content = self._read(layout.CONFIG, read_json, needed=True)
         if content is None:
             return {}
@@ -68,7 +68,7 @@ class RunReader:
 
     @property
     def is_run(self) -> bool:
-        """`config.json` is there and is a run's."""
+        """Whether `config.json` exists and is that of a run."""
         kinds = {"schema": int, "env": str, "learner": str}
         return all(isinstance(self.config.get(name), kind) for name, kind in kinds.items())
 
@@ -79,6 +79,15 @@ class RunReader:
     @property
     def learner(self) -> str:
         return str(self.config.get("learner", "?"))
+
+    @property
+    def preset(self) -> str:
+        return str(self.config.get("preset", "?"))
+
+    @property
+    def settings(self) -> Settings:
+        """The whole configuration by dotted path, values as text."""
+        return in_words(self.config.get("config"))
 
     @property
     def fits_model(self) -> bool:
@@ -100,17 +109,17 @@ class RunReader:
 
     @cached_property
     def most_bytes(self) -> int:
-        """Bytes that no array file of this run unpacks to: one that would is not read."""
+        """Upper bound in bytes of an unpacked array file; larger ones are not read."""
         return bounds.most_bytes(self.config)
 
     @property
     def small_copy(self) -> bool:
-        """It is a small copy of a run (`tom runs export --small`): it cannot go on."""
+        """Whether it is a small copy (`tom runs export --small`), which cannot be resumed."""
         return small_copy.is_one(self.config)
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """The parts that the run had and this small copy of it has not; empty for a whole run."""
+        """The parts of the run that this small copy lacks; empty for a whole run."""
         return small_copy.left_out(self.config)
 
     @property
@@ -120,19 +129,19 @@ class RunReader:
 
     @property
     def status(self) -> Status:
-        """What the run says about itself now."""
+        """The run's current status."""
         read = self._read(layout.STATUS, lambda p: status.parse(read_json(p)), needed=True)
         return read or Status()
 
     @property
     def labels(self) -> Labels:
-        """The display name, tags and note that people gave the run; empty where they gave none."""
+        """The display name, tags and note of the run; empty if there are none."""
         return self._read(layout.LABELS, lambda p: labels.parse(read_json(p))) or Labels()
 
     def metrics(self) -> pd.DataFrame:
-        """A row a recorded step: `env_step` and every metric (missing is NaN).
+        """One row per recorded step: `env_step` and every metric (NaN if missing).
 
-        The Parquet copy is taken unless the run has gone on since it was written.
+        The Parquet copy is used unless the run has been resumed since it was written.
         """
         rows, table = self.path / layout.METRICS, self.path / layout.METRICS_TABLE
         if modified(table) >= modified(rows) > 0:
@@ -154,21 +163,26 @@ class RunReader:
         return profiles
 
     def notices(self) -> list[dict[str, Any]]:
-        """What a reader must know: `env_step`, `kind`, `message`."""
+        """The notices, with `env_step`, `kind` and `message`."""
         return self._lines(layout.NOTICES)
 
     def snapshot_steps(self) -> list[int]:
-        """Steps of the model fits whose every single weight was kept."""
+        """Steps of the model fits whose single weights were stored."""
         return layout.numbers(self.path / "weights", ".parquet", "snapshot")
 
     def snapshot(self, step: int) -> pd.DataFrame:
-        """A row a transition, oldest first: `weight`, and `log_ratio`, `dim_i` where kept."""
+        """One row per transition, oldest first: `weight`, and if stored `log_ratio`, `dim_i`."""
         read = self._read(layout.snapshot(step), self._table, needed=True)
         return pd.DataFrame({"weight": np.zeros(0, np.float32)}) if read is None else read
 
     def policy_steps(self) -> list[int]:
-        """Steps of the model fits whose policy of interest was kept."""
+        """Steps of the model fits whose policy of interest was stored."""
         return layout.numbers(self.path / layout.POLICIES, ".npz")
+
+    def has_policy(self, step: int | None = None) -> bool:
+        """Whether the policy of interest of the fit at `step` was stored (None: the final one)."""
+        name = layout.POLICY if step is None else layout.policy(step)
+        return (self.path / name).is_file()
 
     def evaluation_steps(self) -> list[int]:
         return layout.numbers(self.path / "episodes", ".npz")
@@ -182,10 +196,10 @@ class RunReader:
         return self._read(layout.episodes(step), episodes, needed=True) or []
 
     def buffer(self) -> tuple[Transitions, NDArray[np.int64]]:
-        """The replay buffer in order of collection, and which policy collected each row.
+        """The replay buffer in order of collection, and the policy version of each row.
 
-        Reading ends at the first segment that is missing or damaged: the rows stay aligned with
-        the weights.
+        Reading ends at the first missing or damaged segment, so that the rows stay aligned with the
+        weights.
         """
         parts = [part for part, _ in self._segments()]
         if not parts:
@@ -196,11 +210,17 @@ class RunReader:
     def buffer_state(self) -> dict[str, NDArray]:
         """The simulator's state at every row of `buffer()`: `qpos` (N, nq) and `qvel` (N, nv).
 
-        Empty where the run did not keep them.
+        Empty if the run did not store it.
         """
         parts = [state for _, state in self._segments()]
         kept = set(parts[0]).intersection(*parts) if parts else set()
         return {name: np.concatenate([part[name] for part in parts]) for name in sorted(kept)}
+
+    def buffer_length(self) -> int:
+        """The number of rows ever collected; reads only the end of the last segment."""
+        first = max(layout.numbers(self.path / layout.BUFFER, ".npz"), default=0)
+        last = self.arrays(layout.segment(first), lambda name: name == "reward") or {}
+        return first + len(last["reward"]) if "reward" in last else 0
 
     def field_names(self) -> list[str]:
         """The names of the task's own pictures."""
@@ -216,7 +236,7 @@ class RunReader:
     def arrays(
         self, name: str, wanted: Callable[[str], bool] = lambda name: True
     ) -> dict[str, NDArray] | None:
-        """The `wanted` arrays of the file `name` of the run; None where it cannot be read."""
+        """The `wanted` arrays of the run's file `name`; None if it cannot be read."""
         return self._read(name, lambda p: read_arrays(p, self.most_bytes, wanted), needed=True)
 
     def rrd_files(self) -> list[Path]:
@@ -231,7 +251,7 @@ class RunReader:
             return decode.transitions_of(arrays), decode.state_of(arrays)
 
         row, widths = 0, None
-        for first in layout.numbers(self.path / "buffer", ".npz"):
+        for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
             name = layout.segment(first)
             if first != row:
                 self._problem(f"{name}: rows {row} to {first} are missing; later rows are left out")
@@ -272,11 +292,11 @@ class RunReader:
         return None
 
     def _leads_out(self, name: str) -> bool:
-        """A link on the way to the file leads out of the run folder."""
+        """Whether a link on the path of the file leads out of the run folder."""
         path = self.path / name
         steps = (path, *path.parents[: name.count("/")])
         if not any(step.is_symlink() for step in steps):
-            return False  # 200 runs notice what it takes to resolve their paths
+            return False  # a shortcut, because resolving paths is slow for 200 runs
         return not path.resolve().is_relative_to(self.path.resolve())
 
     def _problem(self, text: str) -> None:

@@ -1,4 +1,4 @@
-"""Turns a training's events into a run folder and a live view, for under 2 % of its time."""
+"""Records a training's events in a run folder and a live view, in under 2 % of its time."""
 
 import errno
 import logging
@@ -23,6 +23,7 @@ from tom.events import (
     Weights,
 )
 from tom.machine.memory import out_of_memory, ran_out
+from tom.record import checkpoint
 from tom.record.heartbeat import Begun, Heartbeat
 from tom.record.rerun.sink import Sink
 from tom.record.writer import RunWriter
@@ -34,11 +35,11 @@ _log = logging.getLogger(__name__)
 
 
 class Recorder:
-    """Consumes the events of one training and writes them down.
+    """Consumes the events of one training and records them.
 
-    As a context manager it ends the run's status by itself: `stopped` after Ctrl-C, `failed`
-    with the reason after any other exception, `finished` otherwise. `clock` gives unix seconds,
-    `timer` seconds that never go back.
+    As a context manager it sets the final status: `stopped` after Ctrl-C, `failed` with the reason
+    after any other exception, else `finished`. `clock` gives unix seconds, `timer` monotonic
+    seconds.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Recorder:
         timer: Callable[[], float] = time.monotonic,
         mark: Mapping[str, Any] | None = None,
     ) -> None:
-        """`mark` is what `Recorder.mark` gave at the checkpoint that the training goes on from."""
+        """`mark` is the result of `Recorder.mark` at the checkpoint from which the run resumes."""
         config = writer.config
         self._writer = writer
         self.run_id = writer.run_id
@@ -74,7 +75,7 @@ class Recorder:
                 raise
 
     def mark(self) -> dict[str, Any]:
-        """Where the record stands, synced; part of a checkpoint, taken right after a `Tick`."""
+        """The position of the synced record; part of a checkpoint, taken right after a `Tick`."""
         self._writer.sync()
         return {
             "env_step": self._heartbeat.status.env_step,
@@ -95,7 +96,7 @@ class Recorder:
         self._next_snapshot = mark["next_snapshot"]
 
     def checkpoint_took(self, seconds: float) -> None:
-        """A checkpoint took so long; `time/checkpoint_s` adds them up."""
+        """Add a checkpoint's duration to `time/checkpoint_s`."""
         self._checkpoint_s += seconds
 
     def consume(self, event: Event) -> None:
@@ -130,14 +131,13 @@ class Recorder:
         self._record_s += time.perf_counter() - begun
 
     def beat(self) -> None:
-        """Write the status now, as a background thread does every two seconds."""
+        """Write the status now, like the background thread every two seconds."""
         self._heartbeat.beat()
 
     def finish(self, state: State, reason: str = "") -> None:
-        """End the run: final status, the metrics' Parquet copy, nothing left open.
+        """End the run: write the final status and the Parquet copy of the metrics, close all files.
 
-        Where the disk refuses the last words, a finished run becomes a failed one; a reason that
-        was there before stays.
+        If the disk is full, a finished run becomes a failed one; an earlier reason is kept.
         """
         if self._finished:
             return
@@ -151,7 +151,7 @@ class Recorder:
             if state == "finished":
                 state, reason = "failed", self._why(error)
         finally:
-            self._writer.throw_off_ballast()  # only now: Rerun would take the room
+            self._writer.throw_off_ballast()  # not earlier: Rerun would use the space
             self._end(state, reason)
             self._writer.close()
 
@@ -165,20 +165,25 @@ class Recorder:
     def _end(self, state: State, reason: str) -> None:
         try:
             self._heartbeat.end(state, reason)
-        except OSError as error:  # not even that: readers will call the run dead
+        except OSError as error:  # not even the status fits: readers will show the run as dead
             _log.error("%s %s (%s), and no status can be written", self.run_id, state, error)
 
     def _why(self, error: BaseException) -> str:
-        """What ended the run, at which step, and what to do about it."""
+        """The cause of the run's end, the step, and the fix."""
         step = self._heartbeat.status.env_step
         if isinstance(error, DivergedError):
             return str(error)
         if isinstance(error, OSError) and error.errno in DISK_FULL:
-            again = f"free some space, then tom train --resume {self.run_id}"
-            return f"step {step}: {error}: {again}"
+            return f"step {step}: {error}: free some space, then {self._again()}"
         if ran_out(error):
             return f"step {step}: {out_of_memory(error)}"
         return f"step {step}: {type(error).__name__}: {error}"
+
+    def _again(self) -> str:
+        """The command that resumes the training."""
+        if checkpoint.newest(self._writer.path / checkpoint.FOLDER) is not None:
+            return f"tom train --resume {self.run_id}"
+        return "start it again: it has no checkpoint yet"
 
     def __enter__(self) -> Self:
         return self
@@ -191,7 +196,7 @@ class Recorder:
     ) -> None:
         if error is None:
             self.finish("finished")
-        elif isinstance(error, KeyboardInterrupt | GeneratorExit):
+        elif isinstance(error, KeyboardInterrupt):
             self.finish("stopped", "interrupted")
         else:
             self.finish("failed", self._why(error))
@@ -204,7 +209,7 @@ class Recorder:
         if not self._pending:
             return
         step = self._pending_step
-        # What is told of an earlier step (a fit's exam) says nothing of when that was.
+        # Metrics of an earlier step (a fit's exam) have no time of their own.
         late = step < self._heartbeat.status.env_step
         values = self._pending | ({} if late else self._times(step))
         self._pending = {}
@@ -251,13 +256,13 @@ class Recorder:
 
 
 def _begun(mark: Mapping[str, Any]) -> Begun:
-    """Where the run of `mark` stands; a mark that lacks it is refused when it is gone back to."""
+    """The progress in `mark`; `rewind` rejects a mark that lacks it."""
     last, best = mark.get("returns", (None, None))
     return Begun(mark.get("env_step", 0), last, best, mark.get("wall_s", 0.0))
 
 
 def evaluation_metrics(evaluation: Evaluation) -> dict[str, float]:
-    """Mean and standard deviation of the return, mean length, share of success where known."""
+    """Mean and standard deviation of the return, mean length, and share of success if known."""
     episodes = evaluation.episodes
     returns = np.array([episode.undiscounted_return for episode in episodes])
     values = {

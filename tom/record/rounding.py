@@ -1,4 +1,4 @@
-"""Numbers with fewer digits, which compress well: what a small copy of a run holds."""
+"""Rounding of numbers for small copies of runs, which makes them compress well."""
 
 from typing import Any
 
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 from tom.record.files import plain
 
 DIGITS = 5
-MANTISSA_BITS = 10  # of float32's 23, and all that float16 has: an error of 0.05 % at most
+MANTISSA_BITS = 10  # of float32's 23; float16 has as many: the error is at most 0.05 %
 
 
 def short(value: Any) -> Any:
-    """A number in JSON's types, with DIGITS digits; anything else as it is."""
+    """A JSON number rounded to DIGITS digits; other values are unchanged."""
     number = plain(value)
     return float(f"{number:.{DIGITS}g}") if isinstance(number, float) else number
 
 
 def coarse(array: NDArray) -> NDArray:
-    """Floats rounded to MANTISSA_BITS as float32; the rest as it is."""
+    """Floats rounded to MANTISSA_BITS as float32; other arrays are unchanged."""
     if not np.issubdtype(array.dtype, np.floating):
         return array
     single = np.array(array, np.float32, order="C")
@@ -29,9 +29,9 @@ def coarse(array: NDArray) -> NDArray:
 
 
 def half(array: NDArray) -> NDArray:
-    """Floats as float16 where all of them fit its range, else `coarse`; the rest as it is.
+    """Floats as float16 if all fit its range, else `coarse`; other arrays are unchanged.
 
-    Next to zero (below 6e-5) the error is 3e-8 at most, not 0.05 %.
+    Near zero (below 6e-5) the error is at most 3e-8 instead of 0.05 %.
     """
     if not np.issubdtype(array.dtype, np.floating):
         return array

@@ -1,4 +1,4 @@
-"""The rows of `metrics.jsonl` as a table, also where there are hundreds of megabytes of them."""
+"""The rows of `metrics.jsonl` as a table, also for hundreds of megabytes."""
 
 from pathlib import Path
 
@@ -11,22 +11,22 @@ from tom.record import decode
 from tom.record.files import parse_json_line, read_json_lines
 
 LARGE_BYTES = 4_000_000
-"""From here on rows are read as columns: a hundredth of the objects, a tenth of the time."""
+"""from this size on, rows are read as columns, in a tenth of the time"""
 
 BLOCK_BYTES = 8_000_000
 
 
 def read_metrics(path: Path) -> tuple[pd.DataFrame, list[str]]:
-    """The table of metric rows and what was wrong with the lines that were left out.
+    """The table of metric rows, and the errors of skipped lines.
 
-    Raises OSError when the file cannot be read.
+    Raises OSError if the file cannot be read.
     """
     if path.stat().st_size < LARGE_BYTES:
         return _by_row(path)
     try:
         table, problems = _columns(path)
         return decode.tidy(table), problems
-    except (pa.ArrowException, KeyError, ValueError):  # a row that fits no column
+    except (pa.ArrowException, KeyError, ValueError):  # a row does not fit the columns
         return _by_row(path)
 
 
@@ -41,7 +41,7 @@ def _columns(path: Path) -> tuple[pd.DataFrame, list[str]]:
     lines = whole.count(b"\n")
     flat = b"[" not in whole and whole.count(b"{") == lines
     if not flat or (b"\n" + whole).count(b"\n{") != lines:
-        # Arrow's parser takes the process down: by what is nested, and by a bare `null`.
+        # Nested values and a bare `null` crash Arrow's parser and the process.
         raise ValueError("not every line is one flat object")
     half = len(whole) < len(content)
     problems = [f"{path.name}: the last line is half written and was skipped"] if half else []
@@ -53,13 +53,13 @@ def _columns(path: Path) -> tuple[pd.DataFrame, list[str]]:
 
 
 def _parse(lines: bytes) -> pd.DataFrame:
-    options = pyarrow.json.ReadOptions(block_size=BLOCK_BYTES)
+    options = pyarrow.json.ReadOptions(use_threads=False, block_size=BLOCK_BYTES)
     table = pyarrow.json.read_json(pa.BufferReader(lines), read_options=options)
     if not pa.types.is_integer(table.schema.field("env_step").type):
         raise ValueError("some row has no env_step")
     if table["env_step"].null_count:
         raise ValueError("some row has no env_step")
-    return table.to_pandas()
+    return table.to_pandas(use_threads=False)
 
 
 def _without_damage(lines: bytes, name: str) -> tuple[bytes, list[str]]:

@@ -1,4 +1,4 @@
-"""What a run takes on the disk, and what of it can go."""
+"""The disk space of a run, and the removal of old checkpoints."""
 
 import shutil
 from collections.abc import Sequence
@@ -14,13 +14,13 @@ PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "recording", 
 
 def sizes(reader: RunReader) -> dict[str, int]:
     """Bytes of each of PARTS."""
-    found: dict[str, int] = dict.fromkeys(PARTS, 0)
+    by_part: dict[str, int] = dict.fromkeys(PARTS, 0)
     recordings = set(layout.rrd_files(reader.path))
     for path, stat in files_in(reader.path):
         top = path.relative_to(reader.path).parts[0]
         part = "recording" if path in recordings else top if top in PARTS else "rest"
-        found[part] += stat.st_size
-    return found
+        by_part[part] += stat.st_size
+    return by_part
 
 
 def checkpoints(reader: RunReader) -> list[Path]:
@@ -30,9 +30,9 @@ def checkpoints(reader: RunReader) -> list[Path]:
 
 
 def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
-    """Delete all but the `keep` newest checkpoints of a run; the bytes that this frees.
+    """Delete all but the `keep` newest checkpoints of a run; returns the freed bytes.
 
-    A dry run touches nothing. Raises UserError while the run is being written.
+    A dry run deletes nothing. Raises UserError while the run is being written.
     """
     if dry_run:
         return _bytes(checkpoints(reader)[keep:])

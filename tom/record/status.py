@@ -1,20 +1,18 @@
-"""What a run says about itself while it lives: `status.json`."""
+"""The live status of a run: `status.json`."""
 
 import time
 from dataclasses import dataclass, fields
 from typing import Any, TypeGuard
 
 DEAD_AFTER_S = 30.0
-"""A run that says it is running and has not beaten for so long is dead."""
+"""seconds without heartbeat after which a running run counts as dead"""
 
 HUGE = 2**62
-
-STATES = ("running", "finished", "stopped", "failed")
 
 
 @dataclass(frozen=True)
 class Status:
-    """The fields of `status.json`; `state` is `unknown` where the file is missing or damaged."""
+    """The fields of `status.json`; `state` is `unknown` if the file is missing or damaged."""
 
     state: str = "unknown"
     phase: str = ""
@@ -32,23 +30,23 @@ class Status:
 
     @property
     def alive(self) -> bool:
-        """The run is running and its heartbeat is fresh."""
-        # A heartbeat of the future is from before the clock was put back, or from a wrong clock.
+        """Whether the run is running with a fresh heartbeat."""
+        # A heartbeat in the future is from a wrong clock, or from before a correction of the clock.
         return self.state == "running" and abs(time.time() - self.heartbeat) <= DEAD_AFTER_S
 
     @property
     def shown(self) -> str:
-        """The state as a reader sees it: `dead` for a run that stopped beating."""
+        """The state for readers: `dead` for a running run without heartbeat."""
         return "dead" if self.state == "running" and not self.alive else self.state
 
     @property
     def share(self) -> float:
-        """Share of the run that is done, in [0, 1]."""
+        """The completed share of the run, in [0, 1]."""
         return min(self.env_step / self.total, 1.0) if self.total > 0 else 0.0
 
 
 def parse(content: dict[str, Any]) -> Status:
-    """The status in a JSON object. Raises ValueError naming the first field that is wrong."""
+    """The status in a JSON object. Raises ValueError that names the first wrong field."""
     known: dict[str, Any] = {}
     for field in fields(Status):
         if field.name in content:
@@ -74,4 +72,4 @@ def _checked(name: str, value: Any) -> Any:
 def _number(value: Any) -> TypeGuard[int | float]:
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
-    return abs(value) < HUGE  # neither infinite nor beyond what a clock or an array holds
+    return abs(value) < HUGE  # finite, and within the range of a clock or an array

@@ -11,18 +11,28 @@ from tom.record.files import modified
 from tom.record.reader import RunReader
 
 
+def free_name(folder: Path, name: str) -> str:
+    """`<name>-<yymmdd-hhmmss>`, with a number if that name is taken in the folder."""
+    dated = f"{name}-{datetime.now():%y%m%d-%H%M%S}"
+    free, number = dated, 1
+    while os.path.lexists(folder / free):
+        number += 1
+        free = f"{dated}-{number}"
+    return free
+
+
 class Store:
-    """The runs in a folder. Looking never creates or changes anything."""
+    """The runs in a folder. Reading never creates or changes anything."""
 
     def __init__(self, path: Path | str = "runs") -> None:
         self.path = Path(path)
         self.problems: list[str] = []
 
     def runs(self) -> list[RunReader]:
-        """Every run that can be read, newest first.
+        """Every readable run, newest first.
 
-        What is no run is named in `problems` and left out. Raises UserError when the store
-        itself cannot be read; a store that is not there yet is empty.
+        Folders that are not runs are left out and listed in `problems`. Raises UserError if the
+        store itself cannot be read; a store that does not exist yet is empty.
         """
         self.problems = []
         readers = []
@@ -34,24 +44,25 @@ class Store:
         return sorted(readers, key=lambda run: (run.created, run.run_id), reverse=True)
 
     def names(self) -> list[str]:
-        """The folders that may be runs. Raises UserError when the store cannot be read."""
-        return [n for n in self._names() if n != layout.WEIGHINGS and not n.startswith(".")]
+        """The folders that may be runs. Raises UserError if the store cannot be read."""
+        names = self._names()
+        return [n for n in names if n not in layout.BESIDE_RUNS and not n.startswith(".")]
 
     def look(self, name: str) -> RunReader:
-        """The run in the folder `name`. Raises UserError, saying why, when it is not a run."""
+        """The run in the folder `name`. Raises UserError with the reason if it is not a run."""
         reader = RunReader(self.resolve(name))
         if not reader.is_run:
             raise UserError(f"{name}: no run ({_why(reader)})")
         return reader
 
     def recent(self, seconds: float) -> list[str]:
-        """Ids of the runs whose status was written within the last `seconds`; one stat a run."""
+        """Ids of the runs whose status was written in the last `seconds`; one stat call per run."""
         since = time.time() - seconds
         names = [name for name in self._names() if layout.RUN_ID.fullmatch(name)]
         return [n for n in names if modified(self.path / n / layout.STATUS) >= since * 1e9]
 
     def run(self, run_id: str) -> RunReader:
-        """The run called `run_id`. Raises UserError when there is none."""
+        """The run `run_id`. Raises UserError if there is none."""
         path = self.resolve(run_id)
         if not path.is_dir():
             newest = ", ".join(run.run_id for run in self.runs()[:3]) or "none"
@@ -64,15 +75,15 @@ class Store:
     def resolve(self, run_id: str) -> Path:
         """The folder of `run_id`, which need not exist.
 
-        Raises UserError for an id that is not one, or that leads out of the store.
+        Raises UserError for an invalid id, or one that leads out of the store.
         """
         if not layout.RUN_ID.fullmatch(run_id):
             raise UserError(
                 f"'{run_id[:120]}' is no run id: use letters, digits, '.', '_' and '-', "
                 "at most 100, starting with a letter or digit"
             )
-        if run_id == layout.WEIGHINGS:
-            raise UserError(f"'{run_id}' is no run id: weighings lie there; choose another name")
+        if held := layout.BESIDE_RUNS.get(run_id):
+            raise UserError(f"'{run_id}' is no run id: {held} lie there; choose another name")
         path = self.path / run_id
         if path.is_symlink():
             raise UserError(
@@ -80,17 +91,26 @@ class Store:
             )
         return path
 
+    def has_folder(self, name: str) -> bool:
+        """Whether `name` is a valid run id with a folder."""
+        return layout.RUN_ID.fullmatch(name) is not None and self.resolve(name).is_dir()
+
+    @property
+    def studies(self) -> Path:
+        """The folder of the studies beside the runs."""
+        return self.path / layout.STUDIES
+
     def new_run_id(self, env: str, learner: str, seed: int) -> str:
-        """A free run id: `<env>-<learner>-s<seed>-<yymmdd-hhmmss>`, numbered when taken."""
-        base = f"{env}-{learner}-s{seed}-{datetime.now():%y%m%d-%H%M%S}"
-        run_id, number = base, 1
-        while os.path.lexists(self.path / run_id):
-            number += 1
-            run_id = f"{base}-{number}"
-        return run_id
+        """A free run id: `<env>-<learner>-s<seed>-<yymmdd-hhmmss>`, with a number if taken."""
+        return free_name(self.path, f"{layout.in_a_name(env)}-{learner}-s{seed}")
+
+    def new_weighing(self, name: str) -> Path:
+        """A free folder for a new weighing of that name, with date, and a number if taken."""
+        folder = self.path / layout.WEIGHINGS
+        return folder / free_name(folder, name)
 
     def ensure_there(self) -> None:
-        """Raises UserError where there is no such folder: a mistyped name is no empty store."""
+        """Raises UserError if there is no such folder: a mistyped name is not an empty store."""
         if not self.path.exists():
             raise UserError(
                 f"there is no store {self.path}/: name another with --store, or train something "
@@ -98,7 +118,7 @@ class Store:
             )
 
     def ensure_writable(self) -> None:
-        """Make the store's folder. Raises UserError when nothing can be written there."""
+        """Make the store's folder. Raises UserError if it cannot be written."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:

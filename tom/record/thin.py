@@ -1,8 +1,8 @@
-"""A small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
+"""Make a small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
 
-Numbers keep fewer digits and series fewer points; checkpoints and recordings are left out, and
-what is large of OPTIONAL unless it is asked for. `config.json` of the copy names under `thinned`
-what of the run it lacks.
+Numbers have fewer digits and series fewer points. Checkpoints and recordings are left out, and
+large parts of OPTIONAL unless requested. The copy's `config.json` lists the missing parts under
+`thinned`.
 """
 
 import json
@@ -24,30 +24,30 @@ from tom.record.reader import RunReader, at_or_before
 from tom.record.rounding import coarse, half, short
 from tom.record.status import Status
 
-ROWS = 250  # of metrics; every row of an evaluation is kept beyond them, and FITS with exams
+ROWS = 250  # of metrics; rows of evaluations, and FITS rows with exams, are kept in addition
 FITS = 120  # weight profiles
 SNAPSHOTS = 3
 EVALUATIONS = 3
 SMALL = 200_000
-"""bytes up to which a part of a run is small"""
+"""maximum size in bytes of a small part"""
 SHRINKS = 20
-"""No part becomes smaller than this share of itself: what is larger is not even tried."""
+"""smallest share to which a part can shrink; larger parts are not even tried"""
 
 
 def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
     """Write a small copy of the run to `path`, which appears whole or not at all.
 
-    Those of OPTIONAL that are in `keep` are kept whatever their size.
+    Parts of OPTIONAL that are in `keep` are kept at any size.
     """
-    status = reader.status  # before the rest: a training may end meanwhile
+    status = reader.status  # read first, because a training may end meanwhile
     with whole_folder(path) as unfinished:
         for folder in layout.FOLDERS:
             (unfinished / folder).mkdir()
         _copy(reader, unfinished)
         lacks = [part for part in OPTIONAL if _leave_out(reader, unfinished, part, keep)]
-        found = _lost(reader, RunReader(unfinished))
-        lacks += [part for part, lost in found.items() if lost]
-        left_out = dict.fromkeys([*reader.left_out, *lacks])  # of a small copy, what that lacks
+        lost_parts = _lost(reader, RunReader(unfinished))
+        lacks += [part for part, lost in lost_parts.items() if lost]
+        left_out = dict.fromkeys([*reader.left_out, *lacks])  # or lacked before
         replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
         if status.state == "running":
             _settle(status, unfinished)
@@ -55,14 +55,14 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
 
 
 def _settle(status: Status, copy: Path) -> None:
-    """Write the status of the copy of a run that had `status` and said it was running."""
-    rows = RunReader(copy).metrics()["env_step"].to_numpy()  # may be newer than the status
+    """Write the copy's status, for a run that was running with `status`."""
+    rows = RunReader(copy).metrics()["env_step"].to_numpy()  # may be later than the status
     settled = small_copy.status_of(status, int(rows.max(initial=status.env_step)))
     replace_json(copy / layout.STATUS, asdict(settled), sync=False)
 
 
 def _copy(reader: RunReader, to: Path) -> None:
-    for name in (layout.STATUS, layout.LABELS, layout.NOTICES):
+    for name in (layout.STATUS, layout.LABELS, layout.NOTICES, layout.SCENE):
         if (reader.path / name).is_file() and not (reader.path / name).is_symlink():
             shutil.copyfile(reader.path / name, to / name)
     _lines(to / layout.METRICS, _chosen_rows(reader))
@@ -78,7 +78,7 @@ def _copy(reader: RunReader, to: Path) -> None:
 
 
 def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
-    """Which parts besides OPTIONAL the copy lacks; `other`: it holds some of them."""
+    """The parts besides OPTIONAL that the copy lacks; `other`: it has some of them."""
     snapshots, evaluations = copy.snapshot_steps(), copy.evaluation_steps()
     fields = run.field_names()
     return {
@@ -137,7 +137,7 @@ def _snapshot(reader: RunReader, step: int, to: Path) -> None:
 
 
 def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:
-    """Columns of weights as a Parquet file, rounded and packed as tightly as it goes."""
+    """Write columns of weights as a Parquet file, rounded and strongly compressed."""
     pq.write_table(
         pa.table({name: coarse(array) for name, array in columns.items()}),
         path,
@@ -157,9 +157,9 @@ def _buffer(reader: RunReader, to: Path) -> None:
 
 
 def _model(reader: RunReader, to: Path) -> None:
-    """What the model predicts with: its networks in half precision, no optimiser."""
-    found = (checkpoint.load(reader.path / at) for at in (checkpoint.FOLDER, layout.MODEL))
-    held = next((one for one in found if one is not None), None)
+    """Write the model for predictions: networks in half precision, no optimiser."""
+    checkpoints = (checkpoint.load(reader.path / at) for at in (checkpoint.FOLDER, layout.MODEL))
+    held = next((one for one in checkpoints if one is not None), None)
     training = held.state.get("training", {}) if held else {}
     if held and "coefficients" in training:
         state = {"coefficients": training["coefficients"]}
@@ -178,7 +178,7 @@ def _policy(reader: RunReader, to: Path) -> None:
 
 
 def _policies(reader: RunReader, to: Path) -> None:
-    """Those of the fits whose single weights are kept."""
+    """Write the policies of the fits whose single weights are kept."""
     for step in sorted({*reader.policy_steps()} & {*RunReader(to).snapshot_steps()}):
         _arrays(reader, to, layout.policy(step))
 
@@ -189,11 +189,11 @@ OPTIONAL: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
     "policy": (layout.POLICY, _policy),
     "policies": (layout.POLICIES, _policies),
 }
-"""Parts that are left out where they are not small: where each lies, and its writer."""
+"""parts that are left out if they are not small: the path and the writer of each"""
 
 
 def _leave_out(reader: RunReader, to: Path, part: str, keep: Collection[str]) -> bool:
-    """Write one of OPTIONAL; True where the run has it and it is neither small nor wanted."""
+    """Write one of OPTIONAL; returns True if the run has it but it is neither small nor wanted."""
     name, write = OPTIONAL[part]
     hopeless = _bytes(reader.path / name) > SHRINKS * SMALL
     if hopeless and part not in keep:
@@ -210,13 +210,13 @@ def _bytes(path: Path) -> int:
 
 
 def _arrays(reader: RunReader, to: Path, name: str, *, first_episode: bool = False) -> None:
-    """Copy the arrays of a file, or those of its first episode alone."""
+    """Copy the arrays of a file, or only those of its first episode."""
 
     def wanted(array: str) -> bool:
         return not first_episode or array.partition(".")[0].endswith("_0")  # info_0.success: info_0
 
     arrays = reader.arrays(name, wanted)
-    if arrays is not None:  # else missing or damaged: `tom runs verify` names it
+    if arrays is not None:  # else missing or damaged, which `tom runs verify` reports
         _save(to / name, arrays, coarse)
 
 
@@ -233,7 +233,7 @@ def _spread(items: Sequence[int], most: int) -> list[int]:
 
 
 def _beside(recorded: Sequence[int], snapshots: Sequence[int]) -> list[int]:
-    """Those of `recorded` that belong to a snapshot: the last not after it, else the first."""
+    """The steps of `recorded` that belong to a snapshot: the last not after it, else the first."""
     return sorted({at_or_before(recorded, step) for step in snapshots} | {recorded[0]})
 
 

@@ -1,4 +1,4 @@
-"""With what a run was made: versions, commit, machine."""
+"""The versions, commit and machine of a run."""
 
 import os
 import platform
@@ -8,28 +8,28 @@ from pathlib import Path
 from typing import Any
 
 DECISIVE = {"torch": 3, "gymnasium": 3, "mujoco": 3, "numpy": 2}
-"""How many parts of a package's version decide results: numpy's random streams may change with a
-feature release, the others' numbers with any (pyproject.toml pins them)."""
+"""how many parts of a package's version affect results: numpy's random streams may change with a
+feature release, the numbers of others with any release (pyproject.toml pins them)"""
 
 ACCEPT = "--accept-versions"
-"""what lets a run go on with other versions"""
+"""the option that lets a run resume with other versions"""
 
 PACKAGES = ("torch", "numpy", "gymnasium", "mujoco", "tom-studio")
 
 
 def versions() -> dict[str, str]:
-    """The versions that results depend on; `missing` where a package is not installed."""
+    """The versions that results depend on; `missing` if a package is not installed."""
     return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
 
 
 def decides(name: str, before: str, now: str) -> bool:
-    """Results change silently between these two versions of the package `name`."""
+    """Whether results may change silently between these two versions of the package `name`."""
     parts = DECISIVE.get(name, 0)
     return before.split(".")[:parts] != now.split(".")[:parts]
 
 
 def git_commit() -> str | None:
-    """The commit of this code, with `-dirty` after it when tracked files differ from it.
+    """The commit of this code, with `-dirty` if tracked files differ from it.
 
     None outside a git checkout or without git.
     """
@@ -39,7 +39,7 @@ def git_commit() -> str | None:
 
 
 def machine() -> dict[str, Any]:
-    """What kind of machine this is; nothing that names it."""
+    """The kind of this machine, without anything that identifies it."""
     return {
         "system": platform.system(),
         "arch": platform.machine(),

@@ -13,14 +13,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.config import RunConfig
-from tom.data.sampling import bin_means, ess
+from tom.data.sampling import bin_means, ess, zero_share
 from tom.data.transitions import Transitions
 from tom.events import Episode, Weights
 from tom.record import decode, digests, layout, lock, opening
 from tom.record.array_files import read_arrays
 from tom.record.creating import make_folder
 from tom.record.files import JsonLines, read_json, replace, replace_json, sync
-from tom.record.profiles import zero_share
 from tom.record.reader import RunReader
 from tom.record.rows import read_metrics
 from tom.record.status import Status
@@ -28,24 +27,24 @@ from tom.record.store import Store
 from tom.record.versions import git_commit, versions
 
 SEGMENT_ROWS = 4096
-"""A segment of the replay buffer is rewritten with its new rows until it holds so many."""
+"""rows up to which a segment of the replay buffer is rewritten when new rows come"""
 
 BALLAST_BYTES = 64 * 1024
-"""Thrown off when the disk is full: room for the status that says so."""
+"""freed when the disk is full, as space for the final status"""
 
 
 class RunWriter:
     """The one writer of a run folder; holds a lock on it until `close`.
 
-    Where another machine could not see the lock and took the folder over, whatever would write
-    raises LostError.
+    If another machine could not see the lock and took over the folder, every write raises
+    LostError.
     """
 
     def __init__(self, path: Path, config: RunConfig) -> None:
         """Open the run folder `path`.
 
-        Raises UserError when another process writes it or a part of it is a link: nothing is
-        ever written outside the folder.
+        Raises UserError if another process writes it, or if a part of it is a link: nothing is ever
+        written outside the folder.
         """
         opening.refuse_links(path)
         self.path = path
@@ -75,11 +74,11 @@ class RunWriter:
         matmul: object = None,
         command: str = "",
     ) -> "RunWriter":
-        """The writer of a new run (`make_folder`, which says what is raised)."""
+        """The writer of a new run. Raises the errors of `make_folder`."""
         return cls(make_folder(store, run_id, config, matmul, command), config)
 
     def mark(self) -> dict[str, Any]:
-        """Where the files stand, for `rewind`."""
+        """The sizes of the files, for `rewind`."""
         return {
             "lines": [lines.size for lines in self._lines()],
             "segment": self._tail_first,
@@ -88,7 +87,7 @@ class RunWriter:
         }
 
     def rewind(self, mark: Mapping[str, Any]) -> None:
-        """Go back to `mark`: a resumed training writes what came after it once more."""
+        """Go back to `mark`; a resumed training writes everything after it again."""
         digests.forget(self.path)
         for lines, size in zip(self._lines(), mark["lines"], strict=True):
             lines.cut(size)
@@ -104,7 +103,7 @@ class RunWriter:
             self._tail = [{name: held[name][: mark["segment_rows"]] for name in held}]
 
     def sync(self) -> None:
-        """Wait until the rows that a checkpoint counts on are on the disk."""
+        """Wait until the rows that a checkpoint relies on are on the disk."""
         self._lock.check()
         for lines in self._lines():
             lines.sync()
@@ -114,16 +113,16 @@ class RunWriter:
         self._unsynced.clear()
 
     def throw_off_ballast(self) -> None:
-        """Make room for the last words of a run on a full disk."""
+        """Free the space that is reserved for the final status on a full disk."""
         if not self._lock.lost:
             (self.path / layout.BALLAST).unlink(missing_ok=True)
 
     def _take_ballast(self) -> None:
-        with suppress(OSError):  # a disk so full that the first row will say so
+        with suppress(OSError):  # if the disk is that full, the first row will raise an error
             replace(self.path / layout.BALLAST, lambda f: f.write(bytes(BALLAST_BYTES)), sync=False)
 
     def resumed(self, config: RunConfig, command: str) -> None:
-        """Note in `config.json` that the run goes on, with which code, and until which step."""
+        """Add to `config.json` that the run was resumed, with which code and until which step."""
         description = read_json(self.path / layout.CONFIG)
         description["config"] = config.model_dump(mode="json")
         description.setdefault("resumes", []).append(
@@ -168,10 +167,10 @@ class RunWriter:
         return means
 
     def snapshot(self, weights: Weights, *, keep: bool) -> None:
-        """Write every single weight, and whose they are; those before go unless to be kept."""
+        """Write the single weights and their policy; earlier ones are deleted unless kept."""
         columns = {"weight": weights.weight}
         if weights.log_ratio is not None:
-            columns["log_ratio"] = weights.log_ratio
+            columns |= {"log_ratio": weights.log_ratio, **weights.terms}
         if weights.per_dim is not None:
             columns |= {f"dim_{i}": column for i, column in enumerate(weights.per_dim.T)}
         arrays = {name: np.asarray(column, np.float32) for name, column in columns.items()}
@@ -192,7 +191,7 @@ class RunWriter:
     def rows(
         self, rows: Transitions, policy_version: NDArray, state: Mapping[str, NDArray] | None = None
     ) -> None:
-        """Add rows to the replay buffer on disk, with the simulator's state where there is one."""
+        """Add rows to the replay buffer on disk, with the simulator's state if there is one."""
         if not len(rows):
             return
         self._tail.append(decode.transition_arrays(rows, policy_version, state))
@@ -206,11 +205,11 @@ class RunWriter:
             self._tail = [joined]
 
     def kept_policy(self, env_step: int, arrays: Mapping[str, NDArray]) -> None:
-        """Write the policy as it stood at `env_step`."""
+        """Write the policy at `env_step`."""
         self._arrays(layout.policy(env_step), arrays)
 
     def policy(self, arrays: Mapping[str, NDArray]) -> None:
-        """Write the policy that the training ended with."""
+        """Write the final policy."""
         self._arrays(layout.POLICY, arrays)
 
     def field(self, name: str, env_step: int, arrays: Mapping[str, NDArray]) -> None:
@@ -229,7 +228,7 @@ class RunWriter:
         digests.write(self.path)
 
     def close(self) -> None:
-        """Close the files and let go of the folder."""
+        """Close the files and release the lock."""
         for lines in self._lines():
             lines.close()
         self.throw_off_ballast()

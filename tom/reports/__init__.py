@@ -1,1 +1,1 @@
-"""How results are shown: the look of figures, HTML pages, and what they were made with."""
+"""The presentation of results: style of figures, HTML pages, and their origin."""

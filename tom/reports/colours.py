@@ -1,4 +1,4 @@
-"""One colour for each learner, the studio's own."""
+"""One colour for each learner, as in the studio."""
 
 from tom.learners import LEARNERS
 
@@ -8,5 +8,6 @@ TEXT = "#1c2330"
 
 
 def learner_colour(learner: str) -> str:
-    """The colour of a learner; a neutral one where it has none of its own."""
-    return LEARNER_COLOURS.get(learner, NEUTRAL)
+    """The colour of a learner; a neutral one if it has none."""
+    entry = LEARNERS.get(learner)
+    return entry.colour if entry and entry.colour else NEUTRAL

@@ -1,12 +1,17 @@
-"""A report as one HTML file that needs nothing else: figures, tables and origin are inside it."""
+"""A report as a self-contained HTML file with figures, tables and origin.
+
+Its text, without figures and tables, is also written as JSON.
+"""
 
 import base64
 import html
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 NAME = "report.html"
+WORDS = "report.json"
 Rows = Sequence[Mapping[str, object]]
 
 STYLE = """
@@ -22,9 +27,10 @@ td, th { padding: .2rem .7rem .2rem 0; border-bottom: 1px solid #dde; text-align
 
 @dataclass(frozen=True)
 class Report:
-    """What a report says: the paper's `claim`, what was `found`, and where it comes from.
+    """The content of a report: the paper's `claim`, the findings (`found`), and the origin.
 
-    `figures` are (caption, path of a PNG), `tables` (title, rows), `origin` what it was made with.
+    `figures` are (caption, path of a PNG), `tables` (title, rows); `origin` is command, commit and
+    versions.
     """
 
     title: str
@@ -36,7 +42,7 @@ class Report:
 
 
 def write_report(report: Report, folder: Path) -> Path:
-    """Write `report.html` into `folder` and return where it lies."""
+    """Write `report.html` and `report.json` into `folder` and return the path of the first."""
     title = html.escape(report.title)
     parts = [
         f"<h1>{title}</h1>",
@@ -52,6 +58,8 @@ def write_report(report: Report, folder: Path) -> Path:
     head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
     body = "\n".join(parts)
     path = folder / NAME
+    words = {name: getattr(report, name) for name in ("title", "claim", "found", "origin")}
+    (folder / WORDS).write_text(json.dumps(words, indent=1) + "\n")
     path.write_text(f"<!doctype html><html><head>{head}</head><body>\n{body}\n</body></html>\n")
     return path
 

@@ -1,4 +1,4 @@
-"""The page that says how the small copies in a store were made: `tom runs index` writes it."""
+"""The page on how the small copies in a store were made, written by `tom runs index`."""
 
 import os
 import re
@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from tom.data.unpack import read_bytes
 from tom.errors import UserError
 from tom.harmless import code, fenced, markdown
 from tom.learners import LEARNER_NAMES, LEARNERS
@@ -17,11 +18,11 @@ from tom.reports.origin import run_hours, seeds
 from tom.reports.weighing_files import REPORT
 
 NAME = "README.md"
-COMMIT = 10  # letters of it that are shown
+COMMIT = 10  # characters shown of a commit
 WHERE = ("--store", "--run-id", "--no-rerun", "--out")
-"""options that say where a result went, not what it is"""
+"""options that set where a result goes, not what it is"""
 MARK = "This page was written by `tom runs index`."
-"""stands in every such page: one without it is a person's"""
+"""part of every such page; a page without it was written by a person"""
 HEAD = f"""# Gallery
 
 Small copies of real runs, one folder each (`docs/run-folder.md`): `tom studio` and `tom runs` show
@@ -38,7 +39,7 @@ def small_copies(store: Store) -> list[RunReader]:
 
 
 def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
-    """The page on these small copies and on these weighings of their buffers."""
+    """The page for these small copies and weighings of their buffers."""
     parts = [HEAD]
     for env, group in groupby(runs, key=lambda run: run.env):
         of = list(group)
@@ -52,18 +53,20 @@ def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
 
 
 def write(path: Path, page: str) -> None:
-    """Write the page to `path`, whole or not at all.
+    """Write the page to `path` atomically.
 
-    Raises UserError where a person's page is there, or where it cannot be written.
+    Raises UserError if `path` is a page that a person wrote, or if it cannot be written.
     """
     try:
-        held = path.read_text(errors="replace") if os.path.lexists(path) else MARK
+        held = read_bytes(path).decode(errors="replace") if os.path.lexists(path) else MARK
         if MARK not in held:
             raise UserError(
                 f"{path} was not written by this command: move it away, or write the line "
                 f"'{MARK}' into it to have it replaced"
             )
         replace(path, lambda file: file.write(page.encode()), sync=False)
+    except ValueError as error:
+        raise UserError(f"{path} cannot be read ({error}): move it away") from error
     except OSError as error:
         raise UserError(
             f"cannot write {path} ({error.strerror}): make its folder writable, or move it away"
@@ -100,7 +103,7 @@ def _weighing(path: Path, report: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _made(origins: Sequence[Mapping[str, Any]]) -> str:
-    """Commands that differ in more than the seed (N), and versions, each once."""
+    """The distinct commands, with the seed as N, and versions."""
     commands = dict.fromkeys(short_command(str(made.get("command", ""))) for made in origins)
     versions = dict.fromkeys(
         ", ".join(f"{name} {text}" for name, text in made.get("versions", {}).items())
@@ -111,12 +114,12 @@ def _made(origins: Sequence[Mapping[str, Any]]) -> str:
 
 
 def short_command(command: str) -> str:
-    """A command without what says where its result went, its seed as N."""
+    """A command with its seed as N and without the options for the result's place."""
     kept: list[str] = []
     name = ""
     try:
         words = shlex.split(command)
-    except ValueError:  # a quote that is never closed: no shell ran this
+    except ValueError:  # an unclosed quote: not a shell command
         return command
     for word in words:
         if word.startswith("--"):
@@ -130,10 +133,10 @@ def short_command(command: str) -> str:
 
 
 def _commits(run: RunReader) -> list[str]:
-    """The commits of the code that trained a run, the first one's and those of its resumes."""
+    """The commits of the code that trained a run: of its start and of its resumes."""
     resumes = run.config.get("resumes", [])
-    found = [run.config.get("git_commit"), *(resume.get("git_commit") for resume in resumes)]
-    return list(dict.fromkeys(_commit(commit) for commit in found))
+    commits = [run.config.get("git_commit"), *(resume.get("git_commit") for resume in resumes)]
+    return list(dict.fromkeys(_commit(commit) for commit in commits))
 
 
 def _commit(commit: object) -> str:

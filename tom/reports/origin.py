@@ -1,4 +1,4 @@
-"""What a report was made with: command, commit, versions, runs and hours."""
+"""The origin of a report: command, commit, versions, runs and hours."""
 
 import shlex
 import sys
@@ -11,7 +11,7 @@ from tom.record.versions import git_commit, machine, versions
 
 
 def origin() -> dict[str, str]:
-    """This process: command, time, commit, versions, machine."""
+    """Command, time, commit, versions and machine of this process."""
     kind = machine()
     return {
         "command": shlex.join(["tom", *sys.argv[1:]]),
@@ -23,7 +23,7 @@ def origin() -> dict[str, str]:
 
 
 def origin_of(runs: Sequence[RunReader]) -> dict[str, str]:
-    """This process and the runs that it read: how many, which commits and versions, their hours."""
+    """`origin` plus the runs that were read: number, commits, versions, hours."""
     commits = sorted({str(run.config.get("git_commit"))[:19] for run in runs})
     torches = sorted({str(run.config.get("versions", {}).get("torch")) for run in runs})
     made = origin()
@@ -35,7 +35,7 @@ def origin_of(runs: Sequence[RunReader]) -> dict[str, str]:
 
 
 def run_hours(run: RunReader) -> float:
-    """Wall-clock hours of a training, as its metrics tell."""
+    """Wall-clock hours of a training, from its metrics."""
     table = run.metrics()
     if "time/wall_s" not in table:
         return 0.0
@@ -44,9 +44,9 @@ def run_hours(run: RunReader) -> float:
 
 
 def seeds(numbers: Sequence[int]) -> str:
-    """Seeds as text, runs of them in short: `0-3, 7`."""
-    found = []
+    """Seeds as text with ranges: `0-3, 7`."""
+    ranges = []
     for _, group in groupby(enumerate(sorted(set(numbers))), lambda pair: pair[1] - pair[0]):
         members = [seed for _, seed in group]
-        found.append(f"{members[0]}-{members[-1]}" if len(members) > 1 else str(members[0]))
-    return ", ".join(found)
+        ranges.append(f"{members[0]}-{members[-1]}" if len(members) > 1 else str(members[0]))
+    return ", ".join(ranges)

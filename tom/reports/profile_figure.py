@@ -1,4 +1,4 @@
-"""Weight profiles of an ordered buffer, one panel a learner."""
+"""Weight profiles of an ordered buffer, one panel per learner."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from tom.reports.style import STYLE, new_figure
 
 @dataclass(frozen=True)
 class Panel:
-    """The profiles of one learner: a row a seed, (S, bins), mean weight 1."""
+    """The profiles of one learner, (S, bins), one row per seed, mean weight 1."""
 
     title: str
     learner: str
@@ -27,7 +27,7 @@ def profile_figure(
 ) -> Figure:
     """One row of panels for each buffer in `rows`, the same number of panels in each.
 
-    `ordered_share` says at which share of the buffer its ordered part begins.
+    `ordered_share` is the share of the buffer at which its ordered part begins.
     """
     columns = max(len(panels) for panels in rows.values())
     with rc_context(STYLE):

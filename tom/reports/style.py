@@ -1,4 +1,4 @@
-"""The look of every figure, and how a figure becomes files. Draws without a screen."""
+"""The style of all figures, and how a figure is saved. Draws without a screen."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ STYLE: dict[RcKeyType, Any] = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
     "legend.frameon": False,
-    "svg.hashsalt": "tom",  # the same figure is the same file
+    "svg.hashsalt": "tom",  # equal figures give equal files
 }
 
 

@@ -1,6 +1,10 @@
-"""What a weighing leaves behind: weights, profiles, figure and report, all of them or nothing."""
+"""The files of a weighing: weights, profiles, figure and report, written atomically.
+
+Rows that no run of the store holds are included, as in a run folder (`buffer/`, `config.json`).
+"""
 
 import csv
+import hashlib
 import os
 import shutil
 from collections.abc import Iterator, Sequence
@@ -16,42 +20,54 @@ from numpy.typing import NDArray
 from tom.analysis.ordered_data import OrderedData
 from tom.analysis.progression import medians, progression
 from tom.analysis.weighing import Weighed
+from tom.analysis.weighing_plan import WeighingPlan, setting_groups
 from tom.data.sampling import bin_means
 from tom.errors import UserError
 from tom.learners import LEARNERS
-from tom.record import layout
+from tom.record import decode, layout
 from tom.record.array_files import DAMAGE, read_table
 from tom.record.files import read_json, replace_json, whole_folder
+from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
-from tom.reports.profile_figure import Panel, profile_figure
-from tom.reports.style import save
+from tom.record.versions import git_commit, versions
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 LOG_RATIO = "-log_ratio"
-"""ends the name of a column that holds the discriminator's output beside the weights"""
+"""suffix of the column of the discriminator's output"""
 MATCH = ("footprint", "footprint_se", "footprint_noise", "footprint_uniform")
-"""how near the weighted data is to fresh episodes of the policy; null where it cannot be said"""
+"""the match of the weighted data to fresh episodes of the policy; null if not measured"""
 NEEDED = {"data", "policy", "rows", "results"}
-"""the files a report must have"""
+"""the required entries of a report"""
+ROWS = "rows_digest"
+"""entry of a report whose weighing holds its rows: their digest"""
+SEGMENT_BYTES = 64 * 2**20
+"""bytes of rows per file: less than a reader accepts (`tom.data.unpack.MOST`)"""
 
 
 def of_run(store: Path, run_id: str) -> list[Path]:
-    """The weighings in `store` of the buffer of a run, by name; unreadable ones are left out."""
-    found = sorted(path.parent for path in (store / layout.WEIGHINGS).glob(f"*/{REPORT}"))
-    return [path for path in found if path.name[0] != "." and _data(path) == run_id]
+    """The weighings of a run's buffer in `store`, by name; unreadable ones are left out."""
+    return [
+        path for path, report in reports(store) if report["data"] == run_id and ROWS not in report
+    ]
+
+
+def reports(store: Path) -> list[tuple[Path, dict[str, Any]]]:
+    """Every weighing in `store` with its report, by name; unreadable ones are left out."""
+    folders = sorted(path.parent for path in (store / layout.WEIGHINGS).glob(f"*/{REPORT}"))
+    read = [(path, _report(path)) for path in folders if path.name[0] != "."]
+    return [(path, report) for path, report in read if report is not None]
 
 
 def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
-    """Copy the weighings of a run into the store `to`, the weights rounded, log ratios left out.
+    """Copy the weighings of a run into the store `to`, with rounded weights and without terms.
 
-    Yields each copy. Raises UserError for one that is there already, is damaged or cannot be
-    written.
+    Yields each copy. Raises UserError if one exists already, is damaged or cannot be written.
     """
     for path in of_run(store, run_id):
         copy = to / layout.WEIGHINGS / path.name
         check_free(copy)
         weights = _read_weights(path)
-        with _whole(copy) as unfinished:
+        with whole_weighing(copy) as unfinished:
             for file in path.iterdir():
                 if file.name != WEIGHTS and file.is_file() and not file.is_symlink():
                     shutil.copyfile(file, unfinished / file.name)
@@ -60,7 +76,7 @@ def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
 
 
 def check_free(out: Path) -> None:
-    """Raises UserError when `out` holds something already or cannot be made."""
+    """Raises UserError if `out` is not empty or cannot be made."""
     if out.is_dir() and not any(out.iterdir()):
         return
     if os.path.lexists(out):
@@ -70,7 +86,7 @@ def check_free(out: Path) -> None:
         raise UserError(f"cannot make {out} in {parent}: name another folder with --out")
 
 
-def summary(data: OrderedData, found: Sequence[Weighed]) -> dict[str, Any]:
+def summary(data: OrderedData, weighed: Sequence[Weighed]) -> dict[str, Any]:
     """The report on all learners and seeds, ready for JSON."""
     results = [
         {
@@ -82,25 +98,51 @@ def summary(data: OrderedData, found: Sequence[Weighed]) -> dict[str, Any]:
             "metrics": one.metrics,
             "notices": [message for _, message in one.notices],
         }
-        for one in found
+        for one in weighed
     ]
     return {
         "data": data.name,
         "env": data.env,
         "rows": len(data),
         "ordered_from": data.ordered_from,
+        **({} if data.stored else {ROWS: rows_digest(data)}),
         "results": results,
         "medians": {
             name: medians([progression(one.weights, data.ordered_from) for one in of])
-            for name, of in by_learner(found).items()
+            for name, of in by_learner(weighed).items()
         },
     }
 
 
-def by_learner(found: Sequence[Weighed]) -> dict[str, list[Weighed]]:
+def report(
+    plan: WeighingPlan,
+    weighed: Sequence[Weighed],
+    policy: str,
+    step: int | None,
+    command: str,
+    hours: float,
+) -> dict[str, Any]:
+    """The content of `report.json` for a plan that `command` carried out in `hours`."""
+    return {
+        "policy": policy,
+        "step": step,
+        "preset": plan.preset,
+        "footprint": plan.footprint,
+        "config": plan.config.model_dump(include=setting_groups()),
+        **summary(plan.data, weighed),
+        "made": {
+            "command": command,
+            "git_commit": git_commit(),
+            "versions": versions(),
+            "hours": hours,
+        },
+    }
+
+
+def by_learner(weighed: Sequence[Weighed]) -> dict[str, list[Weighed]]:
     """The results of each learner, in the order of first appearance."""
     groups: dict[str, list[Weighed]] = {}
-    for one in found:
+    for one in weighed:
         groups.setdefault(one.learner, []).append(one)
     return groups
 
@@ -111,24 +153,34 @@ def profiles(of: Sequence[Weighed], bins: int) -> NDArray[np.float64]:
 
 
 def write(
-    out: Path, data: OrderedData, found: Sequence[Weighed], bins: int, report: dict[str, Any]
+    out: Path, data: OrderedData, weighed: Sequence[Weighed], bins: int, report: dict[str, Any]
 ) -> None:
-    """Make the folder `out` with everything in it. Raises UserError when it cannot be made."""
-    with _whole(out) as unfinished:
-        write_weights(unfinished / WEIGHTS, found)
-        write_profiles(unfinished / PROFILE, found, bins)
-        panels = [
-            Panel(LEARNERS[name].label, name, profiles(of, bins))
-            for name, of in by_learner(found).items()
-        ]
-        share = data.ordered_from / len(data)
-        save(profile_figure({data.name: panels}, {data.name: share}), unfinished, FIGURE)
+    """Make the folder `out` with all files. Raises UserError if it cannot be made."""
+    with whole_weighing(out) as unfinished:
+        write_weights(unfinished / WEIGHTS, weighed)
+        write_profiles(unfinished / PROFILE, weighed, bins)
+        if not data.stored:
+            _write_rows(unfinished, data)
+        _draw(unfinished, data, weighed, bins)
         replace_json(unfinished / REPORT, report, sync=False)
 
 
+def _draw(folder: Path, data: OrderedData, weighed: Sequence[Weighed], bins: int) -> None:
+    # Imported here, so that listing runs does not load matplotlib.
+    from tom.reports.profile_figure import Panel, profile_figure
+    from tom.reports.style import save
+
+    panels = [
+        Panel(LEARNERS[name].label, name, profiles(of, bins))
+        for name, of in by_learner(weighed).items()
+    ]
+    share = data.ordered_from / len(data)
+    save(profile_figure({data.name: panels}, {data.name: share}), folder, FIGURE)
+
+
 @contextmanager
-def _whole(out: Path) -> Iterator[Path]:
-    """`whole_folder` with a UserError where it cannot be written."""
+def whole_weighing(out: Path) -> Iterator[Path]:
+    """`whole_folder` that raises UserError if it cannot be written."""
     try:
         with whole_folder(out.absolute()) as unfinished:
             yield unfinished
@@ -138,42 +190,71 @@ def _whole(out: Path) -> Iterator[Path]:
         ) from error
 
 
-def _data(path: Path) -> str | None:
+def rows_digest(data: OrderedData) -> str:
+    """A digest of the rows of `data`, eight characters."""
+    packed = data.transitions.packed().numpy()
+    return hashlib.sha256(packed.tobytes()).hexdigest()[:8]
+
+
+def _write_rows(folder: Path, data: OrderedData) -> None:
+    rows, version = data.transitions.numpy(), data.policy_version.numpy()
+    width = 4 * (2 * np.shape(rows.obs)[1] + np.shape(rows.action)[1] + 5)
+    at_once = max(SEGMENT_BYTES // width, 1)
+    (folder / layout.segment(0)).parent.mkdir()
+    for first in range(0, len(rows), at_once):
+        part = slice(first, first + at_once)
+        arrays = decode.transition_arrays(rows[part], version[part])
+        np.savez(folder / layout.segment(first), allow_pickle=False, **arrays)
+    # Readers of runs find the task there.
+    assert data.env is not None
+    said = {"schema": layout.SCHEMA, "env": data.env, "task": description(data.env)}
+    # For those who weigh these rows from here.
+    said |= {"data": data.name, "ordered_from": data.ordered_from}
+    replace_json(folder / layout.CONFIG, said, sync=False)
+    save_scene(data.env, folder)
+
+
+def _report(path: Path) -> dict[str, Any] | None:
     try:
         report = read_json(path / REPORT)
     except (OSError, ValueError):
         return None
-    return str(report["data"]) if report.keys() >= NEEDED else None
+    return report if report.keys() >= NEEDED else None
 
 
 def _read_weights(path: Path) -> dict[str, NDArray[np.float32]]:
-    """The weights of a weighing by learner and seed, without log ratios."""
+    """The weights of a weighing by learner and seed, without their terms."""
     try:
         table = read_table(path / WEIGHTS)
     except DAMAGE as error:
         raise UserError(f"weighing {path} cannot be read ({error}): move it away") from error
-    kept = [name for name in table if not name.endswith(LOG_RATIO)]
+    kept = [name for name in map(str, table) if name.rpartition("-s")[2].isdigit()]
     return {name: table[name].to_numpy() for name in kept}
 
 
-def write_weights(path: Path, found: Sequence[Weighed]) -> None:
-    """One float32 column for each learner and seed, a row a transition, oldest first."""
+def write_weights(path: Path, weighed: Sequence[Weighed]) -> None:
+    """One float32 column for each learner and seed, one row per transition, oldest first.
+
+    If a learner has terms, they are further columns (`LEARNER-sSEED-TERM`).
+    """
     columns: dict[str, NDArray[np.float32]] = {}
-    for one in found:
+    for one in weighed:
         columns[f"{one.learner}-s{one.seed}"] = one.weights
         if one.log_ratio is not None:
             columns[f"{one.learner}-s{one.seed}{LOG_RATIO}"] = one.log_ratio
+        for name, term in one.terms.items():
+            columns[f"{one.learner}-s{one.seed}-{name}"] = term
     pq.write_table(
         pa.table(columns), path, compression="zstd", use_dictionary=False,
         use_byte_stream_split=True,
     )  # fmt: skip
 
 
-def write_profiles(path: Path, found: Sequence[Weighed], bins: int) -> None:
-    """A line for each learner, seed and bin (0 is the oldest): its mean weight."""
+def write_profiles(path: Path, weighed: Sequence[Weighed], bins: int) -> None:
+    """One line for each learner, seed and bin (0 is the oldest) with the mean weight."""
     with path.open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["learner", "seed", "bin", "mean_weight"])
-        for one in found:
+        for one in weighed:
             for number, mean in enumerate(bin_means(one.weights, bins).tolist()):
                 table.writerow([one.learner, one.seed, number, f"{mean:.6g}"])

@@ -1,1 +1,1 @@
-"""Road-and-rocks (paper, section 5.1): the task and all that is only for it."""
+"""Road-and-rocks (paper, section 5.1): the task and all code that is specific to it."""

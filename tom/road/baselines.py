@@ -1,4 +1,4 @@
-"""Weightings to hold a learner against on road-and-rocks, where one knows who drove."""
+"""Baseline weightings on road-and-rocks, where the collecting policy of each row is known."""
 
 from collections.abc import Callable
 
@@ -21,18 +21,18 @@ def expert_only(data: OfflineData, context: FitContext, config: TomConfig) -> We
 
 
 def footprint_only(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
-    """The one trajectory that TOM is told is the policy's, and nothing else."""
+    """Only the trajectory that TOM gets as the policy's footprint."""
     return _among(data.footprint)
 
 
 def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) -> Weighting:
-    """A control, not a rival: TOM with the discriminator's labels swapped, which negates r."""
+    """A control: TOM with the discriminator's labels swapped, which negates r."""
     log_ratio, metrics = discriminate(context, config)
     replay, generator = context.replay, context.generator
     scaling = Scaling.of((replay.obs, replay.action))
     problem = DualProblem(replay, -log_ratio, context.initial_obs, context.policy, config, scaling)
     q = QFunction(q_net(*_dims(context), config, generator), config)
-    net, _ = problem.minimise(q, generator)
+    net = problem.minimise(q, generator).net
     raw, _ = problem.solution(net, generator)
     weights, _ = normalise(raw)
     return Weighting(weights, log_ratio=-log_ratio, metrics=metrics)

@@ -1,4 +1,4 @@
-"""Road-and-rocks: what weights and a model are judged by, and the pictures of a record."""
+"""Road-and-rocks: metrics of weights and models, and the pictures in a record."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ SHOWN = 10  # trajectories of each kind in a record
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Fresh transitions of the task that no model was fitted to."""
+    """Fresh transitions of the task, to which no model was fitted."""
 
     expert: TensorTransitions
     on_road: TensorTransitions  # random actions
@@ -33,7 +33,7 @@ class HeldOut:
 
 
 def held_out(road_map: task.RoadMap, generator: torch.Generator) -> HeldOut:
-    """Draws of the real task to measure a model's one-step errors on."""
+    """Draws from the real task for a model's one-step errors."""
     expert = offline_data.drive(
         road_map, offline_data.noisy_expert(generator), TEST_TRAJECTORIES, generator
     )
@@ -55,7 +55,7 @@ def position_error(model: LinearModel, rows: TensorTransitions) -> float:
 
 
 def model_errors(model: LinearModel, test: HeldOut) -> dict[str, float]:
-    """One-step errors, in full steps; the task's noise alone makes 0.07."""
+    """One-step errors, in full steps; the task's noise alone gives 0.07."""
     return {
         "model/error_expert": position_error(model, test.expert),
         "model/error_road": position_error(model, test.on_road),
@@ -64,9 +64,9 @@ def model_errors(model: LinearModel, test: HeldOut) -> dict[str, float]:
 
 
 def weight_shares(data: OfflineData, weights: Tensor) -> dict[str, float]:
-    """Where the weight lies: its share on the road, and road over rocks on random rows alone.
+    """The share of weight on the road, and the ratio of road to rocks among random rows.
 
-    The ratio is not a number where no random row on the rocks has weight (footprint-only).
+    The ratio is NaN if no random row on the rocks has weight (footprint-only).
     """
     inside = task.on_road(data.rows.obs)
     mean_road = float(weights[inside & ~data.expert].mean())
@@ -85,7 +85,7 @@ def returns(episodes: Sequence[Episode]) -> tuple[float, float]:
 
 
 def reference_returns(road_map: task.RoadMap, generator: torch.Generator) -> dict[str, float]:
-    """What uniform actions and the noisy expert earn on this map."""
+    """The returns of uniform actions and of the noisy expert on this map."""
     steerings = {
         "random": offline_data.random_steering(generator),
         "expert": offline_data.noisy_expert(generator),
@@ -103,7 +103,7 @@ def plan(model: LinearModel, discount: float) -> Steering:
     return Planner(model.next_obs, task.reward, task.at_goal, discount).steering()
 
 
-# Pictures: the arrays that docs/run-folder.md names
+# Pictures: arrays described in docs/run-folder.md
 
 
 def map_field(road_map: task.RoadMap) -> dict[str, NDArray]:
@@ -119,7 +119,7 @@ def map_field(road_map: task.RoadMap) -> dict[str, NDArray]:
 
 
 def model_field(road_map: task.RoadMap, model: LinearModel) -> dict[str, NDArray]:
-    """Real and modelled displacements where the expert's action is taken, on a grid of points."""
+    """Real and modelled displacements under the expert's action, on a grid of points."""
     axis = (torch.arange(FIELD_POINTS) + 0.5) / FIELD_POINTS
     points = torch.cartesian_prod(axis, axis)
     action = task.expert_action(points)

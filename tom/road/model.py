@@ -1,4 +1,4 @@
-"""The dynamics model of road-and-rocks: a linear one, with what is known of the task."""
+"""The dynamics model of road-and-rocks: linear, with known bounds and reward."""
 
 import torch
 from torch import Tensor
@@ -10,7 +10,7 @@ from tom.road import task
 
 
 class RoadModel:
-    """A linear model of the car; that the square has bounds, and the reward, need not be learnt."""
+    """A linear model of the car; the bounds of the square and the reward are known."""
 
     def __init__(self, linear: LinearModel) -> None:
         self.linear = linear
@@ -28,6 +28,6 @@ class RoadModel:
 
 
 def fit_linear(rows: TensorTransitions, weighting: Weighting) -> LinearModel:
-    """The weighted fit; by dimension where the learner weighs dimensions."""
+    """The weighted fit; per dimension if the learner weighs dimensions."""
     by_dim = weighting.per_dim
     return LinearModel.fit(rows, weighting.weights if by_dim is None else by_dim)

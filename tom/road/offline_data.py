@@ -31,9 +31,9 @@ def transition(obs: Tensor, action: Tensor, next_obs: Tensor) -> TensorTransitio
 
 
 def random_walks(road_map: RoadMap, rows: int, generator: torch.Generator) -> TensorTransitions:
-    """`rows` transitions of walks of 20 uniform actions from uniform starts, walk after walk.
+    """`rows` transitions of walks of 20 uniform actions from uniform starts, in order.
 
-    A walk that reaches the goal goes on from a fresh start; the last step of a walk is truncated.
+    A walk that reaches the goal continues from a new start; its last step is truncated.
     """
     walks = -(-rows // WALK_STEPS)
     obs = torch.rand(walks, task.OBS_DIM, generator=generator)
@@ -57,7 +57,7 @@ def _stack_by_walk(steps: list[TensorTransitions]) -> TensorTransitions:
 
 
 def noisy_expert(generator: torch.Generator) -> Steering:
-    """The demonstrator: the expert's steering with action noise, within bounds."""
+    """The demonstrator: the expert's steering with bounded action noise."""
 
     def steer(obs: Tensor) -> Tensor:
         noise = EXPERT_NOISE * torch.randn(obs.shape, generator=generator)
@@ -75,7 +75,7 @@ def random_steering(generator: torch.Generator) -> Steering:
 def drive(
     road_map: RoadMap, steer: Steering, episodes: int, generator: torch.Generator
 ) -> list[Episode]:
-    """Episodes of a policy in the real task, all side by side, 80 steps at most."""
+    """Episodes of a policy in the real task, in parallel, with at most 80 steps."""
     obs = [task.start_states(episodes, generator)]
     actions: list[Tensor] = []
     for _ in range(task.MAX_STEPS):
@@ -112,7 +112,7 @@ def episode_rows(episode: Episode) -> TensorTransitions:
 
 @dataclass(frozen=True)
 class OfflineData:
-    """A map and what was recorded on it, in the order of storage."""
+    """A map and the data recorded on it, in the order of storage."""
 
     road_map: RoadMap
     rows: TensorTransitions  # N

@@ -1,6 +1,6 @@
-"""Planning in a learnt model by value iteration on a grid over the unit square, reward known.
+"""Planning in a learnt model by value iteration on a grid over the unit square, with known reward.
 
-Cheap and free of optimisation noise: what it earns in the real task judges the model alone.
+It is cheap and has no optimisation noise, so its return in the real task measures only the model.
 """
 
 from collections.abc import Callable
@@ -15,16 +15,16 @@ Judge = Callable[[Tensor], Tensor]
 """A number or flag (B,) of each next_obs (B, 2)."""
 
 GRID = 51
-"""values are kept at GRID x GRID states and interpolated between them"""
+"""values are computed at GRID x GRID states and interpolated between them"""
 LEVELS = 9
-"""values of each action dimension that are tried"""
+"""number of values tried in each action dimension"""
 SWEEPS = 400
 TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
 class Corners:
-    """Bilinear interpolation at (B,) states: four values of the grid and their shares."""
+    """Bilinear interpolation at B states: four points of the grid and their shares."""
 
     index: Tensor  # (4, B)
     share: Tensor  # (4, B)
@@ -45,7 +45,7 @@ class Corners:
 
 @dataclass(frozen=True)
 class Planner:
-    """A model, what is known of the task, and the discount."""
+    """A model, the known parts of the task, and the discount."""
 
     predict: Predict
     reward: Judge

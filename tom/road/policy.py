@@ -1,7 +1,7 @@
-"""SAC for road-and-rocks: its networks read positions centred and spread.
+"""SAC for road-and-rocks, whose networks read centred and scaled positions.
 
-On raw positions in the unit square the networks see too little difference between road and
-rocks: SAC needs several times the updates.
+Raw positions in the unit square differ too little between road and rocks: SAC then needs several
+times the updates.
 """
 
 from dataclasses import replace

@@ -1,8 +1,8 @@
-"""Road-and-rocks: a car on a road that runs through rocks (paper, section 5.1).
+"""Road-and-rocks: a car on a road through rocks (paper, section 5.1).
 
-The map is the unit square. On the road an action moves the car as it should; on the rocks it is
-turned and scaled, differently in each cell of a grid. Everything here is a pure function of
-batches of positions (B, 2) and actions (B, 2).
+The map is the unit square. On the road the car moves by the action; on the rocks the action is
+turned and scaled, differently in each cell of a grid. All functions here are pure, of batches of
+positions (B, 2) and actions (B, 2).
 """
 
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ from torch import Tensor
 
 CENTRE_LINE = ((0.10, 0.12), (0.88, 0.12), (0.88, 0.90))
 HALF_WIDTH = 0.09
-"""the road is all that lies within this of the centre line"""
+"""maximum distance of the road from its centre line"""
 START_RADIUS = 0.02
 GOAL_RADIUS = 0.07
 STEP = 0.04
 """displacement under an action of 1: a full step"""
 NOISE = 0.002
-"""standard deviation of the displacement's noise, each axis"""
+"""standard deviation of the displacement's noise in each axis"""
 LOOKAHEAD = 0.05
-"""how far along the centre line the expert aims"""
+"""distance along the centre line at which the expert aims"""
 CELLS = 10
 """the rocks' grid is CELLS x CELLS"""
 MAX_STEPS = 80
@@ -62,13 +62,13 @@ def project(obs: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def point_at(arc: Tensor) -> Tensor:
-    """The point (B, 2) of the centre line at arc length (B,); its ends beyond them."""
+    """The point (B, 2) of the centre line at arc length (B,), clamped to its ends."""
     share = ((arc[:, None] - _OFFSETS) / _LENGTHS).clamp(0, 1)  # (B, P - 1)
     return _LINE[0] + (share[..., None] * _SEGMENTS).sum(1)
 
 
 def on_road(obs: Tensor) -> Tensor:
-    """True (B,) where a position is on the road."""
+    """A mask (B,) of the positions on the road."""
     return project(obs)[1] <= HALF_WIDTH
 
 
@@ -95,7 +95,7 @@ def reward(next_obs: Tensor) -> Tensor:
 
 
 def at_goal(next_obs: Tensor) -> Tensor:
-    """True (B,) where the goal is reached, which ends the episode."""
+    """A mask (B,) of the positions at the goal, which ends the episode."""
     return (next_obs - GOAL).norm(dim=-1) <= GOAL_RADIUS
 
 
@@ -107,7 +107,7 @@ def start_states(count: int, generator: torch.Generator) -> Tensor:
 
 
 def expert_aim(obs: Tensor) -> Tensor:
-    """Towards the point of the centre line LOOKAHEAD on, in full steps (B, 2): beyond bounds."""
+    """The vector (B, 2) to the centre line's point LOOKAHEAD ahead, in full steps, unclipped."""
     arc, _ = project(obs)
     return (point_at(arc + LOOKAHEAD) - obs) / STEP
 

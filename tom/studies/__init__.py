@@ -1,1 +1,1 @@
-"""What `tom reproduce` computes and draws: a claim of the paper a file, its figure beside it."""
+"""The studies of `tom reproduce`: one module per claim of the paper, one for its figure."""

@@ -1,7 +1,7 @@
-"""Where does weighting pay? Models of growing capacity, fitted by every way of weighing.
+"""When does weighting help? Models of growing capacity, fitted with every way of weighing.
 
-Weights for a shifted distribution pay where a model is too small for the whole buffer (Shimodaira
-2000), and fade where a network fits everything (Byrd and Lipton 2019).
+Weights for a shifted distribution help if a model is too small for the whole buffer (Shimodaira
+2000), and have little effect if a network fits everything (Byrd and Lipton 2019).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,20 +18,20 @@ AHEAD: Mapping[Ahead, str] = {"error": "one step", "rollout_error": "five steps"
 Key = tuple[str, int, int, str]  # recording, step, seed, model
 
 
-def ratios(found: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome, str, float]]:
-    """(outcome, model, error over that of uniform weights at the same moment under the seed)."""
-    base = {key: value for one, key, value in _errors(found, ahead) if one.way == UNIFORM}
-    for one, key, value in _errors(found, ahead):
+def ratios(outcomes: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome, str, float]]:
+    """(outcome, model, error relative to uniform weights at the same moment and seed)."""
+    base = {key: value for one, key, value in _errors(outcomes, ahead) if one.way == UNIFORM}
+    for one, key, value in _errors(outcomes, ahead):
         if one.way != UNIFORM and key in base:
             yield one, key[3], value / base[key]
 
 
-def summary(found: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """A row for each way and model: median ratio with its range, and how often it is below 1."""
+def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """One row for each way and model: the median ratio, its range, and how often it is below 1."""
     rows = []
-    values = {ahead: list(ratios(found, ahead)) for ahead in AHEAD}
-    for way in dict.fromkeys(one.way for one in found if one.way != UNIFORM):
-        for model in dict.fromkeys(error.model for one in found for error in one.errors):
+    values = {ahead: list(ratios(outcomes, ahead)) for ahead in AHEAD}
+    for way in dict.fromkeys(one.way for one in outcomes if one.way != UNIFORM):
+        for model in dict.fromkeys(error.model for one in outcomes for error in one.errors):
             row: dict[str, Any] = {"way": way, "model": model}
             for ahead, name in AHEAD.items():
                 of = [r for one, m, r in values[ahead] if one.way == way and m == model]
@@ -41,13 +41,13 @@ def summary(found: Sequence[Outcome]) -> list[dict[str, Any]]:
                     f"{name}, high": float(np.quantile(of, 0.75)),
                     f"{name}, below 1": sum(r < 1 for r in of) / len(of),
                 }
-            rows.append(row | {"n": sum(one.way == way for one in found)})
+            rows.append(row | {"n": sum(one.way == way for one in outcomes)})
     return rows
 
 
-def verdict(found: Sequence[Outcome]) -> list[str]:
-    """For each model the way that errs least, and whether more than noise lies between."""
-    rows, said = summary(found), []
+def verdict(outcomes: Sequence[Outcome]) -> list[str]:
+    """For each model the way with the lowest error, and whether the difference exceeds noise."""
+    rows, said = summary(outcomes), []
     for model in dict.fromkeys(row["model"] for row in rows):
         here = sorted((r for r in rows if r["model"] == model), key=lambda row: row["one step"])
         best, most = here[0], here[-1]
@@ -62,8 +62,8 @@ def verdict(found: Sequence[Outcome]) -> list[str]:
     return said
 
 
-def _errors(found: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome, Key, float]]:
-    for one in found:
+def _errors(outcomes: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome, Key, float]]:
+    for one in outcomes:
         for error in one.errors:
             key = (one.recording, one.step, one.seed, error.model)
             yield one, key, getattr(error, ahead)

@@ -1,4 +1,4 @@
-"""Error over that of uniform weights against the capacity of the model."""
+"""Error relative to uniform weights against the capacity of the model."""
 
 from collections.abc import Sequence
 from statistics import median
@@ -18,21 +18,21 @@ LINES = ("-", "--", ":", "-.")
 SPREAD = 0.09  # between the ways at one model
 
 
-def capacity_figure(found: Sequence[Outcome]) -> Figure:
-    """One step and five steps ahead: median over moments, bars over their middle half."""
+def capacity_figure(outcomes: Sequence[Outcome]) -> Figure:
+    """Errors one step and five steps ahead: median over moments, bars over the middle half."""
     with rc_context(STYLE):
         figure = new_figure(9.0, 3.4)
         axes = figure.subplots(1, len(AHEAD), sharey=True)
         for ax, (ahead, name) in zip(axes, AHEAD.items(), strict=True):
-            _draw(ax, found, ahead)
+            _draw(ax, outcomes, ahead)
             ax.set_title(f"{name} ahead")
         axes[0].set_ylabel("error over that of uniform weights")
         axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
-def _draw(ax: Axes, found: Sequence[Outcome], ahead: Ahead) -> None:
-    values = list(ratios(found, ahead))
+def _draw(ax: Axes, outcomes: Sequence[Outcome], ahead: Ahead) -> None:
+    values = list(ratios(outcomes, ahead))
     models = [model for model in MODELS if any(m == model for _, m, _ in values)]
     ways = [way for way in WAYS if any(one.way == way for one, _, _ in values)]
     drawn: dict[str, int] = {}  # lines of each learner so far

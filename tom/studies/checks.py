@@ -1,11 +1,11 @@
-"""What a study is held against: one figure, its bound, and whether it is met."""
+"""The acceptance of a study: a number, its bound, and whether it is met."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Check:
-    """One figure of an acceptance and the bound it is held against."""
+    """One number of an acceptance and its bound."""
 
     name: str
     value: float
@@ -14,10 +14,10 @@ class Check:
 
 
 def at_least(name: str, value: float, bound: float) -> Check:
-    """Met where `value` is `bound` or more; NaN never is."""
+    """Met if `value` is at least `bound`; never for NaN."""
     return Check(name, float(value), f">= {bound:g}", bool(value >= bound))
 
 
 def at_most(name: str, value: float, bound: float) -> Check:
-    """Met where `value` is `bound` or less; NaN never is."""
+    """Met if `value` is at most `bound`; never for NaN."""
     return Check(name, float(value), f"<= {bound:g}", bool(value <= bound))

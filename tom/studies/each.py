@@ -1,7 +1,7 @@
-"""The cases of a study, each in a process of its own and kept on disk: a stopped study goes on.
+"""Run the cases of a study, each in its own process; outcomes are stored, so a study can resume.
 
-What was computed is found again by the case, the code and the packages that computed it, so an
-outcome of other code is never taken for this one's.
+An outcome is stored under a key of the case, the code and the package versions, so that an outcome
+of other code is never used.
 """
 
 import os
@@ -16,7 +16,7 @@ from typing import TypeVar, get_type_hints
 import torch
 
 from tom.machine.matmul import choose_matmul
-from tom.machine.parent import end_with_parent
+from tom.machine.processes import end_with_parent
 from tom.record.versions import versions
 from tom.studies.outcomes import load, save
 
@@ -31,27 +31,27 @@ def each(
 ) -> Iterator[Outcome]:
     """`work(case)` of every case in order, `jobs` at a time, in single-threaded processes.
 
-    `work` is a function of a module that says what it returns, a dataclass of primitives, arrays
-    and dataclasses; `repr(case)` says all that decides the outcome. Whatever
-    is finished lies in `out/cases` at once, and is taken from there by the next call. Processes
-    that still run when the caller stops, or is killed, are ended.
+    `work` is a module's function with an annotated return type, a dataclass of primitives, arrays
+    and dataclasses; `repr(case)` must determine the outcome. Finished outcomes are stored in
+    `out/cases` at once, and the next call reads them. Running processes end when the caller stops
+    or is killed.
     """
     folder = out / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     code = code_hash()
     paths = [folder / f"{_name(work, case, code)}.pt" for case in cases]
     kind = get_type_hints(work)["return"]
-    found = {path: load(path, kind) for path in paths}
+    stored = {path: load(path, kind) for path in paths}
     others = set(active_children())
     pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare, (os.getpid(),))
     try:
         ahead = {
             path: pool.submit(_keep, work, case, path)
             for path, case in zip(paths, cases, strict=True)
-            if found[path] is None
+            if stored[path] is None
         }
         for path in paths:
-            yield ahead[path].result() if path in ahead else found[path]
+            yield ahead[path].result() if path in ahead else stored[path]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in set(active_children()) - others:
@@ -59,12 +59,12 @@ def each(
 
 
 def code_hash() -> str:
-    """What decides an outcome beside its case: this package's files, and versions of others."""
-    found = sha256(repr(versions()).encode())
+    """A hash of what affects an outcome besides its case: this package's files and versions."""
+    digest = sha256(repr(versions()).encode())
     root = Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
-        found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return found.hexdigest()
+        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _name(work: Callable[[Case], Outcome], case: Case, code: str) -> str:
@@ -80,8 +80,8 @@ def _keep(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
 
 def _prepare(parent: int) -> None:
     end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's, who ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles Ctrl-C and ends this process
     if os.getppid() != parent:
-        raise SystemExit  # it was killed before it could be told
+        raise SystemExit  # the caller was killed before
     torch.set_num_threads(1)
     choose_matmul()

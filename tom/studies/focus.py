@@ -1,8 +1,8 @@
-"""Does weighting help the model where the policy goes? One buffer, one policy, several learners.
+"""Does weighting improve the model where the policy goes? One buffer, one policy, several learners.
 
-Each learner weighs the replay buffer of a SAC recording (random half, ordered half) for the policy
-that SAC ended with; the paper's model is fitted with those weights, afresh; its error is measured
-on transitions that the policy makes anew, and on the two halves of the buffer.
+Each learner weighs the replay buffer of a SAC recording (random half, ordered half) for SAC's final
+policy. The paper's model is fitted with those weights from new initial parameters. Its error is
+measured on fresh transitions of the policy, and on the two halves of the buffer.
 """
 
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ from tom.data.sampling import ess, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
-from tom.envs import MujocoTask, task
-from tom.exams.diagnostics import ROWS, one_step_error, rollout_error, unbroken
+from tom.envs import Task, task
+from tom.exams.diagnostics import ROWS, one_step_error, rollout_error, step_scale, unbroken
 from tom.learners import LEARNERS
 from tom.learners.base import Policy, Weighting
 from tom.policy.collect import footprint
@@ -33,18 +33,18 @@ from tom.training.presets import resolve
 
 Rival = Literal["mle", "pmac", "tom paper", "tom exact"]
 RIVALS: tuple[Rival, ...] = ("mle", "pmac", "tom paper", "tom exact")
-"""The learners compared; TOM with each of its presets."""
+"""the learners compared, TOM with each of its presets"""
 
 
 @dataclass(frozen=True)
 class Focus:
-    """How one learner's model errs, in standard deviations of a step's change over the buffer."""
+    """The errors of one learner's model, in standard deviations of a step's change."""
 
     recording: str
     rival: Rival
     seed: int
     ess: float  # effective sample size of the weights, share of the buffer
-    policy: float  # one step, transitions that the policy made anew
+    policy: float  # one step, fresh transitions of the policy
     policy_rollout: float  # five steps under the policy's actions, from its states
     ordered: float  # one step, uniform rows of the buffer's ordered half
     random: float  # one step, uniform rows of the random half
@@ -56,29 +56,29 @@ QUANTITIES = {
     "ordered": "the buffer's ordered half",
     "random": "the buffer's random half",
 }
-"""The errors of a `Focus` and what they are measured on."""
+"""the errors of a `Focus` and the data on which they are measured"""
 
 
 @dataclass(frozen=True)
 class Case:
     """One learner under one seed on one recording, with the model of a run's `preset`.
 
-    A seed draws the footprint that TOM is told about, the networks, the minibatches, and the
-    transitions that the models are tested on. Of these only the policy's own are new to every
-    learner; those of the buffer's two halves were there to be fitted to, all but the held-out ones.
+    A seed draws the footprint for TOM, the networks, the minibatches and the test transitions. Only
+    the policy's fresh transitions are new to every learner; the models were fitted to those of the
+    buffer's two halves, except the held-out ones.
     """
 
     recording: Path
     rival: Rival
     seed: int
     preset: str = "paper"
-    made: str = ""  # when: another recording in the same place is another case
+    made: str = ""  # time of creation: a new recording under the same path is another case
 
 
 def cases(
     runs: Sequence[RunReader], seeds: Sequence[int], rivals: Sequence[Rival] = RIVALS
 ) -> list[Case]:
-    """Every rival under every seed on every recording."""
+    """Every rival with every seed on every recording."""
     return [
         Case(run.path, rival, seed, made=run.created)
         for run in runs
@@ -98,11 +98,11 @@ def focus(case: Case) -> Focus:
     return Focus(f"{run.env}-s{run.seed}", case.rival, case.seed, of_weights, *errors)
 
 
-def summary(found: Sequence[Focus]) -> list[dict[str, str | float]]:
-    """Medians over seeds: a row for each recording and rival, errors as a share of MLE's too."""
+def summary(results: Sequence[Focus]) -> list[dict[str, str | float]]:
+    """Medians over seeds, one row per recording and rival, with errors relative to MLE's."""
     rows: list[dict[str, str | float]] = []
-    for recording in dict.fromkeys(f.recording for f in found):
-        here = [f for f in found if f.recording == recording]
+    for recording in dict.fromkeys(f.recording for f in results):
+        here = [f for f in results if f.recording == recording]
         for rival in dict.fromkeys(f.rival for f in here):
             of = [f for f in here if f.rival == rival]
             row: dict[str, str | float] = {"recording": recording, "rival": rival}
@@ -114,15 +114,15 @@ def summary(found: Sequence[Focus]) -> list[dict[str, str | float]]:
     return rows
 
 
-def verdict(found: Sequence[Focus]) -> list[str]:
-    """For each learner but MLE: where its model errs less than MLE's, and whether as claimed."""
-    rivals = dict.fromkeys(f.rival for f in found if f.rival != "mle")
-    return [_verdict(found, rival) for rival in rivals]
+def verdict(results: Sequence[Focus]) -> list[str]:
+    """For each learner except MLE: where its model is better than MLE's, and whether as claimed."""
+    rivals = dict.fromkeys(f.rival for f in results if f.rival != "mle")
+    return [_verdict(results, rival) for rival in rivals]
 
 
-def _verdict(found: Sequence[Focus], rival: str) -> str:
-    mle = {(f.recording, f.seed): f for f in found if f.rival == "mle"}
-    pairs = [(f, mle[f.recording, f.seed]) for f in found if f.rival == rival]
+def _verdict(results: Sequence[Focus], rival: str) -> str:
+    mle = {(f.recording, f.seed): f for f in results if f.rival == "mle"}
+    pairs = [(f, mle[f.recording, f.seed]) for f in results if f.rival == rival]
     ratios = {q: [getattr(f, q) / getattr(m, q) for f, m in pairs] for q in QUANTITIES}
     told = (
         f"{QUANTITIES[q]} {median(of):.2f} (less in {sum(r < 1 for r in of)} of {len(of)})"
@@ -139,7 +139,7 @@ def _verdict(found: Sequence[Focus], rival: str) -> str:
 
 
 def _ratio(of: Sequence[Focus], here: Sequence[Focus], quantity: str) -> float:
-    """Median over seeds of the error over MLE's under the same seed; NaN without MLE."""
+    """Median over seeds of the error relative to MLE's with the same seed; NaN without MLE."""
     mle = {f.seed: getattr(f, quantity) for f in here if f.rival == "mle"}
     ratios = [getattr(f, quantity) / mle[f.seed] for f in of if f.seed in mle]
     return median(ratios) if ratios else float("nan")
@@ -147,7 +147,7 @@ def _ratio(of: Sequence[Focus], here: Sequence[Focus], quantity: str) -> float:
 
 @dataclass(frozen=True)
 class _Tested:
-    """What every model of one seed is tested on."""
+    """The test data of all models of one seed."""
 
     policy: TensorTransitions
     ordered: TensorTransitions
@@ -155,14 +155,13 @@ class _Tested:
     scale: Tensor  # (O,)
 
 
-def _tested(data: OrderedData, policy: Policy, known: MujocoTask, seed: int) -> _Tested:
+def _tested(data: OrderedData, policy: Policy, known: Task, seed: int) -> _Tested:
     streams, rows, first = Streams(seed), data.transitions, data.ordered_from
     generator = streams.torch("focus")
     anew = footprint(known, policy, ROWS, streams.integer("focus env"), generator)
     ordered = first + uniform_indices(len(rows) - first, ROWS, generator)
     random = uniform_indices(first, ROWS, generator)
-    scale = (rows.next_obs - rows.obs).std(0, correction=0).clamp(min=1e-6)
-    return _Tested(anew.transitions.torch(), rows[ordered], rows[random], scale)
+    return _Tested(anew.transitions.torch(), rows[ordered], rows[random], step_scale(rows))
 
 
 def _config(env: str, rival: Rival, preset: str) -> OnlineConfig:
@@ -173,11 +172,11 @@ def _config(env: str, rival: Rival, preset: str) -> OnlineConfig:
     return config.but(tom=tom.model_dump())
 
 
-def _fitted(data: OrderedData, found: Weighed, config: OnlineConfig) -> DynamicsModel:
+def _fitted(data: OrderedData, weighed: Weighed, config: OnlineConfig) -> DynamicsModel:
     rows, streams = data.transitions, Streams(config.seed)
     dims = rows.obs.shape[1], rows.action.shape[1]
     model = make_model(*dims, config.model, streams.torch("model"))
-    weighting = Weighting(torch.from_numpy(found.weights), clipped=config.learner == "tom")
+    weighting = Weighting(torch.from_numpy(weighed.weights), clipped=config.learner == "tom")
     model.fit(rows, *weighting.for_fit(config.model), streams.torch("fit"))
     return model
 

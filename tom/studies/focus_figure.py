@@ -1,4 +1,4 @@
-"""Every learner's model error over MLE's, a panel for each recording."""
+"""Every learner's model error relative to MLE's, one panel per recording."""
 
 from collections.abc import Sequence
 
@@ -22,26 +22,26 @@ TICKS = {
 SPREAD = 0.18  # between the learners of one quantity
 
 
-def error_figure(found: Sequence[Focus]) -> Figure:
-    """One point a seed: the error as a share of MLE's under the same seed (1: no difference)."""
-    recordings = list(dict.fromkeys(f.recording for f in found))
+def error_figure(results: Sequence[Focus]) -> Figure:
+    """One point per seed: the error relative to MLE's with the same seed (1: no difference)."""
+    recordings = list(dict.fromkeys(f.recording for f in results))
     with rc_context(STYLE):
         figure = new_figure(2.9 * len(recordings) + 1.5, 2.8)
         axes = figure.subplots(1, len(recordings), squeeze=False, sharey=True)[0]
         for ax, name in zip(axes, recordings, strict=True):
-            _draw(ax, [f for f in found if f.recording == name])
+            _draw(ax, [f for f in results if f.recording == name])
             ax.set_title(name)
         axes[0].set_ylabel("model error over MLE's")
         axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
-def _draw(ax: Axes, found: Sequence[Focus]) -> None:
+def _draw(ax: Axes, results: Sequence[Focus]) -> None:
     ax.axhline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
-    mle = {f.seed: f for f in found if f.rival == "mle"}
-    rivals = [r for r in dict.fromkeys(f.rival for f in found) if r != "mle"]
+    mle = {f.seed: f for f in results if f.rival == "mle"}
+    rivals = [r for r in dict.fromkeys(f.rival for f in results) if r != "mle"]
     for shift, rival in enumerate(rivals):
-        of = [f for f in found if f.rival == rival]
+        of = [f for f in results if f.rival == rival]
         x = [
             q + SPREAD * (shift - (len(rivals) - 1) / 2) for q in range(len(QUANTITIES)) for _ in of
         ]

@@ -1,4 +1,4 @@
-"""How far each way of weighing is from the policy, a point a moment."""
+"""The distance of each way of weighing from the policy, one point per moment."""
 
 from collections.abc import Sequence
 from statistics import median
@@ -13,17 +13,17 @@ from tom.studies.footprint import UNIFORM
 from tom.studies.frozen import WAYS, Outcome
 
 
-def footprint_figure(found: Sequence[Outcome]) -> Figure:
-    """A panel for each task: distance to the policy over that of uniform weights, log axis."""
-    envs = list(dict.fromkeys(one.env for one in found))
-    ways = [way for way in WAYS if way != UNIFORM and any(one.way == way for one in found)]
+def footprint_figure(outcomes: Sequence[Outcome]) -> Figure:
+    """One panel per task: distance to the policy relative to uniform weights, log axis."""
+    envs = list(dict.fromkeys(one.env for one in outcomes))
+    ways = [way for way in WAYS if way != UNIFORM and any(one.way == way for one in outcomes)]
     with rc_context(STYLE):
         figure = new_figure(2.2 + 2.6 * len(envs), 0.7 + 0.24 * len(ways))
         axes = figure.subplots(1, len(envs), squeeze=False, sharey=True)[0]
         for ax, env in zip(axes, envs, strict=True):
             ax.axvline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
             for row, way in enumerate(reversed(ways)):
-                of = [max(o.footprint, 0.03) for o in found if (o.env, o.way) == (env, way)]
+                of = [max(o.footprint, 0.03) for o in outcomes if (o.env, o.way) == (env, way)]
                 colour = learner_colour(WAYS[way].learner or "")
                 ax.scatter(of, [row] * len(of), s=14, color=colour, alpha=0.55, linewidths=0)
                 if of:

@@ -1,9 +1,9 @@
-"""Frozen buffers: what each way of weighing makes of a buffer as it stood at a fit of a run.
+"""Frozen buffers: every way of weighing applied to a run's buffer as it was at one of its fits.
 
-A moment is the replay buffer of a run at a fit, and the policy of that fit, which the run kept.
-Online, learners differ in policy, data and model at once; at a moment they differ in their weights
-alone. The learner is told what it is told online, the newest transitions of a policy that has
-moved on since; it is judged by episodes that the policy of that fit makes anew.
+A moment is the replay buffer of a run at a fit, with the stored policy of that fit. Online,
+learners differ in policy, data and model at once; at a moment they differ only in their weights.
+The learner gets the same information as online, the newest transitions of a changing policy; it is
+tested on fresh episodes of the policy of that fit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from tom.analysis.ordered_data import OrderedData, of_run
 from tom.config import OnlineConfig
@@ -22,7 +21,7 @@ from tom.data.sampling import ess
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.envs import task
-from tom.exams.diagnostics import one_step_error, rollout_error, unbroken
+from tom.exams.diagnostics import one_step_error, rollout_error, step_scale, unbroken
 from tom.exams.energy import footprint_match, step_scaling
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting
@@ -33,12 +32,12 @@ from tom.rng import Streams
 from tom.training.presets import resolve
 
 NEWEST = 1000  # rows of the policy buffer
-RANDOM = 5000  # random rows before those of a recording of SAC, as many as a training explores
+RANDOM = 5000  # random rows before those of a SAC recording, as in a training's exploration
 
 
 @dataclass(frozen=True)
 class Way:
-    """A way of weighing: a learner with settings on top of a preset; None: the newest rows."""
+    """A way of weighing: a learner with a preset and settings; None: only the newest rows."""
 
     learner: str | None
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -71,7 +70,7 @@ WAYS: dict[str, Way] = {
     "tom-mended": Way("tom", preset="mended"),
     "half-tom-mended": Way("tom", HALF, preset="mended"),
 }
-"""Half: mixed half and half with uniform weights. Q starts afresh in all but the recorded run."""
+"""half: mixed half and half with uniform weights; Q starts anew except in the recorded run"""
 
 MODELS: dict[str, Mapping[str, Any]] = {
     "linear": {"kind": "linear"},
@@ -79,25 +78,25 @@ MODELS: dict[str, Mapping[str, Any]] = {
     "32 x 2": {"hidden": 32, "layers": 2},
     "200 x 4": {"hidden": 200, "layers": 4},
 }
-"""Models of growing capacity, the last one the paper's; networks are mixture density networks."""
+"""models of growing capacity, the last one the paper's; networks are mixture density networks"""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One way of weighing at one moment, under one seed; `models` are fitted by those weights."""
+    """One way of weighing at one moment with one seed; `models` are fitted with those weights."""
 
     run: Path
     step: int
     way: str
     seed: int = 0
     models: tuple[str, ...] = ()
-    rows: int = 6000  # transitions that the policy makes anew
-    made: str = ""  # when the run was: another one in the same place is another case
+    rows: int = 6000  # fresh transitions of the policy
+    made: str = ""  # time of creation: a new run under the same path is another case
 
 
 @dataclass(frozen=True)
 class ModelError:
-    """How a model errs on the policy's new steps, in standard deviations of a step's change."""
+    """A model's errors on fresh steps of the policy, in standard deviations of a step's change."""
 
     model: str
     error: float  # one step ahead
@@ -106,7 +105,7 @@ class ModelError:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case. Footprints as `footprint_match` gives them, of the fit's weights."""
+    """The result of a case. Footprints are those of `footprint_match` for the fit's weights."""
 
     recording: str
     env: str
@@ -115,7 +114,7 @@ class Outcome:
     seed: int
     ess: float
     ends: float  # share of the weight on transitions that end an episode in a terminal state
-    ends_policy: float  # their share of what the policy does
+    ends_policy: float  # their share of the policy's transitions
     footprint: float
     footprint_uniform: float
     footprint_noise: float
@@ -123,7 +122,7 @@ class Outcome:
 
 
 def moments(run: RunReader, most: int) -> list[int]:
-    """The fits, `most` at most and evenly spread, at which a run kept its policy on policy."""
+    """At most `most` fits, evenly spread, whose policy was stored, after the policy was in use."""
     settings = run.config["config"]
     first = int(settings["exploration_steps"]) + NEWEST
     if not run.fits_model:
@@ -142,7 +141,7 @@ def cases(
     models: Sequence[str] = (),
     rows: int = 6000,
 ) -> list[Case]:
-    """Every way under every seed at every moment of every run."""
+    """Every way with every seed at every moment of every run."""
     return [
         Case(run.path, step, way, seed, tuple(models), rows, run.created)
         for run in runs
@@ -153,7 +152,7 @@ def cases(
 
 
 def examined(case: Case) -> Outcome:
-    """Weigh the moment's buffer, and judge the weights and the models fitted by them."""
+    """Weigh the moment's buffer, and test the weights and the models fitted with them."""
     run, way = RunReader(case.run), WAYS[case.way]
     data, policy = _buffer(run, case.step), read_policy(case.run / layout.policy(case.step))
     config = _config(run, way, case.seed)
@@ -180,7 +179,7 @@ def examined(case: Case) -> Outcome:
 
 
 def _buffer(run: RunReader, step: int) -> OrderedData:
-    """The replay buffer of a training at `step`, or what stands for one in a recording of SAC."""
+    """The replay buffer of a training at `step`, or its counterpart in a recording of SAC."""
     if run.fits_model:
         return of_run(run, step)
     data = of_run(run)
@@ -204,7 +203,7 @@ def _config(run: RunReader, way: Way, seed: int) -> OnlineConfig:
 def _weighting(
     data: OrderedData, policy: StoredPolicy, config: OnlineConfig, newest: bool
 ) -> Weighting:
-    """The weights as a fit online would have them, all networks started afresh."""
+    """The weights of an online fit, with newly initialised networks."""
     rows, streams = data.transitions, Streams(config.seed)
     if newest:
         weights = torch.zeros(len(rows))
@@ -236,14 +235,9 @@ def _error(
     streams, settings = Streams(config.seed), config.model.but(**MODELS[name])
     model = make_model(rows.obs.shape[1], rows.action.shape[1], settings, streams.torch("model"))
     model.fit(rows, *weighting.for_fit(settings), streams.torch("fit"))
-    scale = _step_scale(rows)
+    scale = step_scale(rows)
     return ModelError(
         name,
         one_step_error(model, anew, scale),
         rollout_error(model, anew, unbroken(anew), scale),
     )
-
-
-def _step_scale(rows: TensorTransitions) -> Tensor:
-    """Standard deviation of a step's change in each dimension over the buffer, (O,)."""
-    return (rows.next_obs - rows.obs).std(0, correction=0).clamp(min=1e-6)

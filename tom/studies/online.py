@@ -1,7 +1,7 @@
-"""Where the weights lie in the replay buffer as a run goes on (the paper's appendix D).
+"""The distribution of weights over the replay buffer during a run (the paper's appendix D).
 
-One run for each environment and learner: the longest. Fits before the learner began to weigh,
-whose weights are all one, are left out; so is MLE, which never does.
+For each environment and learner the longest run is used. Fits with uniform weights, before the
+learner begins to weigh, are left out, and so is MLE, which never weighs.
 """
 
 from collections.abc import Sequence
@@ -16,13 +16,13 @@ from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.record import RunReader
 
 STEPS = 5
-UNIFORM = 0.999  # effective share of the buffer from which weights count as uniform
+UNIFORM = 0.999  # effective sample size (share) from which weights count as uniform
 NEWEST = 0.1
-EVEN = 0.1  # share of the weight that must lie otherwise for a profile to say anything
+EVEN = 0.1  # excess below which a profile counts as even
 
 
 @dataclass(frozen=True)
-class Panel:
+class RunProfiles:
     """The weight profiles of one run at F fits: `bins` (F, bins), oldest transitions first."""
 
     run: RunReader
@@ -43,13 +43,13 @@ class Panel:
 
     @property
     def excess_newest(self) -> NDArray[np.float64]:
-        """How much of the excess lies on the newest tenth, (F,): a share, 0 without any."""
+        """The share of the excess on the newest tenth, (F,); 0 without excess."""
         above = self._above()
         newest = above[:, -round(above.shape[1] * NEWEST) :].sum(1)
         return newest / np.maximum(above.sum(1), np.finfo(float).tiny)
 
     def _above(self) -> NDArray[np.float64]:
-        """What each bin has above its even share of all weight, (F, bins)."""
+        """The weight of each bin above its even share, (F, bins)."""
         share = self.bins / np.nansum(self.bins, 1, keepdims=True)
         even = 1 / np.isfinite(self.bins).sum(1, keepdims=True)
         return np.nan_to_num(np.maximum(share - even, 0))
@@ -60,19 +60,19 @@ class Panel:
         return np.nanargmax(self.bins, 1) / self.bins.shape[1]
 
 
-def panels(runs: Sequence[RunReader], preset: str) -> list[Panel]:
+def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
     """The longest run of each environment and learner that weighed, in the registry's order."""
     longest: dict[tuple[str, str], RunReader] = {}
     for run in sorted(runs, key=lambda run: (run.status.env_step, run.created)):
         if run.config.get("preset") == preset:
             longest[run.env, run.learner] = run
     pairs = [(env, name) for env in ENVS for name in LEARNER_NAMES if (env, name) in longest]
-    found = [_panel(longest[pair]) for pair in pairs]
-    return [panel for panel in found if panel is not None]
+    every = [_panel(longest[pair]) for pair in pairs]
+    return [panel for panel in every if panel is not None]
 
 
-def rows(found: Sequence[Panel]) -> list[dict[str, Any]]:
-    """A row a profile: where its weight lies."""
+def rows(panels: Sequence[RunProfiles]) -> list[dict[str, Any]]:
+    """One row per profile: where its weight is."""
     return [
         {
             "env": panel.run.env,
@@ -84,20 +84,20 @@ def rows(found: Sequence[Panel]) -> list[dict[str, Any]]:
             "ess": float(panel.ess[i]),
             "run": panel.run.run_id,
         }
-        for panel in found
+        for panel in panels
         for i in range(len(panel.env_step))
     ]
 
 
-def verdict(found: Sequence[Panel]) -> list[str]:
-    """For each learner, how much of its weight lies elsewhere than at the buffer's newest end.
+def verdict(panels: Sequence[RunProfiles]) -> list[str]:
+    """For each learner, how much of its weight is not at the newest end of the buffer.
 
-    Even weights would lie elsewhere, too. So the paper's words are held against profiles that are
-    not even, and against what these have above even weights.
+    That is also true of even weights. So the paper's claim is tested on profiles that are not even,
+    and on their excess over even weights.
     """
     lines = []
-    for name in dict.fromkeys(panel.run.learner for panel in found):
-        own = [panel for panel in found if panel.run.learner == name]
+    for name in dict.fromkeys(panel.run.learner for panel in panels):
+        own = [panel for panel in panels if panel.run.learner == name]
         share = np.concatenate([panel.share_newest for panel in own])
         peak = np.concatenate([panel.peak for panel in own])
         lines.append(
@@ -111,8 +111,8 @@ def verdict(found: Sequence[Panel]) -> list[str]:
     return lines
 
 
-def _held_against_paper(panels: Sequence[Panel]) -> str:
-    """Whether most profiles that are not even have most of their excess before the newest tenth."""
+def _held_against_paper(panels: Sequence[RunProfiles]) -> str:
+    """Whether most uneven profiles have most of their excess before the newest tenth."""
     excess = np.concatenate([panel.excess for panel in panels])
     newest = np.concatenate([panel.excess_newest for panel in panels])[excess >= EVEN]
     if not len(newest):
@@ -130,11 +130,11 @@ def _held_against_paper(panels: Sequence[Panel]) -> str:
     )
 
 
-def _panel(run: RunReader) -> Panel | None:
+def _panel(run: RunReader) -> RunProfiles | None:
     profiles = run.profiles()
     weighed = np.flatnonzero((profiles.ess < UNIFORM) & np.isfinite(profiles.bins).any(1))
     if not len(weighed):
         return None
     spread = np.linspace(0, len(weighed) - 1, min(STEPS, len(weighed))).round().astype(int)
     chosen = weighed[spread]
-    return Panel(run, profiles.env_step[chosen], profiles.bins[chosen], profiles.ess[chosen])
+    return RunProfiles(run, profiles.env_step[chosen], profiles.bins[chosen], profiles.ess[chosen])

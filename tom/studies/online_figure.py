@@ -10,19 +10,19 @@ from matplotlib.figure import Figure
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.reports.colours import NEUTRAL
 from tom.reports.style import STYLE, new_figure
-from tom.studies.online import Panel
+from tom.studies.online import RunProfiles
 
 
-def online_figure(found: Sequence[Panel]) -> Figure:
-    """Mean weight in each hundredth of the buffer, oldest first; the later the fit, the darker."""
-    envs = list(dict.fromkeys(panel.run.env for panel in found))
-    learners = [name for name in LEARNER_NAMES if any(p.run.learner == name for p in found)]
+def online_figure(panels: Sequence[RunProfiles]) -> Figure:
+    """Mean weight in each hundredth of the buffer, oldest first; later fits are darker."""
+    envs = list(dict.fromkeys(panel.run.env for panel in panels))
+    learners = [name for name in LEARNER_NAMES if any(p.run.learner == name for p in panels)]
     with rc_context(STYLE):
         figure = new_figure(2.9 * len(learners) + 0.4, 2.2 * len(envs) + 0.3)
         axes = figure.subplots(len(envs), len(learners), squeeze=False)
         for line, env in zip(axes, envs, strict=True):
             for ax, learner in zip(line, learners, strict=True):
-                own = [p for p in found if (p.run.env, p.run.learner) == (env, learner)]
+                own = [p for p in panels if (p.run.env, p.run.learner) == (env, learner)]
                 if own:
                     _draw(ax, own[0])
                 else:
@@ -35,7 +35,7 @@ def online_figure(found: Sequence[Panel]) -> Figure:
     return figure
 
 
-def _draw(ax: Axes, panel: Panel) -> None:
+def _draw(ax: Axes, panel: RunProfiles) -> None:
     bins = panel.bins.shape[1]
     x = (np.arange(bins) + 0.5) * 100 / bins
     shades = colormaps["viridis_r"](np.linspace(0.1, 1.0, len(panel.env_step)))
@@ -44,4 +44,4 @@ def _draw(ax: Axes, panel: Panel) -> None:
         ax.plot(x, profile, color=shade, linewidth=1.0, label=f"step {step}")
     ax.set_xlim(0, 100)
     ax.set_ylim(bottom=0)
-    ax.legend(fontsize=6.5, frameon=True, edgecolor="none")  # the curves run everywhere
+    ax.legend(fontsize=6.5, frameon=True, edgecolor="none")  # framed, because curves may cross it

@@ -1,4 +1,4 @@
-"""A finished case on disk: written whole, and read back without running what a file may say."""
+"""A finished case on disk, written atomically and read without executing code from the file."""
 
 import _codecs
 import pickle
@@ -14,7 +14,7 @@ from numpy.dtypes import Float32DType, Float64DType, Int64DType
 from tom.data.unpack import DAMAGE, check_tensors, open_file
 from tom.record.files import replace
 
-# What an array is made of; all else that is loaded is a primitive or one of the outcome's classes.
+# Types needed to load arrays; all others are primitives or the outcome's own classes.
 ARRAYS: tuple[Any, ...] = (
     np.ndarray,
     np.dtype,
@@ -33,7 +33,7 @@ def save(outcome: object, path: Path) -> None:
 
 
 def load(path: Path, kind: type) -> Any:
-    """The outcome of type `kind` at `path`; None where there is none that can be read."""
+    """The outcome of type `kind` at `path`; None if it cannot be read."""
     try:
         with open_file(path) as file, torch.serialization.safe_globals([*ARRAYS, *classes(kind)]):
             check_tensors(file)

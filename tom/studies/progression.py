@@ -1,8 +1,8 @@
-"""The weight progression study: does TOM's weight follow the policy, whatever the position?
+"""The weight progression study: do TOM's weights follow the policy instead of the position?
 
-Every recording of SAC (random half, ordered half) is weighed three times: for its own trained
-policy, for the random policy (the profile must turn round), and for its own policy with the rows
-stored in another order (TOM's profile must stay, PMAC's, which goes by position, must not).
+Every recording of SAC (random half, ordered half) is weighed three times: for its trained policy,
+for the random policy (the profile must reverse), and for its trained policy with shuffled rows
+(TOM's profile must stay the same; PMAC's must change, because it depends on the position).
 """
 
 from collections.abc import Sequence
@@ -25,18 +25,18 @@ Condition = Literal["own", "random", "shuffled"]
 Preset = Literal["paper", "exact"]
 
 SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
-"""The recordings of the acceptance; other tasks have one."""
+"""number of recordings in the acceptance; other tasks have one"""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One recording to be weighed under one condition by TOM's preset, and by PMAC beside it."""
+    """One recording, weighed under one condition by TOM with a preset and by PMAC."""
 
     recording: Path
     condition: Condition
     preset: Preset
     seeds: tuple[int, ...]
-    made: str  # when: another recording in the same place is another case
+    made: str  # time of creation: a new recording under the same path is another case
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Finding:
-    """One number of the acceptance, by seed; the median is judged."""
+    """One number of the acceptance for every seed; the median is tested."""
 
     recording: str
     preset: Preset
@@ -77,7 +77,7 @@ class Finding:
 
     @property
     def met(self) -> bool | None:
-        """Whether the bound holds; None where there is none."""
+        """Whether the bound holds; None if there is no bound."""
         if self.bound is None:
             return None
         sign, limit = self.bound
@@ -89,11 +89,11 @@ BOUNDS: dict[str, tuple[float, float, float]] = {
     "halfcheetah": (0.30, 4.0, 0.9),
     "hopper": (0.60, 2.5, 0.5),
 }
-"""Random half at most, last two of 20 bins at least, Spearman over the ordered half at least."""
+"""bounds: random half at most, last two of 20 bins and Spearman over the ordered half at least"""
 TURNED = (1.25, 0.3)
-"""For the random policy: random half at least, last two of 20 bins at most."""
+"""bounds for the random policy: random half at least, last two of 20 bins at most"""
 SAME = 0.9
-"""Rank correlation over 20 bins from which on two profiles are the same."""
+"""rank correlation over 20 bins from which two profiles count as the same"""
 
 
 NEVER = DECILES + 1
@@ -106,7 +106,7 @@ def recording_config(env: str, seed: int, steps: int) -> SacRecordingConfig:
 
 
 def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
-    """The newest finished recording with these settings, None where there is none."""
+    """The newest finished recording with these settings, or None."""
     for run in store.runs():
         if run.learner == config.learner and run.status.state == "finished" and _like(run, config):
             return run
@@ -114,7 +114,7 @@ def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
 
 
 def _like(run: RunReader, config: SacRecordingConfig) -> bool:
-    """Whether a run has the settings of `config`, SAC's as far as both versions know them."""
+    """Whether a run has the settings of `config`; of SAC's, those that both versions have."""
     theirs = run.config.get("config", {})
     ours = config.model_dump(mode="json")
     plain = ("env", "seed", "steps", "exploration_steps", "updates_per_step")
@@ -135,33 +135,33 @@ def cases(runs: Sequence[RunReader], presets: Sequence[Preset], seeds: Sequence[
 
 
 def result(case: Case) -> Result:
-    """Weigh the recording of `case`; the random policy says nothing of PMAC, which asks none."""
+    """Weigh the recording of `case`; not by PMAC for the random policy, as it uses no policy."""
     run = RunReader(case.recording)
     known, data = task(run.env), of_run(run)
     policy = read_policy(run.path / NAME)
     config = RunConfig(env=run.env, learner="tom", tom=TomConfig.preset(case.preset))
     both = ("tom", "pmac")
     if case.condition == "own":
-        found = weigh(data, policy, known, config, both, case.seeds)
+        weighed = weigh(data, policy, known, config, both, case.seeds)
     elif case.condition == "random":
         policy = UniformPolicy(known.obs_dim, known.action_dim)
-        found = weigh(data, policy, known, config, ("tom",), case.seeds)
+        weighed = weigh(data, policy, known, config, ("tom",), case.seeds)
     else:
         order = np.random.default_rng(0).permutation(len(data))
         stored = weigh(data.in_order(order), policy, known, config, both, case.seeds)
-        found = (one.in_order(order) for one in stored)
+        weighed = (one.in_order(order) for one in stored)
     name, first = f"{run.env}-s{run.seed}", data.ordered_from
-    return Result(name, run.env, first, case.condition, case.preset, tuple(found))
+    return Result(name, run.env, first, case.condition, case.preset, tuple(weighed))
 
 
 def checks(done: Sequence[Result]) -> list[Finding]:
-    """Every number of the acceptance, of TOM and of PMAC beside it."""
-    found: list[Finding] = []
+    """Every number of the acceptance, for TOM and for PMAC."""
+    findings: list[Finding] = []
     for case in done:
         if case.condition == "own":
-            found += _progress(case)
+            findings += _progress(case)
         elif case.condition == "random":
-            found += _turned(case)
+            findings += _turned(case)
         else:
             (own,) = (
                 other
@@ -169,8 +169,8 @@ def checks(done: Sequence[Result]) -> list[Finding]:
                 if (other.recording, other.preset) == (case.recording, case.preset)
                 and other.condition == "own"
             )
-            found += _moved(case, own)
-    return found
+            findings += _moved(case, own)
+    return findings
 
 
 def _progress(case: Result) -> list[Finding]:

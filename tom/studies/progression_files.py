@@ -1,4 +1,4 @@
-"""What the weight progression study leaves behind: weights, profiles, checks and the figure."""
+"""The files of the weight progression study: weights, profiles, checks and the figure."""
 
 import csv
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ TITLES = {
 
 
 def keep_weights(folder: Path, case: Result) -> None:
-    """Write every single weight of `case`."""
+    """Write all single weights of `case`."""
     name = f"{case.recording}-{case.condition}-{case.preset}.parquet"
     write_weights(folder / name, case.found)
 
 
-def write(folder: Path, done: Sequence[Result], found: Sequence[Finding], preset: str) -> None:
+def write(folder: Path, done: Sequence[Result], findings: Sequence[Finding], preset: str) -> None:
     """Write `profiles.csv`, `checks.csv`, `checks.md` and the figure of TOM's `preset`."""
     _write_profiles(folder / "profiles.csv", done)
-    _write_table(folder, table(found))
+    _write_table(folder, table(findings))
     by_recording: dict[str, dict[tuple[str, str], Result]] = {}
     for case in done:
         if case.preset == preset:
@@ -48,13 +48,13 @@ def write(folder: Path, done: Sequence[Result], found: Sequence[Finding], preset
     save(profile_figure(panels, shares), folder, FIGURE)
 
 
-def table(found: Sequence[Finding]) -> list[list[str]]:
-    """The checks as rows of text, the first one the titles: TOM's presets stand side by side."""
-    presets = list(dict.fromkeys(c.preset for c in found))
+def table(findings: Sequence[Finding]) -> list[list[str]]:
+    """The checks as rows of text, titles first, with TOM's presets side by side."""
+    presets = list(dict.fromkeys(c.preset for c in findings))
     lines: dict[tuple[str, ...], dict[str, str]] = {}
-    for c in found:
+    for c in findings:
         if c.learner == "pmac" and c.preset != presets[0]:
-            continue  # it has no preset
+            continue  # PMAC has no preset
         bound = "" if c.bound is None else f"{c.bound[0]} {c.bound[1]:g}"
         key = (c.recording, c.condition, LEARNERS[c.learner].label, c.quantity, bound)
         lines.setdefault(key, {})[c.preset] = _value(c)

@@ -1,4 +1,4 @@
-"""The report of a study that is held against an acceptance: claim, figures, what is met."""
+"""The report of a study with an acceptance: claim, figures, and the result of each check."""
 
 import time
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from pathlib import Path
 from tom.reports.html import Report, Rows, write_report
 from tom.reports.origin import origin
 
-_BEGUN = time.monotonic()  # a study is a process of its own
+_BEGUN = time.monotonic()  # a study is a separate process
 
 
 def write_study(
@@ -20,28 +20,28 @@ def write_study(
     tables: Sequence[tuple[str, Rows]] = (),
     **details: str,
 ) -> Path:
-    """Write `report.html`: `checks` are rows with `name` and `met` (None where it is not judged).
+    """Write `report.html`: `checks` are rows with `name` and `met` (None without a bound).
 
-    `verdict` holds the result against the paper's `claim`, `checks` against our own acceptance.
+    `verdict` compares the result with the paper's `claim`, `checks` with our own acceptance.
     `details` are added to the origin, such as n and seeds. The hours are those of this process.
     """
     judged = [row for row in checks if row["met"] is not None]
     failed = [str(row["name"]) for row in judged if not row["met"]]
-    found = [
+    sentences = [
         *verdict,
         f"{len(judged) - len(failed)} of {len(judged)} figures of our acceptance are met.",
     ]
     if failed:
-        found.append(f"Not met: {'; '.join(failed)}.")
+        sentences.append(f"Not met: {'; '.join(failed)}.")
     shown = [{**row, "met": {True: "yes", False: "NO", None: ""}[row["met"]]} for row in checks]  # pyright: ignore[reportArgumentType]
     tables = [("Acceptance", shown), *tables]
     return write_report(
-        Report(title, claim, found, figures, tables, study_origin(**details)), folder
+        Report(title, claim, sentences, figures, tables, study_origin(**details)), folder
     )
 
 
 def study_origin(**details: str) -> dict[str, str]:
-    """What a study was made with; `details` are added, such as n and seeds."""
+    """The origin of a study, with `details` such as n and seeds."""
     hours = (time.monotonic() - _BEGUN) / 3600
     return (
         origin() | {"hours": f"{hours:.2f} (cases kept from an earlier call not counted)"} | details

@@ -1,15 +1,13 @@
-"""Return curves: a panel for each environment, a line with its band for each learner."""
+"""Return curves: one panel per environment, one line with band per learner."""
 
 from collections.abc import Sequence
 
-import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-from tom.analysis import statistics as st
-from tom.learners import LEARNERS
+from tom.analysis.curves import aggregate
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
 from tom.studies.returns import Cell, compared_at
@@ -18,7 +16,7 @@ COLUMNS = 3
 FEW_POINTS = 10
 
 
-def return_figure(cells: Sequence[Cell], rng: np.random.Generator) -> Figure:
+def return_figure(cells: Sequence[Cell]) -> Figure:
     """The best return so far, mean over seeds with its 95 % bootstrap band, single seeds faint.
 
     A dotted line marks the step at which learners are compared.
@@ -31,7 +29,7 @@ def return_figure(cells: Sequence[Cell], rng: np.random.Generator) -> Figure:
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         for ax, env in zip(axes, at, strict=False):
             for cell in (c for c in cells if c.env == env):
-                _draw(ax, cell, rng)
+                _draw(ax, cell)
             ax.axvline(at[env], color=NEUTRAL, linestyle=":", linewidth=0.9)
             ax.set_title(env)
             ax.set_xlabel("env steps")
@@ -43,16 +41,17 @@ def return_figure(cells: Sequence[Cell], rng: np.random.Generator) -> Figure:
     return figure
 
 
-def _draw(ax: Axes, cell: Cell, rng: np.random.Generator) -> None:
-    colour = learner_colour(cell.learner)
-    steps = np.unique(np.concatenate([curve.step for curve in cell.curves]))
-    steps = steps[(steps >= max(c.step[0] for c in cell.curves)) & (steps <= cell.reach)]
-    values = np.stack([np.interp(steps, c.step, c.best) for c in cell.curves])  # (n, T)
-    for curve in cell.curves:
-        ax.plot(curve.step, curve.best, color=colour, alpha=0.3, linewidth=0.7)
-    label = f"{LEARNERS[cell.learner].label} (n = {cell.n})"
+def _draw(ax: Axes, cell: Cell) -> None:
+    colour, line = learner_colour(cell.learner), "--" if cell.preset else "-"
+    group = aggregate([curve.best_so_far for curve in cell.curves])
+    for curve in group.curves:
+        ax.plot(curve.step, curve.value, color=colour, alpha=0.3, linewidth=0.7)
+    whole = group.complete
+    steps = group.step[whole]
+    label = f"{cell.label} (n = {cell.n})"
     marker = "o" if len(steps) < FEW_POINTS else None  # a line needs two points
-    ax.plot(steps, values.mean(0), color=colour, label=label, marker=marker, markersize=3)
+    mean = group.mean[whole]
+    ax.plot(steps, mean, line, color=colour, label=label, marker=marker, markersize=3)
     if cell.n > 1 and len(steps):
-        low, high = st.band(values, st.mean, rng)
+        low, high = group.low[whole], group.high[whole]
         ax.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)

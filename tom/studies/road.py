@@ -1,7 +1,7 @@
 """Does TOM drive where MLE does not? Road-and-rocks over seeds, with controls and a sweep.
 
-A study is a list of cases; an outcome is what a case came to. `acceptance` and `controls` judge
-outcomes, so a caller may compute them in one process or in many.
+A study is a list of cases, each with an outcome. `acceptance` and `controls` test outcomes, so a
+caller may compute them in one process or in many.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,20 +30,20 @@ SWAPPED_RATIO_MAX, MEAN_ZERO_RETURN_MIN = 3.0, -30.0
 
 @dataclass(frozen=True)
 class Case:
-    """A configuration and the name it has in the tables."""
+    """A configuration and its name in the tables."""
 
     name: str
     config: RoadConfig
     optimise: bool = True
-    """False: only the weights, the model and its planner; SAC is left out"""
+    """if false, SAC is left out: only the weights, the model and its planner"""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one case came to; errors in full steps, success as a share of episodes.
+    """The outcome of one case; errors in full steps, success as a share of episodes.
 
-    NaN is what was not measured: SAC where it was left out, and the planner of a learner that
-    follows the value function, for it drives once, when there is none and the weights are uniform.
+    Values that were not measured are NaN: SAC if it was left out, and the planner of a learner that
+    follows the value function, because it drives only once, before there is a value function.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Story:
-    """An outcome, the returns on the way there, and what the weights looked like."""
+    """An outcome with the curve of returns and the weights."""
 
     outcome: Outcome
     returns: list[tuple[int, float]]  # (step of policy optimisation, mean return)
@@ -77,12 +77,12 @@ class Story:
 
 
 def outcome(case: Case) -> Outcome:
-    """Run a case: what it came to."""
+    """Run a case; returns its outcome."""
     return tell(case).outcome
 
 
 def tell(case: Case) -> Story:
-    """Run a case and keep its curve; the weights are kept too, for the map."""
+    """Run a case; returns its outcome with the curve and the weights, for the map."""
     events: Iterator[Event] = offline.train(case.config)
     if not case.optimise:
         events = takewhile(lambda event: event.env_step == 0, events)
@@ -101,18 +101,18 @@ def tell(case: Case) -> Story:
                 places = np.asarray(event.transitions.obs, np.float32)
             case Weights():
                 weights = event.weight
-    found = Outcome(
+    result = Outcome(
         name=case.name,
         seed=case.config.seed,
         turn=case.config.turn,
         **{name: values[path] for name, path in _PATHS.items()},
     )
     if case.config.learner in FOLLOW_THE_VALUE:
-        found = replace(found, planner_return=nan, planner_success=nan)
+        result = replace(result, planner_return=nan, planner_success=nan)
     if case.optimise and last is not None:
         sac_return, sac_success = returns(last.episodes)
-        found = replace(found, sac_return=sac_return, sac_success=sac_success)
-    return Story(found, curve, places, weights)
+        result = replace(result, sac_return=sac_return, sac_success=sac_success)
+    return Story(result, curve, places, weights)
 
 
 _PATHS = {
@@ -132,12 +132,12 @@ _PATHS = {
 
 
 def acceptance_cases(seeds: Sequence[int]) -> list[Case]:
-    """MLE beside TOM."""
+    """MLE and TOM."""
     return [_case(name, name, seed) for seed in seeds for name in ("mle", "tom")]
 
 
 def control_cases(seeds: Sequence[int]) -> list[Case]:
-    """What must fail, or flip, for the claim to mean what it says."""
+    """Controls that must fail, or reverse, if the claim is to be meaningful."""
     return [
         case
         for seed in seeds
@@ -151,7 +151,7 @@ def control_cases(seeds: Sequence[int]) -> list[Case]:
 
 
 def baseline_cases(seeds: Sequence[int]) -> list[Case]:
-    """VaGram, simpler weightings, and TOM whose rollouts start uniformly."""
+    """VaGram, simpler weightings, and TOM with uniform start states of rollouts."""
     uniform_starts = {"rollout": {"weighted_starts": False}}
     return [
         case
@@ -167,7 +167,7 @@ def baseline_cases(seeds: Sequence[int]) -> list[Case]:
 
 
 def sweep_cases(seeds: Sequence[int]) -> list[Case]:
-    """MLE beside TOM as the rocks' mean turn grows (planner only: it judges the model)."""
+    """MLE and TOM for growing mean turns of the rocks (only the planner, which tests the model)."""
     return [
         replace(_case(name, name, seed, turn=turn, spread=turn / 2), optimise=False)
         for turn in TURNS
@@ -184,7 +184,7 @@ def _case(name: str, learner: str, seed: int, **changes: object) -> Case:
 
 
 def acceptance(outcomes: Sequence[Outcome]) -> list[Check]:
-    """The checks of the claim, over MLE's and TOM's outcomes on the same seeds."""
+    """The checks of the claim, from MLE's and TOM's outcomes with the same seeds."""
     tom, mle = _named(outcomes, "tom"), _named(outcomes, "mle")
     ratio = [o.road_ratio for o in tom]
     pairs = list(zip(tom, mle, strict=True))

@@ -1,4 +1,4 @@
-"""The map of road-and-rocks: the task as it is, and the weights over it, drawn and as rows."""
+"""The map of road-and-rocks, with the task or with the weights, as figures and as rows."""
 
 from collections.abc import Iterator, Sequence
 
@@ -28,7 +28,7 @@ LEAST, MOST = 0.02, 50.0  # weights beyond these have the same colour
 
 
 def environment_figure(road_map: RoadMap) -> Figure:
-    """Road, rocks, start and goal; an arrow is what the action "right" does at its place."""
+    """Road, rocks, start and goal; an arrow shows the effect of the action "right" at its place."""
     places, on_road, moved = _under_right(road_map)
     with rc_context({**STYLE, "axes.grid": False}):
         figure = new_figure(3.6, 3.6)
@@ -44,13 +44,13 @@ def environment_figure(road_map: RoadMap) -> Figure:
 
 
 def environment_rows(road_map: RoadMap) -> Iterator[dict[str, object]]:
-    """What is drawn: where an arrow stands, on what, and the displacement in full steps."""
+    """The drawn data: each arrow's position, its ground, and the displacement in full steps."""
     for (x, y), on_road, (dx, dy) in zip(*_under_right(road_map), strict=True):
         yield {"x": x, "y": y, "road": bool(on_road), "dx": dx, "dy": dy}
 
 
 def weight_figure(stories: Sequence[Story]) -> Figure:
-    """Mean weight in each cell of the map, the first seed of each learner."""
+    """Mean weight in each cell of the map, for the first seed of each learner."""
     chosen = _first_seeds(stories)
     with rc_context({**STYLE, "axes.grid": False}):
         figure = new_figure(3.1 * len(chosen) + 0.6, 3.3)
@@ -63,7 +63,7 @@ def weight_figure(stories: Sequence[Story]) -> Figure:
 
 
 def weight_rows(stories: Sequence[Story]) -> Iterator[dict[str, object]]:
-    """What is drawn: a row for each learner and cell that holds a transition."""
+    """The drawn data: one row per learner and cell with transitions."""
     for label, story in _first_seeds(stories):
         mean, count = _cells(story)
         for i, j in zip(*np.nonzero(count), strict=True):
@@ -87,7 +87,7 @@ def _under_right(road_map: RoadMap) -> tuple[Array, NDArray[np.bool_], Array]:
 
 
 def _first_seeds(stories: Sequence[Story]) -> list[tuple[str, Story]]:
-    """The first story of each learner that kept its weights, with the learner's label."""
+    """The first story with weights of each learner, with the learner's label."""
     with_weights = [story for story in stories if story.weights is not None]
     return [
         (label, next(s for s in with_weights if s.outcome.name == name))
@@ -97,7 +97,7 @@ def _first_seeds(stories: Sequence[Story]) -> list[tuple[str, Story]]:
 
 
 def _cells(story: Story) -> tuple[Array, Array]:
-    """Mean weight, NaN where there is none, and number of transitions; (x, y), (C, C) each."""
+    """Mean weight (NaN for empty cells) and number of transitions; (x, y), (C, C) each."""
     assert story.places is not None
     x, y = story.places.T
     total = np.histogram2d(x, y, [EDGES, EDGES], weights=story.weights)[0]

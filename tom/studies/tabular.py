@@ -1,10 +1,10 @@
-"""TOM's estimated weights against exact ones on small MDPs: the rows of a table, nothing else.
+"""TOM's estimated weights against exact ones on small MDPs, as rows of a table.
 
-Each row is one MDP under one variant of the estimator; the variants differ in how E_{a'} is taken
-and in what theory says must not be done.
+Each row is one MDP with one variant of the estimator. The variants differ in how E_{a'} is taken,
+and some do what theory forbids.
 
-Where no episode ends, both buffers are draws of discounted occupancies, as the theory asks. Where
-episodes end, both are streams in order, as training collects them, whatever the flow.
+If no episode ends, both buffers are draws from discounted occupancies, as the theory requires. If
+episodes end, both are streams in order, as in training, for every flow.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +23,6 @@ from tom.analysis.tabular import (
     Name,
     OccupancyProblem,
     OneHotPolicy,
-    occupancy,
     random_mdp,
     random_policy,
     sample_starts,
@@ -43,14 +42,14 @@ from tom.training.presets import PRESETS
 
 @dataclass(frozen=True)
 class Case:
-    """One problem: a random MDP, a random policy and a replay buffer of another one's making."""
+    """One problem: a random MDP, a random policy and a replay buffer of another policy."""
 
     seed: int
     successors: int  # of each (s, a): 1 is deterministic, all states make it dense
     discount: float
     divergence: Name
     flow: FlowName = "discounted"
-    ends: float = 0.0  # share of steps, about, that end an episode
+    ends: float = 0.0  # approximate share of steps that end an episode
     concentration: float = 1.0  # of the successors' Dirichlet
     uniform: tuple[float, float] = (0.1, 0.3)  # share in the policy and in the replay's
     states: int = 10
@@ -62,25 +61,25 @@ class Case:
 
     @property
     def family(self) -> str:
-        """Of which problems it is one, as the labels of ways to estimate begin."""
+        """The family of the problem, with which the labels of variants begin."""
         if self.ends:
             return f"{self.flow} flow: "
         return "dense MDPs: " if self.successors == self.states else ""
 
     @property
     def made_by(self) -> FlowName:
-        """Which occupancy the samples are drawn from: where episodes end, the stream's."""
+        """The occupancy from which samples are drawn: that of the stream if episodes end."""
         return "stationary" if self.ends else "discounted"
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to estimate: a preset of TomConfig with changes, with or without the exact E_{a'}."""
+    """A variant of the estimator: a preset of TomConfig with changes, E_{a'} exact or sampled."""
 
     label: str
     preset: Literal["paper", "exact"] = "exact"
     changes: Mapping[str, Any] = field(default_factory=dict)
-    support: bool = False  # the policy tells its probabilities: E_{a'} is exact
+    support: bool = False  # the policy gives its probabilities, so that E_{a'} is exact
 
     def config(self, case: Case) -> TomConfig:
         """The settings for a case."""
@@ -120,26 +119,26 @@ ENDING_PAPER = Variant("discounted flow: paper", "paper")
 
 @dataclass(frozen=True)
 class Score:
-    """How near one estimate came; every sum runs over the replay buffer's rows."""
+    """The quality of one estimate; every sum runs over the replay buffer's rows."""
 
     spearman: float  # rank correlation of estimated and exact weights
     l1: float  # sum |w - w*| / sum w*
     flow: float  # L1 residual of the flow constraint under the weighted replay
     log_ratio: float  # correlation of the discriminator's logit and the exact log p/q
-    raw_mean: float  # mean weight before normalisation, over the exact mean
-    ends: float | None  # weight on transitions that end an episode, over the exact, if any does
+    raw_mean: float  # mean weight before normalisation, relative to the exact mean
+    ends: float | None  # weight on transitions that end an episode, relative to the exact one
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A score with the points behind it: the R distinct transitions of the MDP."""
+    """A score with its points: the R distinct transitions of the MDP."""
 
     case: Case
     variant: str
     score: Score
     replay: Array  # q (R,)
     exact: Array  # exact weights (R,)
-    estimated: Array  # mean estimated weight of each transition (R,); NaN where none was drawn
+    estimated: Array  # mean estimated weight of each transition (R,); NaN if it was not drawn
 
     def row(self) -> dict[str, Any]:
         """The flat record: case, variant and score."""
@@ -158,9 +157,9 @@ def cases(seeds: Iterable[int]) -> list[Case]:
 
 
 def dense_cases(seeds: Iterable[int]) -> list[Case]:
-    """MDPs whose every step may lead anywhere: 10 and 20 states, few likely successors or many.
+    """MDPs in which every step may lead to any state: 10 and 20 states, few or many likely ones.
 
-    The policies are near to each other or far apart.
+    The two policies are similar or very different.
     """
     return [
         Case(
@@ -181,9 +180,9 @@ def dense_cases(seeds: Iterable[int]) -> list[Case]:
 
 
 def ending_cases(seeds: Iterable[int], flow: FlowName) -> list[Case]:
-    """MDPs where a step in a hundred ends an episode, deterministic to dense.
+    """MDPs in which one step in a hundred ends an episode, deterministic to dense.
 
-    Under KL a discounted flow leaves nothing on what ends: it has no cases there.
+    There are no cases of a discounted flow under KL, which has zero weight on ends.
     """
     return [
         Case(seed, successors, 0.99, divergence, flow, ends=0.01)
@@ -195,10 +194,10 @@ def ending_cases(seeds: Iterable[int], flow: FlowName) -> list[Case]:
 
 
 def draw(case: Case, rng: np.random.Generator) -> tuple[Mdp, Array, Array]:
-    """The case's MDP, the policy of interest and the one that made the replay, (S, A) each.
+    """The case's MDP, the policy of interest and the policy of the replay, (S, A) each.
 
-    Most policies take every action now and then: of a transition with p of 1e-5 no discriminator
-    can know the log ratio from 5 000 of the policy's.
+    Most policies take every action from time to time, because no discriminator can learn the log
+    ratio of a transition with p = 1e-5 from 5 000 transitions of the policy.
     """
     mdp = random_mdp(
         case.states, case.actions, case.successors, case.discount, rng, case.concentration
@@ -211,31 +210,18 @@ def draw(case: Case, rng: np.random.Generator) -> tuple[Mdp, Array, Array]:
 
 
 def problem_of(case: Case, mdp: Mdp, target: Array, behaviour: Array) -> OccupancyProblem:
-    """The exact problem of which the case's buffers are samples."""
+    """The exact problem that the case's buffers are samples of."""
     p, q = (transition_occupancy(mdp, policy, case.made_by) for policy in (target, behaviour))
     return OccupancyProblem.of(mdp, target, q, case.flow, p)
 
 
-def model_bias(case: Case) -> float:
-    """How far the model that the *exact* weights fit is from the true one.
-
-    Mean total variation over the (s, a) of the policy's occupancy. Zero under KL and in
-    deterministic MDPs; under chi-square the weights of one (s, a) differ with s'.
-    """
-    mdp, target, behaviour = draw(case, np.random.default_rng(case.seed))
-    problem = problem_of(case, mdp, target, behaviour)
-    model = problem.fitted_model(solve(problem, case.divergence).weights, mdp)
-    distance = np.abs(model - mdp.transition).sum(2) / 2
-    seen = np.isfinite(distance)
-    return float(np.average(distance[seen], weights=occupancy(mdp, target)[seen]))
-
-
 def exact_flows(seeds: Sequence[int]) -> list[dict[str, Any]]:
-    """What each flow asks for under chi-square where both buffers are streams that end.
+    """The exact weights of each flow under chi-square, if both buffers are streams with ends.
 
-    A row a flow over the MDPs of `ending_cases`: the weight on ends over the policy's own share
-    (median, least and most), the mass of the weights, and where the policy made the replay itself,
-    so that weights should be one, the weight on ends over their share and the L1 distance from one.
+    One row per flow over the MDPs of `ending_cases`: the weight on ends relative to the policy's
+    share (median and range), the mass of the weights, and for a replay made by the policy itself,
+    where weights should be one, the weight on ends relative to their share and the L1 distance to
+    one.
     """
     return [_exact_flow(ending_cases(seeds, flow), flow) for flow in get_args(FlowName)]
 
@@ -258,7 +244,7 @@ def _exact_flow(asked: Sequence[Case], flow: FlowName) -> dict[str, Any]:
 
 
 def _solved(case: Case) -> tuple[float, float, float]:
-    """Exactly: weight on ends over the policy's share, mass, and L1 from the streams' p/q."""
+    """Exact weight on ends relative to the policy's share, mass, and L1 distance to p/q."""
     mdp, target, behaviour = draw(case, np.random.default_rng(case.seed))
     problem = problem_of(case, mdp, target, behaviour)
     weights = solve(problem, case.divergence).weights
@@ -269,9 +255,9 @@ def _solved(case: Case) -> tuple[float, float, float]:
 
 
 def estimate(case: Case, variant: Variant) -> Estimate:
-    """Draw the case's buffers, estimate their weights and hold them against the exact ones."""
+    """Draw the case's buffers, estimate their weights and compare them with the exact ones."""
     drawn = _draw(case)
-    found = occupancy_weights(
+    weights = occupancy_weights(
         drawn.buffer,
         drawn.lately,
         _policy(drawn.target, variant.support),
@@ -283,9 +269,9 @@ def estimate(case: Case, variant: Variant) -> Estimate:
         case,
         variant.label,
         drawn,
-        np.asarray(found.weights, np.float64),
-        np.asarray(found.log_ratio, np.float64),
-        found.metrics["weights/raw_mean"],
+        np.asarray(weights.weights, np.float64),
+        np.asarray(weights.log_ratio, np.float64),
+        weights.metrics["weights/raw_mean"],
     )
 
 
@@ -293,17 +279,17 @@ Inputs = Literal["transitions", "state-actions"]
 
 
 def counted(case: Case, inputs: Inputs) -> Estimate:
-    """The exact weights of the case's problem with r from the counts of its buffers.
+    """The exact weights of the case's problem, with r from counts in its buffers.
 
-    What no estimate of r from these inputs can be asked to better by much: the sampling's error.
+    This is the sampling error, which no estimate of r from these inputs can improve by much.
     """
     drawn = _draw(case)
     problem, rows = drawn.problem, tuple(drawn.index.T)
     q, p = _counts(drawn, drawn.index), _counts(drawn, drawn.recent)
     if inputs == "state-actions":
         q, p = (np.broadcast_to(x.sum(2, keepdims=True), x.shape) for x in (q, p))
-    # Half a transition of the policy's more, and as many of the replay's as go with it: finite,
-    # and nothing is said of what neither holds.
+    # Add half a transition to the policy's counts and the corresponding number to the replay's, so
+    # that r is finite, and zero for transitions in neither buffer.
     share = len(drawn.recent) / len(drawn.index)
     ratio = np.log((p + 0.5) / (q * share + 0.5))
     weights = np.zeros(q.shape)
@@ -340,7 +326,7 @@ def _draw(case: Case) -> Drawn:
 
 
 def _counts(drawn: Drawn, index: NDArray[np.intp]) -> Array:
-    """How often each (s, a, s') stands in a buffer, (S, A, S)."""
+    """The count of each (s, a, s') in a buffer, (S, A, S)."""
     counts = np.zeros(drawn.mdp.transition.shape)
     np.add.at(counts, tuple(index.T), 1)
     return counts
@@ -355,7 +341,7 @@ def _sample(
 
 
 def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """For each variant, in order: runs, median and worst of each measure."""
+    """For each variant, in order: number of runs, median and worst value of each measure."""
     by_variant: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         by_variant.setdefault(row["variant"], []).append(row)
@@ -382,7 +368,7 @@ def _summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _ends(ratios: Sequence[float | None]) -> dict[str, float | None]:
-    """Median and worst of the weight on ends over the exact, where episodes end."""
+    """Median and worst of the weight on ends relative to the exact one, if episodes end."""
     known = np.array([ratio for ratio in ratios if ratio is not None])
     if len(known) == 0:
         return {"ends": None, "ends_worst": None}
@@ -392,12 +378,12 @@ def _ends(ratios: Sequence[float | None]) -> dict[str, float | None]:
 
 def _policy(probs: Array, support: bool) -> Policy:
     policy = OneHotPolicy(torch.from_numpy(probs).float())
-    # A bound method offers no `support`: what remains is a policy that can only be sampled.
+    # A bound method has no `support`, so that the policy can only be sampled.
     return policy if support else policy.__call__
 
 
 def _rows_of(problem: OccupancyProblem, mdp: Mdp, index: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Which of the R distinct transitions each buffer row is, (N,)."""
+    """The index of each buffer row among the R distinct transitions, (N,)."""
     lookup = np.full((mdp.states, mdp.actions, mdp.states), -1, np.intp)
     lookup[problem.index] = np.arange(len(problem.replay))
     return lookup[tuple(index.T)]
@@ -410,7 +396,7 @@ def _compare(
     rows = _rows_of(problem, drawn.mdp, drawn.index)
     ends = drawn.mdp.terminal[drawn.index[:, 2]]
     exact = solve(problem, case.divergence).weights
-    flow_mass = float(problem.replay @ exact)  # below 1 where the flow loses what ends
+    flow_mass = float(problem.replay @ exact)  # below 1 if the flow loses mass at ends
     exact = exact / flow_mass
     cells = len(problem.replay)
     count = np.bincount(rows, minlength=cells)
@@ -429,7 +415,7 @@ def _compare(
 
 
 def _on(chosen: NDArray[np.bool_], weights: Array) -> float:
-    """The share of all weight that lies on the chosen rows."""
+    """The share of all weight on the chosen rows."""
     return float(weights[chosen].sum() / weights.sum())
 
 
@@ -443,10 +429,10 @@ Rows = Sequence[Mapping[str, Any]]
 def acceptance(
     rows: Rows, same_policy: Rows, dense: Rows, stationary: Rows, mended: Rows
 ) -> list[Check]:
-    """The figures an estimator is held against, over every family that has rows.
+    """The checks of an estimator, over every family that has rows.
 
-    `same_policy` are problems where the policy made the replay buffer itself, `dense` those of
-    `dense_cases`, `stationary` and `mended` those of `ending_cases` under the two ways to estimate.
+    `same_policy` are problems whose replay buffer comes from the policy itself, `dense` those of
+    `dense_cases`, `stationary` and `mended` those of `ending_cases` with these two variants.
     """
     checks = near_exact("", rows)
     if same_policy:
@@ -461,7 +447,7 @@ def acceptance(
 
 
 def near_exact(family: str, rows: Rows) -> list[Check]:
-    """The bounds of one family of problems; none where it has no rows."""
+    """The checks of one family of problems; none if it has no rows."""
     if not rows:
         return []
     s = _summarise(rows)

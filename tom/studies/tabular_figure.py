@@ -1,4 +1,4 @@
-"""Estimated against exact weights of small MDPs, a panel for each divergence and discount."""
+"""Estimated against exact weights of small MDPs, one panel per divergence and discount."""
 
 from collections.abc import Iterator, Sequence
 
@@ -14,7 +14,7 @@ LABELS = {"chi2": "chi-square", "kl": "KL", "full-chi2": "full chi-square"}
 
 
 def estimate_figure(estimates: Sequence[Estimate]) -> Figure:
-    """Every distinct transition as a point, its area the replay's share of it."""
+    """Every distinct transition as a point whose area is its share of the replay."""
     kinds = sorted({(e.case.divergence, e.case.discount) for e in estimates})
     with rc_context(STYLE):
         figure = new_figure(2.6 * len(kinds) + 0.3, 3.0)
@@ -42,7 +42,7 @@ def estimate_figure(estimates: Sequence[Estimate]) -> Figure:
 
 
 def estimate_rows(estimates: Sequence[Estimate]) -> Iterator[dict[str, object]]:
-    """What is drawn: a row for each distinct transition that the replay holds."""
+    """The drawn data: one row per distinct transition in the replay."""
     for e in estimates:
         case = e.case
         key = {"divergence": case.divergence, "discount": case.discount, "seed": case.seed}

@@ -1,4 +1,4 @@
-"""What a study says of the paper's claim, in sentences: where it agrees, where it differs."""
+"""The verdicts of studies on the paper's claims, in sentences: agreement and differences."""
 
 from collections.abc import Mapping, Sequence
 from statistics import median
@@ -9,13 +9,13 @@ from tom.studies.progression import RISE, Finding
 from tom.studies.road import TOM_SUCCESS_MIN, Outcome
 
 SIMPLER = ("expert-only", "footprint-only", "ratio", "pmac, expert last")
-"""weightings of road-and-rocks that have no dual, or know nothing of the road"""
+"""simple weightings of road-and-rocks, without a dual"""
 PAPER = "paper, 1 sampled a'"
-"""the paper's networks and steps among the ways to estimate"""
+"""the variants with the paper's networks and steps"""
 
 
 def road(outcomes: Sequence[Outcome], sweep: Sequence[Outcome]) -> list[str]:
-    """Whether TOM beats MLE and weighs the road, what does so too, and where MLE is enough."""
+    """Whether TOM beats MLE and weighs the road, what else does so, and where MLE is enough."""
     tom, mle = _named(outcomes, "tom"), _named(outcomes, "mle")
     both = sorted(tom.keys() & mle.keys())
     better = sum(tom[seed].sac_return > mle[seed].sac_return for seed in both)
@@ -49,9 +49,9 @@ def road(outcomes: Sequence[Outcome], sweep: Sequence[Outcome]) -> list[str]:
     return lines
 
 
-def progression(found: Sequence[Finding]) -> list[str]:
+def progression(findings: Sequence[Finding]) -> list[str]:
     """Whether TOM's weights are low on random data, rise, and rise before the end."""
-    own = [f for f in found if (f.condition, f.learner) == ("own", "tom")]
+    own = [f for f in findings if (f.condition, f.learner) == ("own", "tom")]
     low, rank, rise = (
         [f.median for f in own if f.quantity == name]
         for name in ("random half", "Spearman, ordered half", RISE)
@@ -74,7 +74,7 @@ def progression(found: Sequence[Finding]) -> list[str]:
 
 
 def tabular(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """How near the claim comes to true; `rows` are the summary of the ways to estimate."""
+    """How far the claim holds; `rows` are the summary of the variants."""
     judged = rows[0]
     lines = [f"The ratio is recovered as the paper says: {judged['variant']}, {_near(judged)}."]
     if judged["spearman"] < 0.95:
@@ -93,7 +93,7 @@ def _near(row: Mapping[str, Any]) -> str:
 
 
 def _held(count: int, of: int) -> str:
-    """The sentence that ends a comparison with the paper."""
+    """The last sentence of a comparison with the paper."""
     if count == of:
         return "as the paper says."
     return "mostly as the paper says." if 2 * count > of else "the paper says otherwise."

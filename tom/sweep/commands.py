@@ -1,8 +1,6 @@
 """Many trainings as processes of their own: one single-threaded process a core."""
 
 import os
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -10,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tom.machine.parent import end_with_parent
+from tom.machine.processes import Process, single_threaded, start, stop
 
 POLL_S = 0.1
 GRACE_S = 20.0  # a training stops within this once it is asked to
@@ -51,29 +49,11 @@ def run_commands(
                     finished(command, code)
             time.sleep(POLL_S)
     finally:
-        _stop([process for _, process in running.values()])
+        stop([process for _, process in running.values()], GRACE_S)
     return codes
 
 
-def _start(command: Command) -> subprocess.Popen[bytes]:
-    """Start a training that the kernel asks to stop when this process dies."""
+def _start(command: Command) -> Process:
+    words = [sys.executable, "-m", "tom", "train", *command.arguments]
     with command.log.open("wb") if command.log else nullcontext() as log:
-        return subprocess.Popen(
-            [sys.executable, "-m", "tom", "train", *command.arguments],
-            env={**os.environ, "OMP_NUM_THREADS": "1", **command.environment},
-            start_new_session=True,
-            stdout=log,
-            stderr=log,
-            preexec_fn=end_with_parent if sys.platform == "linux" else None,
-        )
-
-
-def _stop(processes: Sequence[subprocess.Popen[bytes]]) -> None:
-    for process in processes:
-        process.send_signal(signal.SIGTERM)
-    for process in processes:
-        try:
-            process.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        return start(words, log, single_threaded(**command.environment))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from tom import plugins
 from tom.errors import UserError
 from tom.record import RunReader, checkpoint
 from tom.record.versions import ACCEPT
@@ -90,7 +91,7 @@ class Driver:
         """Look after every training once; True when there is nothing left to do.
 
         One out of reach is not judged, and ends the round: its backend may be down, and then
-        every question takes its time. The others come before it in the next poll.
+        every question takes its time. The others come before it in the next poll. Raises GoneError.
         """
         self.trouble = ""
         for job in tuple(self._order):
@@ -111,8 +112,15 @@ class Driver:
         with suppress(KeyboardInterrupt):  # asked twice: the checkpoints they have must do
             while time.monotonic() < until and any(lives(process) for _, process in running):
                 time.sleep(0.1)
-        for job, process in running:
+        for _, process in running:
             process.end()
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Judge every training that was running by what its run says now; none is asked."""
+        for job in self.jobs:
+            if job.process is None:
+                continue
             job.process = None
             with suppress(OSError):  # out of reach: what was last seen of it must do
                 self.backend.look(job.run_id, now=True)
@@ -180,13 +188,14 @@ class Driver:
 
     def _words(self, job: Job, at: int | None) -> list[str]:
         """The words of `tom train` that take a training up, or begin it."""
+        named = [f"{plugins.OPTION}={word}" for word in plugins.wanted_here()]
         if at is not None and not job.anew:
-            return [f"--resume={job.run_id}", *self._accepted]
+            return [f"--resume={job.run_id}", *job.trial.code(), *named, *self._accepted]
         job.run_id, job.anew = job.trial.run_id, False
         if (self.store.path / job.run_id).is_dir():  # nothing in it to go on from
             where = self.backend.begin_anew(job.run_id)
             job.note = f"began anew; what was there is in {where}"
-        return [*job.trial.options(), f"--run-id={job.run_id}", *self._accepted]
+        return [*job.trial.options(), f"--run-id={job.run_id}", *named, *self._accepted]
 
     def _spawn(self, words: Sequence[str], log: Path) -> Process:
         log.parent.mkdir(parents=True, exist_ok=True)

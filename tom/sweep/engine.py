@@ -1,8 +1,6 @@
 """Where a sweep's trainings run: processes of this machine, or of a cluster (`ray_engine`)."""
 
-import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -11,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
-from tom.machine.parent import end_with_parent
+from tom.machine import processes
 
 KILL_S = 10.0  # a process that is killed is gone within this
 
@@ -44,11 +42,17 @@ class Process(Protocol):
         ...
 
 
+class GoneError(Exception):
+    """What the trainings run on is gone: none can be started, and none that runs be asked."""
+
+
 class Engine(AbstractContextManager["Engine", None], Protocol):
     """Starts processes, `slots` at a time."""
 
     @property
-    def slots(self) -> int: ...
+    def slots(self) -> int:
+        """How many may run at a time. Raises GoneError."""
+        ...
 
     def start(self, words: Sequence[str], log: Path) -> Process:
         """Start `python -m` followed by `words`; what it prints is appended to `log`.
@@ -75,7 +79,7 @@ class LocalEngine(AbstractContextManager["LocalEngine", None]):
 class LocalProcess:
     """A process of this machine."""
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, process: processes.Process) -> None:
         self.process = process
 
     def poll(self) -> Exit | None:
@@ -96,20 +100,12 @@ class LocalProcess:
         self.process.wait()
 
 
-def spawn(words: Sequence[str], out: BinaryIO) -> subprocess.Popen[bytes]:
-    """Start `python -m` followed by `words`: one thread, a session of its own, output to `out`.
+def spawn(words: Sequence[str], out: BinaryIO) -> processes.Process:
+    """Start `python -m` followed by `words` with one thread; output to `out`.
 
-    Ends with the thread that called this: the kernel sends SIGTERM then.
+    On the SIGTERM that it gets when the caller's thread ends, a training stops cleanly.
     """
-    return subprocess.Popen(
-        [sys.executable, "-m", *words],
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        stdin=subprocess.DEVNULL,
-        stdout=out,
-        stderr=out,
-        start_new_session=True,  # Ctrl-C is the driver's to pass on
-        preexec_fn=end_with_parent,  # on SIGTERM a training stops cleanly
-    )
+    return processes.start([sys.executable, "-m", *words], out, processes.single_threaded())
 
 
 def lives(process: Process, wait_s: float = 0.0) -> bool:

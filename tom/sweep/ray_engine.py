@@ -20,6 +20,7 @@ from ray.exceptions import ActorUnavailableError, RayError
 
 from tom.errors import UserError
 from tom.sweep.engine import KILL_S, Exit, LocalProcess, lives, spawn
+from tom.sweep.ray_head import Head
 from tom.sweep.watchdog import Watchdog
 
 _JOIN = (
@@ -33,7 +34,10 @@ OBJECT_STORE_BYTES = 80_000_000  # the least Ray takes: nothing but log lines go
 class Remote:
     """A process on some machine of the cluster, and what it prints."""
 
-    def __init__(self, words: Sequence[str]) -> None:
+    def __init__(self, words: Sequence[str], folder: str) -> None:
+        """It starts in `folder`, where modules of the user's may lie, if this machine has that."""
+        if Path(folder).is_dir():
+            os.chdir(folder)
         self._out = tempfile.TemporaryFile()  # noqa: SIM115 - open for as long as this lives
         self._process = LocalProcess(spawn(words, self._out))
         self._read = 0
@@ -66,6 +70,7 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
                     ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
             else:
                 self._begin()
+            self._head = Head(ray.get_runtime_context().gcs_address)
         except (RayError, OSError, RuntimeError, ValueError, AssertionError) as error:
             self.__exit__()
             what = _JOIN if address else _BEGIN
@@ -84,11 +89,14 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
 
     @property
     def slots(self) -> int:
+        """Cores; none while the head is silent, or Ray would wait for it. Raises GoneError."""
+        if not self._head.answers():
+            return 0
         cores = int(ray.cluster_resources().get("CPU", 0))
         return cores if self._jobs is None else min(cores, self._jobs)
 
     def start(self, words: Sequence[str], log: Path) -> "RayProcess":
-        return RayProcess(_Remote.remote(list(words)), log)
+        return RayProcess(_Remote.remote(list(words), str(Path.cwd())), log)
 
     def __exit__(self, *_: object) -> None:
         ray.shutdown()

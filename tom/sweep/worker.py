@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tom import plugins
 from tom.errors import UserError
 from tom.record import RunReader, checkpoint, layout
 from tom.record.bucket import attempts
@@ -25,6 +26,9 @@ from tom.sweep.engine import LocalProcess, lives, spawn
 
 PUT_S = 10.0  # the heartbeat in the store is at most so much older than the run's
 LAST_PUTS, AGAIN_S = 30, 20.0  # the end of a run is put so often before that is given up
+
+KEPT = (ACCEPT, "--env=", "--termination=", f"{plugins.OPTION}=")
+"""begin the words that a run which goes on may want as well"""
 
 
 def main(url: str, run_id: str, words: Sequence[str]) -> int:
@@ -68,8 +72,8 @@ def _begin(keeper: "Keeper", words: Sequence[str]) -> Sequence[str] | None:
     finished = RunReader(keeper.folder).status.state == "finished"
     if finished or (here is not None and here > attempts.newest_checkpoint(names)):
         keeper.earlier = attempts.newest(names)
-        accepted = [word for word in words if word == ACCEPT]
-        return None if finished else [f"--resume={run_id}", *accepted]
+        kept = [word for word in words if word.startswith(KEPT)]
+        return None if finished else [f"--resume={run_id}", *kept]
     shutil.rmtree(keeper.folder, ignore_errors=True)
     if any(word.startswith("--resume=") for word in words):
         keeper.earlier = attempts.fetch(bucket, run_id, keeper.folder)

@@ -1,1 +1,1 @@
-"""One training from its preset to a finished run folder; taken up again; many as a fleet."""
+"""Trainings: from a preset to a finished run folder, resumed, or many as a fleet."""

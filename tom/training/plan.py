@@ -1,4 +1,4 @@
-"""What a sweep is to run: every environment with every learner and seed, and which run is whose."""
+"""The plan of a sweep: every environment with every learner and seed, and the run of each."""
 
 import hashlib
 import json
@@ -11,17 +11,18 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 from ruamel.yaml import YAML, YAMLError
 
-from tom.config import Config, OnlineConfig, RoadConfig, flat
+from tom.config import Config, OnlineConfig, RoadConfig, completed, flat
 from tom.errors import UserError
 from tom.record import RunReader
+from tom.record.layout import in_a_name
 from tom.training.presets import resolve
 
 Seed = Annotated[int, Field(ge=0)]
-FILE_BYTES = 100_000  # a plan is a page long; a file that expands without end is refused
+FILE_BYTES = 100_000  # a plan is a page long; larger files are refused
 
 
 class Plan(Config):
-    """The content of a sweep's YAML file; `seeds` is how many, from 0, or which."""
+    """The content of a sweep's YAML file; `seeds` is a number of seeds, from 0, or a list."""
 
     env: Annotated[list[str], Field(min_length=1)]
     learner: Annotated[list[str], Field(min_length=1)]
@@ -43,56 +44,62 @@ class Trial:
 
     @cached_property
     def config(self) -> OnlineConfig | RoadConfig:
-        """All its numbers. Raises UserError or ValidationError where there is no such training."""
+        """Its whole configuration. Raises UserError or ValidationError if it is impossible."""
         return resolve(self.env, self.learner, self.preset, {**self.overrides, "seed": self.seed})
 
     @cached_property
     def settings(self) -> dict[str, Any]:
-        """The configuration as a run folder holds it."""
+        """The configuration as stored in a run folder."""
         return self.config.model_dump(mode="json")
 
     @cached_property
     def run_id(self) -> str:
-        """Follows from the settings alone: whoever runs the sweep finds the run again."""
+        """Depends only on the settings, so that a repeated sweep finds the run again."""
         text = json.dumps(self.settings, sort_keys=True).encode()
         digest = hashlib.sha256(text).hexdigest()[:8]
-        return f"{self.env}-{self.learner}-s{self.seed}-{digest}"
+        return f"{in_a_name(self.env)}-{self.learner}-s{self.seed}-{digest}"
 
     def options(self) -> tuple[str, ...]:
-        """The words of `tom train` that make this training."""
+        """The options of `tom train` for this training."""
         given = {"env": self.env, "learner": self.learner, "preset": self.preset}
         words = given | {"seed": self.seed} | flat(self.overrides)
         return tuple(f"--{name.replace('_', '-')}={_word(value)}" for name, value in words.items())
 
+    def code(self) -> tuple[str, ...]:
+        """Those of its words that name code of the user's: whoever goes on with it wants them."""
+        rule = getattr(getattr(self.config, "model", None), "termination", None)
+        named = {"env": self.env, "termination": rule or ""}
+        return tuple(f"--{name}={word}" for name, word in named.items() if ":" in word)
+
 
 def trials(plan: Plan) -> list[Trial]:
-    """Every training of the plan, each once: a first seed of everything before the second.
+    """Every training of the plan without duplicates; the first seed of all before the second.
 
-    Raises UserError naming the first that is impossible.
+    Raises UserError that names the first impossible one.
     """
     seeds = range(plan.seeds) if isinstance(plan.seeds, int) else plan.seeds
     overrides = plan.settings | ({} if plan.steps is None else {"steps": plan.steps})
     fixed = {"env", "learner", "seed", "preset"} & set(overrides)
     if fixed:
         raise UserError(f"settings.{min(fixed)}: name it outside of the settings")
-    found = [
+    every = [
         Trial(env, learner, seed, plan.preset, overrides)
         for seed in dict.fromkeys(seeds)
         for env in dict.fromkeys(plan.env)
         for learner in dict.fromkeys(plan.learner)
     ]
-    for trial in found:
+    for trial in every:
         try:
             _ = trial.config
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(map(str, first["loc"]))
             raise UserError(f"{trial.env} {trial.learner}: {where}: {first['msg']}") from None
-    return found
+    return every
 
 
 def read_plan(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file, not yet checked. Raises UserError where it is no such file."""
+    """The unchecked mapping in a YAML file. Raises UserError if it is not such a file."""
     try:
         text = path.read_bytes()
     except OSError as error:
@@ -111,7 +118,7 @@ def read_plan(path: Path) -> dict[str, Any]:
 
 
 def checked(content: dict[str, Any]) -> Plan:
-    """The plan in a mapping. Raises UserError naming the first thing that is wrong."""
+    """The plan in a mapping. Raises UserError that names the first error."""
     listed = {**content}
     for name in ("env", "learner"):
         if isinstance(listed.get(name), str):
@@ -128,9 +135,10 @@ def checked(content: dict[str, Any]) -> Plan:
 def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
     """The run of this training among `runs`: a finished one, else its own, else the newest.
 
-    A small copy counts where there is no whole run of that kind.
+    A small copy is used only if there is no whole run of that kind.
     """
-    mine = [run for run in runs if run.config.get("config") == trial.settings]
+    settings = completed(trial.settings)
+    mine = [run for run in runs if run.config.get("config") == settings]
     mine.sort(key=lambda run: run.small_copy)
     done = [run for run in mine if run.status.state == "finished"]
     own = [run for run in mine if run.run_id == trial.run_id]

@@ -1,27 +1,28 @@
-"""From (env, learner, preset) to the numbers of a run: the published tables as data.
+"""From (env, learner, preset) to the configuration of a run: the published tables as data.
 
 `paper` is the paper's table 1 with the released code's schedule, `mended` the same with TOM's
 objective mended and `released` with the released code's choices (docs/learners/tom.md), `mbpo`
 Janner's MBPO with our fit (docs/learners/mle.md), `smoke` a small and quick run of the same code.
-An environment's own values come on top of the preset's, the user's on top of both.
+An environment's values override the preset's, and the user's override both.
 """
 
 from typing import Any
 
-from tom.config import OnlineConfig, RoadConfig, RunConfig
-from tom.envs import ENV_NAMES, task
+from tom.config import OnlineConfig, RoadConfig
+from tom.envs import ENV_NAMES, OTHERS, is_known, task
+from tom.envs.ends import rule
 from tom.errors import unknown
-from tom.learners import LEARNER_NAMES, LEARNERS
+from tom.learners import LEARNERS, with_own_settings
 from tom.road.baselines import BASELINES
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"tom": {"action_samples": 1}},
-    # The paper's numbers with TOM's objective mended: docs/learners/tom.md says what and why.
+    # The paper's numbers with TOM's objective mended: see docs/learners/tom.md.
     "mended": {
         "tom": {"flow": "stationary", "divergence": "kl", "action_samples": 4,
                 "q_holdout": 0.2, "q_steps": 2000, "q_check_every": 25},
     },
-    # What the authors' code does where it differs from the paper, as far as it is a setting here.
+    # The settings in which the authors' code differs from the paper.
     "released": {
         "tom": {"action_samples": 1, "conjugate": "released", "label_smoothing": 0.1,
                 "gradient_penalty": 10.0, "discriminator_steps": 400},
@@ -45,9 +46,9 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 
-# What a task changes in a preset. Inverted pendulum is not in the paper: it is learnt in minutes.
+# Changes of a preset by a task. Inverted pendulum is not in the paper; it is learnt in minutes.
 _PAPER: dict[str, dict[str, Any]] = {
-    # -17 of actions in their own range, +-0.4, is 17 log 2.5 more of actions in [-1, 1].
+    # -17 for actions in the task's range, +-0.4, is larger by 17 log 2.5 for actions in [-1, 1].
     "humanoid": {"model": {"hidden": 400}, "sac": {"target_entropy": -1.42}},
     "inverted-pendulum": {
         "exploration_steps": 300,
@@ -103,34 +104,49 @@ def resolve(
 ) -> OnlineConfig | RoadConfig:
     """The frozen configuration of a run.
 
-    Raises UserError for an unknown environment, learner or preset; pydantic's ValidationError
+    Raises UserError for an unknown environment, learner, preset or rule; pydantic's ValidationError
     for an unknown or impossible value among `overrides` (nested dicts of field values).
     """
-    if env not in ENV_NAMES:
-        raise unknown("environment", env, ENV_NAMES)
+    if not is_known(env):
+        raise unknown("environment", env, (*ENV_NAMES, *OTHERS))
     if learner not in learners(env):
         raise unknown("learner", learner, learners(env))
     if preset not in PRESETS:
         raise unknown("preset", preset, PRESETS)
     config = _road(preset) if env == "road-and-rocks" else _online(env, learner, preset)
-    return config.but(env=env, learner=learner, preset=preset, **(overrides or {}))
+    config = config_type(env, learner).model_validate(config.model_dump())
+    given = _without_others(learner, overrides or {})
+    config = config.but(env=env, learner=learner, preset=preset, **given)
+    if isinstance(config, OnlineConfig) and config.model.termination is not None:
+        rule(task(env), config.model.termination)
+    return config
 
 
 def learners(env: str) -> tuple[str, ...]:
     """The learners of an environment; road-and-rocks also has the baselines of its study."""
-    return (*LEARNER_NAMES, *BASELINES) if env == "road-and-rocks" else LEARNER_NAMES
+    return (*LEARNERS, *BASELINES) if env == "road-and-rocks" else tuple(LEARNERS)
 
 
 def _online(env: str, learner: str, preset: str) -> OnlineConfig:
-    steps = 600 if preset == "smoke" else task(env).steps
+    known = task(env)  # raises UserError for an unknown task, before anything is written
+    steps = 600 if preset == "smoke" else known.steps
     config = OnlineConfig(env=env, learner=learner, steps=steps).but(**PRESETS[preset])
-    return config.but(**BY_ENV[preset].get(env, {})).but(**LEARNERS[learner].settings)
+    if preset != "smoke":
+        config = config.but(**BY_ENV[preset].get(env, {})).but(**known.settings)
+    return config.but(**LEARNERS[learner].settings)
 
 
 def _road(preset: str) -> RoadConfig:
     return RoadConfig(learner="mle").but(**ROAD[preset])
 
 
-def config_type(env: str) -> type[RunConfig]:
-    """The configuration class of an environment's runs."""
-    return RoadConfig if env == "road-and-rocks" else OnlineConfig
+def config_type(env: str, *learners: str) -> type[OnlineConfig | RoadConfig]:
+    """The configuration class of an environment's runs, with these learners' own settings."""
+    base = RoadConfig if env == "road-and-rocks" else OnlineConfig
+    return with_own_settings(base, learners)
+
+
+def _without_others(learner: str, overrides: dict[str, Any]) -> dict[str, Any]:
+    """`overrides` without plug-in settings of other learners, which this learner's runs lack."""
+    others = {entry.group for name, entry in LEARNERS.items() if entry.own and name != learner}
+    return {name: value for name, value in overrides.items() if name not in others}

@@ -1,4 +1,4 @@
-"""A training that was put down is taken up again from its newest whole checkpoint."""
+"""Resume a training from its newest undamaged checkpoint."""
 
 from typing import Any, Unpack
 
@@ -6,24 +6,27 @@ import numpy as np
 import torch
 from pydantic import ValidationError
 
-from tom.config import SacRecordingConfig
+from tom import plugins
+from tom.config import SacRecordingConfig, completed
 from tom.data.transitions import Transitions
 from tom.errors import UserError, reason
 from tom.events import Notice
 from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
-from tom.nn.lockstep import finished
-from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, lock, open_sink
+from tom.record import RunReader, Store, checkpoint, lock
 from tom.record.checkpoint import Checkpoint
 from tom.record.heartbeat import BEAT_S
+from tom.record.recorder import Recorder
+from tom.record.rerun.sink import open_sink
+from tom.record.writer import RunWriter
 from tom.training.presets import config_type
 from tom.training.resume_checks import check_training, check_versions
-from tom.training.run import AnyConfig, Recorded, RecordingOptions, Training, make_training, record
+from tom.training.run import AnyConfig, RecordingOptions, Training, make_training, record
 from tom.training.watch import Watch
 
 UNFIT = (LookupError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError)
-"""what taking up a checkpoint of something else may raise"""
+"""errors that loading the state of another kind of training may raise"""
 
 
 def resume(
@@ -34,24 +37,12 @@ def resume(
     accept_versions: bool = False,
     **options: Unpack[RecordingOptions],
 ) -> RunReader:
-    """Go on with a run from its newest whole checkpoint, to `steps` where given.
+    """Resume a run from its newest undamaged checkpoint, up to `steps` if given.
 
-    On the same machine with the same versions the result is bit for bit that of a run never
-    interrupted; other versions of what decides it are refused unless `accept_versions`. Raises
-    UserError where the run cannot go on.
+    On the same machine with the same versions the result is bit for bit that of an uninterrupted
+    run. Other versions of packages that affect it are refused unless `accept_versions`. Raises
+    UserError if the run cannot be resumed.
     """
-    return finished(resumed(store, run_id, steps, accept_versions=accept_versions, **options))
-
-
-def resumed(
-    store: Store,
-    run_id: str,
-    steps: int | None = None,
-    *,
-    accept_versions: bool = False,
-    **options: Unpack[RecordingOptions],
-) -> Recorded:
-    """`resume` as a member of a fleet runs it: its heavy work is handed out."""
     keep_freed_memory()
     reader = store.run(run_id)
     if reader.small_copy:
@@ -66,7 +57,7 @@ def resumed(
     said = [("versions", check_versions(reader, accept_versions))]
     if reader.status.alive:
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
-    writer = RunWriter(reader.path, config)  # from here on no other process writes the run
+    writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
         held = _checkpoint(reader, config)
         torch.set_num_threads(config.threads)
@@ -83,16 +74,16 @@ def resumed(
         writer.resumed(config, options.get("command", ""))
         said += [("checkpoint", text) for text in held.problems]
         before = [Notice(held.env_step, kind, text) for kind, text in said if text]
-        yield from record(training, watch, recorder, writer, options, before)
+        record(training, watch, recorder, writer, options, before)
     return RunReader(writer.path)
 
 
 def unfinished(store: Store, config: AnyConfig) -> str | None:
-    """The newest run with these settings, or with fewer steps, that can go on to its last one.
+    """The newest resumable run with these settings, or with fewer steps.
 
-    Runs that are being written, and those without a whole checkpoint, are passed over.
+    Runs that are being written, and those without an undamaged checkpoint, are skipped.
     """
-    wanted = config.model_dump(mode="json")
+    wanted = completed(config.model_dump(mode="json"))
     for reader in store.runs():
         given = reader.config.get("config")
         if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
@@ -100,7 +91,7 @@ def unfinished(store: Store, config: AnyConfig) -> str | None:
         if given["steps"] > config.steps:
             continue
         if not reader.fits_model and given["steps"] != config.steps:
-            continue  # the halves of a recording depend on them
+            continue  # the halves of a recording depend on its steps
         if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
             continue
         held = checkpoint.load(reader.path / checkpoint.FOLDER)
@@ -110,11 +101,13 @@ def unfinished(store: Store, config: AnyConfig) -> str | None:
 
 
 def recorded_config(reader: RunReader, otherwise: str = "start it again") -> AnyConfig:
-    """The configuration a run was made with.
+    """The configuration of a run.
 
-    Raises UserError where it is another version's; `otherwise` says what to do then.
+    Raises UserError if it needs a plug-in that is not loaded, or comes from another version;
+    `otherwise` tells the user what to do then.
     """
-    kind = config_type(reader.env) if reader.fits_model else SacRecordingConfig
+    plugins.require(reader.run_id, reader.config.get("plugins"))
+    kind = config_type(reader.env, reader.learner) if reader.fits_model else SacRecordingConfig
     try:
         return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
     except (KeyError, ValidationError) as error:
@@ -136,7 +129,7 @@ def _with_steps(config: AnyConfig, steps: int) -> AnyConfig:
 
 
 def _require_own_device(reader: RunReader, config: AnyConfig) -> None:
-    """A run's random streams are of the device that it began on."""
+    """Raises UserError for another device than the run's, because its random streams differ."""
     try:
         require_device(config.device)
     except UserError:
@@ -158,7 +151,7 @@ def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
 
 
 def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch) -> dict[str, Any]:
-    """Put `training` where it stood; returns where its record stood."""
+    """Restore `training` from the checkpoint; returns the mark of its record."""
     try:
         state = held.state["training"]
         training.load_state_dict(state, *_collected(reader, state["collected"]))

@@ -1,4 +1,4 @@
-"""What a run must share with the one that it goes on from, so that its numbers stay its own."""
+"""Checks that a resumed run has the versions and settings of its checkpoint."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,9 +12,9 @@ from tom.record.versions import ACCEPT, decides, versions
 
 
 def check_versions(reader: RunReader, accepted: bool) -> str:
-    """A warning about versions other than those that the run trained with last; "" for none.
+    """A warning about versions that differ from those of the run's last training, or "".
 
-    Raises UserError where its results would change, unless that is `accepted`.
+    Raises UserError if its results would change, unless `accepted`.
     """
     before, now = _last_versions(reader), versions()
     changed = [name for name in now if before.get(name, now[name]) != now[name]]
@@ -29,13 +29,13 @@ def check_versions(reader: RunReader, accepted: bool) -> str:
 
 
 def check_training(reader: RunReader, held: Checkpoint, config: RunConfig, training: object) -> str:
-    """A warning where settings but the steps were changed since the checkpoint; "" for none.
+    """A warning about settings other than the steps that changed since the checkpoint, or "".
 
-    Raises UserError where it is another learner's or environment's.
+    Raises UserError for a checkpoint of another learner or environment.
     """
     now = config.model_dump(mode="json")
     before = held.state.get("config")
-    if not isinstance(before, Mapping):  # an earlier version's
+    if not isinstance(before, Mapping):  # from an earlier version
         if _other_learner(held, training):
             raise _another(reader, held, f"another learner than {config.learner}")
         return ""
@@ -51,7 +51,7 @@ def check_training(reader: RunReader, held: Checkpoint, config: RunConfig, train
 
 
 def _last_versions(reader: RunReader) -> Mapping[str, Any]:
-    """The versions that the run last trained with; empty where it does not say."""
+    """The versions of the run's last training; empty if they are not recorded."""
     resumes = reader.config.get("resumes")
     entries = [reader.config, *(resumes if isinstance(resumes, list) else [])]
     said = [entry.get("versions") for entry in entries if isinstance(entry, dict)]
@@ -59,7 +59,7 @@ def _last_versions(reader: RunReader) -> Mapping[str, Any]:
 
 
 def _other_learner(held: Checkpoint, training: object) -> bool:
-    """The state of the checkpoint's learner has other parts than that of this one's."""
+    """Whether the learner's state in the checkpoint has other parts than this learner's."""
     state = held.state.get("training")
     if not isinstance(training, Mbpo) or not isinstance(state, Mapping):
         return False

@@ -1,6 +1,6 @@
 """One training, from its configuration to a finished run folder."""
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from time import perf_counter
 from typing import Any, Protocol, TypedDict, Unpack
@@ -15,21 +15,22 @@ from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.mbpo import Mbpo
-from tom.nn.lockstep import Work, finished
 from tom.offline import Offline
-from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, open_sink
+from tom.record import RunReader, Store, checkpoint
 from tom.record.creating import TakenError
+from tom.record.recorder import Recorder
+from tom.record.rerun.sink import open_sink
+from tom.record.writer import RunWriter
 from tom.training.sac_recording import SacRecording
 from tom.training.watch import Watch
 
 AnyConfig = OnlineConfig | RoadConfig | SacRecordingConfig
 Consumer = Callable[[Event], None]
-Recorded = Generator[Work, None, RunReader]
 STOPPED = "stopped at step {step}: tom train --resume {run} goes on"
 
 
 class Training(Protocol):
-    """A generator of events that can be put down at the end of any step and taken up again."""
+    """A generator of events whose state can be saved at the end of any step and restored."""
 
     def events(self) -> Iterator[Event]: ...
 
@@ -41,16 +42,16 @@ class Training(Protocol):
 
 
 class RecordingOptions(TypedDict, total=False):
-    """How a training is recorded and watched; no option changes what is learnt."""
+    """How a training is recorded and watched; no option changes the training itself."""
 
-    rerun: bool  # a recording for Rerun beside the files [True]
-    watchers: Sequence[Consumer]  # see every event
-    command: str  # what it was started with
-    stop: "Stop | None"  # ends it early [nothing does]
+    rerun: bool  # also write a recording for Rerun [True]
+    watchers: Sequence[Consumer]  # called with every event
+    command: str  # the command line that started it
+    stop: "Stop | None"  # can end it early [None]
 
 
 class Stop:
-    """Asks a training to stop at the end of its step; asked twice, it stops at once."""
+    """A request to stop a training at the end of its step; a second request stops it at once."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -62,7 +63,7 @@ class Stop:
 
 
 def make_training(config: AnyConfig) -> Training:
-    """MBPO in a MuJoCo task, offline on road-and-rocks, or SAC alone."""
+    """The training for a configuration: MBPO, offline on road-and-rocks, or SAC alone."""
     match config:
         case OnlineConfig():
             return Mbpo(config)
@@ -77,17 +78,10 @@ def train(
 ) -> RunReader:
     """Train and record; returns the run.
 
-    A run that `stop` asked to stop is left as `stopped` with a checkpoint. KeyboardInterrupt ends
-    it as `stopped` at once, any other error as `failed` with its reason; both go on to the
-    caller. What was recorded until then stays. Raises UserError without the config's device.
+    After a request by `stop` the run ends as `stopped` with a checkpoint. KeyboardInterrupt ends it
+    as `stopped` at once, any other error as `failed` with its reason; both are raised again. The
+    record up to then stays. Raises UserError if the config's device does not exist.
     """
-    return finished(recorded(config, store, run_id, **options))
-
-
-def recorded(
-    config: AnyConfig, store: Store, run_id: str | None = None, **options: Unpack[RecordingOptions]
-) -> Recorded:
-    """`train` as a member of a fleet runs it: its heavy work is handed out."""
     require_device(config.device)
     keep_freed_memory()
     torch.set_num_threads(config.threads)
@@ -95,12 +89,12 @@ def recorded(
     writer = _new_writer(store, run_id, config, matmul=matmul, command=options.get("command", ""))
     sink = open_sink(writer) if options.get("rerun", True) else None
     with Recorder(writer, sink) as recorder:
-        yield from record(make_training(config), Watch(config), recorder, writer, options)
+        record(make_training(config), Watch(config), recorder, writer, options)
     return RunReader(writer.path)
 
 
 def _new_writer(store: Store, run_id: str | None, config: AnyConfig, **options: Any) -> RunWriter:
-    """The writer of a new run; a name that is made up here is free, also when two start at once."""
+    """The writer of a new run; a generated name is free, even if two runs start at once."""
     if run_id is not None:
         return RunWriter.create(store, run_id, config, **options)
     while True:
@@ -118,18 +112,14 @@ def record(
     writer: RunWriter,
     options: RecordingOptions,
     before: Sequence[Notice] = (),
-) -> Generator[Work, None, None]:
-    """Take a training to its end, or to where `stop` asks: every event into the record.
+) -> None:
+    """Run a training to its end, or until `stop`, and record every event.
 
-    `before` is what is to be said first.
+    `before` are events that come first.
     """
     every, total = writer.config.checkpoint_every, writer.config.total_steps
     listening, stop = list(options.get("watchers", ())), options.get("stop")
-    steps = training.algorithm() if isinstance(training, Mbpo) else training.events()
-    for event in chain(before, watch.over(steps)):
-        if isinstance(event, Work):
-            yield event
-            continue
+    for event in chain(before, watch.over(training.events())):
         recorder.consume(event)
         _tell(listening, event)
         if not (isinstance(event, Tick) and event.ends_step):
@@ -146,7 +136,7 @@ def record(
 
 
 def _tell(watchers: list[Consumer], event: Event) -> None:
-    """Pass an event on; a watcher whose terminal or pipe is gone is dropped, the run goes on."""
+    """Pass an event to the watchers; one whose terminal or pipe is closed is dropped."""
     for watcher in tuple(watchers):
         try:
             watcher(event)
@@ -157,7 +147,7 @@ def _tell(watchers: list[Consumer], event: Event) -> None:
 def _save(
     training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, env_step: int
 ) -> None:
-    """Write a checkpoint; where the disk refuses it, the one before stays and training goes on."""
+    """Write a checkpoint; if the disk is full, the last one stays and training goes on."""
     begun = perf_counter()
     try:
         state = {

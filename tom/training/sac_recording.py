@@ -1,7 +1,7 @@
-"""SAC alone, its whole replay kept in order: what the weights of an ordered buffer are judged on.
+"""SAC alone, with its whole replay buffer in order, for studies of weights of an ordered buffer.
 
-The first half of the rows is random, the second what SAC collected while it learnt (the paper's
-analysis of importance weights, section 5.2). Like `Mbpo`, a generator of events.
+The first half of the rows is random; SAC collects the second half while it learns (the paper's
+analysis of importance weights, section 5.2). Like `Mbpo`, it is a generator of events.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from tom.config import SacRecordingConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import uniform_indices
 from tom.data.transitions import Transitions
-from tom.envs import MujocoTask, task
+from tom.envs import Task, task
 from tom.events import (
     Collected,
     Evaluation,
@@ -33,15 +33,15 @@ from tom.policy.sac import Sac
 from tom.policy.stored import policy_arrays
 from tom.rng import Streams
 
-HANDED_OVER = 1000  # steps between two hand-overs of collected rows
+HANDED_OVER = 1000  # steps between two events of collected rows
 
 
 class SacRecording:
-    """One recording: the random steps, then SAC in an environment of its own."""
+    """One recording: the random steps, then SAC in a separate environment."""
 
     def __init__(self, config: SacRecordingConfig) -> None:
         self.config = config
-        self.task: MujocoTask = task(config.env)
+        self.task: Task = task(config.env)
         self.streams = Streams(config.seed)
         dims = self.task.obs_dim, self.task.action_dim
         self.sac = Sac(*dims, config.sac, [self.streams.torch("sac")])
@@ -55,7 +55,7 @@ class SacRecording:
         self._sac_metrics: dict[str, Tensor] = {}
 
     def events(self) -> Iterator[Event]:
-        """The recording, from where it stands to the trained policy."""
+        """The recording, from the current step to the trained policy."""
         config = self.config
         while self.env_step < config.steps:
             self._add(self._collector.step(self._random_action()), version=0)
@@ -70,7 +70,7 @@ class SacRecording:
         yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac))
 
     def learn(self) -> Iterator[Event]:
-        """One step of the second half: SAC learns from its own steps while it takes them."""
+        """One step of the second half, in which SAC learns from its own steps."""
         config = self.config
         taken = self.env_step - config.steps + 1
         explores = taken <= config.exploration_steps
@@ -88,7 +88,7 @@ class SacRecording:
             yield from self.evaluate()
 
     def optimise(self) -> None:
-        """Gradient steps on minibatches of SAC's own rows; a new policy version."""
+        """Gradient steps on minibatches of SAC's own rows, then a new policy version."""
         config = self.config
         for _ in range(config.updates_per_step):
             rows = uniform_indices(
@@ -99,16 +99,16 @@ class SacRecording:
         self.policy_version += 1
 
     def evaluate(self) -> Iterator[Event]:
-        """Episodes of the mean policy in environments of their own."""
+        """Episodes of the mean policy in separate environments."""
         yield Tick(self.env_step, "evaluate")
         yield Metrics(self.env_step, {k: float(v[0]) for k, v in self._sac_metrics.items()})
         seed = self.streams.integer(f"evaluation {self.env_step}")
         yield Evaluation(self.env_step, self.evaluator.run(self.policy.mean, seed))
 
-    # Where the recording stands
+    # State
 
     def state_dict(self) -> dict[str, Any]:
-        """All that decides the rest of the recording; the rows handed over are not in it."""
+        """The state that determines the rest of the recording, without the recorded rows."""
         return {
             "env_step": self.env_step,
             "policy_version": self.policy_version,
@@ -123,7 +123,7 @@ class SacRecording:
     def load_state_dict(
         self, state: dict[str, Any], collected: Transitions, policy_version: np.ndarray
     ) -> None:
-        """Go on from `state_dict`; `collected` are all rows handed over until then, in order."""
+        """Continue from `state_dict`; `collected` are all rows recorded before it, in order."""
         self.env_step, self.policy_version = state["env_step"], state["policy_version"]
         self.sac.load_state_dict(state["sac"])
         self.streams.load_state_dict(state["streams"])
@@ -156,12 +156,13 @@ class SacRecording:
         yield Tick(self.env_step, phase)
 
     def _flush(self) -> Iterator[Event]:
-        """The rows since the last time; an episode that its half breaks off is truncated."""
+        """The rows since the last call; an episode cut by the end of its half is truncated."""
         if not self._collected:
             return
         steps, versions = zip(*self._collected, strict=True)
         self._collected = []
         state = {name: np.array([getattr(s, name) for s in steps]) for name in ("qpos", "qvel")}
+        state = {name: values for name, values in state.items() if values.size}
         at_end = self.env_step in (self.config.steps, self.config.total_steps)
         rows = transitions_of(steps, cut=at_end)
         yield Collected(self.env_step, rows, np.array(versions, np.int64), state)

@@ -1,7 +1,7 @@
-"""What goes wrong in a training, seen from its events alone, and what to try.
+"""Detects problems of a training from its events, with advice.
 
-The rule: a loss that is not a number ends the training, for nothing after it means anything.
-Everything else that is odd is a notice, and the training goes on.
+A loss that is NaN ends the training, because nothing after it is meaningful. Every other anomaly
+gives a notice, and the training goes on.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,18 +14,17 @@ from tom.config import OnlineConfig, RunConfig, SacRecordingConfig
 from tom.errors import DivergedError
 from tom.events import Collected, Event, Metrics, Notice, Weights
 from tom.metrics import MODEL, require_finite
-from tom.nn.lockstep import Work
 
 EXPLODED_SHARE = 1e-3
-"""share of modelled steps far outside the data from which on a notice says so"""
+"""share of modelled steps far outside the data from which a notice is given"""
 NAMED = 8
-"""dimensions that a notice names one by one"""
+"""maximum number of dimensions that a notice names"""
 SHORT_EPISODES = 10
-"""episodes of one step in a row from which on a notice says so"""
+"""number of successive one-step episodes from which a notice is given"""
 
 
 class Watch:
-    """Looks at every event of one training; its state is part of a checkpoint."""
+    """Checks every event of one training; its state is part of a checkpoint."""
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
@@ -34,18 +33,14 @@ class Watch:
         self._low: Tensor | None = None  # (O,) smallest obs so far
         self._high: Tensor | None = None
 
-    def over(self, events: Iterable[Event | Work]) -> Iterator[Event | Work]:
-        """The events, each followed by the notices that it calls for. Raises DivergedError.
-
-        Work is passed on as it comes.
-        """
+    def over(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events, each followed by its notices. Raises DivergedError."""
         for event in events:
-            yield event  # first recorded, then judged
-            if not isinstance(event, Work):
-                yield from self.look(event)
+            yield event  # recorded first, then checked
+            yield from self.look(event)
 
     def look(self, event: Event) -> Iterator[Notice]:
-        """What `event` gives reason to say."""
+        """The notices for `event`."""
         match event:
             case Collected():
                 self._widen(torch.as_tensor(event.transitions.obs))
@@ -108,7 +103,7 @@ class Watch:
             "what comes later; look at the task's termination and its start states"
         )
 
-    # Where it stands
+    # State
 
     def state_dict(self) -> dict[str, Any]:
         return {
@@ -152,7 +147,7 @@ def _rollouts(env_step: int, values: Mapping[str, float]) -> Iterator[Notice]:
 
 
 def _first_batch(config: RunConfig) -> tuple[int, int]:
-    """Rows that the first minibatch is drawn from, and the smallest minibatch."""
+    """The number of rows of which the first minibatch is drawn, and the smallest minibatch."""
     match config:
         case OnlineConfig():
             return config.exploration_steps, min(config.model.batch_size, config.sac.batch_size)

@@ -4,7 +4,7 @@ Streamlit's own chart is taken down and built anew whenever its figure differs.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Self
@@ -53,19 +53,38 @@ class Region:
         return cls(points, tuple((float(x), float(y)) for x, y in told["outline"]))
 
 
+@dataclass(frozen=True)
+class View:
+    """The part of a figure that is shown, (low, high) in its own units; None: all of an axis."""
+
+    x: tuple[float, float] | None = None
+    y: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> Self:
+        x, y = ((float(p[0]), float(p[1])) if p else None for p in (told["x"], told["y"]))
+        return cls(x, y)
+
+
 def chart(
     figure: go.Figure,
     key: str,
     label: str,
     clicked: Callable[[Point], None] | None = None,
     selected: Callable[[Region | None], None] | None = None,
+    *,
+    view: View | None = None,
+    viewed: Callable[[View], None] | None = None,
+    hidden: Callable[[list[str]], None] | None = None,
 ) -> None:
-    """Show `figure`. Both callbacks run before the page is drawn again.
+    """Show `figure`.
 
     `label` says in words what the figure shows, for those who cannot see it, and names the files
     that a reader saves. With `selected` the figure has box and lasso; it is called with None when
     the selection is lifted. Zoom, selection and hidden lines last while the figure's `uirevision`
-    stays the same.
+    stays the same. A page that keeps the zoom itself gives the `view` and is told of another by
+    `viewed`; `hidden` is told the `uid` of every line that the legend has switched off. All
+    callbacks run before the page is drawn again.
     """
 
     def on_click() -> None:
@@ -78,15 +97,33 @@ def chart(
         if selected is not None and told is not None:
             selected(Region.of(told) if told["points"] or told["outline"] else None)
 
+    def on_view() -> None:
+        told = st.session_state[key].get("viewed")
+        if viewed is not None and told is not None:
+            viewed(View.of(told))
+
+    def on_hide() -> None:
+        told = st.session_state[key].get("hidden")
+        if hidden is not None and told is not None:
+            hidden([str(uid) for uid in told])
+
     data = {
-        "figure": figure.to_json(),
+        "figure": figure.to_json(remove_uids=False),
         "library": LIBRARY_PATH,
         "label": label,
         "selects": selected is not None,
+        "hides": hidden is not None,
+        "view": asdict(view) if view else None,
     }
     height = int(figure.layout.height or 400)  # type: ignore[attr-defined]
     _mount()(
-        key=key, data=data, height=height, on_clicked_change=on_click, on_selected_change=on_select
+        key=key,
+        data=data,
+        height=height,
+        on_clicked_change=on_click,
+        on_selected_change=on_select,
+        on_viewed_change=on_view,
+        on_hidden_change=on_hide,
     )
 
 

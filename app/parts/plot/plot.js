@@ -51,7 +51,7 @@ function save(plot, format) {
   window.Plotly.downloadImage(picture, { format, width, height, scale: 2, filename: name });
 }
 
-function options(Plotly, selects) {
+function options(Plotly, selects, views) {
   const button = (format) => ({
     name: `save as ${format.toUpperCase()}`,
     icon: format === "png" ? Plotly.Icons.camera : Plotly.Icons.disk,
@@ -60,8 +60,10 @@ function options(Plotly, selects) {
   return {
     displaylogo: false,
     responsive: true,
+    // A zoom that came from the address is none to go back to.
+    doubleClick: views ? "autosize" : "reset+autosize",
     modeBarButtonsToRemove: [
-      ...["sendChartToCloud", "toImage", "autoScale2d"],
+      ...["sendChartToCloud", "toImage", views ? "resetScale2d" : "autoScale2d"],
       ...(selects ? [] : ["select2d", "lasso2d"]),
     ],
     modeBarButtonsToAdd: [button("png"), button("svg")],
@@ -72,10 +74,54 @@ function place({ x, y, curveNumber, pointNumber, data }) {
   return { x, y, trace: curveNumber, index: pointNumber, meta: data.meta ?? null };
 }
 
+// Of all points under one label, that which lies nearest to the pointer.
+function nearest(plot, points, { clientY }) {
+  const top = plot.getBoundingClientRect().top;
+  const away = ({ y, yaxis }) =>
+    yaxis ? Math.abs(yaxis._offset + yaxis.d2p(y) - (clientY - top)) : 0;
+  return points.reduce((best, point) => (away(point) < away(best) ? point : best));
+}
+
 function corners({ range, lassoPoints }) {
   const [x, y] = Object.values(lassoPoints ?? range ?? { x: [], y: [] });
   if (lassoPoints || !x.length) return x.map((value, i) => [value, y[i]]);
   return [[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]];
+}
+
+// What part of each axis is shown, in the figure's units; null for all of it.
+function shownPart({ _fullLayout: { xaxis, yaxis } }) {
+  const part = ({ autorange, range, type }) =>
+    autorange ? null : range.map((at) => Number((type === "log" ? 10 ** at : at).toPrecision(5)));
+  return xaxis && yaxis ? { x: part(xaxis), y: part(yaxis) } : null;
+}
+
+// A view from the page counts when it is another than the last, but for an answer to what the
+// reader has done here: by then the reader may be further on.
+function take(plot, view) {
+  const words = JSON.stringify(view);
+  if (words === plot.given) return;
+  plot.given = words;
+  const answered = plot.viewed.indexOf(words);
+  if (answered >= 0) plot.viewed.splice(0, answered + 1);
+  else {
+    plot.viewed = [];
+    plot.taken = { view, count: (plot.taken?.count ?? 0) + 1 };
+  }
+}
+
+function zoomed(layout, { view, count }) {
+  const axis = (given, part) => {
+    const on = given?.type === "log" && part ? part.map((at) => Math.log10(at)) : part;
+    const range = on && on.every(Number.isFinite) ? { range: on, autorange: false } : {};
+    return { ...given, ...range, uirevision: `${layout.uirevision} ${count}` };
+  };
+  return { ...layout, xaxis: axis(layout.xaxis, view.x), yaxis: axis(layout.yaxis, view.y) };
+}
+
+// The lines that the legend has switched off, by their uid.
+function hiddenLines({ _fullData }) {
+  const off = _fullData.filter(({ visible, showlegend }) => visible === "legendonly" && showlegend);
+  return off.map(({ uid }) => uid);
 }
 
 function wire(plot, Plotly) {
@@ -86,12 +132,22 @@ function wire(plot, Plotly) {
     told = JSON.stringify(region);
     plot.tell("selected", region);
   };
-  plot.on("plotly_click", ({ points: [point] }) => plot.tell("clicked", place(point)));
+  plot.on("plotly_click", ({ points, event }) =>
+    plot.tell("clicked", place(nearest(plot, points, event))),
+  );
   plot.on("plotly_selected", (event) => {
     if (!plot.selects || !event) return;
     const points = event.points.map(({ curveNumber, pointIndex }) => [curveNumber, pointIndex]);
     select({ points, outline: corners(event) });
   });
+  plot.on("plotly_relayout", () => {
+    const view = plot.taken && shownPart(plot);
+    const words = JSON.stringify(view);
+    if (!view || words === (plot.viewed.at(-1) ?? plot.given)) return;
+    plot.viewed.push(words);
+    plot.tell("viewed", view);
+  });
+  plot.on("plotly_restyle", () => plot.hides && plot.tell("hidden", hiddenLines(plot)));
   plot.on("plotly_deselect", () => plot.selects && select({ points: [], outline: [] }));
   new ResizeObserver(() => {
     // A chart on a hidden tab has no width until it is shown.
@@ -103,15 +159,19 @@ export default function ({ data, parentElement, setTriggerValue }) {
   const plot = parentElement.querySelector(".plot");
   plot.tell = setTriggerValue;
   plot.selects = data.selects;
+  plot.hides = data.hides;
+  plot.viewed ??= [];
+  if (data.view) take(plot, data.view);
   plot.setAttribute("aria-label", data.label);
   library(data.library).then(
     (Plotly) => {
       if (!plot.isConnected) return;
       const { data: traces, layout } = JSON.parse(data.figure);
+      const seen = plot.taken ? zoomed(layout, plot.taken) : layout;
       plot.querySelector(".failed")?.remove();
       // Plotly starts anew, zoom lost, when it gets other options: also other, equal functions.
-      plot.options ??= options(Plotly, data.selects);
-      Plotly.react(plot, traces, dressed(layout, theme(plot)), plot.options);
+      plot.options ??= options(Plotly, data.selects, Boolean(data.view));
+      Plotly.react(plot, traces, dressed(seen, theme(plot)), plot.options);
       if (!plot.wired) wire(plot, Plotly);
       plot.wired = true;
     },

@@ -5,11 +5,14 @@ from collections.abc import Callable, Sequence
 import streamlit as st
 
 from app import session, text
-from app.data import readers, settings
+from app.data import readers, tables
 from app.data.readers import RunInfo
-from app.parts import shortlinks, widgets
+from app.parts import address, shortlinks, widgets
 from app.views.compare import curves, labels, numbers, side
 from app.views.compare.choice import chosen
+from app.views.compare.comparison import Comparison, compare
+from tom.analysis import grouping
+from tom.analysis.settings import NONE
 
 TITLE = "Compare"
 ICON = ":material/stacked_line_chart:"
@@ -17,8 +20,7 @@ PATH = "compare"
 
 CURVES = "Curves"
 MOST_COLUMNS = 24
-SECTIONS: dict[str, Callable[[Sequence[RunInfo]], None]] = {
-    CURVES: curves.draw,
+SECTIONS: dict[str, Callable[[Comparison], None]] = {
     "Statistics": numbers.draw,
     "Side by side": side.draw,
 }
@@ -26,29 +28,35 @@ SETTINGS, RUNS = "Settings", "Runs"
 
 
 def page() -> None:
-    """Filters; then one of: curves, statistics, runs side by side, settings, labels."""
+    """One row of controls; then curves, statistics, runs side by side, settings or labels."""
     listing = readers.listing(session.links().store)
-    runs = chosen(listing.runs)
-    left, right = st.columns([5, 1], vertical_alignment="center")
-    section = left.segmented_control(
-        "Show",
-        [*SECTIONS, SETTINGS, RUNS],
-        default=CURVES,
-        required=True,
-        key="show",
-        bind="query-params",
-        label_visibility="collapsed",
-    )
-    with right:
-        shortlinks.button()
+    row = st.columns([11, 3, 5, 4, 3], vertical_alignment="center", gap="small")
+    section = address.one(
+        row[0].segmented_control, "Show", [CURVES, *SECTIONS, SETTINGS, RUNS], "show", CURVES,
+        required=True, label_visibility="collapsed",
+    )  # fmt: skip
+    with row[1].popover("Runs", icon=":material/filter_alt:", width="stretch"):
+        runs = chosen(listing.runs)
+    by = address.one(
+        row[2].selectbox, "Group by", grouping.choices(runs), "group", grouping.USUAL,
+        lambda path: f"by {path}", label_visibility="collapsed",
+    )  # fmt: skip
+    comparison = compare(runs, by)
     if not runs:
         st.info("No run passes these filters.", icon=":material/filter_alt_off:")
-    elif section == SETTINGS:
-        _settings(runs)
-    elif section != RUNS:
-        SECTIONS[section or CURVES](runs)
-    if section == RUNS:
+    elif section == RUNS:
         labels.draw(runs, listing.runs)
+    elif not comparison.shown and section != CURVES:
+        st.info("Every run is hidden: under Curves their eyes open again.")
+    elif section == SETTINGS:
+        _settings(comparison.shown)
+    elif section == CURVES:
+        curves.draw(comparison, row[3])
+    else:
+        SECTIONS[section](comparison)
+    address.write()
+    with row[4]:
+        shortlinks.button()
     for run in runs:
         # Not those of the weights: to read every run's profiles takes seconds.
         widgets.show_problems(run, readers.metrics_problems(run))
@@ -58,14 +66,14 @@ def page() -> None:
 def _settings(runs: Sequence[RunInfo]) -> None:
     """Only what differs, a column a run."""
     shown = runs[:MOST_COLUMNS]
-    table = settings.table(shown, [run.name for run in shown])
+    table = tables.settings(shown, [run.name for run in shown])
     if table.empty:
         st.info("These runs have the same settings." if len(runs) > 1 else "One run alone.")
         return
     words = f"The newest {MOST_COLUMNS} of {len(runs)} runs. " if len(runs) > len(shown) else ""
     st.caption(
         f"{words}Settings that are the same everywhere are left out; "
-        f"{text.markdown(settings.NONE)}: the run's version did not have it."
+        f"{text.markdown(NONE)}: the run's version did not have it."
     )
     st.dataframe(table, hide_index=True)
     curves.downloads({"Settings": (lambda: table, "settings")}, "compare")

@@ -1,96 +1,157 @@
 """Curves: a line and a band for each learner, a figure for each environment, a table, CSV."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.data import tables
-from app.data.aggregate import Curve, Group
-from app.data.readers import RunInfo
-from app.figures.curves import group_curves, metric_title, run_curves
-from app.parts import replay_link
-from app.parts.plot import chart
-from app.views.compare import measure
+from app.data.called import task
+from app.figures.curves import group_curves, line_uid, metric_title, run_curves
+from app.parts.eyes import eyes
+from app.parts.plot import View, chart
+from app.views.compare import measure, replay_beside, zoom
+from app.views.compare.comparison import Comparison, hide, switched, toggled
 from app.views.compare.measure import Measure
 from tom.analysis import statistics
+from tom.analysis.curves import Curve, Group
 from tom.harmless import as_csv
 
+Files = Mapping[str, tuple[Callable[[], pd.DataFrame], str]]
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
 
-def draw(runs: Sequence[RunInfo]) -> None:
-    """The figures, what must be said about them, the table, and all of it as CSV."""
-    how = measure.choose(runs)
-    found, grouped = measure.grouped(runs, how.metric, how.axes.x, how.statistic, how.band)
-    if not any(len(curve.step) for curve in found):
-        st.info(f"None of these runs has recorded {text.markdown(how.metric)} yet.")
-        return
-    st.caption(text.markdown(metric_title(how.metric)))
-    if not grouped:
-        _crossing(found, how)
-        return
-    _figures(grouped, how)
-    _remarks(grouped, found, how)
-    if how.axes.x == measure.STEPS:
-        replay_link.show(runs)
-    table = named(tables.summary(grouped), how.metric)
-    st.dataframe(shown(table), hide_index=True, column_config=columns())
-    downloads(
-        {
-            "Lines and bands": (lambda: tables.bands(grouped, how.axes.x), "lines"),
-            "Single runs": (lambda: tables.runs(found, how.axes.x), "runs"),
-            "Table": (lambda: table, "table"),
-        },
-        how.metric,
+def draw(comparison: Comparison, controls: DeltaGenerator) -> None:
+    """The figures, what must be said about them, the table, and all of it as CSV.
+
+    What is measured, and how, is chosen in the `controls`.
+    """
+    with controls.popover("Measure", icon=":material/tune:", width="stretch"):
+        how = measure.choose(comparison.runs)
+    found, grouped = measure.grouped(
+        comparison.members, comparison.kinds, how.metric, how.axes.x, how.statistic, how.band
     )
+    views = zoom.views((how.metric, how.axes.x))
+    beside = replay_beside.chosen(comparison.runs) if how.axes.x == measure.STEPS else None
+    # A replay takes the place of the list: three columns leave the figure too little.
+    left, right = st.columns([3, 2] if beside else [4, 1])
+    with left:
+        _figures(grouped, found, how, comparison, views)
+    with right:
+        if beside:
+            replay_beside.show(*beside)
+        else:
+            _list(comparison)
+    off = comparison.hidden_kinds
+    found = [curve for curve in found if curve.kind not in off]
+    if not any(len(curve.step) for curve in found):
+        return
+    files: Files = {"Single runs": (lambda: tables.runs(found, how.axes.x), "runs")}
+    if grouped := [group for group in grouped if group.kind not in off]:
+        _remarks(grouped, found, how, comparison)
+        table = named(tables.summary(grouped), how.metric)
+        st.dataframe(shown(table), hide_index=True, column_config=columns())
+        lines = (lambda: tables.bands(grouped, how.axes.x), "lines")
+        files = {"Lines and bands": lines, **files, "Table": (lambda: table, "table")}
+    downloads(files, how.metric)
 
 
-def _figures(grouped: Sequence[Group], how: Measure) -> None:
-    envs = sorted({group.env for group in grouped})
+def _list(comparison: Comparison) -> None:
+    hidden = comparison.hidden
+    with st.container(border=True):
+        eyes(
+            comparison.rows(),
+            "eyes",
+            toggled=lambda word: hide(toggled(hidden, word)),
+            everything=lambda: hide([]),
+        )
+
+
+def _figures(
+    grouped: Sequence[Group],
+    found: Sequence[Curve],
+    how: Measure,
+    comparison: Comparison,
+    views: Mapping[str, View],
+) -> None:
+    """A figure for each environment; run by run where no mean can be taken."""
+    envs = sorted({curve.env for curve in found if len(curve.step)})
+    if not envs:
+        hidden = "Every run is hidden." if not found else ""
+        st.info(hidden or f"None of these runs has recorded {text.markdown(how.metric)} yet.")
+        return
+    if not grouped:
+        st.caption(
+            f"{text.markdown(how.axes.x)} goes to and fro, so runs are drawn one by one, in the "
+            "order of their env steps; no mean can be taken."
+        )
     wide = len(envs) == 1
     layout = st.columns(1 if wide else 2)
     for i, env in enumerate(envs):
-        here = [group for group in grouped if group.env == env]
         with layout[i % len(layout)], st.container(border=True):
-            st.markdown(f"**{text.markdown(env)}**")
-            figure = group_curves(
-                here,
-                how.metric,
-                460 if wide else 360,
-                singles=how.singles,
-                axes=how.axes,
-                window=how.window,
-            )
-            label = f"{how.metric} against {how.axes.x} in {env}"
-            clicked = replay_link.remember if how.axes.x == measure.STEPS else None
-            chart(figure, f"compare {env}", label, clicked)
+            words = text.markdown(metric_title(how.metric))
+            st.markdown(f"**{text.markdown(task(env))}**, {words}")
+            _figure(env, grouped, found, how, comparison, views, 460 if wide else 360)
+    if grouped and how.axes.x == measure.STEPS:
+        st.caption("Click a point of a line for the replay nearest to it.")
 
 
-def _crossing(found: Sequence[Curve], how: Measure) -> None:
-    """One metric against another that goes to and fro: single runs only."""
-    st.caption(
-        f"{text.markdown(how.axes.x)} goes to and fro, so runs are drawn one by one, in the order "
-        "of their env steps; no mean can be taken."
+def _figure(
+    env: str,
+    grouped: Sequence[Group],
+    found: Sequence[Curve],
+    how: Measure,
+    comparison: Comparison,
+    views: Mapping[str, View],
+    height: int,
+) -> None:
+    off, looks = comparison.hidden_kinds, comparison.looks
+    if here := [group for group in grouped if group.env == env]:
+        figure = group_curves(
+            here, how.metric, height, singles=how.singles, axes=how.axes, window=how.window,
+            looks=looks, hidden=off,
+        )  # fmt: skip
+        entries = {line_uid(group): looks[group.kind].title for group in here}
+    else:
+        alone = [c for c in found if c.env == env and len(c.step) and c.kind not in off]
+        figure = run_curves(
+            alone, how.metric, height, legend=len(alone) <= 12, axes=how.axes, looks=looks
+        )
+        entries = {curve.run_id: curve.run_id for curve in alone}
+
+    def switch(uids: Sequence[str]) -> None:
+        off = [entries[uid] for uid in uids if uid in entries]
+        hide(switched(comparison.hidden, off, list(entries.values())))
+
+    on_steps = bool(grouped) and how.axes.x == measure.STEPS
+    chart(
+        figure,
+        f"compare {env}",
+        f"{how.metric} against {how.axes.x} in {env}",
+        partial(replay_beside.remember, found) if on_steps else None,
+        view=views.get(env, zoom.ALL),
+        viewed=lambda view: zoom.keep(zoom.zoomed(views, env, view)),
+        hidden=switch,
     )
-    for env in sorted({curve.env for curve in found if len(curve.step)}):
-        here = [curve for curve in found if curve.env == env and len(curve.step)]
-        with st.container(border=True):
-            st.markdown(f"**{text.markdown(env)}**")
-            figure = run_curves(here, how.metric, 420, legend=len(here) <= 12, axes=how.axes)
-            chart(figure, f"crossing {env}", f"{how.metric} against {how.axes.x} in {env}")
-    downloads({"Single runs": (lambda: tables.runs(found, how.axes.x), "runs")}, how.metric)
 
 
-def _remarks(grouped: Sequence[Group], found: Sequence[Curve], how: Measure) -> None:
-    words = [f"Line: {NAMES[how.statistic]} over seeds."]
+def _remarks(
+    grouped: Sequence[Group], found: Sequence[Curve], how: Measure, comparison: Comparison
+) -> None:
+    unit = "seeds" if comparison.usual else "runs"
+    words = [f"Line: {NAMES[how.statistic]} over {unit}."]
     if how.band == "bootstrap":
         words[0] += f" Band: 95 % bootstrap interval of the {NAMES[how.statistic]} "
-        words[0] += "(1000 resamples of the seeds)."
+        words[0] += f"(1000 resamples of the {unit})."
     elif how.band == "deviation":
-        words[0] += " Band: one standard deviation of the seeds around their mean."
+        words[0] += f" Band: one standard deviation of the {unit} around their mean."
+    if not comparison.usual:
+        by = text.markdown(comparison.by)
+        words.append(f"Grouped by {by}: runs of a group may differ in everything else.")
     few = min((group.n for group in grouped if group.n > 1), default=0)
     if few and statistics.remark(few):
         words.append(f"{text.markdown(statistics.remark(few)).capitalize()}.")
@@ -100,9 +161,9 @@ def _remarks(grouped: Sequence[Group], found: Sequence[Curve], how: Measure) -> 
         words.append("Dotted: not all n runs reach these steps.")
     if any(group.interpolated for group in grouped):
         words.append("Runs that were recorded at other steps are interpolated between theirs.")
-    if any(group.variant for group in grouped):
+    if comparison.usual and any(group.variant for group in grouped):
         words.append("Settings that set runs of one learner apart are named.")
-    if any(len({c.seed for c in g.curves}) < g.n for g in grouped):
+    if comparison.usual and any(len({c.seed for c in g.curves}) < g.n for g in grouped):
         words.append("A seed that was run twice counts twice.")
     if empty := sum(not len(curve.step) for curve in found):
         have = "1 run has" if empty == 1 else f"{empty} runs have"
@@ -127,7 +188,8 @@ def shown(table: pd.DataFrame) -> pd.DataFrame:
             for a, b in zip(low, high, strict=True)
         ]
         found.insert(list(found.columns).index(name) + 1, f"{name}, 95 %", words)
-    return found if any(found["settings"].tolist()) else found.drop(columns="settings")
+    silent = [name for name in ("learner", "preset", "settings") if not any(found[name].tolist())]
+    return found.drop(columns=silent)
 
 
 def columns() -> dict:
@@ -147,7 +209,7 @@ def columns() -> dict:
     }
 
 
-def downloads(files: Mapping[str, tuple[Callable[[], pd.DataFrame], str]], name: str) -> None:
+def downloads(files: Files, name: str) -> None:
     """A button for each table, which is made when it is asked for and given as CSV."""
     with st.container(horizontal=True):
         for label, (make, suffix) in files.items():

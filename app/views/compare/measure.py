@@ -1,16 +1,18 @@
 """What is measured, along which axis, and how runs are put together: choices of the page."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import streamlit as st
 
-from app.data import readers, settings
-from app.data.aggregate import Band, Curve, Group, Statistic, curve_points, groups, points_against
+from app.data import readers
 from app.data.cache import VersionedCache
 from app.data.readers import RunInfo
 from app.figures.curves import Axes
+from app.parts import address
+from tom.analysis.curves import Band, Curve, Group, Statistic, curve_points, groups, points_against
+from tom.analysis.grouping import Kind
 
 RETURN, RUNNING_MAXIMUM, OTHER = "return", "running maximum", "another metric"
 METRICS = {RETURN: "eval/return", RUNNING_MAXIMUM: "eval/return_max"}
@@ -43,40 +45,41 @@ class Measure:
 
 
 def choose(runs: Sequence[RunInfo]) -> Measure:
-    """Two rows of controls; what they say is in the address."""
-    row = st.columns([4, 4, 3, 3], vertical_alignment="bottom")
-    kind = row[0].segmented_control(
-        "Measure", [*METRICS, OTHER], default=RETURN, required=True, key="measure",
-        bind="query-params",
-    )  # fmt: skip
+    """The controls of curves; what they say is in the address."""
+    kind = address.one(
+        st.segmented_control, "Measure", [*METRICS, OTHER], "measure", RETURN, required=True
+    )
     names = in_order(name for run in runs for name in readers.metrics(run).columns)
-    other = row[1].selectbox(
-        "Metric", names, key="metric", bind="query-params", disabled=kind != OTHER,
+    other = address.one(
+        st.selectbox, "Metric", names, "metric", names[0] if names else "", disabled=kind != OTHER,
         help="any metric that these runs recorded",
     )  # fmt: skip
-    statistic = row[2].segmented_control(
-        "Over seeds", list(STATISTICS), default="mean", required=True, key="statistic",
-        bind="query-params", help=IQM,
+    statistic = address.one(
+        st.segmented_control, "Over runs", list(STATISTICS), "statistic", "mean", required=True,
+        help=IQM,
     )  # fmt: skip
-    band = row[3].selectbox("Band", list(BANDS), key="band", bind="query-params")
-    row = st.columns([4, 4, 2, 2, 2], vertical_alignment="bottom")
-    x = row[0].selectbox(
-        "Along", [STEPS, SHARE, WALL, *names], key="x", bind="query-params",
+    band = address.one(st.selectbox, "Band", list(BANDS), "band", next(iter(BANDS)))
+    x = address.one(
+        st.selectbox, "Along", [STEPS, SHARE, WALL, *names], "x", STEPS,
         help="env steps, the share of each run that is done, its own wall time, or any metric",
     )  # fmt: skip
-    window = row[1].select_slider(
-        "Smoothing", WINDOWS, 1, key="smoothing", bind="query-params",
-        format_func=lambda points: "none" if points == 1 else f"{points} points",
+    window = address.one(
+        st.select_slider, "Smoothing", WINDOWS, "smoothing", 1,
+        lambda points: "none" if points == 1 else f"{points} points",
         help="moving average of the lines and bands, after the runs were put together",
     )  # fmt: skip
-    log_x = row[2].toggle("log x", key="logx", bind="query-params")
-    log_y = row[3].toggle("log y", key="logy", bind="query-params")
-    singles = row[4].toggle("single seeds", value=True, key="singles", bind="query-params")
+    row = st.columns(3)
+    with row[0]:
+        log_x = address.switch("log x", "logx")
+    with row[1]:
+        log_y = address.switch("log y", "logy")
+    with row[2]:
+        singles = address.switch("single runs", "singles", usual=True)
     return Measure(
-        METRICS.get(kind or RETURN) or other or "eval/return",
-        Axes(x or STEPS, log_x, log_y),
-        STATISTICS[statistic or "mean"],
-        BANDS[band or "95 % bootstrap"],
+        METRICS.get(kind) or other or "eval/return",
+        Axes(x, log_x, log_y),
+        STATISTICS[statistic],
+        BANDS[band],
         int(window),
         singles,
     )
@@ -91,28 +94,28 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 def grouped(
     runs: Sequence[RunInfo],
+    kinds: Mapping[str, Kind],
     metric: str,
     x: str = STEPS,
     statistic: Statistic = "mean",
     band: Band = "bootstrap",
 ) -> tuple[list[Curve], list[Group]]:
-    """The curves of the runs, and their groups where they can be put together (else none)."""
-    held = tuple((run.path, run.status.total, readers.recorded(run)) for run in runs)
+    """The curves of the runs, and their groups where they can be put together (else none).
+
+    `kinds` says of each run, by its id, what group it belongs to.
+    """
+    held = tuple(
+        (run.path, run.status.total, readers.recorded(run), kinds[run.run_id]) for run in runs
+    )
 
     def make() -> tuple[list[Curve], list[Group]]:
-        found = curves(runs, metric, x)
+        found = [curve(run, metric, x, kinds[run.run_id]) for run in runs]
         return found, groups(found, statistic, band) if advancing(found) else []
 
     return _GROUPED.get((held, metric, x, statistic, band), make)
 
 
-def curves(runs: Sequence[RunInfo], metric: str, x: str = STEPS) -> list[Curve]:
-    """The metric of every run along the axis, with what sets runs of one learner apart."""
-    apart = settings.variants(runs)
-    return [curve(run, metric, x, apart[run.run_id]) for run in runs]
-
-
-def curve(run: RunInfo, metric: str, x: str = STEPS, variant: str = "") -> Curve:
+def curve(run: RunInfo, metric: str, x: str = STEPS, kind: Kind | None = None) -> Curve:
     """The metric of one run along the axis, in the order it was recorded."""
     frame = readers.metrics(run)
     if x in (STEPS, SHARE):
@@ -123,7 +126,8 @@ def curve(run: RunInfo, metric: str, x: str = STEPS, variant: str = "") -> Curve
         step, value = points_against(frame, metric, "time/wall_s" if x == WALL else x)
         if x == WALL:
             step = step / 60
-    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value, variant)
+    variant = kind.variant if kind else ""
+    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value, variant, kind)
 
 
 def advancing(found: Sequence[Curve]) -> bool:

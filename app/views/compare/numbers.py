@@ -10,50 +10,57 @@ from numpy.typing import NDArray
 from streamlit.delta_generator import DeltaGenerator
 
 from app import text
-from app.data.aggregate import Group, interval
 from app.data.readers import RunInfo
-from app.data.scores import FINAL, SCORES, compared, default_level, reached, scores_of
-from app.figures.curves import group_name
+from app.data.tables import default_level, reached
+from app.figures.looks import Look
 from app.figures.statistics import Profile, improvement, profiles
+from app.parts import address
 from app.parts.plot import chart
 from app.views.compare import measure
+from app.views.compare.comparison import Comparison
 from app.views.compare.curves import downloads
 from tom.analysis import statistics
+from tom.analysis.curves import Group
+from tom.analysis.scores import SCORES, beats, begun, common_step, interval, scores_of
 
 THRESHOLDS = 61
 
 
-def draw(runs: Sequence[RunInfo]) -> None:
+def draw(comparison: Comparison) -> None:
     """One environment, one score a run, and what its distribution says."""
     row = st.columns([3, 4, 3, 3], vertical_alignment="bottom")
+    runs, looks = comparison.shown, comparison.looks
     env, name, score = _pick(row, runs)
-    _, grouped = measure.grouped([run for run in runs if run.env == env], name)
+    here = [run for run in runs if run.env == env]
+    _, grouped = measure.grouped(here, comparison.kinds, name)
     if not grouped:
         st.info("None of these runs has been evaluated yet.")
         return
-    until = min(float(curve.step[-1]) for group in grouped for curve in group.curves)
-    early = [group for group in grouped if all(c.step[0] <= until for c in group.curves)]
-    late = [text.markdown(name) for name in _names([g for g in grouped if g not in early])]
+    until = common_step(curve for group in grouped for curve in group.curves)
+    early = [group for group in grouped if begun(group.curves, until)]
+    late = [text.markdown(looks[g.kind].title) for g in grouped if g not in early]
     grouped = early
     if not grouped:
         st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
         return
-    scores = [scores_of(group, score, until) for group in grouped]
+    scores = [scores_of(group.curves, score, until) for group in grouped]
     everything = np.concatenate(scores)
     level = row[3].number_input(
         "Steps to reach", value=default_level(everything), step=None, format="%.6g",
         key=f"reach {env} {name} {score}",  # another score has another default
         help="sample efficiency: the first recorded step at which a run is at this value",
     )  # fmt: skip
-    names = _names(grouped)
+    drawn = [looks[group.kind] for group in grouped]
+    names = [look.title for look in drawn]
     st.caption(
         f"{text.markdown(statistics.remark([group.n for group in grouped]) or 'Ten seeds or more')}"
         f". Scores are those up to step {until:,.0f}, which every run reaches."
         + (f" Left out, as nothing was recorded until then: {', '.join(late)}." if late else "")
     )
-    _profiles(grouped, names, scores, score)
-    pairs = compared(names, scores)
-    _improvement(pairs, [grouped[i].learner for i, _ in combinations(range(len(grouped)), 2)])
+    _profiles(drawn, scores, score)
+    both = list(combinations(range(len(grouped)), 2))
+    pairs = [(names[i], names[j], beats([scores[i]], [scores[j]])) for i, j in both]
+    _improvement(pairs, [drawn[i].colour for i, _ in both])
     table = reached(grouped, names, float(level), until)
     _efficiency(table, name, float(level), until)
     downloads(
@@ -66,47 +73,38 @@ def draw(runs: Sequence[RunInfo]) -> None:
     )
 
 
-def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str | None, str, str]:
+def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str, str, str]:
     """The environment, the metric and the score of a run that are looked at."""
-    env = row[0].selectbox(
-        "Environment compared", sorted({run.env for run in runs}), key="task", bind="query-params"
+    envs = sorted({run.env for run in runs})
+    env = address.one(row[0].selectbox, "Environment compared", envs, "task", envs[0])
+    metric = address.one(
+        row[1].segmented_control, "Of", list(measure.METRICS), "of", measure.RETURN, required=True
     )
-    metric = row[1].segmented_control(
-        "Of", list(measure.METRICS), default=measure.RETURN, required=True, key="of",
-        bind="query-params",
-    )  # fmt: skip
-    score = row[2].selectbox(
-        "Score of a run", SCORES, key="score", bind="query-params",
+    score = address.one(
+        row[2].selectbox, "Score of a run", SCORES, "score", SCORES[0],
         help="all of them up to the step that every run reaches, so that a longer run has no "
         "advantage; mean height: area under the curve over its length",
     )  # fmt: skip
-    return env, measure.METRICS[metric or measure.RETURN], score or FINAL
+    return env, measure.METRICS[metric], score
 
 
-def _names(grouped: Sequence[Group]) -> list[str]:
-    several = len({group.preset for group in grouped}) > 1
-    return [group_name(group, several_presets=several).partition(" (")[0] for group in grouped]
-
-
-def _profiles(
-    grouped: Sequence[Group], names: Sequence[str], scores: Sequence[NDArray], score: str
-) -> None:
+def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str) -> None:
     everything = np.concatenate(scores)
     margin = 0.05 * (np.ptp(everything) or 1.0)
     at = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
     draws = np.random.default_rng(0)
     found = []
-    for name, group, values in zip(names, grouped, scores, strict=True):
+    for look, values in zip(looks, scores, strict=True):
         share = statistics.performance_profile(values[:, None], at)
         low, high = statistics.profile_band(values[:, None], at, draws, resamples=300)
-        found.append(Profile(name, group.learner, share, low, high))
+        found.append(Profile(look, share, low, high))
     with st.container(border=True):
         st.markdown("**Performance profile**: share of runs above a score, 95 % bootstrap band")
         label = f"share of runs whose {score} is above a threshold"
         chart(profiles(found, at, score, 340), "performance profile", label)
     rows = []
-    for name, values in zip(names, scores, strict=True):
-        row: dict[str, object] = {"group": name, "n": len(values)}
+    for look, values in zip(looks, scores, strict=True):
+        row: dict[str, object] = {"group": look.title, "n": len(values)}
         for statistic in ("mean", "median", "iqm"):
             row[statistic] = str(interval(values, statistic))
         rows.append(row)
@@ -115,7 +113,7 @@ def _profiles(
 
 
 def _improvement(
-    pairs: Sequence[tuple[str, str, statistics.Interval]], learners: Sequence[str]
+    pairs: Sequence[tuple[str, str, statistics.Interval]], colours: Sequence[str]
 ) -> None:
     if not pairs:
         st.caption("One group alone has nobody to be better than.")
@@ -125,7 +123,7 @@ def _improvement(
             "**Probability of improvement**: that a run of the first beats a run of the second",
             help="ties count half; bars: 95 % bootstrap interval, none where a group has one run",
         )
-        figure = improvement(pairs, learners, 90 + 34 * len(pairs))
+        figure = improvement(pairs, colours, 90 + 34 * len(pairs))
         chart(figure, "improvement", "probability that a run of one group beats one of another")
 
 

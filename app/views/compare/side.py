@@ -8,14 +8,14 @@ from app import session, text
 from app.data import readers
 from app.data.readers import RunInfo
 from app.figures.side import side_by_side
-from app.parts import asked
+from app.parts import address, asked
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
 from app.theme import learner_label
 from app.views.compare import measure
 from app.views.compare.choice import called
-from tom.record.reader import RunReader
+from app.views.compare.comparison import Comparison
 
 MOST = 4
 HORIZON = 25
@@ -23,15 +23,14 @@ HORIZON = 25
 STAGE_HEIGHT = 480
 
 
-def draw(runs: Sequence[RunInfo]) -> None:
+def draw(comparison: Comparison) -> None:
     """Which runs, then their figures and their robots in as many columns."""
+    runs = comparison.shown
     names = called(runs)
     asked.tell("side", names)
-    picked = st.multiselect(
-        f"Two to {MOST} runs", list(names), usual(runs), key="side", bind="query-params",
-        max_selections=MOST, format_func=lambda run_id: names.get(run_id, run_id),
-        on_change=asked.answered, args=("side",),
-        filter_mode="contains", select_all=False,
+    picked = address.many(
+        f"Two to {MOST} runs", list(names), "side", names.__getitem__, usual(runs),
+        max_selections=MOST, on_change=asked.answered, args=("side",),
     )  # fmt: skip
     chosen = [run for run_id in picked for run in runs if run.run_id == run_id]
     if len(chosen) < 2:
@@ -65,7 +64,7 @@ def usual(runs: Sequence[RunInfo]) -> list[str]:
 
 
 def _replays(chosen: Sequence[RunInfo]) -> None:
-    evaluated = {run.run_id: RunReader(run.path).evaluation_steps() for run in chosen}
+    evaluated = {run.run_id: readers.evaluation_steps(run) for run in chosen}
     steps = sorted({step for found in evaluated.values() for step in found})
     if not steps:
         return

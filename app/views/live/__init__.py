@@ -1,4 +1,4 @@
-"""Live: what is training now, how it does, where it looks, and the Rerun viewer."""
+"""Live: the running trainings, their progress and weights, and the Rerun viewer."""
 
 import time
 from collections.abc import Sequence
@@ -7,15 +7,17 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
+from app.data.called import names
 from app.data.readers import RunInfo
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
-from app.parts import asked, replay_link, rerun, widgets
+from app.parts import pick, replay_link, rerun, widgets
 from app.parts.cards import cards
 from app.parts.plot import chart
 from app.theme import learner_label
-from app.views.live import start
+from app.views.live import now, start
 from tom.metrics import describe
+from tom.plugins import CHARTS
 
 TITLE = "Live"
 ICON = ":material/monitor_heart:"
@@ -23,7 +25,7 @@ PATH = ""
 
 REFRESH_S = 2
 MOURNED_S = 900
-"""a dead run stays on the page for so long"""
+"""seconds for which a dead run stays on the page"""
 MAIN_METRIC = "eval/return"
 PREFERRED = (
     "weights/road_share",
@@ -41,21 +43,13 @@ PREFERRED = (
 
 
 def page() -> None:
-    """Cards, curves and weight profiles that refresh by themselves; Rerun below."""
+    """Live cards, curves, weights and the newest evaluation; Rerun on request."""
     runs = readers.listing(session.links().store).runs
-    asked.tell("runs", {run.run_id for run in runs})
     top = st.columns([3, 2], vertical_alignment="bottom")
-    chosen = top[0].multiselect(
-        "Runs",
-        [run.run_id for run in runs],
-        key="runs",
-        bind="query-params",
-        on_change=asked.answered,
-        args=("runs",),
-        placeholder="whatever is training (else the last runs)",
-        filter_mode="contains",
-        select_all=False,
-    )
+    with top[0]:
+        chosen = pick.many(
+            "Runs", names(runs), "runs", placeholder="whatever is training (else the last runs)"
+        )
     metrics = top[1].multiselect(
         "Curves",
         available(watched(runs, chosen)),
@@ -66,14 +60,14 @@ def page() -> None:
         select_all=False,
     )
     start.panel()
-    rerun.settle(runs, watched(runs, chosen))
     _followed(chosen, metrics)
-    st.space("small")
-    rerun.frame(runs)
+    icon, asked = ":material/view_in_ar:", rerun.CHOICE in st.query_params
+    with st.expander("Rerun: everything that one run has recorded", icon=icon, expanded=asked):
+        rerun.frame(runs)
 
 
 def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
-    """The chosen runs; else those in training; else each learner's newest of one task."""
+    """The chosen runs; else the training ones; else each learner's newest run of one task."""
     picked = [run for run in runs if run.run_id in chosen]
     picked = picked or [run for run in runs if run.status.alive or _just_died(run)]
     if not picked and runs:
@@ -83,13 +77,13 @@ def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
 
 
 def usual(runs: Sequence[RunInfo]) -> list[str]:
-    """Three metrics worth watching: those that go on changing, of the preferred ones first.
+    """The three default metrics: those that keep changing, the preferred ones first.
 
-    What only says how the machine does is none of them: a run that explores has nothing else yet.
+    Metrics of the machine's speed are left out; a run that explores has only those.
     """
-    names = [name for name in available(runs) if not name.startswith("time/")]
-    lines = [name for name in names if any(readers.points(r).get(name, 0) > 1 for r in runs)]
-    return (lines or names)[:3]
+    metrics = [name for name in available(runs) if not name.startswith("time/")]
+    lines = [name for name in metrics if any(readers.points(r).get(name, 0) > 1 for r in runs)]
+    return (lines or metrics)[:3]
 
 
 def _just_died(run: RunInfo) -> bool:
@@ -97,11 +91,11 @@ def _just_died(run: RunInfo) -> bool:
 
 
 def available(runs: Sequence[RunInfo]) -> list[str]:
-    """Every metric that one of the runs has recorded, the preferred ones first."""
-    names = {name for run in runs for name in readers.points(run)}
-    names -= {"env_step", MAIN_METRIC}
-    first = [name for name in PREFERRED if name in names]
-    return first + sorted(names.difference(first))
+    """Every metric that at least one of the runs has recorded, the preferred ones first."""
+    metrics = {name for run in runs for name in readers.points(run)}
+    metrics -= {"env_step", MAIN_METRIC}
+    first = [name for name in PREFERRED if name in metrics]
+    return first + sorted(metrics.difference(first))
 
 
 @st.fragment(run_every=REFRESH_S)
@@ -114,27 +108,38 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     cards(shown)
     for run in shown:
         widgets.show_problems(run)
+    if not shown:
+        return
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown(f"**Return**: {describe(MAIN_METRIC)}")
         curves = [widgets.curve(run, MAIN_METRIC) for run in shown]
-        figure = run_curves(curves, MAIN_METRIC, 330, legend=True)
+        figure = run_curves(curves, MAIN_METRIC, 300, legend=True)
         chart(
             figure, "curve main", "return against env steps, one line a run", replay_link.remember
         )
         replay_link.show(shown)
     with right, st.container(border=True):
+        followed = now.pick_followed(shown)
+        now.robot(followed)
+    left, right = st.columns([3, 2])
+    with left, st.container(border=True):
+        called = text.markdown(names(shown)[followed.run_id])
+        st.markdown(f"**Weights of {called}**: every fit, oldest transitions at the bottom")
+        now.weights(followed)
+    with right, st.container(border=True):
         _last_profiles(shown)
-    names = list(metrics) or usual(shown)
-    for first in range(0, len(names), 3):
-        for column, name in zip(st.columns(3), names[first : first + 3], strict=False):
+    drawn = list(metrics) or usual(shown)
+    for first in range(0, len(drawn), 3):
+        for column, name in zip(st.columns(3), drawn[first : first + 3], strict=False):
             with column, st.container(border=True):
                 st.markdown(f"**{name}**", help=describe(name))
                 curves = [widgets.curve(run, name) for run in shown]
-                figure = run_curves(curves, name, 230, legend=False)
+                own = CHARTS.get(name)
+                figure = own(curves, 230) if own else run_curves(curves, name, 230, legend=False)
                 chart(figure, f"curve {name}", f"{name} against env steps")
     _warnings(shown)
-    rerun.look_again(runs, shown)
+    rerun.look_again(runs)
 
 
 def _headline(alive: int, shown: Sequence[RunInfo]) -> str:

@@ -1,4 +1,4 @@
-"""A form that starts trainings: made from the configuration, checked before anything runs."""
+"""A form that starts trainings, made from the configuration and checked before the start."""
 
 import os
 from collections.abc import Sequence
@@ -13,20 +13,21 @@ from app.parts import form
 from app.theme import learner_label
 from tom.envs import ENV_NAMES
 from tom.errors import UserError
+from tom.learners import SUBJECT
 from tom.training.presets import PRESETS, learners
 
 COLUMNS = 4
 FORGET = 6
-"""trainings that were started here and are remembered, newest first"""
+"""maximum number of remembered trainings that were started here"""
 
 
 FOLD, OPENED = "starting", "start opened"
 
 
 def panel() -> None:
-    """Environment, learner, seeds, steps, preset; every other setting folded away.
+    """Environment, learner, seeds, steps, preset; all other settings are folded.
 
-    Its many fields are made once somebody has opened it, and then stay, with what they hold.
+    The fields are made when the form is first opened, and then keep their values.
     """
     icon = ":material/play_arrow:"
     fold = st.expander("Start a training", icon=icon, key=FOLD, on_change="rerun")
@@ -41,13 +42,15 @@ def panel() -> None:
         env = row[0].selectbox("Environment", ENV_NAMES, key="start env")
         names = learners(env)
         learner = row[1].selectbox(
-            "Learner", names, names.index("tom"), key="start learner", format_func=learner_label
+            "Learner", names, names.index(SUBJECT), key="start learner", format_func=learner_label
         )
         preset = row[2].selectbox(
             "Preset",
             list(PRESETS),
             key="start preset",
-            help="paper: table 1 of the paper; mbpo: Janner's MBPO; smoke: small and quick",
+            help="paper: table 1 of the paper; mended: the same with TOM's objective mended; "
+            "released: with the released code's choices; mbpo: Janner's MBPO; smoke: small and "
+            "quick",
         )
         seeds = row[3].text_input(
             "Seeds", "0", key="start seeds", help="one training each: 0, or 0-2, or 0, 3"
@@ -63,7 +66,7 @@ def panel() -> None:
 
 
 def _settings(env: str, learner: str, preset: str) -> dict[str, str]:
-    """The settings that were changed, by their path."""
+    """The changed settings by path."""
     given: dict[str, str] = {}
     groups = form.sections(env, learner, preset)
     for tab, settings in zip(st.tabs(list(groups)), groups.values(), strict=True):
@@ -125,7 +128,7 @@ def _begin(env: str, learner: str, preset: str, seeds: str, given: dict[str, str
 
 
 def failures(runs: Sequence[RunInfo]) -> None:
-    """What was started here and ended before it had a run, with what it said."""
+    """Trainings started here that ended before they had a run, with their output."""
     writers = {run.status.pid for run in runs}
     for begun in _started()[-FORGET:]:
         if begun.failed(writers):
@@ -135,5 +138,5 @@ def failures(runs: Sequence[RunInfo]) -> None:
 
 @st.cache_resource(show_spinner=False)
 def _started() -> list[Started]:
-    """One list for all pages of this studio."""
+    """The started trainings, one list for all pages of this studio."""
     return []

@@ -1,7 +1,6 @@
 """Probe: every learner's weights of one run's buffer; and does weighting help the model?"""
 
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,7 +8,7 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from app import session, text
-from app.data import buffer_reader, pictures, readers, trainings, weighings
+from app.data import buffer_reader, datasets, pictures, readers, trainings, weighings
 from app.data.readers import RunInfo
 from app.data.trainings import Started
 from app.data.weighings import Weighing
@@ -17,19 +16,21 @@ from app.figures.probe import probe_profiles
 from app.parts import empty, form, widgets
 from app.parts.plot import chart
 from app.theme import learner_label
-from app.views.probe import exams, model_error
+from app.views.probe import answer, exams, model_error
+from app.views.probe.length import of_like_length
 from tom.analysis.progression import Progression
-from tom.analysis.weighing import RANDOM
-from tom.learners import LEARNER_NAMES
-from tom.record import layout
-from tom.record.reader import RunReader
+from tom.analysis.weighing import POLICIES, RANDOM
+from tom.analysis.weighing_plan import PRESETS
+from tom.data.datasets import FORMATS
+from tom.envs import ANY, ENVS, is_code
+from tom.learners import LEARNERS, WEIGHED_FIRST
 
 TITLE = "Probe"
 ICON = ":material/experiment:"
 PATH = "probe"
 
-PRESETS = ("own", "paper", "exact")
 END = "the end"
+FOREIGN = "policy.pt, policy.onnx or module:function"
 DIGITS = 6  # of a number in the table: PMAC's weights of old data are 1e-20
 
 
@@ -38,30 +39,40 @@ def page() -> None:
     listing = readers.listing(session.links().store)
     online = [run for run in listing.runs if run.env != pictures.ENV]
     kept = [run for run in online if buffer_reader.has_rows(run)]
-    if not kept:
+    buffers = [*kept, *datasets.listing(session.links().store)]
+    if not buffers:
         if not empty.left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions yet.")
+        _own()
         return
     top = st.columns([1, 1], vertical_alignment="bottom")
     with top[0]:
-        run = widgets.pick_run(kept, "Buffer of run")
+        weighed = [run for run in buffers if weighings.of_run(run, buffer_reader.length(run))]
+        run = widgets.pick_run(buffers, "Buffer of run or data", weighed)
     rows = buffer_reader.length(run)
     if not rows:
-        st.warning("The replay buffer of this run cannot be read.")
+        st.warning("This replay buffer cannot be read.")
         return
     found = weighings.of_run(run, rows)
     with top[1]:
         chosen = _pick_weighing(found)
+    task = [other for other in online if other.env == run.env]
+    alike, others = of_like_length(task)
+    answer.draw(alike, others)
     st.subheader("Several learners on the same buffer", anchor=False)
     if chosen is None:
         st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
     else:
         _weighed(chosen, rows)
-    _weigh(run, kept, folded=chosen is not None)
+    if datasets.is_one(run):
+        _weigh_again(run)
+    else:
+        _weigh(run, kept, folded=chosen is not None)
+    _own()
     st.subheader("Does it help?", anchor=False)
-    same = [other for other in kept if other.env == run.env]
-    exams.draw([other for other in online if other.env == run.env])
+    exams.draw(alike)
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
+    same = [other for other in alike if buffer_reader.has_rows(other)]
     model_error.on_one_buffer(run, same)
     model_error.recorded(same)
     widgets.show_problems(run)
@@ -101,22 +112,32 @@ def _weighed(weighing: Weighing, rows: int) -> None:
     with right, st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")
         st.dataframe(
-            table(weighings.numbers(weighing, of)), hide_index=True, height="content",
-            column_config=_columns(),
+            table(weighings.numbers(weighing, of), weighings.footprints(weighing)),
+            hide_index=True, height="content", column_config=_columns(),
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
 
 
-def table(found: dict[str, list[Progression]]) -> pd.DataFrame:
+def table(
+    found: dict[str, list[Progression]], footprints: dict[str, tuple[float, float]]
+) -> pd.DataFrame:
     """A line for each learner: medians over its seeds."""
 
     def median(rows: list[Progression], name: str) -> float:
         values = [getattr(row, name) for row in rows]
         return float("nan") if None in values else round(float(np.median(values)), DIGITS)
 
+    def footprint(learner: str) -> dict[str, str]:
+        if not footprints:
+            return {}
+        value, error = footprints.get(learner, (np.nan, np.nan))
+        spread = f" ± {error:.2f}" if np.isfinite(error) else ""
+        return {"footprint": f"{value:.2f}{spread}" if np.isfinite(value) else "-"}
+
     return pd.DataFrame(
         {
             "learner": learner_label(learner),
+            **footprint(learner),
             "ESS": median(rows, "ess"),
             "zero": median(rows, "zeros"),
             "random": median(rows, "random_mean"),
@@ -130,6 +151,12 @@ def table(found: dict[str, list[Progression]]) -> pd.DataFrame:
 def _columns() -> dict:
     number = partial(st.column_config.NumberColumn, width=68)
     return {
+        "footprint": st.column_config.TextColumn(
+            width=96,
+            help="distance of the weighted buffer to fresh episodes of the policy over that of the "
+            "unweighted buffer, ± its standard error: 1 is no better than no weights, 0 like "
+            "the policy itself",
+        ),
         "ESS": number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
         "zero": number(format="percent", help="share of transitions with weight zero"),
         "random": number(format="%.3g", help="mean weight of the random data"),
@@ -142,6 +169,26 @@ def _columns() -> dict:
     }
 
 
+def _weigh_again(run: RunInfo) -> None:
+    """The command that weighs a data set: pages do not look for files of the user's."""
+    with st.expander("Weigh this data", icon=":material/scale:"):
+        st.caption("No run collected it, so it is weighed in a terminal, where it lies by now:")
+        words = datasets.words(run, session.links().store)
+        st.code(form.shown(words), language="bash", wrap_lines=True)
+        st.caption("It was last weighed by:")
+        st.code(datasets.command(run), language="bash", wrap_lines=True)
+
+
+def _own() -> None:
+    """How data and policies of other libraries come here."""
+    with st.expander("Data and policies of your own", icon=":material/upload_file:"):
+        words = ["weigh", "DATA", "--policy", "POLICY", "--env", "ENV"]
+        st.code(form.shown([*words, "--store", session.links().store]), language="bash")
+        st.caption(f"DATA: a run (id or folder), {FORMATS}, oldest transition first.")
+        st.caption(f"POLICY: {POLICIES}.")
+        st.caption(f"ENV: {', '.join(ENVS)}, {ANY}. A run and its policy know theirs.")
+
+
 def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
     """A form that starts `tom weigh` on this buffer, whole or as it was at a fit."""
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=not folded):
@@ -151,9 +198,11 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
             other.run_id for other in kept if other.env == run.env and has_policy(other, step)
         ]
         policies.sort(key=lambda name: name != run.run_id)
-        policy = row[1].selectbox("By the policy of", [*policies, RANDOM], key="weigh policy")
+        policy = row[1].selectbox(
+            "By the policy of", [*policies, RANDOM, FOREIGN], key="weigh policy"
+        )
         learners = row[2].multiselect(
-            "Learners", LEARNER_NAMES, ["tom", "pmac", "mle"], key="weigh learners",
+            "Learners", tuple(LEARNERS), list(WEIGHED_FIRST), key="weigh learners",
             format_func=learner_label,
             filter_mode="contains", select_all=False,
         )  # fmt: skip
@@ -162,11 +211,13 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
             help="own: the settings of the buffer's run",
         )  # fmt: skip
         seeds = int(row[4].number_input("Seeds", 1, 10, 2, key="weigh seeds"))
-        store = session.links().store
-        words = command(run.run_id, str(policy), learners, str(preset), seeds, store, step)
+        by = _foreign_policy() if policy == FOREIGN else str(policy)
+        words = command(run, by, learners, str(preset), seeds, session.links().store, step)
         st.code(form.shown(words), language="bash", wrap_lines=True)
         if why := session.looks_on():
             st.caption(why)
+        elif policy == FOREIGN or is_code(run.env):
+            st.caption("It runs code of yours, so it is started in a terminal.")
         elif st.button("Weigh", type="primary", disabled=not learners, key="weigh"):
             st.session_state["weighing"] = trainings.start(words)
         if run.run_id not in policies and not empty.left_out(run, "policy"):
@@ -174,9 +225,15 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
     _progress()
 
 
+def _foreign_policy() -> str:
+    """A policy that no run has made, as `tom weigh` takes it."""
+    typed = st.text_input("File or function", placeholder=FOREIGN, key="weigh foreign")
+    return typed or "POLICY"
+
+
 def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
     """A fit whose policy the run kept, chosen here or by the address (`?at=`); None for its end."""
-    steps = [str(step) for step in RunReader(run.path).policy_steps()]
+    steps = [str(step) for step in readers.policy_steps(run)]
     asked = st.session_state.get("at", st.query_params.get("at", END))
     if asked not in (END, *steps):
         st.session_state.pop("at", None)  # it was chosen for another run
@@ -191,12 +248,11 @@ def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
 
 def has_policy(run: RunInfo, step: int | None) -> bool:
     """The run has kept its policy of the fit at `step` (None: that of its end)."""
-    name = layout.POLICY if step is None else layout.policy(step)
-    return (Path(run.path) / name).is_file()
+    return readers.reader(run).has_policy(step)
 
 
 def command(
-    run_id: str,
+    run: RunInfo,
     policy: str,
     learners: list[str],
     preset: str,
@@ -206,10 +262,11 @@ def command(
 ) -> list[str]:
     """What follows `tom` to weigh a run's buffer, as it was at `step` or at the end."""
     at = [] if step is None else ["--step", str(step)]
+    code = ["--env", run.env] if is_code(run.env) else []
     seed_words = [str(seed) for seed in range(seeds)]
     return [
-        "weigh", run_id, "--policy", policy, *at, "--learner", *learners, "--seeds", *seed_words,
-        "--preset", preset, "--store", store,
+        "weigh", run.run_id, "--policy", policy, *code, *at, "--learner", *learners,
+        "--seeds", *seed_words, "--preset", preset, "--store", store,
     ]  # fmt: skip
 
 

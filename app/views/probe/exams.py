@@ -7,14 +7,14 @@ import pandas as pd
 import streamlit as st
 
 from app import text
-from app.data import readers, settings
+from app.data import readers
 from app.data.cache import VersionedCache
 from app.data.exams import RANKED, Exams, Outcome, Standing, exams_of, middle, outcome
 from app.data.readers import RunInfo
 from app.figures.exams import footprint_error_return
+from app.figures.looks import looks
 from app.parts.plot import chart
-from app.theme import learner_label
-from tom.analysis import statistics
+from tom.analysis import grouping, statistics
 from tom.analysis.statistics import Interval
 
 HEIGHT = 380
@@ -41,7 +41,8 @@ def draw(runs: Sequence[RunInfo]) -> None:
         if runs:
             st.caption(NO_EXAM.format(runs=_count(len(runs))))
         return
-    st.markdown(verdict(result), help=WHAT)
+    if not result.ranked:  # else it stands on top of the page
+        st.markdown(verdict(result), help=WHAT)
     st.dataframe(table(result), hide_index=True, column_config=_columns())
     with st.container(border=True):
         st.markdown(
@@ -80,18 +81,9 @@ def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Outcome]:
 
 def group_names(runs: Sequence[RunInfo]) -> dict[str, str]:
     """By run id what its group is called: its learner, and what else sets groups apart."""
-    apart = settings.variants(runs)
-    several = len({run.preset for run in runs}) > 1
-    return {
-        run.run_id: ", ".join(
-            [
-                learner_label(run.learner),
-                *([run.preset] if several else []),
-                *([apart[run.run_id]] if apart[run.run_id] else []),
-            ]
-        )
-        for run in runs
-    }
+    kinds = grouping.kinds(runs)
+    groups = looks((run.env, kinds[run.run_id]) for run in runs)
+    return {run_id: groups[kind].title for run_id, kind in kinds.items()}
 
 
 def verdict(result: Outcome) -> str:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import streamlit as st
 
 from app.data import buffer_reader, readers
-from app.data.aggregate import curve_points
 from app.data.readers import RunInfo
 from app.figures.probe import errors_by_age, focus
 from app.parts import empty
 from app.parts.plot import chart
 from app.theme import learner_label
+from tom.analysis.curves import curve_points
 
 MODELS = 8
 """kept models at most that are laid over one buffer: the newest of each learner in turn"""

@@ -1,21 +1,22 @@
-"""Regions: the replay buffer as a map; what lies in a part of it, down to the robot itself."""
+"""Regions: the replay buffer as a map, and the content of a part of it, down to the robot."""
 
 import numpy as np
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from app import session
-from app.data import buffer_reader, pictures, readers, regions, weighings
+from app.data import buffer_reader, datasets, pictures, readers, regions, weighings
 from app.data.buffer import Rows, dimension_names
 from app.data.readers import RunInfo
 from app.data.regions import Mask, Plane
+from app.figures.observations import moments_figure
 from app.figures.regions import region_map
-from app.parts import empty, widgets
+from app.parts import empty, why, widgets
 from app.parts.plot import Region, chart
 from app.parts.stage import stage
 from app.scenes.control import StatesChoice
 from app.theme import learner_label
-from app.views.regions import region_tables
+from app.views.regions import brush, region_tables
 
 TITLE = "Regions"
 ICON = ":material/lasso_select:"
@@ -23,23 +24,26 @@ PATH = "regions"
 
 MAP_HEIGHT = 690
 STAGE_HEIGHT = 560
+MOMENT_HEIGHT = 150
+"""of one dimension's curves"""
 SHOWN = 9
-"""robots of each kind"""
+"""number of robots of each kind"""
 GAP = 10
-"""steps that two of them are apart at least"""
+"""minimum number of steps between two of them"""
 CORNERS = 60
-"""corners of an outline that an address holds"""
+"""maximum number of corners of an outline in an address"""
 WEIGHINGS = 3
-"""weighings at most whose weights can be chosen: the newest"""
+"""maximum number of weighings to choose from, the newest"""
 OWN = "the run itself"
 COMPONENTS = "two principal components of (s, a, s')"
 DRAWN, TOP, ZERO, AGE, ALL = "what I draw", "heaviest 1 %", "weight zero", "an age", "everything"
 
 
 def page() -> None:
-    """A run and a fit; the map, a region of it, what is in it."""
+    """A run and a fit; the map, a region of it, and its content."""
     listing = readers.listing(session.links().store)
     kept = [run for run in listing.runs if buffer_reader.fits(run)]
+    kept += datasets.listing(session.links().store)
     if not kept:
         st.info("No run has kept its weights yet: they are recorded with the model fits.")
         return
@@ -53,7 +57,7 @@ def page() -> None:
             st.warning("The replay buffer of this fit cannot be read.")
         widgets.show_problems(run)
         return
-    names, actions = dimension_names(run.env, rows.rows)
+    names, actions = dimension_names(run.env, rows.rows, buffer_reader.described(run))
     with top[2]:
         plane = _pick_plane(run, rows, names)
     axes = _axes(run, rows, plane)
@@ -61,29 +65,31 @@ def page() -> None:
     mask = _pick_region(rows, plane)
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
-        _map(run, rows, plane, axes)
+        _map(run, rows, mask, plane, axes)
     with right, st.container(border=True):
         region_tables.contents(run, rows, mask, names + actions)
     _scenes(run, rows, mask)
+    brush.section(run, rows, mask)
+    why.section(run, rows)
     region_tables.transitions(rows, mask, names, actions)
     empty.left_out(run, "other snapshots", "simulator states")
     widgets.show_problems(run)
 
 
 def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
-    """The buffer with the weights of one of the run's own fits, or of a weighing (the probe).
+    """The buffer with the weights of one of the run's fits, or of a weighing (the probe).
 
-    Whose weights is asked at `place`, which fit below it.
+    The source of the weights is chosen at `place`, the fit below it.
     """
-    length = buffer_reader.length(run)
-    found = weighings.of_run(run, length)
+    length, own = buffer_reader.length(run), [] if datasets.is_one(run) else [OWN]
+    stored = weighings.of_run(run, length)
     others = {
         f"{learner_label(learner)} s{seed}, {weighing.name}": (weight, weighing)
-        for weighing in found[:WEIGHINGS]
+        for weighing in stored[:WEIGHINGS]
         for (learner, seed), weight in weighings.weights(weighing).items()
     }
     chosen = place.selectbox(
-        "Weights of", [OWN, *others], key="weights", bind="query-params",
+        "Weights of", [*own, *others], key="weights", bind="query-params",
         help="the run's own fits, or what `tom weigh` made of its buffer (page Probe)",
     )  # fmt: skip
     if chosen in others:
@@ -91,6 +97,8 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
         if missing := weighing.missing(length):
             st.caption(missing)
         return buffer_reader.weighed_rows(run, weight, weighing.end)
+    if not own:
+        return None  # its weights cannot be read
     return buffer_reader.rows(run, widgets.pick_step("Fit at step", buffer_reader.fits(run)))
 
 
@@ -131,17 +139,17 @@ def _pick_region(rows: Rows, plane: Plane) -> Mask:
 
 
 def _outline() -> list[tuple[float, float]]:
-    """The corners in the address (`?outline=x,y;x,y;...`); none for anything else."""
+    """The corners in the address (`?outline=x,y;x,y;...`); empty if it is malformed."""
     pairs = [pair.split(",") for pair in st.query_params.get("outline", "").split(";")]
     try:
-        found = [(float(x), float(y)) for x, y in pairs]
+        corners = [(float(x), float(y)) for x, y in pairs]
     except ValueError:
         return []
-    return found if np.isfinite(found).all() else []
+    return corners if np.isfinite(corners).all() else []
 
 
 def _axes(run: RunInfo, rows: Rows, plane: Plane) -> str:
-    """What the map's coordinates are, in words: components are those of one buffer alone."""
+    """The map's coordinates in words; principal components belong to a single buffer."""
     words = f"{plane.x_name}, {plane.y_name}"
     if st.session_state.get("across") in (None, COMPONENTS):
         words += f" of rows {rows.first} to {rows.first + len(rows)} of {run.run_id}"
@@ -149,9 +157,9 @@ def _axes(run: RunInfo, rows: Rows, plane: Plane) -> str:
 
 
 def _drop_outline_of_others(axes: str) -> None:
-    """Take an outline that was drawn on other axes out of the address: here it means nothing."""
+    """Remove an outline from the address that was drawn on other axes."""
     if "outline" in st.query_params and st.query_params.get("axes", axes) == axes:
-        st.query_params["axes"] = axes  # an address may give an outline for the axes that it names
+        st.query_params["axes"] = axes  # the axes of the outline in the address
         return
     _forget_outline()
 
@@ -161,8 +169,10 @@ def _forget_outline() -> None:
         st.query_params.pop(name, None)
 
 
-def _map(run: RunInfo, rows: Rows, plane: Plane, axes: str) -> None:
-    st.markdown("**The buffer**: a point is a transition; draw a lasso or a box round some")
+def _map(run: RunInfo, rows: Rows, mask: Mask, plane: Plane, axes: str) -> None:
+    st.markdown(
+        "**The buffer**: a point is a transition, a ring one of the region; draw a lasso or a box"
+    )
 
     def select(region: Region | None) -> None:
         if region is None or len(region.outline) < 3:
@@ -176,15 +186,17 @@ def _map(run: RunInfo, rows: Rows, plane: Plane, axes: str) -> None:
 
     drawn = _outline() if st.session_state.get("region") == DRAWN else []
     keep = f"{run.run_id} {axes}"
-    figure = region_map(plane, rows.weight, drawn, session.mode(), MAP_HEIGHT, keep)
-    chart(figure, "region map", "the buffer's transitions, coloured by weight", selected=select)
+    figure = region_map(plane, rows, mask, drawn, session.mode(), MAP_HEIGHT, keep)
+    asked = why.clicked(rows, plane)
+    label = "the buffer's transitions, coloured by weight"
+    chart(figure, "region map", label, clicked=asked, selected=select)
 
 
 def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
     if run.env == pictures.ENV:
-        return  # its states are places on the map, which has a page of its own
+        return  # its states are positions on the map, which has its own page
     if not mask.any():
-        st.caption("The region is empty: nothing to show in 3D.")
+        st.caption("The region is empty: there is nothing to show of it.")
         return
     heavy, light, words = _sides(rows, mask)
     st.markdown(f"**The scenes themselves**: {words}")
@@ -195,12 +207,24 @@ def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
         tuple(round(float(rows.weight[row]), 4) for row in heavy),
         tuple(round(float(rows.weight[row]), 4) for row in light),
     )
+    if not buffer_reader.drawn(run):
+        _moments(run, choice)
+        return
     stage(choice, STAGE_HEIGHT, compact=True)
     st.caption("A click on the panel's title opens it: there the moments can be played.")
 
 
+def _moments(run: RunInfo, choice: StatesChoice) -> None:
+    """Curves of observations around the same transitions, if there is no robot to draw."""
+    curves = buffer_reader.moments(run, choice.heavy), buffer_reader.moments(run, choice.light)
+    names = buffer_reader.described(run)
+    figure = moments_figure(*curves, names, MOMENT_HEIGHT)
+    chart(figure, "moments", "observations round the heaviest and the lightest transitions")
+    st.caption("Every line is a moment: the transition at 0, and the steps of its episode around.")
+
+
 def _sides(rows: Rows, mask: Mask) -> tuple[list[int], list[int], str]:
-    """What stands left and right. A region of one end of the weights is held to the other end."""
+    """The rows on the left and right; a region of one end of the weights is held to the other."""
     kind, whole = st.session_state.get("region"), np.ones(len(rows), bool)
     heavy, light = regions.heavy_and_light(rows, mask, SHOWN, GAP)
     if kind == TOP:

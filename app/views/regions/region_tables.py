@@ -1,4 +1,4 @@
-"""What lies in a region of the replay buffer, in numbers and transition by transition."""
+"""The content of a region of the replay buffer, in numbers and as a list of transitions."""
 
 import numpy as np
 import pandas as pd
@@ -13,14 +13,14 @@ from app.figures.regions import apart_bars
 from app.parts.plot import chart
 
 LISTED = 300
-"""transitions of a region in its table"""
+"""maximum number of transitions in a region's table"""
 
 
 def contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
-    """Numbers of the region and of the whole buffer; the dimensions in which they differ most."""
+    """Numbers of the region and of the whole buffer, and the dimensions that differ most."""
     st.markdown(f"**In the region**: {mask.sum():,} of {len(rows):,} transitions")
     table = summary(rows, mask)
-    if run.env == pictures.ENV:  # recorded offline, by nobody's policy
+    if run.env == pictures.ENV:  # offline data, not collected by the run's policies
         table = table[table[""] != EXPLORED]
     right = {c: st.column_config.TextColumn(c, alignment="right") for c in table.columns[1:]}
     st.dataframe(table, hide_index=True, height="content", column_config=right)
@@ -31,7 +31,7 @@ def contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
 
 
 def summary(rows: Rows, mask: Mask) -> pd.DataFrame:
-    """A line a quantity: in the region, and in the whole buffer."""
+    """One line per quantity: in the region and in the whole buffer."""
     here, whole = regions.summary(rows, mask), regions.summary(rows, np.ones(len(rows), bool))
 
     def shown(name: str, value: float) -> str:
@@ -47,7 +47,7 @@ def summary(rows: Rows, mask: Mask) -> pd.DataFrame:
 
 
 def transitions(rows: Rows, mask: Mask, names: list[str], actions: list[str]) -> None:
-    """The heaviest transitions of the region, one by one."""
+    """A table of the heaviest transitions of the region."""
     index = np.flatnonzero(mask)
     index = index[np.argsort(-rows.weight[index], kind="stable")][:LISTED]
     more = f", the {LISTED} heaviest" if mask.sum() > LISTED else ""
@@ -56,7 +56,7 @@ def transitions(rows: Rows, mask: Mask, names: list[str], actions: list[str]) ->
 
 
 def listed(rows: Rows, index: np.ndarray, names: list[str], actions: list[str]) -> pd.DataFrame:
-    """A line for each of these rows: its weight, where it comes from, s, a, r and s'."""
+    """One line for each of these rows: its weight, its origin, s, a, r and s'."""
     part = rows.rows[index].numpy()
     table = {
         "weight": rows.weight[index],

@@ -1,5 +1,8 @@
-"""Weights: which part of the replay buffer a learner looks at, fit by fit."""
+"""Weights: which part of the replay buffer a learner weighs most, at every fit."""
 
+from functools import partial
+
+import numpy as np
 import streamlit as st
 from numpy.typing import NDArray
 
@@ -9,11 +12,12 @@ from app.data.buffer import Floats, against
 from app.data.readers import RunInfo
 from app.figures.base import steps_in_words
 from app.figures.regions import weights_against
-from app.figures.weights import effective_sample, weight_map, weight_profile
-from app.parts import empty, widgets
+from app.figures.weights import effective_sample, weight_map, weight_profile, with_returns
+from app.parts import empty, why, widgets
 from app.parts.plot import Point, chart
 from app.theme import learner_label
-from app.views.weights import exam, same_buffer
+from app.views.weights import exam, play, same_buffer
+from tom.learners import LEARNERS
 from tom.record.profiles import Profiles
 from tom.record.reader import at_or_before
 
@@ -21,6 +25,8 @@ TITLE = "Weights"
 ICON = ":material/gradient:"
 PATH = "weights"
 
+EVEN = 0.9999
+"""effective sample size (share) from which weights count as uniform"""
 RELATIVE = "against uniform"
 LINEAR = "as they are"
 AGAINST = (
@@ -31,15 +37,15 @@ AGAINST = (
 
 
 def page() -> None:
-    """The step x bin map; beside it the profile at a step; below its exam and the sample left."""
+    """The step x bin map, the profile at a step, its exam and the effective sample size."""
     listing = readers.listing(session.links().store)
     with_weights = [run for run in listing.runs if readers.has_profiles(run)]
-    # Offline weights hardly change and have a page of their own.
+    # Offline weights hardly change and have their own page.
     with_weights.sort(key=lambda run: run.env == pictures.ENV)
     if not with_weights:
         st.info("No run has fitted a model yet: weights appear after the first fit.")
         return
-    top = st.columns([3, 2], vertical_alignment="bottom")
+    top = st.columns([5, 3, 1], vertical_alignment="bottom")
     with top[0]:
         run = widgets.pick_run(with_weights)
     scale = top[1].segmented_control(
@@ -55,10 +61,15 @@ def page() -> None:
         st.warning("The weight profiles of this run cannot be read.")
         widgets.show_problems(run)
         return
+    with top[2]:
+        plays = play.button(profiles.env_step.tolist())
     chosen = _chosen_fit(profiles)
     _numbers(run, profiles, chosen)
     step = int(profiles.env_step[chosen])
     _figures(run, profiles, chosen, relative=scale == RELATIVE)
+    if plays:  # the rest of the page would slow it down
+        play.go_on(profiles.env_step.tolist(), chosen)
+        return
     exam.of_fit(run, step)
     _effective_sample(run, profiles, chosen)
     same_buffer.at_fit(run, step)
@@ -72,12 +83,16 @@ def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown("**Every fit**: click one to look at it")
-        figure = weight_map(profiles, chosen, session.mode(), 400, relative=relative, x=x)
-        chart(figure, "weight map", "weight of each part of the buffer at every fit", _choose)
+        figure = weight_map(profiles, chosen, session.mode(), 440, relative=relative, x=x)
+        step = int(profiles.env_step[chosen])
+        figure = with_returns(figure, widgets.curve(run, "eval/return"), step)
+        words = "weight of each part of the buffer at every fit, and the returns below"
+        chart(figure, "weight map", words, partial(_choose, profiles.env_step.tolist()))
     with right, st.container(border=True):
         step = profiles.env_step[chosen]
         st.markdown(f"**The fit at step {step:,}**: dashed: every transition counts the same")
-        figure = weight_profile(profiles.bins[chosen], run.learner, 400)
+        top = float(np.nanmax(profiles.bins))
+        figure = weight_profile(profiles.bins[chosen], run.learner, 440, top)
         chart(figure, "profile", "mean weight, oldest to newest transitions")
 
 
@@ -86,24 +101,25 @@ def _effective_sample(run: RunInfo, profiles: Profiles, chosen: int) -> None:
         st.markdown("**How much of the buffer is left**")
         x = steps_in_words([run.env])
         figure = effective_sample(profiles, run.learner, chosen, 250, x)
-        chart(
-            figure, "effective sample", "effective sample size and share of zero weights", _choose
-        )
+        words = "effective sample size and share of zero weights"
+        chart(figure, "effective sample", words, partial(_choose, profiles.env_step.tolist()))
 
 
 def _against(run: RunInfo, step: int) -> None:
-    """Weight against age, episode return, model error and policy version, where they are kept."""
+    """Weight against age, episode return, model error and policy version, if stored."""
     kept = buffer_reader.fits(run)
     if not kept:
         return
-    fit = at_or_before(kept, step)
+    if step not in kept:
+        _pick_kept(kept)
+        return
+    fit = step
     rows = buffer_reader.rows(run, fit)
     if rows is None:
         if not empty.left_out(run, "buffer"):
             st.caption("The replay buffer of this run cannot be read.")
         return
-    other = "" if fit == step else f" (every single weight was kept there, not at {step:,})"
-    st.markdown(f"**What the weights of step {fit:,} go with**{other}", help=AGAINST)
+    st.markdown(f"**What the weights of step {fit:,} go with**", help=AGAINST)
     errors = buffer_reader.model_errors(run, fit)
     panels: list[tuple[str, NDArray, Floats]] = [
         ("position in the buffer, % (0: oldest)", rows.age, rows.weight)
@@ -120,17 +136,32 @@ def _against(run: RunInfo, step: int) -> None:
             chart(figure, f"against {name.split(' of the model')[0]}", f"weight against {name}")
     if isinstance(errors, str):
         st.caption(f"No model error: {text.markdown(errors)}.")
+    why.section(run, rows)
     empty.left_out(run, "other snapshots")
 
 
+def _pick_kept(kept: list[int]) -> None:
+    """Offer the fits whose single weights are stored; those of another fit would mislead."""
+
+    def go() -> None:
+        st.session_state["step"] = st.session_state["kept fit"]
+
+    st.selectbox(
+        "Single weights, and what they go with, were kept of the fits at steps",
+        kept, index=None, key="kept fit", on_change=go, format_func=lambda at: f"{at:,}",
+        placeholder="go to one of them",
+    )  # fmt: skip
+
+
 def _chosen_fit(profiles: Profiles) -> int:
-    """The index of the fit in the address (`?step=`), the last one without."""
+    """The index of the fit in the address (`?step=`), by default the last one."""
     steps = [int(step) for step in profiles.env_step]
     return steps.index(widgets.pick_step("Fit at step", steps))
 
 
-def _choose(point: Point) -> None:
-    st.session_state["step"] = int(point.x)
+def _choose(steps: list[int], point: Point) -> None:
+    """Choose the clicked fit; for a clicked return the last fit before it."""
+    st.session_state["step"] = at_or_before(steps, int(point.x))
 
 
 def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
@@ -139,6 +170,13 @@ def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     share = bins[-fifth:].sum() / bins.sum() if bins.sum() > 0 else float("nan")
     columns = st.columns(5)
     columns[0].metric("learner", text.markdown(learner_label(run.learner)))
+    if profiles.ess[chosen] > EVEN and not (
+        run.learner in LEARNERS and LEARNERS[run.learner].uniform
+    ):
+        st.caption(
+            f"At this fit {text.markdown(learner_label(run.learner))} still counted all "
+            "transitions the same: its warm-up, before it weighs."
+        )
     columns[1].metric("transitions", f"{profiles.count[chosen]:,}")
     columns[2].metric(
         "effective sample",

@@ -1,4 +1,4 @@
-"""The exam of the fit that is looked at: where its weights should lie, and how its model errs."""
+"""The exam of the chosen fit: the footprint of its weights, and its model's errors."""
 
 from collections.abc import Mapping
 
@@ -20,12 +20,12 @@ COLUMNS = {
 
 
 def of_fit(run: RunInfo, step: int) -> None:
-    """Numbers of the exam, and what they say; a line where there is none."""
+    """Numbers of the exam and their meaning; a line of text if there is no exam."""
     if run.env == pictures.ENV:  # offline: nothing is collected after the fit
         return
     frame = readers.metrics(run)
-    found = at_fit(frame, step)
-    if not found:
+    metrics = at_fit(frame, step)
+    if not metrics:
         st.caption(without(run, any(name.startswith("exam/") for name in frame.columns)))
         return
     with st.container(border=True):
@@ -34,12 +34,12 @@ def of_fit(run: RunInfo, step: int) -> None:
             "buffer"
         )
         for column, (name, path) in zip(st.columns(len(COLUMNS)), COLUMNS.items(), strict=True):
-            column.metric(name, _shown(found.get(path)), help=describe(path))
-        st.caption(text.markdown(in_words(found)))
+            column.metric(name, _shown(metrics.get(path)), help=describe(path))
+        st.caption(text.markdown(in_words(metrics)))
 
 
 def without(run: RunInfo, examined: bool) -> str:
-    """Why a fit has no exam; `examined`: another fit of the run has."""
+    """Why a fit has no exam; `examined`: another fit of the run has one."""
     if not examined and not run.status.alive:
         return "No exam: this run is of a version before fits were examined."
     if run.status.alive:
@@ -47,23 +47,24 @@ def without(run: RunInfo, examined: bool) -> str:
     return "This fit sat no exam."
 
 
-def in_words(found: Mapping[str, float]) -> str:
-    """What the numbers of an exam say about the weights and about the model."""
-    said = [about_weights(found)]
-    if "exam/error" in found:
-        ahead = found.get("exam/rollout_error")
+def in_words(metrics: Mapping[str, float]) -> str:
+    """The meaning of an exam's numbers for the weights and the model."""
+    said = [about_weights(metrics)]
+    if "exam/error" in metrics:
+        ahead = metrics.get("exam/rollout_error")
         five = "" if ahead is None else f", after five steps by {ahead:.3g}"
         said.append(
-            f"One step ahead its model errs by {found['exam/error']:.3g} standard deviations of a "
-            f"step's change{five}."
+            f"One step ahead its model errs by {metrics['exam/error']:.3g} standard deviations of "
+            f"a step's change{five}."
         )
     return " ".join(said)
 
 
-def about_weights(found: Mapping[str, float]) -> str:
-    """Whether the weights brought the buffer nearer to what the policy did, beyond the noise."""
+def about_weights(metrics: Mapping[str, float]) -> str:
+    """Whether the weights moved the buffer closer to the policy's transitions, beyond noise."""
     uniform, footprint, noise = (
-        found.get(f"exam/{name}") for name in ("footprint_uniform", "footprint", "footprint_noise")
+        metrics.get(f"exam/{name}")
+        for name in ("footprint_uniform", "footprint", "footprint_noise")
     )
     if uniform is None:
         return "Too few steps to tell where the weights should lie."

@@ -1,4 +1,4 @@
-"""What every learner makes of the buffer that a run had at one of its fits."""
+"""Every learner's weights of the buffer that a run had at one of its fits."""
 
 from pathlib import Path
 from urllib.parse import quote
@@ -6,26 +6,26 @@ from urllib.parse import quote
 import streamlit as st
 
 from app import text
-from app.data import buffer_reader, weighings
+from app.data import buffer_reader, readers, weighings
 from app.data.readers import RunInfo
 from app.figures.probe import probe_profiles
 from app.parts.plot import chart
-from tom.record.reader import RunReader, at_or_before
+from tom.record.reader import at_or_before
 
 HEIGHT = 300
 
 
 def at_fit(run: RunInfo, step: int) -> None:
-    """The profiles of all learners on the buffer of the fit at or before `step`, by its policy.
+    """The profiles of all learners on the buffer of the fit at or before `step`, for its policy.
 
-    Shows the newest result of `tom weigh` there, and leads to the page that makes one.
+    Shows the newest result of `tom weigh` there, with a link to the page that makes one.
     """
     rows = buffer_reader.length(run)
     if not rows:
         return
-    found = reversed(weighings.of_run(run, rows))
-    weighed = {w.step: w for w in found if Path(w.policy).name == run.run_id}  # an id or a folder
-    steps = sorted({*RunReader(run.path).policy_steps(), *(at for at in weighed if at is not None)})
+    stored = reversed(weighings.of_run(run, rows))
+    weighed = {w.step: w for w in stored if Path(w.policy).name == run.run_id}  # an id or a folder
+    steps = sorted({*readers.policy_steps(run), *(at for at in weighed if at is not None)})
     if not steps:
         return
     at = at_or_before(steps, step)

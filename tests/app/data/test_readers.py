@@ -13,8 +13,8 @@ import pytest
 from studio_runs import PENDULUM_TOM, RUNS, info
 
 from app.data import buffer_reader, readers
-from app.data.aggregate import curve_points
 from app.data.readers import RunInfo
+from tom.analysis.curves import curve_points
 from tom.record import lock, manage
 from tom.record.reader import RunReader
 from tom.record.store import Store
@@ -42,6 +42,13 @@ def test_tables_are_the_readers(store: Path) -> None:
     assert readers.profiles(run).bins.tolist() == reader.profiles().bins.tolist()
     assert readers.recordings(run) == ["run.rrd"]
     assert readers.problems(run) == []
+
+
+def test_a_new_recording_is_seen(own: Path) -> None:
+    run = info(own, PENDULUM_TOM)
+    assert readers.recordings(run) == ["run.rrd"]
+    shutil.copy(own / PENDULUM_TOM / "run.rrd", own / PENDULUM_TOM / "run-2.rrd")
+    assert readers.recordings(run) == ["run.rrd", "run-2.rrd"]
 
 
 def test_a_new_row_is_seen(own: Path) -> None:

@@ -8,9 +8,8 @@ import torch
 from studio_runs import ROAD_TOM, info
 
 from app.data import pictures, readers
-from app.data.aggregate import curve_points
 from app.data.roadmap import (
-    RoadMap,
+    RoadShape,
     distance_to_road,
     on_road,
     outline,
@@ -18,24 +17,25 @@ from app.data.roadmap import (
     trajectories,
     weight_grid,
 )
+from tom.analysis.curves import curve_points
 from tom.record.reader import RunReader
 from tom.road import task
 from tom.road.measure import map_field
 
 
 @pytest.fixture(scope="module")
-def road_map() -> RoadMap:
-    return RoadMap.of(map_field(task.draw_map(180, 90, torch.Generator().manual_seed(0))))
+def road_map() -> RoadShape:
+    return RoadShape.of(map_field(task.draw_map(180, 90, torch.Generator().manual_seed(0))))
 
 
-def test_the_road_is_the_tasks(road_map: RoadMap) -> None:
+def test_the_road_is_the_tasks(road_map: RoadShape) -> None:
     points = np.random.default_rng(0).random((5000, 2)).astype(np.float32)
     mine = on_road(points, road_map)
     assert np.array_equal(mine, task.on_road(torch.from_numpy(points)).numpy())
     assert mine.mean() == pytest.approx(0.30, abs=0.02)
 
 
-def test_the_outline_is_the_roads_edge(road_map: RoadMap) -> None:
+def test_the_outline_is_the_roads_edge(road_map: RoadShape) -> None:
     (edge,) = outline(road_map)
     distance = distance_to_road(edge, road_map.centre_line)
     assert distance == pytest.approx(road_map.half_width, abs=1e-6)
@@ -65,7 +65,7 @@ def test_an_empty_cell_has_no_mean_and_the_edge_belongs_to_the_last_cell() -> No
     assert count[2, 2] == 1
 
 
-def test_no_weight_has_no_share(road_map: RoadMap) -> None:
+def test_no_weight_has_no_share(road_map: RoadShape) -> None:
     share, ratio = road_share(np.array([[0.1, 0.12], [0.5, 0.5]]), np.zeros(2), road_map)
     assert np.isnan([share, ratio]).all()
 

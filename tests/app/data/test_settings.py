@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import pytest
 
-from app.data.settings import NONE, differences, in_words, table, variants
+from app.data import tables
 from app.parts.form import sections
+from tom.analysis.settings import NONE, differences, telling_presets, variants
+from tom.config import in_words
 from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.mle import MleLearner
 
@@ -33,10 +35,10 @@ def test_a_configuration_is_flat_words() -> None:
 def test_only_differences_are_shown() -> None:
     runs = [Run("a", {"x": "1", "y": "2"}), Run("b", {"x": "1", "y": "3", "z": "4"})]
     assert differences(runs) == {"y": ["2", "3"], "z": [NONE, "4"]}
-    frame = table(runs, ["one", "one"])
+    frame = tables.settings(runs, ["one", "one"])
     assert list(frame.columns) == ["setting", "one", "one (2)"]
     assert frame.loc[0].tolist() == ["y", "2", "3"]
-    assert table(runs[:1], ["one"]).empty
+    assert tables.settings(runs[:1], ["one"]).empty
 
 
 def test_runs_are_apart_by_settings_that_matter() -> None:
@@ -47,6 +49,16 @@ def test_runs_are_apart_by_settings_that_matter() -> None:
     ]
     assert variants(runs[:2]) == {"a": "", "b": ""}
     assert variants(runs) == {"a": "sac.lr 1", "b": "sac.lr 1", "c": "sac.lr 2"}
+
+
+def test_a_preset_is_told_where_its_learner_has_several() -> None:
+    runs = [
+        Run("a", {}),
+        Run("b", {}, preset="mended"),
+        Run("c", {}, learner="mle"),
+        Run("d", {}, env="hopper"),
+    ]
+    assert telling_presets(runs) == ["paper", "mended", "", ""]
 
 
 def test_another_learner_is_no_variant() -> None:
@@ -61,7 +73,6 @@ def newcomer(monkeypatch: pytest.MonkeyPatch) -> str:
     """A registered learner that reads a group of settings of its own."""
     entry = LearnerEntry("New", lambda c, o, a, g: MleLearner(), group="rollout")
     monkeypatch.setitem(LEARNERS, "new", entry)
-    monkeypatch.setattr("tom.training.presets.LEARNER_NAMES", tuple(LEARNERS))
     return "new"
 
 

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from app.data import tables
-from app.data.aggregate import Curve, Group, groups
+from tom.analysis.curves import Curve, Group, groups
 
 
 def curve(seed: int, value: list[float], learner: str = "tom") -> Curve:

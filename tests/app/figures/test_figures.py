@@ -10,7 +10,6 @@ import pytest
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import pictures, readers
-from app.data.aggregate import GRID, Curve, aggregate
 from app.figures.curves import POINTS, Axes, group_curves, run_curves
 from app.figures.probe import probe_profiles
 from app.figures.road import road_map
@@ -27,6 +26,7 @@ from app.figures.weights import (
 )
 from app.parts import widgets
 from app.theme import learner_colour
+from tom.analysis.curves import GRID, Curve, aggregate
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
 

@@ -1,8 +1,10 @@
 """The viser server's process: frames that connect, and what they then do."""
 
+import gzip
 import threading
 import time
 from collections.abc import Callable, Iterator
+from http.client import HTTPConnection
 from pathlib import Path
 
 import msgspec
@@ -14,11 +16,12 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from app.links import Links
-from app.scenes.control import ReplayChoice, Selection
+from app.scenes.control import Clock, ReplayChoice, Selection, Wish, clock, listen
 from app.scenes.frame import Frame
 from app.scenes.replay_frame import ReplayFrame
 from app.scenes.server import SceneServer
 from app.servers.processes import free_port
+from app.theme import BACKGROUND, Mode
 
 CAMERA = _messages.ViewerCameraMessage(
     wxyz=(1.0, 0.0, 0.0, 0.0),
@@ -109,6 +112,33 @@ class LeftWhileBuilt(SceneServer):
         self.done.set()
 
 
+def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) -> None:
+    def wish(asked: int, wish: Wish, frame: int) -> Selection:
+        return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, frame, 0, asked=asked, wish=wish))
+
+    assert served.clock(PAGE) is None
+    served.select(PAGE, wish(0, "go", 3))
+    with frame_of_a_page(served):
+        wait_for(lambda: served.clock(PAGE) == Clock(3, playing=False))
+        served.select(PAGE, wish(1, "play", 3))
+        served.tick(2 * only_frame(served)._replay.dt)  # type: ignore[union-attr]
+        assert served.clock(PAGE) == Clock(5, playing=True)
+        served.select(PAGE, wish(2, "pause", 5))
+        assert served.clock(PAGE) == Clock(5, playing=False)
+        served.select(PAGE, wish(3, "go", 3))  # once more to where it was sent before
+        assert served.clock(PAGE) == Clock(3, playing=False)
+
+
+def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
+    path, told = str(tmp_path / "control"), {"page": Clock(7, playing=True)}
+    threading.Thread(target=listen, args=(path, print, told.get), daemon=True).start()
+    wait_for(Path(path).exists)
+    assert clock(path, "page") == told["page"]
+    assert clock(path, "another") is None
+    with pytest.raises(FileNotFoundError):
+        clock(str(tmp_path / "none"), "page")
+
+
 def test_a_tab_left_while_its_frame_is_built_leaves_none(store: Path) -> None:
     served = LeftWhileBuilt(Links(store=str(store), viser_port=free_port("127.0.0.1")))
     try:
@@ -118,3 +148,19 @@ def test_a_tab_left_while_its_frame_is_built_leaves_none(store: Path) -> None:
         assert served.frames == {}
     finally:
         served.server.stop()
+
+
+@pytest.mark.parametrize("coding", ["identity", "gzip"])
+def test_a_dark_frames_page_is_dark_before_its_script_runs(
+    coding: str, served: SceneServer
+) -> None:
+    port = served.links.viser_port
+    asked_for: tuple[tuple[str, Mode], ...] = (("?darkMode", "dark"), ("", "light"))
+    for query, mode in asked_for:
+        asked = HTTPConnection("127.0.0.1", port, timeout=30)
+        asked.request("GET", f"/{query}", headers={"Accept-Encoding": coding})
+        answer = asked.getresponse()
+        page = answer.read()
+        html = gzip.decompress(page) if coding == "gzip" else page
+        assert f"background: {BACKGROUND[mode]}".encode() in html[:200]
+        assert b"</html>" in html[-200:]

@@ -154,6 +154,7 @@ def test_the_export_is_one_page_with_every_fit(picture: pictures.Picture, store:
     assert scene_of["durationSeconds"] >= 2 * (drive + REST_S)
     names = {message.get("name") for _, message in scene_of["messages"]}
     assert {"/road0/weights", "/road1/weights", "/road0/learnt cars/0", "/road1/goal/name"} <= names
+    assert {"/road0/title front", "/road0/title back", "/road1/goal/name back"} <= names
     assert not re.search(r'(?:src|href)="https?://', page)
 
 

@@ -8,7 +8,7 @@ import viser
 import viser.transforms
 
 from app.scenes.colours import rgb
-from app.scenes.words import PIXELS, add_words, extent, painted
+from app.scenes.words import PIXELS, add_words, extent, fix, painted
 from app.servers.processes import free_port
 from app.theme import BACKGROUND, TEXT, Mode
 
@@ -67,3 +67,19 @@ def test_words_are_never_seen_from_behind(server: viser.ViserServer, tilt: float
             np.array([0.0, 1.0, 0.0])
         )
         assert lower == pytest.approx(np.array(foot))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.7, np.pi / 2])
+def test_words_that_nobody_turns_are_read_from_both_sides(
+    server: viser.ViserServer, tilt: float
+) -> None:
+    words = add_words(server.scene, "/fixed", "TOM s0", "dark", (0.5, 1.0, 0.02), 0.05, tilt)
+    front, back = fix(server.scene, words)
+    assert not words.node.visible
+    turns = [viser.transforms.SO3(node.wxyz) for node in (front, back)]
+    right, up, towards = ([turn.apply(np.eye(3)[axis]) for turn in turns] for axis in (0, 1, 2))
+    assert towards[0] == pytest.approx(-towards[1])
+    assert up[0] == pytest.approx(up[1])  # upright from both sides
+    assert right[0] == pytest.approx(-right[1])  # and no letter mirrored
+    assert front.position == pytest.approx(words.node.position)
+    assert b'"doubleSided":true' not in front.glb_data + back.glb_data

@@ -61,7 +61,9 @@ def test_opening_is_the_reading_of_the_store_and_the_first_page(
     assert (read.target_s, opened.target_s) == (None, OPEN_S)
     pages = [row.what for row in rows if row is not opened][1:]
     names = [view.TITLE for view in VIEWS]
-    assert len(pages) == 2 * len(names)
+    assert len(pages) == 3 * len(names)
+    four = [row for row in rows if row.what.endswith(", four readers")]
+    assert [row.target_s for row in four] == [OPEN_S] * len(names)
     assert all(row.cpu_s > 0 for row in rows)
 
 

@@ -15,12 +15,18 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM
 
-from app.data.aggregate import Curve, aggregate
-from app.data.scores import BEST, FINAL, HEIGHT, default_level, reached, scores_of
+from app.data.tables import default_level, reached
 from app.links import Links
-from app.parts import shortlinks
+from app.parts import replay_link, shortlinks
+from app.parts.plot import View
 from app.scenes.control import ReplayChoice, Selection, listen
 from app.servers.pages import routes
+from app.theme import learner_colour
+from app.views.compare import zoom
+from app.views.compare.comparison import HIDE, switched, toggled
+from app.views.compare.replay_beside import nearest
+from tom.analysis.curves import Curve, aggregate
+from tom.analysis.scores import BEST, FINAL, HEIGHT, scores_of
 from tom.errors import UserError
 from tom.record import manage
 from tom.record.reader import RunReader
@@ -47,6 +53,55 @@ def own(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def click(app: AppTest, key: str) -> None:
     next(button for button in app.button if button.key == key).click().run()
     assert not app.exception
+
+
+def hidden(app: AppTest) -> list[str]:
+    return app.session_state[HIDE]
+
+
+def hide(app: AppTest, words: list[str]) -> None:
+    """As an eye or the legend does."""
+    app.session_state[HIDE] = words
+    app.run()
+    assert not app.exception
+
+
+def parts(app: AppTest, name: str) -> list[dict]:
+    found = [part.proto for part in app.get("bidi_component")]
+    return [json.loads(proto.json) for proto in found if proto.component_name == name]
+
+
+def rows(app: AppTest) -> dict[str, bool]:
+    """The groups of the list beside the figure, and whether each is hidden."""
+    return {group["title"]: group["hidden"] for group in parts(app, "tom_eyes")[0]["groups"]}
+
+
+def views(app: AppTest) -> list[dict]:
+    return [data["view"] for data in parts(app, "tom_plot")]
+
+
+def test_a_click_on_a_mean_opens_the_replay_of_the_run_nearest_to_it(store: Path) -> None:
+    curves = [
+        Curve(run_id, "e", "tom", "p", i, np.array([0.0, 100.0]), np.array([0.0, value]))
+        for i, (run_id, value) in enumerate((("low", 10.0), ("high", 20.0)))
+    ]
+    assert nearest(curves, 50.0, 9.0) == "high"
+    assert nearest(curves, 50.0, 6.0) == "low"
+    app = draw("compare", env="inverted-pendulum")
+    line = trace(figures(app)[0], name="TOM (n = 2)")
+    assert line["meta"] == list(SEEDS)
+    app.session_state[replay_link.CLICKED] = (SEEDS[1], 399)  # as `remember` does
+    app.run()
+    said = next(words.value for words in app.markdown if "Replay of" in words.value)
+    assert "seed 1, step 400" in said
+    assert "nearest that is kept to step 399" in said
+    app.button(key="close replay").click().run()
+    assert not any("Replay of" in words.value for words in app.markdown)
+
+
+def test_lines_share_one_label_from_the_highest_on() -> None:
+    layout = figures(draw("compare", env="inverted-pendulum"))[0]["layout"]
+    assert (layout["hovermode"], layout["hoversort"]) == ("x unified", "value descending")
 
 
 def test_median_with_the_band_of_a_deviation(store: Path) -> None:
@@ -88,6 +143,97 @@ def test_hidden_and_pinned_runs() -> None:
     assert set(pinned.dataframe[0].value["environment"]) == {"road-and-rocks", "inverted-pendulum"}
 
 
+def test_a_hidden_group_stays_in_the_legend_and_counts_nowhere() -> None:
+    app = draw("compare", env="inverted-pendulum", hide="TOM")
+    figure = figures(app)[0]
+    assert trace(figure, name="TOM (n = 2)")["visible"] == "legendonly"
+    assert "visible" not in trace(figure, name="MLE (1 seed, no band)")
+    assert app.dataframe[0].value["learner"].tolist() == ["MLE"]
+    assert app.query_params["hide"] == "TOM"
+    hide(app, toggled(hidden(app), "TOM"))
+    assert "visible" not in trace(figures(app)[0], name="TOM (n = 2)")
+    assert "hide" not in app.query_params
+
+
+def test_a_hidden_run_is_no_member_of_its_group() -> None:
+    app = draw("compare", env="inverted-pendulum", hide=SEEDS[1])
+    assert trace(figures(app)[0], name="TOM (1 seed, no band)")["meta"] == SEEDS[0]
+    hide(app, [])
+    assert trace(figures(app)[0], name="TOM (n = 2)")["meta"] == list(SEEDS)
+
+
+def test_everything_can_be_hidden_and_shown_again() -> None:
+    app = draw("compare", env="inverted-pendulum")
+    hide(app, switched([], ["TOM", "MLE"], ["TOM", "MLE"]))
+    assert {line["visible"] for line in figures(app)[0]["data"]} == {"legendonly"}
+    assert not app.dataframe
+    assert rows(app) == {"TOM": True, "MLE": True}
+    hide(app, switched(hidden(app), ["MLE"], ["TOM", "MLE"]))
+    assert rows(app) == {"TOM": False, "MLE": True}
+    assert app.dataframe[0].value["learner"].tolist() == ["TOM"]
+
+
+def test_any_setting_makes_groups(store: Path) -> None:
+    app = draw("compare", env="inverted-pendulum", group="seed")
+    first, second = (
+        trace(figures(app)[0], name=f"seed {seed} ({n})")
+        for seed, n in ((0, "n = 2"), (1, "1 seed, no band"))
+    )
+    assert first["meta"] == ["pendulum-mle-0", SEEDS[0]]
+    values = np.array([recorded(store, run_id)[1] for run_id in first["meta"]])
+    assert array(first["y"]) == pytest.approx(values.mean(0))
+    assert first["line"]["color"] != second["line"]["color"]
+    assert app.dataframe[0].value["settings"].tolist() == ["seed 0", "seed 1"]
+    assert any("differ in everything else" in caption.value for caption in app.caption)
+    statistics = draw("compare", env="inverted-pendulum", group="seed", show="Statistics")
+    assert statistics.dataframe[0].value["group"].tolist() == ["seed 0", "seed 1"]
+    assert trace(figures(statistics)[0], name="seed 0")["line"] == {**first["line"], "width": 2.4}
+
+
+def test_grouped_by_learner_a_line_has_the_learner_s_colour() -> None:
+    line = trace(figures(draw("compare", group="learner"))[0], name="TOM (n = 2)")
+    assert line["line"]["color"] == learner_colour("tom")
+
+
+def test_a_zoom_is_in_the_address_until_something_else_is_measured() -> None:
+    at = "inverted-pendulum~150~300~~"
+    app = draw("compare", zoom=at)
+    assert views(app) == [{"x": [150, 300], "y": None}, {"x": None, "y": None}]
+    app.toggle(key="logy").set_value(True).run()
+    assert app.query_params["zoom"] == at
+    held = app.session_state[zoom.ZOOM]
+    app.session_state[zoom.ZOOM] = zoom.zoomed(held, "road-and-rocks", View(y=(-5.0, 2.5)))
+    app.run()
+    assert app.query_params["zoom"] == [at, "road-and-rocks~~~-5~2.5"]
+    held = app.session_state[zoom.ZOOM]
+    app.session_state[zoom.ZOOM] = zoom.zoomed(held, "inverted-pendulum", View())
+    app.run()
+    assert app.query_params["zoom"] == "road-and-rocks~~~-5~2.5"
+    app.selectbox(key="x").select("share of the run").run()
+    assert "zoom" not in app.query_params
+    assert views(app) == [{"x": None, "y": None}] * 2
+
+
+@given(hypothesis.floats(-1e9, 1e9), hypothesis.floats(1e-6, 1e6), hypothesis.sampled_from("xy"))
+def test_a_zoom_is_read_as_it_was_written(low: float, width: float, axis: str) -> None:
+    seen = View(**{axis: zoom.part([str(low), str(low + width)])})
+    word = zoom.word("gymnasium:Ant~v5", seen)
+    assert zoom.read([word]) == ({} if seen == View() else {"gymnasium:Ant~v5": seen})
+
+
+@pytest.mark.parametrize("word", ["", "ant", "ant~1~2", "ant~2~1~~", "ant~nan~1~~", "~~~~"])
+def test_what_is_no_zoom_zooms_nothing(word: str) -> None:
+    assert zoom.read([word]) == {}
+
+
+def test_the_open_replay_is_in_the_address() -> None:
+    app = draw("compare", env="inverted-pendulum", replay=f"{SEEDS[1]}~399")
+    assert any("seed 1, step 400" in words.value for words in app.markdown)
+    app.button(key="close replay").click().run()
+    assert "replay" not in app.query_params
+    assert not draw("compare", replay="no-such-run~x").exception
+
+
 def test_a_name_is_a_regular_expression() -> None:
     app = draw("compare", text="tom-[1-9]$")
     assert app.dataframe[0].value["seeds"].tolist() == ["1"]
@@ -118,7 +264,7 @@ def test_statistics_are_those_of_the_scores(store: Path) -> None:
 def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
     step, value = np.array([100, 200, 300]), np.array([1.0, 5.0, 2.0])
     curve = Curve("a", "ant", "tom", "paper", 0, step, value)
-    group = aggregate([curve])
+    group = [curve]
     assert scores_of(group, FINAL, 200).tolist() == [5]
     assert scores_of(group, FINAL, 299).tolist() == [5]
     assert scores_of(group, BEST, 100).tolist() == [1]

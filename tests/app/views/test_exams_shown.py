@@ -77,7 +77,7 @@ def test_live_charts_the_exams_of_a_training(store: Path) -> None:
     assert set(lines) <= set(usual([run]))
     app = draw("live", runs="pendulum-tom-1")
     place = usual([run]).index("exam/error")
-    line = figures(app)[2 + place]["data"][0]
+    line = figures(app)[3 + place]["data"][0]
     assert array(line["y"]).tolist() == recorded(store, "pendulum-tom-1", "exam/error")[1]
     assert not any(name.startswith("exam/") for name in usual([info(store, ROAD_TOM)]))
 

@@ -2,7 +2,9 @@
 
 import json
 import os
+import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,11 @@ from studio_runs import PENDULUM_TOM, info
 from app.data import buffer_reader, weighings
 from app.links import Links
 from app.parts import widgets
+from app.views.probe import FOREIGN
+from app.views.probe.answer import in_sample, sentence
+from app.views.probe.length import of_like_length
 from app.views.probe.model_error import focus_values, in_turn
+from tom import plugins
 from tom.analysis.progression import progression
 from tom.cli import main
 from tom.record.reader import RunReader
@@ -73,6 +79,19 @@ def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
     assert of["tom", 1] == pytest.approx(table["tom-s1"].to_numpy())
 
 
+def test_the_table_says_how_far_each_learners_weights_lie_from_the_policy(weighed: Path) -> None:
+    app = draw("probe", run=PENDULUM_TOM)
+    shown = app.dataframe[0].value
+    table = dict(zip(shown["learner"], shown["footprint"], strict=True))
+    results = json.loads((weighed / "report.json").read_text())["results"]
+    of_tom = [result for result in results if result["learner"] == "tom"]
+    value, error = (
+        np.median([result[name] for result in of_tom]) for name in ("footprint", "footprint_se")
+    )
+    assert table["TOM"] == f"{value:.2f} ± {error:.2f}"
+    assert table["MLE"].startswith("1.00")  # the buffer without weights
+
+
 def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) -> None:
     path = weighed.parents[1] / PENDULUM_TOM / "buffer"
     shutil.copy(path / "000000000.npz", path / f"{ROWS:09d}.npz")
@@ -121,7 +140,8 @@ def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
     app = draw("weights", run=PENDULUM_TOM, step=str(step))
     assert any(address in words.value for words in app.caption)
     asked = draw("probe", run=PENDULUM_TOM, at=str(step))
-    assert f"--policy {PENDULUM_TOM} --step {step} " in asked.code[-1].value
+    typed = f"--policy {PENDULUM_TOM} --step {step} "
+    assert any(typed in code.value for code in asked.code)
     assert asked.selectbox(key="weigh policy").value == PENDULUM_TOM
 
     words = [
@@ -156,6 +176,18 @@ def test_a_buffer_that_nobody_weighed_says_so() -> None:
     app = draw("probe", run="pendulum-mle-0")
     assert any("Nobody has weighed" in note.value for note in app.info)
     assert any("tom weigh pendulum-mle-0" in code.value for code in app.code)
+
+
+def test_a_policy_of_another_library_is_typed_in_a_terminal(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(plugins.VARIABLE, '["/somewhere/own.py"]')
+    app = draw("probe", run="pendulum-mle-0")
+    app.selectbox(key="weigh policy").select(FOREIGN).run()
+    app.text_input(key="weigh foreign").input("my policy.pt").run()
+    (typed,) = (code.value for code in app.code if code.value.startswith("tom weigh pendulum"))
+    words = shlex.split(typed)
+    assert words[words.index("--policy") + 1] == "my policy.pt"
+    assert words[-2:] == ["--plugin", "/somewhere/own.py"]
+    assert "weigh" not in [button.key for button in app.button]
 
 
 @pytest.mark.slow
@@ -224,3 +256,44 @@ def test_regions_can_show_a_weighings_weights(weighed: Path) -> None:
     heaviest = np.sort(weight)[-round(0.01 * ROWS) :]
     assert table.loc["mean weight", "region"] == f"{heaviest.mean():,.2f}"
     assert table.loc["transitions", "buffer"] == str(ROWS)
+
+
+def test_a_run_that_was_stopped_early_has_no_part(store: Path) -> None:
+    runs = [info(store, run_id) for run_id in (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")]
+    short = replace(runs[0], status=replace(runs[0].status, env_step=150))
+    assert of_like_length([short, *runs]) == (runs, [short])
+    assert of_like_length([]) == ([], [])
+
+
+def test_the_page_says_which_runs_are_left_out(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = shutil.copytree(store, tmp_path / "other")
+    status = there / "pendulum-tom-1" / "status.json"
+    status.write_text(json.dumps(json.loads(status.read_text()) | {"env_step": 90}))
+    for name, value in Links(store=str(there), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    app = draw("probe", run=PENDULUM_TOM)
+    assert any("seed 1 (90 steps)" in words.value.replace("\\", "") for words in app.caption)
+    for figure in figures(app):
+        assert all(line.get("meta") != "pendulum-tom-1" for line in figure["data"])
+    assert any("Where its own policy goes" in words.value for words in app.markdown)
+
+
+def test_an_answer_says_by_how_much_and_whether_beyond_noise() -> None:
+    near = {
+        "mle": [("a", 1.0, 0.0), ("b", 1.2, 0.0)],
+        "tom": [("c", 0.9, 0.0), ("d", 1.1, 0.0)],
+        "pmac": [("e", np.nan, 0.0)],
+    }
+    said = sentence(in_sample(near))
+    assert "TOM errs least" in said
+    assert "9 % less than MLE" in said
+    assert "n = 2 and 2" in said
+    assert "No more than noise, though of few runs: the gap is 0.1" in said
+    error = np.sqrt(0.02 / 2 + 0.02 / 2)
+    assert f"its standard error {error:.2g}" in said
+    far = {"tom": [("a", 1.0, 0.0)] * 5, "mle": [("b", 2.0, 0.0)] * 5}
+    assert "More than noise: the gap is 1" in sentence(in_sample(far))
+    assert "one run cannot tell" in sentence(in_sample({"tom": far["tom"][:1], "mle": far["mle"]}))
+    assert "No run of this task" in sentence({})

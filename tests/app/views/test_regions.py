@@ -9,11 +9,11 @@ from studio_pages import array, draw, figures
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import buffer_reader, regions
-from app.data.buffer import Rows, against, dimension_names, episodes, rows_at
+from app.data.buffer import WINDOW, Rows, against, dimension_names, episodes, rows_at, windows
 from app.figures.regions import POINTS, region_map, weights_against
 from app.scenes import states
-from app.scenes.states import WINDOW
 from tom.data.transitions import Transitions
+from tom.envs import scene, task
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -116,9 +116,29 @@ def test_weights_against_a_quantity_lose_nothing() -> None:
 
 def test_a_large_map_is_thinned_and_says_so() -> None:
     plane = regions.Plane(np.arange(20_000.0), np.zeros(20_000), "a", "b")
-    figure = region_map(plane, np.ones(20_000), [], "light", 300, "k")
+    zeros, ones = np.zeros(20_000, np.int64), np.ones(20_000)
+    many = Transitions(*[ones] * 6)
+    rows = Rows(0, many, zeros, zeros, zeros, ones, ones)
+    figure = region_map(plane, rows, ones > 0, [], "light", 300, "k")
     assert len(figure.data[0].x) == POINTS  # type: ignore[attr-defined]
     assert "8,000 of 20,000" in figure.to_dict()["layout"]["annotations"][0]["text"]
+
+
+def test_a_map_marks_the_region_and_tells_of_each_point(rows: Rows) -> None:
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    cloud, ringed = figures(app)[0]["data"]
+    heaviest = np.flatnonzero(regions.heaviest(rows.weight, 0.01))
+    plane = regions.principal_plane(rows.rows)
+    assert sorted(array(ringed["x"])) == pytest.approx(sorted(plane.x[heaviest]), abs=1e-4)
+    for step, episode, place, phase, reward, weight in cloud["customdata"][:50]:
+        row = step - 1 - rows.first
+        assert episode - 1 == rows.episode[row]
+        assert place - 1 == rows.place[row]
+        assert (phase == "exploration") == (rows.version[row] == 0)
+        assert reward == pytest.approx(float(np.asarray(rows.rows.reward)[row].item()))
+        assert weight == pytest.approx(rows.weight[row])
+    whole = figures(draw("regions", run=PENDULUM_TOM, step=str(FIT), region="everything"))[0]
+    assert not len(array(whole["data"][1]["x"]))  # to mark all is to mark nothing
 
 
 def test_the_page_shows_the_heaviest(rows: Rows) -> None:
@@ -199,7 +219,7 @@ def test_model_errors_are_of_the_rows(store: Path, rows: Rows) -> None:
 def test_a_moment_stays_in_its_episode() -> None:
     ended = np.zeros(60, bool)
     ended[[9, 29]] = True
-    found = states.moments(ended, [12, 59])
+    found = windows(ended, [12, 59])
     assert found.shape == (2, 2 * WINDOW + 1)
     assert found[0, WINDOW] == 12
     assert found[0].min() == 10
@@ -210,14 +230,14 @@ def test_a_moment_stays_in_its_episode() -> None:
 def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     recorded = RunReader(store / PENDULUM_TOM).buffer()[0]
     ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
-    found = states.poses("inverted-pendulum", recorded, {}, states.moments(ended, [7, 200]))
+    found = states.poses(task("inverted-pendulum"), recorded, {}, windows(ended, [7, 200]))
     assert found[:, WINDOW] == pytest.approx(np.asarray(recorded.obs)[[7, 200], :2])
-    group, _ = states.group("inverted-pendulum", found)
+    group, _ = states.group(scene.model("inverted-pendulum"), found)
     position, wxyz = group.frame(WINDOW)
     assert position.shape == (2, 3, 3)
     assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
     kept = {"qpos": np.asarray(recorded.obs)[:, :2] + 5}
-    assert states.poses("hopper", recorded, kept, states.moments(ended, [7]))[0, WINDOW, 0] == 0
+    assert states.poses(task("hopper"), recorded, kept, windows(ended, [7]))[0, WINDOW, 0] == 0
 
 
 def test_weights_shows_what_they_go_with(store: Path, rows: Rows) -> None:

@@ -15,7 +15,9 @@ from app.data import replays
 from app.data.replays import ROAD_DT, Replay
 from app.figures.replay import error_curve
 from app.links import Links
+from app.parts import player
 from app.scenes import solids
+from app.scenes.control import Clock
 from app.scenes.replay import track
 from app.servers import pages
 from tom.analysis.imagine import stored_model
@@ -120,7 +122,7 @@ def test_road_and_rocks_is_replayed_on_its_map(store: Path) -> None:
     assert replay.ghost is not None
     _, following = stored_model(run).predictor.predict(*first_step(replay))
     assert replay.ghost[1] == pytest.approx(following[0].numpy(), abs=1e-6)
-    driven = track(replay.env, replay.real)
+    driven = track(replay.model, replay.real)
     assert driven.root[:, :2] == pytest.approx(replay.real, abs=0.01)
 
 
@@ -181,8 +183,34 @@ def test_the_page_says_whose_model_imagines() -> None:
 
 def test_a_frame_of_a_longer_episode_is_forgotten() -> None:
     app = draw("replays", run=PENDULUM_TOM, step="400", frame="999", episode="77")
-    assert app.slider(key="frame").value == 0
+    assert app.slider(key="replay frame").value == 0
     assert app.selectbox(key="episode").value == 1
+
+
+def test_the_charts_follow_the_scene_while_it_plays(
+    run: RunReader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = Clock(0, playing=False)
+    monkeypatch.setattr(player, "_clock", lambda: now)
+    app = draw("replays", run=PENDULUM_TOM)
+    dt = loaded(run, 400).dt
+
+    def cursors() -> list[float]:
+        return [figure["layout"]["shapes"][0]["x0"] for figure in figures(app)[1:]]
+
+    assert cursors() == [0, 0]
+    now = Clock(4, playing=True)
+    app.run()
+    assert cursors() == pytest.approx([4 * dt] * 2)
+    assert app.slider(key="replay frame").value == 4
+    assert app.button(key="replay play").label == "Pause"
+    app.button(key="replay play").click().run()
+    assert app.session_state[player.ASKED][1:] == ("pause", 4)
+    now = Clock(4, playing=False)
+    app.slider(key="replay frame").set_value(2).run()
+    assert app.session_state[player.ASKED][1:] == ("go", 2)
+    assert cursors() == pytest.approx([2 * dt] * 2)
+    assert app.query_params["frame"] == "2"
 
 
 def test_a_capsule_is_closed_and_as_long_as_it_says() -> None:

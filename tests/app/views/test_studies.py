@@ -1,5 +1,7 @@
 """Studies: the page shows what `tom reproduce` wrote, and nothing that it did not."""
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +11,12 @@ from PIL import Image
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from studio_pages import draw
+from studio_runs import PENDULUM_TOM
 
-from app.data import studies
+from app.data import readers, studies
 from app.links import Links
 from app.servers.pages import routes
+from app.views.studies import _running
 from tom.reports.files import write_csv
 from tom.reports.html import Report, write_report
 
@@ -39,17 +43,17 @@ def reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_studies_are_listed_with_their_files(reports: Path) -> None:
     (reports / "empty").mkdir()
     (reports / "focus" / "outside.png").symlink_to(reports / "road" / "errors.png")
-    road, focus = studies.found()
+    road, focus = studies.found(studies.FOLDER)
     assert (road.name, focus.name) == ("road", "focus")
     assert [path.name for path in focus.tables] == ["summary.csv", "few.csv", "errors.csv"]
     assert [path.name for path in focus.figures] == ["errors.png"]
     assert focus.report is None
-    assert studies.report("road") == Path("reports/road/report.html")
-    assert studies.report("focus") is None
-    assert studies.report("../reports/road") is None
+    assert studies.report("road", studies.FOLDER) == Path("reports/road/report.html")
+    assert studies.report("focus", studies.FOLDER) is None
+    assert studies.report("../reports/road", studies.FOLDER) is None
 
 
-def test_the_page_shows_a_studys_figures_and_numbers(reports: Path) -> None:
+def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path) -> None:
     app = draw("studies", study="focus")
     summary, _, errors = (frame.value for frame in app.dataframe)
     pd.testing.assert_frame_equal(summary, pd.DataFrame(ROWS))
@@ -58,8 +62,79 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path) -> None:
     assert [frame.value.equals(errors) for frame in app.expander[0].dataframe] == [True]
     assert len(app.image) == 1
     assert [code.value for code in app.code] == [
-        f"tom reproduce {name}" for name in ("progression", "online", "returns", "tabular")
+        f"tom reproduce {rest}"
+        for rest in (
+            f"progression --store {store}",
+            "footprint RUN ...",
+            "capacity RUN ...",
+            f"online --store {store}",
+            f"returns --store {store}",
+            "tabular",
+        )
     ]
+
+
+def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> None:
+    origin = {"command": "tom reproduce road --jobs 1", "n": "8 seeds"}
+    report = Report("Road", "the *claim*", ["It holds.", "But <b>"], origin=origin)
+    write_report(report, reports / "road")
+    app = draw("studies", study="road")
+    words = "\n".join(element.value for element in app.markdown)
+    assert r"the \*claim\*" in words
+    assert "- It holds" in words
+    assert r"But \<b\>" in words
+    assert app.code[0].value == "tom reproduce road --jobs 1"
+    (reports / "road" / "report.json").write_text('{"claim": 1}')  # damaged: the rest is shown
+    app = draw("studies", study="road")
+    assert "claim" not in "\n".join(element.value for element in app.markdown)
+    assert len(app.image) == 1
+
+
+def test_studies_that_came_with_the_store_are_shown_and_ones_own_before_them(
+    reports: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = shutil.copytree(store, tmp_path / "store") / "studies"
+    for name in ("road", "tabular"):
+        (shipped / name).mkdir(parents=True)
+        write_report(Report(name, "shipped", ["found"]), shipped / name)
+    for name, value in Links(store=str(shipped.parent), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    found = {study.name: study for study in studies.found(*studies.folders(shipped.parent))}
+    assert list(found) == ["road", "focus", "tabular"]
+    assert found["road"].claim == "a claim"
+    assert found["tabular"].claim == "shipped"
+    assert "shipped" in "\n".join(e.value for e in draw("studies", study="tabular").markdown)
+    assert not readers.listing(str(shipped.parent)).problems  # and they are no broken runs
+
+
+def test_a_study_is_run_from_the_page(
+    tmp_path: Path, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "runs" / "a")
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps(config | {"preset": "paper"}))
+    for name, value in Links(store=str(run.parent), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    app = draw("studies")
+    app.button(key="run returns").click().run()
+    assert app.button(key="run returns").disabled
+    assert any("returns" in caption.value for caption in app.caption)
+    _running()["returns"].process.wait(120)
+    app.run()
+    assert not app.error
+    assert [study.name for study in studies.found(studies.FOLDER)] == ["returns"]
+    assert app.code[0].value.startswith("tom reproduce returns --store")
+
+
+def test_a_study_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    app = draw("studies")
+    app.button(key="run returns").click().run()
+    _running()["returns"].process.wait(120)
+    app.run()
+    assert "returns" in app.error[0].value
+    assert "has no such run" in app.code[-1].value  # of the preset `paper`
 
 
 def test_a_level_that_was_never_reached_is_a_dash(reports: Path) -> None:

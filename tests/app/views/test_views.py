@@ -3,17 +3,25 @@
 import json
 import re
 import shutil
+import time
+from dataclasses import replace
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, array, draw, figures, trace
-from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
+from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
 
+from app.data.called import names
+from app.data.readers import RunInfo
 from app.links import Links
 from app.parts import replay_link
-from app.views.live import start
+from app.parts.cards import figures as figures_of
+from app.views.live import start, usual
+from tom.record import layout
+from tom.record.labels import Labels
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -34,8 +42,10 @@ def test_live_follows_the_chosen_run(store: Path) -> None:
     step, value = recorded(store, PENDULUM_TOM, "eval/return")
     assert array(line["x"]).tolist() == step
     assert array(line["y"]).tolist() == value
-    profile = figures(app)[1]["data"][0]
-    assert array(profile["y"]) == pytest.approx(RunReader(store / PENDULUM_TOM).profiles().bins[-1])
+    heat, profile = (figure["data"][0] for figure in figures(app)[1:3])
+    bins = RunReader(store / PENDULUM_TOM).profiles().bins
+    assert array(heat["customdata"]) == pytest.approx(bins.T)
+    assert array(profile["y"]) == pytest.approx(bins[-1])
     assert metric_values(app)["last return"] == f"{value[-1]:,.1f}"
 
 
@@ -51,20 +61,88 @@ def test_live_without_a_training_shows_each_learners_newest_run() -> None:
 
 def test_live_shows_chosen_curves(store: Path) -> None:
     app = draw("live", runs=PENDULUM_TOM, curves="model/holdout_nll")
-    line = figures(app)[2]["data"][0]
+    line = figures(app)[3]["data"][0]
     assert array(line["y"]).tolist() == recorded(store, PENDULUM_TOM, "model/holdout_nll")[1]
+
+
+def test_live_charts_no_speed_of_a_run_that_only_explores(store: Path, tmp_path: Path) -> None:
+    run = explores(store, tmp_path)
+    assert usual([run]) == []
+    assert dict(figures_of(run))["steps / s"] == "-"  # a fit takes no step: that is no speed of 0
+
+
+def explores(store: Path, tmp_path: Path) -> RunInfo:
+    """A run in training whose only metrics yet are those of the machine."""
+    folder = shutil.copytree(store / PENDULUM_TOM, tmp_path / "young")
+    (folder / "metrics.parquet").unlink()
+    rows = [{"env_step": step, "time/checkpoint_s": 0.1} for step in (1, 2)]
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    status = json.loads((folder / "status.json").read_text())
+    status |= {"state": "running", "heartbeat": time.time(), "env_steps_per_s": 0.0}
+    (folder / "status.json").write_text(json.dumps(status))
+    (folder / layout.LOCK).unlink()
+    return info(tmp_path, "young")
+
+
+def test_live_loads_rerun_for_a_run_that_is_asked_for(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    links = Links(store=str(store), port=8600, rerun_port=9090, key="key")
+    for name, value in links.environment().items():
+        monkeypatch.setenv(name, value)
+    app = draw("live")
+    assert not app.get("iframe")
+    app.selectbox(key="recording").select(PENDULUM_TOM).run()
+    [frame] = app.get("iframe")
+    [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
+    assert urlsplit(address).path == f"/rrd/{PENDULUM_TOM}/run.rrd"
+
+
+def test_live_follows_a_run_in_training_in_rerun(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = explores(store, tmp_path)
+    links = Links(store=str(tmp_path), port=8600, rerun_port=9090, key="key")
+    for name, value in links.environment().items():
+        monkeypatch.setenv(name, value)
+    [frame] = draw("live", recording=run.run_id).get("iframe")
+    [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
+    assert urlsplit(address).path == f"/live/{run.run_id}.rrd"
+
+
+def test_runs_are_chosen_by_name_and_kept_in_the_address_by_id() -> None:
+    app = draw("weights", run=PENDULUM_TOM)
+    choice = app.selectbox(key="run")
+    assert choice.options[choice.index or 0] == "Inverted pendulum · TOM · seed 0"
+    choice.select("pendulum-tom-1").run()
+    assert app.query_params["run"] == "pendulum-tom-1"
+    assert draw("live", runs=PENDULUM_TOM).multiselect(key="runs").value == [PENDULUM_TOM]
+
+
+def test_only_runs_of_one_name_carry_their_ids(store: Path) -> None:
+    def run(run_id: str, seed: int, name: str = "") -> RunInfo:
+        changes = {"run_id": run_id, "seed": seed, "labels": Labels(name=name), "env": "hopper"}
+        return replace(info(store, PENDULUM_TOM), **changes)
+
+    found = names([run("a", 0), run("b", 1), run("c", 1), run("d", 0, "the best")])
+    assert list(found.values()) == [
+        "Hopper · TOM · seed 0",
+        "Hopper · TOM · seed 1, b",
+        "Hopper · TOM · seed 1, c",
+        "the best",
+    ]
 
 
 @pytest.mark.parametrize("page", ["live", "compare"])
 def test_a_click_on_a_runs_curve_leads_to_the_replay_nearest_to_it(store: Path, page: str) -> None:
     app = draw(page)
-    assert any("for its replay" in words.value for words in app.caption)
+    assert any("replay" in words.value for words in app.caption)
     before, at = RunReader(store / ROAD_TOM).evaluation_steps()[-2:]
     app.session_state[replay_link.CLICKED] = (ROAD_TOM, at - 1)  # as `remember` does
     app.run()
     assert before < at - 1
     address = f"(/replays?run={ROAD_TOM}&step={at})"
-    assert any(words.value.endswith(address) for words in app.markdown)
+    assert any(address in words.value for words in app.markdown)
 
 
 def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
@@ -157,6 +235,71 @@ def test_weights_shows_every_fit_and_the_chosen_one(store: Path) -> None:
     values = metric_values(app)
     assert values["transitions"] == f"{profiles.count[1]:,}"
     assert values["effective sample"] == f"{100 * profiles.ess[1]:.1f} %"
+
+
+def test_the_return_lies_under_the_map_on_the_same_axis(store: Path) -> None:
+    figure = figures(draw("weights", run=PENDULUM_TOM))[0]
+    heat, line = figure["data"]
+    steps, values = recorded(store, PENDULUM_TOM, "eval/return")
+    assert (array(line["x"]).tolist(), array(line["y"]).tolist()) == (steps, values)
+    assert "xaxis" not in heat
+    assert "xaxis" not in line
+    assert line["yaxis"] == "y2"
+    assert figure["layout"]["yaxis2"]["domain"][1] < figure["layout"]["yaxis"]["domain"][0]
+
+
+def test_profiles_of_all_fits_have_one_height(store: Path) -> None:
+    steps = RunReader(store / PENDULUM_TOM).profiles().env_step.tolist()
+    ranges = [
+        figures(draw("weights", run=PENDULUM_TOM, step=str(step)))[1]["layout"]["yaxis"]["range"]
+        for step in (steps[0], steps[-1])
+    ]
+    assert ranges[0] == ranges[1]
+    assert ranges[0][1] >= RunReader(store / PENDULUM_TOM).profiles().bins.max()
+
+
+def test_weights_plays_fit_after_fit(store: Path) -> None:
+    steps = RunReader(store / PENDULUM_TOM).profiles().env_step.tolist()
+    app = draw("weights", run=PENDULUM_TOM)
+    app.button(key="play fits").click().run()
+    seen = [app.select_slider(key="step").value]
+    while app.button(key="play fits").label == "Pause":
+        seen.append(app.run().select_slider(key="step").value)
+    assert list(dict.fromkeys(seen)) == steps
+
+
+def test_weights_of_a_fit_that_kept_none_are_not_those_of_another(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "store" / "run")
+    first, *_, last = RunReader(run).profiles().env_step.tolist()
+    (run / layout.snapshot(last)).unlink()
+    for name, value in Links(store=str(run.parent), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    app = draw("weights", run="run", step=str(last))
+    assert not any("go with" in words.value for words in app.markdown)
+    choice = app.selectbox(key="kept fit")
+    assert f"{last:,}" not in choice.options
+    choice.select(first).run()
+    assert any(f"of step {first:,} go with" in words.value for words in app.markdown)
+
+
+def test_weights_says_where_a_fit_was_a_warm_up(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "store" / "run")
+    record = run / "weights" / "profiles.jsonl"
+    first, *rest = record.read_text().splitlines()
+    even = json.loads(first) | {"bins": [1.0] * 100, "ess": 1.0, "zeros": 0.0}
+    record.write_text("\n".join([json.dumps(even), *rest]) + "\n")
+    for name, value in Links(store=str(run.parent), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    step, last = even["env_step"], json.loads(rest[-1])["env_step"]
+    said = [
+        any("warm-up" in caption.value for caption in draw("weights", run="run", step=at).caption)
+        for at in (str(step), str(last))
+    ]
+    assert said == [True, False]
 
 
 def test_weights_starts_at_the_last_fit(store: Path) -> None:

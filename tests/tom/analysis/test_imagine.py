@@ -10,6 +10,7 @@ from torch import Tensor
 
 from tom.analysis.imagine import imagine, joint_positions, step_errors, stored_model, stored_step
 from tom.analysis.ordered_data import of_run
+from tom.data.transitions import Transitions
 from tom.envs import task
 from tom.errors import UserError
 from tom.events import Episode
@@ -63,20 +64,16 @@ def test_errors_are_in_standard_deviations_of_a_steps_change():
     obs = np.zeros((4, 1), np.float32)
     action = np.zeros((4, 1), np.float32)
     following = np.array([[3], [-3], [3], [-3]], np.float32)
-    assert step_errors(Adder(), obs, action, following) == pytest.approx(1)
+    nothing = np.zeros(4, np.float32)
+    rows = Transitions(obs, action, nothing, following, nothing, nothing)
+    assert step_errors(Adder(), rows) == pytest.approx(1)
 
 
 def test_the_kept_model_predicts_as_the_run_measured(hopper: RunReader):
     kept = stored_model(hopper)
     assert kept.env_step == 360
     rows, _ = hopper.buffer()
-    arrays = rows.numpy()
-    errors = step_errors(
-        kept.predictor,
-        np.asarray(arrays.obs),
-        np.asarray(arrays.action),
-        np.asarray(arrays.next_obs),
-    )
+    errors = step_errors(kept.predictor, rows)
     recorded = hopper.metrics()["model/error_other"].dropna().iloc[-1]
     assert np.sqrt(np.square(errors).mean()) == pytest.approx(recorded, rel=0.5)
 

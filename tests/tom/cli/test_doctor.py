@@ -23,7 +23,7 @@ def test_a_machine_that_runs_the_tests_is_healthy(tmp_path: Path, capsys):
     assert code == 0
     assert {f["state"] for f in found.values()} <= {"ok", "note"}
     assert set(found) == {
-        *("python", "packages", "cores", "gpu", "matmul", "scenes", "rerun", "ports"),
+        *("python", "packages", "cores", "memory", "gpu", "matmul", "scenes", "rerun", "ports"),
         *("chromium", "disk", "store"),
     }
     assert not (tmp_path / "new").exists()

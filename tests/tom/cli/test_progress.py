@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from tom.cli import fleet_progress, progress
+from tom.cli import fleet_progress, progress, screen
 from tom.cli.fleet_progress import FleetReport
 from tom.cli.progress import ProgressReport
 from tom.events import Episode, Evaluation, Notice, Tick
@@ -66,7 +66,7 @@ def test_a_fleet_says_whose_notice_it_is_and_the_mean_of_each_learner(monkeypatc
 
 def test_a_terminal_sees_every_member(monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setattr(progress.StoppableConsole, "is_terminal", True)
+    monkeypatch.setattr(screen.StoppableConsole, "is_terminal", True)
     said, trials = io.StringIO(), fleet()
     with FleetReport(trials, said) as report:
         watchers = report.watchers()

@@ -19,7 +19,7 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     found = json.loads(capsys.readouterr().out)
     assert {row["learner"] for row in found["rows"]} == {"PMAC"}
     assert {path.name for path in out.iterdir()} == {
-        *("online.png", "online.svg", "online.csv", "profiles.csv", "report.html"),
+        *("online.png", "online.svg", "online.csv", "profiles.csv", "report.html", "report.json"),
     }
     assert "hours of training" in (out / "report.html").read_text()
     assert main(words) == 0

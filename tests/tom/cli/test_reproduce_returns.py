@@ -20,7 +20,14 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     found = json.loads(capsys.readouterr().out)
     assert found["summary"][0]["n"] == 1
     assert len(found["missing"]) == 5 * len(LEARNER_NAMES)
-    names = {"returns.png", "returns.svg", "returns.csv", "summary.csv", "report.html"}
+    names = {
+        "returns.png",
+        "returns.svg",
+        "returns.csv",
+        "summary.csv",
+        "report.html",
+        "report.json",
+    }
     assert names <= {path.name for path in out.iterdir()}
     report = (out / "report.html").read_text()
     assert "nothing to compare" in report

@@ -22,7 +22,9 @@ from tom.exams.energy import footprint_match, step_scaling
 from tom.learners.pmac import recency_probabilities
 from tom.policy.collect import Footprint, footprint
 from tom.policy.stored import UniformPolicy
-from tom.record import RunReader, RunWriter, Store
+from tom.record import RunReader, Store
+from tom.record.writer import RunWriter
+from tom.training.presets import resolve
 
 QUICK = [
     "--preset", "paper", "--tom.q-hidden", "16", "--tom.q-steps", "20",
@@ -206,7 +208,21 @@ def test_a_dataset_has_no_settings_of_its_own(store: Path, tmp_path: Path, capsy
     path = write_d4rl(tmp_path / "pendulum.hdf5", RunReader(store / "sac"), scale=3.0)
     words = ["weigh", str(path), "--policy", "sac", "--store", str(store), "--preset", "own"]
     assert main(words) == 2
-    assert "is no run, so it has no settings: --preset exact or paper" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "is no run, so it has no settings: --preset exact, paper or mended" in said
+
+
+def test_the_mended_objective_weighs_with_the_settings_that_it_trains_with(
+    store: Path, tmp_path: Path, capsys
+):
+    words = ["weigh", "sac", "--policy", "sac", "--learner", "tom", "--seeds", "0", "--preset",
+             "mended", "--footprint", "100", "--store", str(store), "--json"]  # fmt: skip
+    short = ["--tom.discriminator-steps", "20", "--tom.q-steps", "25", "--out", str(tmp_path / "w")]
+    assert main([*words, *short]) == 0
+    config = json.loads(capsys.readouterr().out)["config"]["tom"]
+    trained = resolve("inverted-pendulum", "tom", "mended").tom
+    same = ("flow", "divergence", "action_samples", "q_holdout", "q_check_every")
+    assert {name: config[name] for name in same} == {name: getattr(trained, name) for name in same}
 
 
 def test_a_policy_of_an_earlier_fit_by_its_file(store: Path, tmp_path: Path, capsys):

@@ -1,10 +1,18 @@
 """Weighted sampling: frequencies, degenerate weights, profiles."""
 
+import numpy as np
 import pytest
 import torch
 from scipy.stats import chisquare
 
-from tom.data.sampling import WeightedSampler, bin_means, ess, normalise, uniform_indices
+from tom.data.sampling import (
+    WeightedSampler,
+    bin_means,
+    ess,
+    normalise,
+    uniform_indices,
+    zero_share,
+)
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -89,3 +97,8 @@ def test_bins_keep_the_mean_for_any_length(n):
 def test_fewer_rows_than_bins_spread_over_several():
     assert bin_means(torch.tensor([1.0, 3.0]), 4).tolist() == [1.0, 1.0, 3.0, 3.0]
     assert bin_means(torch.tensor([1.0, 3.0]), 3).tolist() == pytest.approx([1.0, 2.0, 3.0])
+
+
+def test_the_share_of_zeros_counts_rows():
+    assert zero_share(np.array([0.0, 0.0, 1.0, 2.0])) == 0.5
+    assert zero_share(np.zeros(0)) == 0.0

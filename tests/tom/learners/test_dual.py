@@ -18,6 +18,7 @@ from tom.learners.dual import (
     dual_argument,
     dual_loss,
     q_net,
+    quantiles,
     values_of,
 )
 from tom.learners.flows import Flow
@@ -183,8 +184,8 @@ def test_minimising_lowers_the_dual_and_lets_the_flow_hold():
     config = QUICK.but(q_steps=400, q_lr=1e-3, q_bias_step=0.1, discount=0.9, action_samples=4)
     found, q = problem(rows(2000), config), net(config)
     trained = QFunction(q, config)
-    _, early = replace(found, config=config.but(q_steps=10)).minimise(trained, generator())
-    _, late = found.minimise(trained, generator())
+    early = replace(found, config=config.but(q_steps=10)).minimise(trained, generator()).loss
+    late = found.minimise(trained, generator()).loss
     assert late < early - 0.01
     raw, _ = found.solution(q, generator())
     assert float(raw.mean()) == pytest.approx(1.0, abs=0.05)
@@ -203,7 +204,23 @@ def test_start_gap_tells_uncovered_starts_from_covered_ones():
     for starts in (replay.obs[:50], torch.full((50, OBS), 8.0)):
         q = net(config)
         found = replace(problem(replay, config), initial_obs=starts)
-        fitted, _ = found.minimise(QFunction(q, config), generator())
+        fitted = found.minimise(QFunction(q, config), generator()).net
         gaps.append(found.start_gap(fitted, found.solution(fitted, generator())[1], generator()))
     assert gaps[0] < 0.1
     assert gaps[1] > 1
+
+
+def test_start_gap_of_more_rows_than_torch_quantile_takes():
+    dual, q = problem(rows(50)), torch.linspace(-1, 1, 2**24 + 1)
+    q_start = dual.start_values(net(), 1, generator())
+    gap = float((-0.998 - q_start).clamp(min=0).mean() / (1 + 2 * 0.998))
+    assert dual.start_gap(net(), q, generator()) == pytest.approx(gap, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 1000, 4321])
+def test_quantiles_are_torchs_to_the_bit(n: int):
+    shares = torch.tensor([0.001, 0.25, 0.999])
+    values = torch.randn(n, generator=generator(n))
+    assert torch.equal(quantiles(values, shares), torch.quantile(values, shares))
+    values[0] = float("nan")
+    assert quantiles(values, shares).isnan().all()

@@ -1,17 +1,22 @@
 import threading
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
-from tom.nn.lockstep import Call, Lockstep, Work, alone, finished
+from tom.nn.graphs import captured_step
+from tom.nn.lockstep import Lockstep, Rank, Work, call, do
 
 
 class Counter:
     """A subject that counts: what is done to the joint one is seen by its members."""
 
     device = torch.device("cpu")
+    capture: Callable[..., Any] | None = None
 
     def __init__(self, values: torch.Tensor) -> None:
         self.values = values
@@ -26,7 +31,7 @@ class Counter:
 
 @dataclass
 class Add(Work):
-    rank = 1
+    rank = Rank.SAC
     subject: Counter
     amount: float
     log: list[int]
@@ -42,38 +47,34 @@ class Add(Work):
 
 
 class Early(Add):
-    rank = 0
+    rank = Rank.ACT
 
 
 def training(
     counter: Counter, amounts: list[float], log: list[int], early: bool = False
-) -> Generator[Work, None, float]:
-    for amount in amounts:
-        if early:
-            yield Early(counter, 0.5, log)
-        yield Add(counter, amount, log)
-    return float(counter.values.sum())
+) -> Callable[[], float]:
+    def train() -> float:
+        for amount in amounts:
+            if early:
+                do(Early(counter, 0.5, log))
+            do(Add(counter, amount, log))
+        return float(counter.values.sum())
+
+    return train
 
 
 def counters(n: int) -> list[Counter]:
     return [Counter(torch.zeros(1)) for _ in range(n)]
 
 
-def test_alone_passes_on_what_is_told_and_returns_the_result():
+def test_alone_work_is_done_at_once():
     log: list[int] = []
-
-    def telling() -> Generator[str | Work, None, float]:
-        yield "begin"
-        found = yield from training(counters(1)[0], [1, 2], log)
-        yield "end"
-        return found
-
-    steps = alone(telling())
-    assert [next(steps), next(steps)] == ["begin", "end"]
-    with pytest.raises(StopIteration) as end:
-        next(steps)
-    assert end.value.value == 3
-    assert finished(training(counters(1)[0], [4], log)) == 4
+    (counter,) = counters(1)
+    work = Add(counter, 3.0, log)
+    assert do(work) is work
+    assert float(counter.values) == 3
+    assert training(counter, [1, 2], log)() == 6
+    assert log == [1, 1, 1]
 
 
 def test_equal_work_is_done_in_one_go_with_each_ones_result():
@@ -113,44 +114,72 @@ def test_those_who_are_left_are_joined_anew_where_another_has_ended():
 
 
 def test_an_error_ends_its_own_training_alone():
-    def failing(counter: Counter) -> Generator[Work, None, float]:
-        yield Add(counter, 1.0, [])
+    first, second = counters(2)
+
+    def failing() -> float:
+        do(Add(first, 1.0, []))
         raise ArithmeticError("diverged")
 
-    first, second = counters(2)
-    found = Lockstep().run([failing(first), training(second, [1, 2], [])])
+    found = Lockstep().run([failing, training(second, [1, 2], [])])
     assert isinstance(found[0], ArithmeticError)
     assert found[1] == 3
 
 
-def test_an_interrupt_closes_all():
-    closed: list[str] = []
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ArithmeticError])
+def test_an_interrupt_or_an_error_in_shared_work_ends_all_and_each_is_told(
+    error: type[BaseException],
+):
+    told: list[str] = []
 
-    def patient(counter: Counter, name: str) -> Generator[Work, None, None]:
-        try:
-            while True:
-                yield Add(counter, 1.0, [])
-        finally:
-            closed.append(name)
+    class Broken(Add):
+        @classmethod
+        def do(cls, works: Sequence[Add], subject: Counter) -> None:
+            raise error
 
-    def interrupted(counter: Counter) -> Generator[Work, None, None]:
-        yield Add(counter, 1.0, [])
-        raise KeyboardInterrupt
+    def patient(counter: Counter, name: str) -> Callable[[], None]:
+        def train() -> None:
+            try:
+                while True:
+                    do(Add(counter, 1.0, []))
+            except BaseException as ended:
+                told.append(f"{name} {type(ended).__name__}")
+                raise
+
+        return train
 
     a, b, c = counters(3)
-    with pytest.raises(KeyboardInterrupt):
-        Lockstep().run([patient(a, "a"), interrupted(b), patient(c, "c")])
-    assert sorted(closed) == ["a", "c"]
+    with pytest.raises(error):
+        Lockstep().run([patient(a, "a"), lambda: do(Broken(b, 1.0, [])), patient(c, "c")])
+    assert sorted(told) == [f"{name} {error.__name__}" for name in "ac"]
 
 
-def calling(call) -> Generator[Work, None, str]:
-    work = Call(call)
-    yield work
-    return work.result()
+def test_each_member_keeps_the_settings_of_its_own_context():
+    """Context variables: what one sets, the others do not see, nor who runs them."""
+    seen: list[float] = []
+
+    def train(counter: Counter, how: str) -> Callable[[], None]:
+        def steps() -> None:
+            with np.errstate(divide="raise") if how == "raise" else nullcontext():
+                do(Add(counter, 1.0, []))
+                try:
+                    seen.append(float(np.float64(1) / np.float64(0)))
+                except FloatingPointError:
+                    seen.append(-1)
+
+        return steps
+
+    first, second = counters(2)
+    with np.errstate(divide="ignore"):
+        Lockstep().run([train(first, "raise"), train(second, "as it is")])
+    assert seen == [-1, np.inf]
 
 
 def thread() -> str:
     return threading.current_thread().name
+
+
+def calling(function: Callable[[], str]) -> Callable[[], str]:
+    return lambda: call(function)
 
 
 def test_calls_of_several_members_have_threads_of_their_own():
@@ -165,7 +194,7 @@ def test_calls_of_several_members_have_threads_of_their_own():
 
 
 def test_a_call_of_one_alone_stays_in_its_thread():
-    assert finished(calling(thread)) == thread()
+    assert call(thread) == thread()
     assert Lockstep().run([calling(thread)]) == [thread()]
 
 
@@ -180,7 +209,7 @@ class Captured(Counter):
 
 @dataclass
 class Step(Work):
-    rank = 1
+    rank = Rank.SAC
     subject: Captured
     amount: float
     taken: list[object]
@@ -191,8 +220,8 @@ class Step(Work):
 
     @classmethod
     def do(cls, works: "Sequence[Step]", subject: Captured) -> None:
-        subject.step(torch.tensor([w.amount for w in works]))
-        works[0].taken.append(vars(subject)["step"])
+        captured_step(subject)(torch.tensor([w.amount for w in works]))
+        works[0].taken.append(subject.capture)
 
 
 def test_what_was_captured_alone_is_captured_anew_after_having_been_joined():
@@ -200,10 +229,13 @@ def test_what_was_captured_alone_is_captured_anew_after_having_been_joined():
     taken: list[object] = []
     first, second = (Captured(torch.zeros(1)) for _ in range(2))
 
-    def stepping(counter: Captured, amounts: list[float]) -> Generator[Work, None, float]:
-        for amount in amounts:
-            yield Step(counter, amount, taken)
-        return float(counter.values.sum())
+    def stepping(counter: Captured, amounts: list[float]) -> Callable[[], float]:
+        def train() -> float:
+            for amount in amounts:
+                do(Step(counter, amount, taken))
+            return float(counter.values.sum())
+
+        return train
 
     lockstep = Lockstep()
     assert lockstep.run([stepping(first, [1, 2])]) == [3]

@@ -7,7 +7,9 @@ import pytest
 from recorded import Config, events
 
 from tom.events import Event
-from tom.record import Recorder, RunReader, RunWriter, Store
+from tom.record import RunReader, Store
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 
 
 @pytest.fixture

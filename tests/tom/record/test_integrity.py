@@ -8,9 +8,11 @@ import pytest
 from recorded import Config, events
 
 from tom.errors import UserError
-from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, manage, sizes
+from tom.record import RunReader, Store, checkpoint, manage, sizes
 from tom.record.export import export_small
 from tom.record.integrity import repair, verify
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 
 
 def truncate(path: Path) -> None:
@@ -90,8 +92,17 @@ def test_a_run_that_died_is_said_to_have_stopped(record):
     assert any("running became stopped at step 1000" in line for line in done)
     assert (run.path / "metrics.parquet").exists()
     assert run.status.state == "stopped"
-    assert "--resume run" in run.status.reason
+    assert "it has no checkpoint to go on from" in run.status.reason
+    assert "--resume" not in run.status.reason
     assert verify(run) == []
+
+
+def test_a_run_that_died_with_a_checkpoint_is_said_to_go_on_from_it(record):
+    run = record()
+    die(run)
+    (run.path / "checkpoint" / "000000900").mkdir(parents=True)
+    repair(run)
+    assert "tom train --resume run goes on" in run.status.reason
 
 
 @pytest.mark.parametrize("content", [None, "{", '{"state": 3}'])

@@ -12,7 +12,9 @@ import pytest
 from recorded import Config, episodes, transitions, weights
 
 from tom.events import Collected, Evaluation, Metrics, Tick
-from tom.record import Recorder, RunReader, RunWriter, Store
+from tom.record import RunReader, Store
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 
 
 def _write(path: Path) -> None:

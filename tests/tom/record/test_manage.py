@@ -7,8 +7,10 @@ import pytest
 from recorded import Config, events
 
 from tom.errors import UserError
-from tom.record import Recorder, RunWriter, Store, manage
+from tom.record import Store, manage
 from tom.record.labels import NAME_LENGTH, Labels
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -161,3 +163,28 @@ def test_recordings_are_in_the_order_they_were_written(record):
     for name in ("run-10.rrd", "run.rrd", "run-2.rrd", "run-x.rrd"):
         (run.path / name).touch()
     assert [path.name for path in run.rrd_files()] == ["run.rrd", "run-2.rrd", "run-10.rrd"]
+
+
+def test_tables_are_read_without_a_thread_that_outlives_it(record):
+    """One of Arrow's that is alive at its end may abort a process that has done everything."""
+    run = record()
+    wide = {f"m{i}": 0.5 for i in range(200)}
+    rows = [json.dumps({"env_step": step, **wide}) for step in range(2000)]
+    (run.path / "metrics.parquet").rename(run.path / "kept.parquet")
+    (run.path / "metrics.jsonl").write_text("\n".join(rows) + "\n")
+    code = f"""
+import os
+from pathlib import Path
+from tom.record import RunReader
+threads = lambda: len(os.listdir("/proc/self/task"))
+run = RunReader(Path({str(run.path)!r}))
+before = threads()
+assert len(run.metrics()) == 2000
+assert threads() == before, "rows"
+(run.path / "kept.parquet").rename(run.path / "metrics.parquet")
+os.utime(run.path / "metrics.parquet")
+assert 0 < len(run.metrics()) < 2000
+assert len(run.snapshot(400)) == 400
+assert threads() == before, "tables"
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import Config, events
 
-from tom.record import Recorder, RunReader, RunWriter, Store
+from tom.record import RunReader, Store
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 
 NUMBERS = st.one_of(
     st.integers(), st.floats(), st.sampled_from([10**30, -(2**63), 2**63, 1e308, -0.0])

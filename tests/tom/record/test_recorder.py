@@ -20,8 +20,10 @@ from recorded import (
 from tom.config import OnlineConfig
 from tom.errors import UserError
 from tom.events import Collected, Evaluation, Metrics, Tick, Weights
-from tom.record import Recorder, RunWriter, Store, lock
+from tom.record import Store, lock
 from tom.record import heartbeat as heartbeat_module
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 
 EVERY_FIT = list(range(FIT, STEPS + 1, FIT))
 POLICY = {"weight_0": np.ones((2, 3), np.float32)}

@@ -6,7 +6,8 @@ import pytest
 from recorded import Config
 
 from tom.errors import UserError
-from tom.record import RunReader, RunWriter, Store
+from tom.record import RunReader, Store
+from tom.record.writer import RunWriter
 
 
 def test_runs_come_newest_first(store: Store):
@@ -102,6 +103,16 @@ def test_new_ids_are_free_and_say_what_they_are(store: Store):
         assert run_id.startswith("hopper-tom-s4-")
         RunWriter.create(store, run_id, Config).close()
         taken.add(run_id)
+    assert len(taken) == 3
+
+
+def test_weighings_of_the_same_second_have_folders_of_their_own(store: Store):
+    taken = set()
+    for _ in range(3):
+        folder = store.new_weighing("hopper-by-its-own")
+        assert folder.name.startswith("hopper-by-its-own-")
+        folder.mkdir(parents=True)
+        taken.add(folder)
     assert len(taken) == 3
 
 

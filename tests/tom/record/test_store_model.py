@@ -12,7 +12,9 @@ from recorded import Config
 
 from tom.errors import UserError
 from tom.events import Metrics, Tick
-from tom.record import Recorder, RunReader, RunWriter, Store, manage
+from tom.record import RunReader, Store, manage
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 
 IDS = st.sampled_from(["a", "b", "run-1", "x.y_z", "A"])
 BAD = st.sampled_from(["", "..", "../a", "a/b", ".trash", "a b", "é", "a\0"])

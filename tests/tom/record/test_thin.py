@@ -9,10 +9,12 @@ import pytest
 from recorded import FIT, STEPS, Config, episodes, events, transitions
 
 from tom.events import Collected, Evaluation, Field, Metrics, Tick, Weights
-from tom.record import Recorder, RunReader, RunWriter, Store, checkpoint, decode
+from tom.record import RunReader, Store, checkpoint, decode
 from tom.record.export import export_small
 from tom.record.integrity import verify
+from tom.record.recorder import Recorder
 from tom.record.rounding import half
+from tom.record.writer import RunWriter
 
 
 def segment(obs: np.ndarray, following: np.ndarray) -> dict[str, np.ndarray]:

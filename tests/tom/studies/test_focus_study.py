@@ -137,7 +137,8 @@ def test_the_command_writes_what_it_prints(recording: RunReader, tmp_path: Path,
     arguments = ["reproduce", "focus", "--env", "hopper", "--steps", "1000", "--seeds", "0"]
     assert main([*arguments, "--store", store, "--out", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {
-        "errors.csv", "summary.csv", "errors.png", "errors.svg", "report.html", "cases"
+        "errors.csv", "summary.csv", "errors.png", "errors.svg", "report.html", "report.json",
+        "cases",
     }  # fmt: skip
     assert "tom exact" in capsys.readouterr().out
 

@@ -85,16 +85,6 @@ def test_a_footprints_summary_by_hand():
     assert "Further from the policy than no weights at all: ratio 1.45" in said
 
 
-def test_ways_are_paired_at_the_moments_that_both_have():
-    found = [
-        replace(BASE, way="ratio", footprint=0.5),
-        replace(BASE, way="ratio", step=200, footprint=0.5),
-        replace(BASE, way="recency", footprint=0.6),
-        replace(BASE, way="recency", step=300, footprint=0.1),
-    ]
-    assert footprint.paired(found, "ratio", "recency") == (1, 1)
-
-
 def test_a_capacitys_summary_by_hand():
     def errors(*values: float) -> tuple[ModelError, ...]:
         return tuple(
@@ -132,7 +122,7 @@ def test_the_commands_write_their_reports(
         told = json.loads(capsys.readouterr().out)
         assert told["verdict"]
         assert {path.name for path in out.glob("*.*")} == {
-            "report.html", "summary.csv", "moments.csv", f"{name}.png", f"{name}.svg"
+            "report.html", "report.json", "summary.csv", "moments.csv", f"{name}.png", f"{name}.svg"
         }  # fmt: skip
         assert len(pd.read_csv(out / "moments.csv")) == 2 * 2
 

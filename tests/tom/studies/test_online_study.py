@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from tom.events import Tick, Weights
-from tom.record import Recorder, RunWriter, Store
+from tom.record import Store
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 from tom.studies import online as study
 from tom.training.presets import resolve
 

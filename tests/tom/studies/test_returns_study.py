@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from tom.events import Metrics, Tick
-from tom.record import Recorder, RunWriter, Store
+from tom.record import Store
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 from tom.studies import returns as study
 from tom.training.presets import resolve
 
@@ -58,22 +60,74 @@ def test_a_run_for_each_seed_of_the_largest_group_of_settings(store: Store):
 def test_learners_are_compared_at_a_step_that_all_reach(store: Store):
     cells, _ = study.select(store.runs(), "paper")
     assert study.compared_at(cells) == {"hopper": 3000, "walker2d": 2000}
-    rows = {(r["env"], r["learner"]): r for r in study.summary(cells, np.random.default_rng(0))}
+    rows = {(r["env"], r["learner"]): r for r in study.summary(cells)}
     tom = rows["hopper", "TOM"]
     assert tom["mean"] == (30 + 50) / 2  # of the running maximum, not of what came after
     assert tom["n"] == 2
     assert "2 seeds are few" in tom["remark"]
-    assert tom["steps to MLE's"] == np.median([4000, 2000])
+    assert tom["steps to MLE's"] == np.inf  # of two runs one gets there, the other after step 3000
     assert tom["area"] == pytest.approx(np.mean([(20 + 25) / 2, (35 + 45) / 2]))
     assert np.isnan(rows["hopper", "MLE"]["low"])
 
 
+def test_a_learner_that_was_first_evaluated_after_the_others_ended_is_left_out(store: Store):
+    config = resolve("hopper", "pmac", "paper", {"seed": 0})
+    run_id = store.new_run_id("hopper", "pmac", 0)
+    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
+        recorder.consume(Metrics(9000, {"eval/return": 1.0}))
+        recorder.consume(Tick(9000, "evaluate"))
+    cells, left_out = study.select(store.runs(), "paper")
+    assert left_out == [run_id]
+    assert {row["env"]: row["at step"] for row in study.summary(cells)}["hopper"] == 3000
+
+
+def test_settings_that_change_no_number_do_not_split_a_group(store: Store):
+    record(store, "walker2d", "tom", 1, [5, 6], snapshots=3, threads=2)
+    cells, _ = study.select(store.runs(), "paper")
+    assert [c.seeds for c in cells if (c.env, c.learner) == ("walker2d", "tom")] == [[0, 1]]
+
+
 def test_wins_over_tasks_that_both_have(store: Store):
     cells, _ = study.select(store.runs(), "paper")
-    (row,) = study.improvement(cells, np.random.default_rng(0))
+    best, area = study.improvement(cells)
     # Hopper: 30 and 50 against 40: half; Walker2d: 2 against 3: none.
-    assert row["wins"] == pytest.approx((0.5 + 0) / 2)
-    assert row["tasks"] == "hopper walker2d"
+    assert best["wins"] == pytest.approx((0.5 + 0) / 2)
+    assert best["tasks"] == "hopper walker2d"
+    # Mean heights 22.5 and 40 against 17.5: both; 1.5 against 2.5: none.
+    assert area["by"] == "area under the curve"
+    assert area["wins"] == pytest.approx((1 + 0) / 2)
+
+
+def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
+    told = {0: [(0.5, 1.0, 4.0), (0.7, 3.0, 6.0), (0.9, 2.0, 8.0)], 1: [(0.1, 4.0, 2.0)]}
+    for seed, fits in told.items():
+        config = resolve("hopper", "pmac", "paper", {"seed": seed})
+        with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
+            for step, (footprint, error, later) in enumerate(fits, start=1):
+                exam = {"exam/footprint": footprint, "exam/error": error}
+                recorder.consume(Metrics(step, exam | {"exam/rollout_error": later}))
+            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
+            recorder.consume(Tick(1000, "evaluate"))
+    (row,) = study.exams(study.select(store.runs(), "paper")[0])  # the others sat none
+    assert (row["env"], row["learner"], row["n"]) == ("hopper", "PMAC", 2)
+    assert row["footprint"] == pytest.approx((0.7 + 0.1) / 2)
+    assert row["error"] == pytest.approx((2 + 4) / 2)
+    assert row["error after 5 steps"] == pytest.approx((6 + 2) / 2)
+    assert row["footprint low"] == pytest.approx(0.1)
+
+
+def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
+    record(store, "hopper", "tom", 0, [60, 70, 80], preset="mended")
+    record(store, "hopper", "tom", 0, [99, 99, 99], preset="smoke")
+    cells, left_out = study.select(store.runs(), "paper", "mended")
+    assert not left_out
+    of_hopper = [cell for cell in cells if cell.env == "hopper"]
+    assert [(c.label, c.n) for c in of_hopper] == [("MLE", 1), ("TOM", 2), ("TOM, mended", 1)]
+    wins = {(r["TOM"], r["against"], r["by"]): r["wins"] for r in study.improvement(of_hopper)}
+    assert wins["TOM, mended", "TOM", "best return"] == 1
+    assert wins["TOM", "TOM, mended", "best return"] == 0
+    assert wins["TOM, mended", "MLE", "area under the curve"] == 1
+    assert "mended" not in study.verdict(of_hopper)[0]
 
 
 def test_what_is_said_is_what_was_found(store: Store):

@@ -9,8 +9,10 @@ from sweeping import until
 
 from tom.cli import main
 from tom.events import Metrics, Tick
-from tom.record import Recorder, RunWriter, Store, checkpoint, lock
+from tom.record import Store, checkpoint, lock
 from tom.record.export import export_small
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine

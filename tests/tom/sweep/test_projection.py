@@ -13,7 +13,9 @@ from tom.config import OnlineConfig
 from tom.envs import ENVS
 from tom.events import Metrics, Tick
 from tom.machine.matmul import cache_file
-from tom.record import Recorder, RunWriter, Store, checkpoint
+from tom.record import Store, checkpoint
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 from tom.sweep.projection import cost, makespan
 from tom.sweep.slurm import DEFAULT_HOURS, MARGIN
 from tom.training.plan import checked, trials

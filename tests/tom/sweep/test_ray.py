@@ -3,11 +3,11 @@
 import json
 import os
 import secrets
+import shutil
 import signal
 import socket
 import subprocess
 import sys
-import sysconfig
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -23,8 +23,19 @@ from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 
+ROOT = Path(__file__).parents[3]
+TASK = """
+import gymnasium as gym
+from gymnasium.envs.classic_control import PendulumEnv
+
+gym.register("Own-v0", PendulumEnv, max_episode_steps=60)
+
+
+def fallen(obs):
+    return obs[:, 0] < -0.9
+"""
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke")
-RAY = Path(sysconfig.get_path("scripts")) / "ray"
+RAY = (sys.executable, "-m", "ray.scripts.scripts")
 
 
 def sweep(*words: str) -> list[str]:
@@ -97,7 +108,7 @@ def node(token: None) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
         def start(*words: str) -> subprocess.Popen[bytes]:
             own = (f"--temp-dir={folder}",) if "--head" in words else ()
             how = ("--num-cpus=1", "--object-store-memory=80000000", "--block", *own, *words)
-            process = subprocess.Popen([RAY, "start", *how], stdout=subprocess.DEVNULL)
+            process = subprocess.Popen([*RAY, "start", *how], stdout=subprocess.DEVNULL)
             stack.callback(end, process)
             return process
 
@@ -118,6 +129,28 @@ def free_port() -> int:
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return one.getsockname()[1]
+
+
+def test_what_the_user_names_reaches_a_cluster_that_was_there_before(
+    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    port = free_port()
+    head = node("--head", f"--port={port}", "--include-dashboard=false")
+    until(lambda: len(descendants(head.pid)) > 2)
+    (tmp_path / "own_tasks.py").write_text(TASK)
+    (tmp_path / "own_learner.py").write_text("from reward import register")
+    for path in (ROOT / "docs/examples").glob("*.py"):
+        shutil.copy(path, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    words = ["--env", "own_tasks:Own-v0", "--learner", "surprise", "--preset", "smoke"]
+    words += ["--plugin", "own_learner", "--plugin", "surprise.py", "--surprise.steps", "9"]
+    words += ["--termination", "own_tasks:fallen", "--store", "runs", "--steps", "210"]
+    command = [sys.executable, "-m", "tom", "sweep", *words, "--engine", "ray"]
+    command += ["--address", f"127.0.0.1:{port}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "1 of 1 runs finished" in done.stdout
 
 
 @pytest.mark.fault
@@ -157,4 +190,32 @@ def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_number
     undisturbed = Store(tmp_path / "undisturbed")
     planned = plan(learner=["mle"], steps=1500)
     finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(2)))
+    assert_same_runs(store, undisturbed)
+
+
+@pytest.mark.fault
+def test_the_head_of_a_cluster_killed__the_sweep_says_so_in_a_summary_and_can_go_on(
+    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+):
+    address = f"127.0.0.1:{free_port()}"
+    store = Store(tmp_path / "store")
+    head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
+    until(lambda: len(descendants(head.pid)) > 2)
+    words = ("--steps", "1500", "--checkpoint-every", "100", "--store", str(store.path))
+    command = sweep(*words, "--address", address)
+    driver = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until(lambda: len(beyond_a_checkpoint(store)) == 1)
+    end(head)
+    out, error = driver.communicate(timeout=WAIT_S)
+    assert driver.returncode == 1
+    assert "the head of the Ray cluster has not answered" in out
+    assert "0 of 1 runs finished, 0 failed" in out
+    assert "the same command goes on" in out
+    assert "GCS" not in out + error
+    (run,) = store.runs()
+    until(lambda: not run.status.alive)
+    done = subprocess.run(sweep(*words, "--jobs", "1"), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    planned, undisturbed = plan(learner=["mle"], seeds=1, steps=1500), Store(tmp_path / "other")
+    finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(1)))
     assert_same_runs(store, undisturbed)

@@ -7,7 +7,9 @@ import pytest
 
 from tom.cli.sweep.table import Watcher
 from tom.events import Tick
-from tom.record import Recorder, RunWriter, Store
+from tom.record import Store
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine

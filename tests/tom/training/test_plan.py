@@ -7,8 +7,9 @@ import pytest
 from tom.cli.parser import Parser, overrides
 from tom.cli.train import add_parser
 from tom.errors import UserError
-from tom.record import RunWriter, Store
+from tom.record import Store
 from tom.record.export import export_small
+from tom.record.writer import RunWriter
 from tom.training.plan import checked, read_plan, same_run, trials
 from tom.training.presets import resolve
 

@@ -16,7 +16,8 @@ from tom.events import Collected, Evaluation, Event, Field, Metrics, Tick, Train
 from tom.learners import LEARNER_NAMES
 from tom.mbpo import Mbpo
 from tom.offline import Offline
-from tom.record import RunWriter, Store
+from tom.record import Store
+from tom.record.writer import RunWriter
 from tom.training.presets import resolve
 from tom.training.resume import unfinished
 from tom.training.run import AnyConfig, Training, make_training
@@ -117,6 +118,26 @@ def check(config: AnyConfig, stop: int, in_episode: bool = True) -> None:
 @pytest.mark.parametrize("env", ["hopper", "inverted-pendulum"])
 def test_resumed_equals_uninterrupted_in_the_middle_of_an_episode(env: str, learner: str):
     check(smoke(env, learner), STOP)
+
+
+@pytest.mark.parametrize(
+    "env",
+    ["Swimmer-v5", "Reacher-v5", "Pusher-v5", "Pendulum-v1", "MountainCarContinuous-v0"],
+)
+def test_a_gymnasium_task_goes_on_in_the_middle_of_an_episode(env: str):
+    check(smoke(f"gymnasium:{env}", "tom"), STOP)
+
+
+def test_learnt_ends_go_on():
+    check(smoke("hopper", "tom", model={"termination": "learnt"}), STOP)
+
+
+def test_a_recording_of_sac_goes_on_in_a_gymnasium_task():
+    small = {"hidden": 16, "batch_size": 32}
+    config = SacRecordingConfig(env="gymnasium:Reacher-v5", steps=100, exploration_steps=40).but(
+        sac=small, evaluation={"every": 60, "episodes": 1}
+    )
+    check(config, 100 + 17)
 
 
 def test_a_checkpoint_from_before_exams_goes_on_without_the_one_that_it_cannot_sit():

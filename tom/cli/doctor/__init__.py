@@ -1,4 +1,4 @@
-"""`tom doctor`: is this machine ready, and what to do where it is not."""
+"""`tom doctor`: check whether this machine is ready, and how to fix what is not."""
 
 import argparse
 import json
@@ -13,8 +13,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "doctor",
         help="check this machine and the store",
-        description="Check versions, GPU, matrix products, scenes without a display, ports, disk, "
-        "browser and store, with the fix beside each finding. Exit code 1 where something is bad.",
+        description="Check versions, memory, GPU, matrix products, scenes without a display, "
+        "ports, disk, browser and store, with the fix beside each finding. Exit code 1 where "
+        "something is bad.",
     )
     parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -22,14 +23,14 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    # Imported here: it brings Rerun and every task with it.
+    # Imported here because it imports Rerun and every task.
     from tom.cli.doctor.checks import examine
 
     findings = examine(args.store)
     if args.json:
-        print(json.dumps([asdict(found) for found in findings]))
+        print(json.dumps([asdict(result) for result in findings]))
     else:
-        rows = [(found.check, found.state, found.text, found.fix) for found in findings]
-        bad = sum(found.state == "bad" for found in findings)
+        rows = [(result.check, result.state, result.text, result.fix) for result in findings]
+        bad = sum(result.state == "bad" for result in findings)
         show(f"{bad} things to mend" if bad else "ready", ("check", "is", "found", "fix"), rows)
-    return 1 if any(found.state == "bad" for found in findings) else 0
+    return 1 if any(result.state == "bad" for result in findings) else 0

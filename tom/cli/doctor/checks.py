@@ -1,12 +1,13 @@
-"""Is this machine ready? Each check looks at one thing and names the fix beside what it finds.
+"""The checks of `tom doctor`; each looks at one thing and names the fix.
 
-Nothing is changed; one file is written into the store and taken away again.
+Nothing is changed; one file is written into the store and removed again.
 """
 
 import os
 import platform
 import shutil
 import socket
+import sys
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from packaging.requirements import Requirement
 
 from tom.envs import ENVS, scene
 from tom.errors import UserError, reason
+from tom.machine import memory
 from tom.machine.matmul import cache_file, choose_matmul
 from tom.record import Store
 from tom.record.rerun import hub
@@ -28,13 +30,14 @@ from tom.record.rerun import hub
 State = Literal["ok", "note", "bad"]
 
 PYTHON = (3, 11)
-HOST, SERVERS = "127.0.0.1", 3  # where the studio listens, on so many ports
+HOST, SERVERS = "127.0.0.1", 3  # the studio's address and number of ports
 LOW_GB, FULL_GB = 10.0, 1.0
+STUDIO_BYTES = 500e6  # memory of one of the studio's servers that has read nothing
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What a check found: `bad` needs its fix, `note` is worth knowing."""
+    """The result of a check: `bad` needs the fix, `note` is only information."""
 
     check: str
     state: State
@@ -43,11 +46,12 @@ class CheckResult:
 
 
 def examine(store: Path) -> list[CheckResult]:
-    """Every check, in order; one that breaks is itself a finding."""
+    """Run every check in order; a check that raises an error gives a bad result."""
     checks: list[tuple[str, Callable[[], CheckResult]]] = [
         ("python", _python),
         ("packages", _packages),
         ("cores", _cores),
+        ("memory", _memory),
         ("gpu", _gpu),
         ("matmul", _matmul),
         ("scenes", _scenes),
@@ -63,7 +67,7 @@ def examine(store: Path) -> list[CheckResult]:
 def _guarded(name: str, check: Callable[[], CheckResult]) -> CheckResult:
     try:
         return check()
-    except Exception as error:  # a doctor that dies of the illness helps nobody
+    except Exception as error:  # the other checks go on
         text = f"{type(error).__name__}: {reason(error)}"
         return CheckResult(name, "bad", text, "see docs/troubleshooting.md")
 
@@ -76,7 +80,7 @@ def _python() -> CheckResult:
 
 
 def _packages() -> CheckResult:
-    """Every requirement of the package against what is installed."""
+    """Compare every requirement of the package with the installed version."""
     wrong = [text for line in metadata.requires("tom-studio") or [] if (text := _unmet(line))]
     if wrong:
         return CheckResult("packages", "bad", "; ".join(wrong), "pip install -e . (in the clone)")
@@ -106,13 +110,26 @@ def _cores() -> CheckResult:
     )
 
 
+def _memory() -> CheckResult:
+    free = memory.available()
+    bound = memory.STUDIO_CACHE_BYTES
+    words = f"{free / 1e9:.1f} GB free" if free < sys.maxsize else "nobody knows how much is free"
+    text = (
+        f"{words}; each of the studio's two servers keeps at most {bound / 1e6:.0f} MB of what it "
+        "has read, beside the programs themselves"
+    )
+    if free > 2 * (bound + STUDIO_BYTES):
+        return CheckResult("memory", "ok", text)
+    return CheckResult("memory", "note", text, "end other programs before `tom studio`")
+
+
 def _gpu() -> CheckResult:
     fix = "install the CUDA build of the torch version above, and a driver as new as it asks for"
     if torch.cuda.is_available():
         card = torch.cuda.get_device_properties(0)
         try:
             float(torch.ones(8, 8, device="cuda").mm(torch.ones(8, 8, device="cuda")).sum())
-        except RuntimeError as error:  # this build has no code for the card
+        except RuntimeError as error:  # this build of torch does not support the GPU
             return CheckResult("gpu", "bad", f"{card.name}: {reason(error)}", fix)
         return CheckResult("gpu", "ok", f"{card.name}, {card.total_memory / 1e9:.0f} GB")
     if Path("/dev/nvidia0").exists():
@@ -123,16 +140,16 @@ def _gpu() -> CheckResult:
 
 
 def _matmul() -> CheckResult:
-    found = choose_matmul()
-    gain = found.default_ms / found.onednn_ms
-    text = f"{found.chosen}: oneDNN is {gain:.2f} times as fast, error {found.onednn_error:.1e}"
+    report = choose_matmul()
+    gain = report.default_ms / report.onednn_ms
+    text = f"{report.chosen}: oneDNN is {gain:.2f} times as fast, error {report.onednn_error:.1e}"
     if cache_file().exists():
         text += f" (measured once; delete {cache_file()} to measure anew)"
     return CheckResult("matmul", "ok", text)
 
 
 def _scenes() -> CheckResult:
-    """Every task's geometry, drawn as the studio draws it: no display, no OpenGL."""
+    """Build every task's geometry as the studio does, without display or OpenGL."""
     for env in ENVS:
         mj = scene.model(env).mj
         made = scene.geometry(mj, mj.qpos0[None])
@@ -152,7 +169,7 @@ def _rerun() -> CheckResult:
 
 
 def _ports() -> CheckResult:
-    """The studio's servers each need a port of this machine."""
+    """Whether every server of the studio can get a port."""
     try:
         with ExitStack() as opened:
             for _ in range(SERVERS):
@@ -192,7 +209,7 @@ def _disk(store: Path) -> CheckResult:
 
 
 def _store(path: Path) -> CheckResult:
-    """What can be seen of each run without reading its arrays."""
+    """Check each run without reading its arrays."""
     store = Store(path)
     try:
         runs = store.runs()

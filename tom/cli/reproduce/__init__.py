@@ -1,4 +1,4 @@
-"""`tom reproduce`: a claim of the paper, computed again and held against its acceptance."""
+"""`tom reproduce`: compute a claim of the paper again and test it against its acceptance."""
 
 from tom.cli.reproduce import focus, frozen, online, progression, returns, road, tabular
 

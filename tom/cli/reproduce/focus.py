@@ -56,21 +56,21 @@ def run(args: argparse.Namespace) -> int:
     envs = [task(env).name for env in args.env]
     out_folder(args.out)
     runs = sac_recordings(Store(args.store), envs, None, args.steps)
-    found: list[Focus] = []
+    results: list[Focus] = []
     for one in each(focus, cases(runs, args.seeds), args.jobs, args.out):
-        found.append(one)
+        results.append(one)
         say(f"{one.recording}: {one.rival} seed {one.seed}")
-    _write_and_print(found, args)
+    _write_and_print(results, args)
     return 0
 
 
-def _write_and_print(found: list[Focus], args: argparse.Namespace) -> None:
-    rows = summary(found)
-    write_csv(args.out / "errors.csv", [asdict(one) for one in found])
+def _write_and_print(results: list[Focus], args: argparse.Namespace) -> None:
+    rows = summary(results)
+    write_csv(args.out / "errors.csv", [asdict(one) for one in results])
     write_csv(args.out / "summary.csv", rows)
-    png, _ = save(error_figure(found), args.out, "errors")
-    said = verdict(found)
-    n = f"{len({f.recording for f in found})} recordings, {len(args.seeds)} seeds on each"
+    png, _ = save(error_figure(results), args.out, "errors")
+    said = verdict(results)
+    n = f"{len({f.recording for f in results})} recordings, {len(args.seeds)} seeds on each"
     made = study_origin(n=n, seeds=in_short(args.seeds))
     tables = [("Medians over seeds", rows)]
     write_report(Report("Model error", CLAIM, said, [(CAPTION, png)], tables, made), args.out)

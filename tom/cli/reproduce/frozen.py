@@ -1,4 +1,4 @@
-"""`tom reproduce footprint` and `capacity`: every way of weighing on the same frozen buffers."""
+"""`tom reproduce footprint` and `capacity`: all ways of weighing on the same frozen buffers."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from tom.cli.reproduce.study import (
     say,
     stoppable,
 )
-from tom.cli.tables import show
+from tom.cli.tables import cell, show
 from tom.envs import ENVS, task
 from tom.errors import UserError, unknown
 from tom.record import RunReader, Store
@@ -35,8 +35,8 @@ from tom.studies.report import study_origin
 
 
 @dataclass(frozen=True)
-class Study:
-    """What tells the two apart."""
+class FrozenStudy:
+    """The differences between the two studies."""
 
     name: str
     title: str
@@ -50,7 +50,7 @@ class Study:
     verdict: Callable[[Sequence[Outcome]], list[str]]
 
 
-FOOTPRINT = Study(
+FOOTPRINT = FrozenStudy(
     "footprint",
     "Where the weights lie",
     "how near each way of weighing brings a buffer to what the policy does",
@@ -65,7 +65,7 @@ FOOTPRINT = Study(
     footprint.summary,
     footprint.verdict,
 )
-CAPACITY = Study(
+CAPACITY = FrozenStudy(
     "capacity",
     "Where weighting pays",
     "error of models of growing capacity, fitted by each way of weighing",
@@ -109,7 +109,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         parser.set_defaults(run=stoppable(_command(study)))
 
 
-def _command(study: Study) -> Callable[[argparse.Namespace], int]:
+def _command(study: FrozenStudy) -> Callable[[argparse.Namespace], int]:
     def run(args: argparse.Namespace) -> int:
         models = getattr(args, "models", study.models)
         for name in models:
@@ -120,43 +120,47 @@ def _command(study: Study) -> Callable[[argparse.Namespace], int]:
     return run
 
 
-def _run(study: Study, args: argparse.Namespace) -> int:
+def _run(study: FrozenStudy, args: argparse.Namespace) -> int:
     check_seeds(args.jobs, args.seeds)
     if args.moments < 1 or args.rows < 100:
         raise UserError("--moments must be at least 1 and --rows at least 100")
     runs = _runs(args)
     out_folder(args.out)
-    found: list[Outcome] = []
+    outcomes: list[Outcome] = []
     asked = cases(runs, study.ways, args.seeds, args.moments, study.models, args.rows)
     for one in each(examined, asked, args.jobs, args.out):
-        found.append(one)
-        say(f"{len(found)} of {len(asked)}: {one.recording} at {one.step}: {one.way}")
-    rows, said = study.summary(found), study.verdict(found)
-    _write(study, args.out, found, runs, args.seeds)
+        outcomes.append(one)
+        say(f"{len(outcomes)} of {len(asked)}: {one.recording} at {one.step}: {one.way}")
+    rows, said = study.summary(outcomes), study.verdict(outcomes)
+    _write(study, args.out, outcomes, runs, args.seeds)
     if args.json:
         print_json({"summary": rows, "verdict": said, "out": str(args.out)})
         return 0
-    show(study.title, tuple(rows[0]), [tuple(map(_cell, row.values())) for row in rows])
+    show(study.title, tuple(rows[0]), [tuple(map(cell, row.values())) for row in rows])
     print("\n".join([*said, str(args.out)]))
     return 0
 
 
 def _write(
-    study: Study, out: Path, found: list[Outcome], runs: Sequence[RunReader], seeds: Sequence[int]
+    study: FrozenStudy,
+    out: Path,
+    outcomes: list[Outcome],
+    runs: Sequence[RunReader],
+    seeds: Sequence[int],
 ) -> None:
-    rows = study.summary(found)
+    rows = study.summary(outcomes)
     write_csv(out / "summary.csv", rows)
-    write_csv(out / "moments.csv", [_flat(one) for one in found])
-    png, _ = save(study.figure(found), out, study.name)
-    n = f"{len({(one.recording, one.step) for one in found})} moments of {len(runs)} runs"
+    write_csv(out / "moments.csv", [_flat(one) for one in outcomes])
+    png, _ = save(study.figure(outcomes), out, study.name)
+    n = f"{len({(one.recording, one.step) for one in outcomes})} moments of {len(runs)} runs"
     made = study_origin(n=n, seeds=in_short(seeds), runs=", ".join(run.run_id for run in runs))
     figures, tables = [(study.caption, png)], [("Every way", rows)]
-    report = Report(study.title, study.claim, study.verdict(found), figures, tables, made)
+    report = Report(study.title, study.claim, study.verdict(outcomes), figures, tables, made)
     write_report(report, out)
 
 
 def _flat(one: Outcome) -> dict[str, Any]:
-    """The row of a CSV: errors become columns of their own."""
+    """A row of the CSV file, with one column for each error."""
     row = asdict(one)
     for error in row.pop("errors"):
         row[f"error {error['model']}"] = error["error"]
@@ -165,7 +169,7 @@ def _flat(one: Outcome) -> dict[str, Any]:
 
 
 def _ways(names: Sequence[str]) -> list[str]:
-    """The ways asked for, uniform weights first, which all are held against."""
+    """The requested ways of weighing, uniform weights first, the baseline of all."""
     for name in names:
         if name not in WAYS:
             raise unknown("way of weighing", name, WAYS)
@@ -173,7 +177,7 @@ def _ways(names: Sequence[str]) -> list[str]:
 
 
 def _runs(args: argparse.Namespace) -> list[RunReader]:
-    """The runs with moments. Raises UserError where there are none, or one named has none."""
+    """The runs with moments. Raises UserError if there are none, or a named run has none."""
     store, envs = Store(args.store), {task(env).name for env in args.env}
     named = [store.run(name) for name in args.runs]
     for run in named:
@@ -193,7 +197,3 @@ def _runs(args: argparse.Namespace) -> list[RunReader]:
 def _usable(run: RunReader) -> bool:
     has_both = not {"buffer", "policies"} & set(run.left_out)
     return run.is_run and run.env in ENVS and has_both and bool(moments(run, 1))
-
-
-def _cell(value: object) -> str:
-    return f"{value:.2f}" if isinstance(value, float) else str(value)

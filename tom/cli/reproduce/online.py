@@ -11,7 +11,7 @@ from tom.cli.reproduce.study import (
     print_json,
     stoppable,
 )
-from tom.cli.tables import show
+from tom.cli.tables import cell, show
 from tom.errors import UserError
 from tom.record import Store
 from tom.reports.files import write_csv
@@ -45,42 +45,38 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 @stoppable
 def run(args: argparse.Namespace) -> int:
     envs = check_stored(args)
-    found = study.panels(Store(args.store).runs(), args.preset)
-    found = [panel for panel in found if panel.run.env in envs]
-    if not found:
+    profiles = study.panels(Store(args.store).runs(), *args.preset)
+    profiles = [panel for panel in profiles if panel.run.env in envs]
+    if not profiles:
         raise UserError(
             f"{args.store}/ has no such run that weighed its buffer: tom sweep --env "
             f"{' '.join(envs)} --learner tom pmac vagram makes them"
         )
     out_folder(args.out)
-    rows, said = study.rows(found), study.verdict(found)
-    _write(args.out, found, rows, said)
+    rows, said = study.rows(profiles), study.verdict(profiles)
+    _write(args.out, profiles, rows, said)
     if args.json:
         print_json({"rows": rows, "verdict": said})
         return 0
-    cells = [[_cell(row[name]) for name in COLUMNS] for row in rows]
+    cells = [[cell(row[name]) for name in COLUMNS] for row in rows]
     show("Where the weights lie: share on the newest tenth, position of the peak", COLUMNS, cells)
     print("\n".join([*said, str(args.out)]))
     return 0
 
 
-def _write(out: Path, found: list[study.Panel], rows: list[dict], said: list[str]) -> None:
+def _write(out: Path, panels: list[study.RunProfiles], rows: list[dict], said: list[str]) -> None:
     profiles = (
         {"env": p.run.env, "learner": p.run.learner, "run": p.run.run_id, "step": int(step),
          "bin": number, "mean_weight": weight}
-        for p in found
+        for p in panels
         for step, bins in zip(p.env_step, p.bins, strict=True)
         for number, weight in enumerate(bins.tolist())
     )  # fmt: skip
     write_csv(out / "profiles.csv", profiles)
     write_csv(out / "online.csv", rows)
-    png, _ = save(online_figure(found), out, "online")
-    runs = [panel.run for panel in found]
+    png, _ = save(online_figure(panels), out, "online")
+    runs = [panel.run for panel in panels]
     made = origin_of(runs) | {"seeds": seeds([run.seed for run in runs])}
     tables = [("Every profile", rows)]
     report = Report("Weights as a run goes on", CLAIM, said, [(CAPTION, png)], tables, made)
     write_report(report, out)
-
-
-def _cell(value: object) -> str:
-    return f"{value:.2f}" if isinstance(value, float) else str(value)

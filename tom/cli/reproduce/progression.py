@@ -63,15 +63,15 @@ def run(args: argparse.Namespace) -> int:
         progression_files.keep_weights(args.out, one)
         done.append(one)
         say(f"{one.recording}: TOM {one.preset}, {one.condition}")
-    found = checks(done)
-    progression_files.write(args.out, done, found, args.preset[0])
-    said = verdicts.progression([c for c in found if c.preset == args.preset[0]])
-    _report(found, said, args)
-    _print(found, said, args)
-    return 0 if all(c.met is not False for c in found if c.preset == args.preset[0]) else 1
+    findings = checks(done)
+    progression_files.write(args.out, done, findings, args.preset[0])
+    said = verdicts.progression([c for c in findings if c.preset == args.preset[0]])
+    _report(findings, said, args)
+    _print(findings, said, args)
+    return 0 if all(c.met is not False for c in findings if c.preset == args.preset[0]) else 1
 
 
-def _report(found: Sequence[Finding], said: Sequence[str], args: argparse.Namespace) -> None:
+def _report(findings: Sequence[Finding], said: Sequence[str], args: argparse.Namespace) -> None:
     rows = [
         {
             "name": f"{c.recording}, {c.condition} policy, {c.learner}, {c.quantity}",
@@ -81,21 +81,21 @@ def _report(found: Sequence[Finding], said: Sequence[str], args: argparse.Namesp
             "bound": "" if c.bound is None else f"{c.bound[0]} {c.bound[1]:g}",
             "met": c.met if c.preset == args.preset[0] else None,
         }
-        for c in found
+        for c in findings
     ]
     drawn = [(CAPTION, args.out / f"{progression_files.FIGURE}.png")]
     used = in_short(args.seeds)
-    recordings = len({c.recording for c in found})
+    recordings = len({c.recording for c in findings})
     n = f"{recordings} recordings, {len(args.seeds)} seeds of TOM on each"
     write_study(args.out, "Weight progression", CLAIM, said, rows, drawn, n=n, seeds=used)
 
 
-def _print(found: Sequence[Finding], said: Sequence[str], args: argparse.Namespace) -> None:
+def _print(findings: Sequence[Finding], said: Sequence[str], args: argparse.Namespace) -> None:
     if args.json:
-        rows = [{**asdict(c), "median": c.median, "met": c.met} for c in found]
+        rows = [{**asdict(c), "median": c.median, "met": c.met} for c in findings]
         print_json({"checks": rows, "verdict": said, "out": str(args.out)})
         return
-    titles, *rows = progression_files.table(found)
+    titles, *rows = progression_files.table(findings)
     plain_rows = [[cell.replace("**", "") for cell in row] for row in rows]
     show("Weight progression: median over TOM's seeds (by seed)", titles, plain_rows)
     print("\n".join([*said, str(args.out)]))

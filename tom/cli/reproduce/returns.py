@@ -1,10 +1,8 @@
-"""`tom reproduce returns`: return curves of every learner, from the runs that the store has."""
+"""`tom reproduce returns`: return curves of every learner, from the runs in the store."""
 
 import argparse
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from tom.cli.reproduce.study import (
     add_output,
@@ -41,7 +39,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "the store has, compare learners at a step that all runs of an environment reach, and "
         "list what is missing. Nothing is trained: `tom sweep` makes the runs.",
     )
-    add_stored(parser)
+    add_stored(parser, "+")
     parser.add_argument("--learner", nargs="+", default=list(LEARNER_NAMES), metavar="LEARNER")
     add_output(parser, "returns")
     parser.set_defaults(run=run)
@@ -53,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     for learner in args.learner:
         if learner not in LEARNER_NAMES:
             raise unknown("learner", learner, LEARNER_NAMES)
-    cells, left_out = study.select(Store(args.store).runs(), args.preset)
+    cells, left_out = study.select(Store(args.store).runs(), *args.preset)
     cells = [cell for cell in cells if cell.env in envs and cell.learner in args.learner]
     if not cells:
         raise UserError(
@@ -61,61 +59,78 @@ def run(args: argparse.Namespace) -> int:
             f"--learner {' '.join(args.learner)} --seeds 4 makes them"
         )
     out_folder(args.out)
-    found = _findings(cells, envs, args.learner)
-    _write(args.out, cells, left_out, found)
-    _print(args, found)
+    findings = _findings(cells, envs, args.learner)
+    _write(args.out, cells, left_out, findings)
+    _print(args, findings)
     return 0
 
 
 def _findings(cells: list[study.Cell], envs: list[str], learners: list[str]) -> dict[str, Any]:
-    rng = np.random.default_rng(0)
     return {
         "verdict": study.verdict(cells),
-        "summary": study.summary(cells, rng),
-        "improvement": study.improvement(cells, rng),
+        "summary": study.summary(cells),
+        "improvement": study.improvement(cells),
+        "exams": study.exams(cells),
         "missing": study.missing(cells, envs, learners),
     }
 
 
-def _write(out: Path, cells: list[study.Cell], left_out: list[str], found: dict[str, Any]) -> None:
+def _write(
+    out: Path, cells: list[study.Cell], left_out: list[str], findings: dict[str, Any]
+) -> None:
     curves = (
-        {"env": c.env, "learner": c.learner, "seed": curve.run.seed, "run": curve.run.run_id,
+        {"env": c.env, "learner": c.label, "seed": curve.seed, "run": curve.run_id,
          "step": int(step), "return": value, "best": best}
         for c in cells
         for curve in c.curves
-        for step, value, best in zip(curve.step, curve.value, curve.best, strict=True)
+        for step, value, best in zip(curve.step, curve.value, curve.best_so_far.value, strict=True)
     )  # fmt: skip
     write_csv(out / "returns.csv", curves)
-    for name in ("summary", "improvement", "missing"):
-        write_csv(out / f"{name}.csv", found[name])
-    png, _ = save(return_figure(cells, np.random.default_rng(0)), out, "returns")
-    runs = [curve.run for cell in cells for curve in cell.curves]
-    aside = [f"Left out, for other settings or a longer run of the seed: {', '.join(left_out)}."]
+    for name in ("summary", "improvement", "exams", "missing"):
+        write_csv(out / f"{name}.csv", findings[name])
+    png, _ = save(return_figure(cells), out, "returns")
+    runs = [run for cell in cells for run in cell.runs]
+    aside = [
+        "Left out, for other settings, a longer run of the seed, or a first evaluation after the "
+        f"others' end: {', '.join(left_out)}."
+    ]
     tables = [
-        ("At the step that all runs of an environment reach", found["summary"]),
-        ("How often a run of TOM beats one of another learner", found["improvement"]),
-        ("What is missing for the paper's figure", found["missing"]),
+        ("At the step that all runs of an environment reach", findings["summary"]),
+        ("How often a run of TOM beats one of another learner", findings["improvement"]),
+        ("Exams: the median fit of each run, on new steps of its own policy", findings["exams"]),
+        ("What is missing for the paper's figure", findings["missing"]),
     ]
     made = origin_of(runs) | {"seeds": seeds([run.seed for run in runs])}
-    said = [*found["verdict"], *(aside if left_out else [])]
+    said = [*findings["verdict"], *(aside if left_out else [])]
     write_report(
         Report("Returns of every learner", CLAIM, said, [(CAPTION, png)], tables, made), out
     )
 
 
-def _print(args: argparse.Namespace, found: dict[str, Any]) -> None:
+def _print(args: argparse.Namespace, findings: dict[str, Any]) -> None:
     if args.json:
-        print_json({**found, "out": str(args.out)})
+        print_json({**findings, "out": str(args.out)})
         return
     names = ("env", "learner", "n", "at step", "mean", "low", "high", "IQM", "remark")
-    rows = [[_cell(row[name]) for name in names] for row in found["summary"]]
+    rows = [[_cell(row[name]) for name in names] for row in findings["summary"]]
     show("Best return up to the step that all runs of an environment reach", names, rows)
-    for line in found["verdict"]:
+    if findings["exams"]:
+        names = ("env", "learner", "n", *study.EXAMS.values())
+        rows = [
+            [*(row[n] for n in names[:3]), *(_range(row, n) for n in names[3:])]
+            for row in findings["exams"]
+        ]
+        show("Exams: the median fit of each run, mean over runs", names, rows)
+    for line in findings["verdict"]:
         print(line)
-    print(f"{len(found['missing'])} of the paper's curves are missing or short: {args.out}")
+    print(f"{len(findings['missing'])} of the paper's curves are missing or short: {args.out}")
 
 
 def _cell(value: Any) -> str:
     if value is None or value != value:
         return "-"
     return f"{value:.1f}" if isinstance(value, float) else str(value)
+
+
+def _range(row: dict[str, Any], name: str) -> str:
+    return f"{row[name]:.3g} [{row[f'{name} low']:.3g}, {row[f'{name} high']:.3g}]"

@@ -136,7 +136,7 @@ def _print(
 
 
 def _show_seeds(outcomes: Sequence[Outcome]) -> None:
-    """Every case's returns and successes, seed by seed."""
+    """Print the returns and successes of every case for each seed."""
     rows = [
         (
             o.name,
@@ -155,5 +155,5 @@ def _show_seeds(outcomes: Sequence[Outcome]) -> None:
 
 
 def _cell(value: float, digits: int) -> str:
-    """A dash is what was not measured."""
+    """A number, or a dash if it was not measured."""
     return "-" if isnan(value) else f"{value:.{digits}f}"

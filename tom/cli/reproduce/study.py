@@ -1,4 +1,4 @@
-"""What the commands of `tom reproduce` share."""
+"""Options and helpers that the commands of `tom reproduce` share."""
 
 import argparse
 import json
@@ -26,24 +26,24 @@ from tom.training.run import train
 
 
 def add_output(parser: argparse.ArgumentParser, name: str) -> None:
-    """`--out` and `--json`: where the report of study `name` goes."""
+    """Add `--out` and `--json`: where the report of study `name` is written."""
     parser.add_argument("--out", type=Path, default=Path("reports") / name, help="[%(default)s]")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def add_store(parser: argparse.ArgumentParser) -> None:
-    """`--store`."""
+    """Add `--store`."""
     parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
 
 
 def add_jobs(parser: argparse.ArgumentParser) -> None:
-    """`--jobs`: how many cases are computed at a time."""
+    """Add `--jobs`: how many cases are computed at a time."""
     cores = len(os.sched_getaffinity(0))
     parser.add_argument("--jobs", type=int, default=cores, help="cases at a time [one a core]")
 
 
 def add_recordings(parser: argparse.ArgumentParser) -> None:
-    """Which recordings of SAC a study is about, and under which seeds its learners see them."""
+    """Add the options that choose recordings of SAC and the learners' seeds."""
     parser.add_argument("--env", nargs="+", default=list(SAC_SEEDS), metavar="ENV")
     parser.add_argument("--steps", type=int, default=50_000, help="steps of SAC [50000]")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="TOM's [0 1 2]")
@@ -51,46 +51,51 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
     add_jobs(parser)
 
 
-def add_stored(parser: argparse.ArgumentParser) -> None:
-    """Which of a store's runs a study is about."""
+def add_stored(parser: argparse.ArgumentParser, presets: str | int = 1) -> None:
+    """Add the options that choose runs of the store; `presets` is argparse's `nargs`."""
     parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
-    parser.add_argument("--preset", default="paper", metavar="PRESET", help="[paper]")
+    parser.add_argument(
+        "--preset", nargs=presets, default=["paper"], metavar="PRESET",
+        help="[paper]" if presets == 1 else
+        "runs of the first are called by their learner alone, those of others by both [paper]",
+    )  # fmt: skip
     add_store(parser)
 
 
 def check_recordings(args: argparse.Namespace) -> None:
-    """Raises UserError where `add_recordings`' numbers, or the seeds of SAC, make no study."""
+    """Raises UserError if the values of `add_recordings` or the SAC seeds are impossible."""
     if args.steps < 1000:
         raise UserError("--steps must be at least 1000")
     check_seeds(args.jobs, [*args.seeds, *(getattr(args, "sac_seeds", None) or ())])
 
 
 def check_seeds(jobs: int, seeds: Sequence[int]) -> None:
-    """Raises UserError where a seed or the number of jobs is impossible."""
+    """Raises UserError if a seed or the number of jobs is impossible."""
     if min(seeds) < 0 or jobs < 1:
         raise UserError("seeds must be at least 0 and --jobs at least 1")
 
 
 def check_stored(args: argparse.Namespace) -> list[str]:
-    """The names of the tasks asked for. Raises UserError for an unknown task or preset."""
-    if args.preset not in PRESETS:
-        raise unknown("preset", args.preset, PRESETS)
+    """The names of the chosen tasks. Raises UserError for an unknown task or preset."""
+    for preset in args.preset:
+        if preset not in PRESETS:
+            raise unknown("preset", preset, PRESETS)
     return [task(env).name for env in args.env]
 
 
 def print_json(content: dict[str, Any]) -> None:
-    """One line that any parser of JSON reads: no NaN, no arrays."""
+    """Print one line of strict JSON: no NaN, no arrays."""
     print(json.dumps(plain(content), allow_nan=False))
 
 
 def show_checks(title: str, checks: Sequence[Check]) -> None:
-    """An acceptance as a table."""
+    """Print an acceptance as a table."""
     rows = [(c.name, f"{c.value:.3g}", c.bound, "yes" if c.met else "NO") for c in checks]
     show(title, ("figure", "value", "bound", "met"), rows)
 
 
 def out_folder(path: Path) -> None:
-    """Make the folder of a report. Raises UserError when it cannot be made."""
+    """Make the folder of a report. Raises UserError if it cannot be made."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -98,8 +103,8 @@ def out_folder(path: Path) -> None:
 
 
 def stoppable(work: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
-    """`work` that ends with one line and exit code 1 on Ctrl-C, SIGTERM and where a case cannot be
-    finished: a process was killed, the disk is full."""
+    """`work`, but with one line and exit code 1 on Ctrl-C, SIGTERM, or if a case cannot be
+    finished (a process was killed, the disk is full)."""
 
     def run(args: argparse.Namespace) -> int:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -119,7 +124,7 @@ def stoppable(work: Callable[[argparse.Namespace], int]) -> Callable[[argparse.N
 def sac_recordings(
     store: Store, envs: Sequence[str], seeds: Sequence[int] | None, steps: int
 ) -> list[RunReader]:
-    """The recordings of every task and SAC seed (default: the study's), made where missing."""
+    """The recordings of every task and SAC seed (default: the study's); missing ones are made."""
     configs = [
         recording_config(env, seed, steps)
         for env in (task(name).name for name in envs)
@@ -129,7 +134,7 @@ def sac_recordings(
 
 
 def say(line: str) -> None:
-    """A line of progress, kept out of what a script reads."""
+    """Print a line of progress to stderr, so that stdout stays readable for a script."""
     print(line, file=sys.stderr, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""`tom reproduce tabular`: TOM's weights held against exact ones on small MDPs."""
+"""`tom reproduce tabular`: TOM's weights compared with exact ones on small MDPs."""
 
 import argparse
 from collections.abc import Sequence
@@ -82,13 +82,13 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     check_seeds(args.jobs, [*args.seeds, *args.variant_seeds])
     out_folder(args.out)
-    found = _estimates(args)
-    rows = [e.row() for e in found if not e.case.same_policy] + _counted(args)
-    judged = _of(found, JUDGED)
+    estimates = _estimates(args)
+    rows = [e.row() for e in estimates if not e.case.same_policy] + _counted(args)
+    judged = _of(estimates, JUDGED)
     checks = acceptance(
         [e.row() for e in judged],
-        [e.row() for e in found if e.case.same_policy],
-        *([e.row() for e in _of(found, way)] for way in (DENSE, ENDING["stationary"], MENDED)),
+        [e.row() for e in estimates if e.case.same_policy],
+        *([e.row() for e in _of(estimates, way)] for way in (DENSE, ENDING["stationary"], MENDED)),
     )
     write_csv(args.out / "estimates.csv", rows)
     write_csv(args.out / "summary.csv", summary(rows))
@@ -115,15 +115,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _estimates(args: argparse.Namespace) -> list[Estimate]:
     asked = _asked(args.seeds, args.variant_seeds)
-    found: list[Estimate] = []
+    estimates: list[Estimate] = []
     for one in each(_estimate, asked, args.jobs, args.out):
-        found.append(one)
-        say(f"{len(found)}/{len(asked)} {one.variant}, MDP {one.case.seed}")
-    return found
+        estimates.append(one)
+        say(f"{len(estimates)}/{len(asked)} {one.variant}, MDP {one.case.seed}")
+    return estimates
 
 
 def _asked(seeds: Sequence[int], fewer: Sequence[int]) -> list[tuple[Case, Variant]]:
-    """Every case and the way to estimate it; what is judged comes first, on all seeds."""
+    """Every case with its variant; those of the acceptance come first, with all seeds."""
     judged, ends = cases(seeds), ending_cases(seeds, "stationary")
     asked = [(case, JUDGED) for case in judged]
     asked += [(case, way) for way in (ENDING["stationary"], MENDED) for case in ends]
@@ -136,18 +136,18 @@ def _asked(seeds: Sequence[int], fewer: Sequence[int]) -> list[tuple[Case, Varia
     return asked
 
 
-def _of(found: Sequence[Estimate], way: Variant) -> list[Estimate]:
-    return [e for e in found if e.variant == way.label and not e.case.same_policy]
+def _of(estimates: Sequence[Estimate], way: Variant) -> list[Estimate]:
+    return [e for e in estimates if e.variant == way.label and not e.case.same_policy]
 
 
 def _counted(args: argparse.Namespace) -> list[dict[str, Any]]:
-    """What sampling alone leaves of every family, by counts of (s, a) and of (s, a, s')."""
+    """The sampling error of every family, from counts of (s, a) and of (s, a, s')."""
     families = cases(args.seeds), dense_cases(args.variant_seeds)
     every = [*families, ending_cases(args.seeds, "stationary")]
     asked: list[tuple[Case, Inputs]] = [
         (case, of) for family in every for of in get_args(Inputs) for case in family
     ]
-    return [found.row() for found in each(_count, asked, args.jobs, args.out)]
+    return [estimate.row() for estimate in each(_count, asked, args.jobs, args.out)]
 
 
 def _count(asked: tuple[Case, Inputs]) -> Estimate:

@@ -1,4 +1,4 @@
-"""`tom runs`: what the store holds, and keeping it in order."""
+"""`tom runs`: list and manage the runs of a store."""
 
 import argparse
 import json
@@ -15,8 +15,8 @@ from tom.config import flat
 from tom.envs import ENV_NAMES
 from tom.errors import UserError, unknown
 from tom.harmless import terminal
-from tom.learners import LEARNER_NAMES
-from tom.record import RunReader, Store
+from tom.learners import LEARNERS
+from tom.record import RunReader, Status, Store, small_copy
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
 
@@ -43,7 +43,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 
 def add_verb(verbs, name: str, run, text: str) -> argparse.ArgumentParser:
-    """A verb of `tom runs` with the options that all share."""
+    """Add a verb of `tom runs` with the options that all verbs share."""
     verb = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     # Suppressed: the options may also stand before the verb.
     kept: dict[str, Any] = {"default": argparse.SUPPRESS}
@@ -66,8 +66,9 @@ def list_runs(args: argparse.Namespace) -> int:
     store.ensure_there()
     held = store.runs()
     _check_filters(args, held)
-    runs = [run for run in held if _wanted(run, args)]
-    rows = [_row(run) for run in runs]
+    both = [(run, run.status) for run in held]  # each status is read once: there may be a thousand
+    both = [(run, status) for run, status in both if _wanted(run, status, args)]
+    rows = [_row(run, status) for run, status in both]
     if args.json:
         print(json.dumps(rows))
         return 0
@@ -75,7 +76,7 @@ def list_runs(args: argparse.Namespace) -> int:
         "run": [row["run_id"] for row in rows],
         "name": [row["name"] for row in rows],
         "tags": [", ".join(row["tags"]) for row in rows],
-        "state": [run.shown for run in runs],
+        "state": [small_copy.shown(status, run.small_copy) for run, status in both],
         "step": [str(row["env_step"]) for row in rows],
         "last return": [number(row["last_return"]) for row in rows],
         "best return": [number(row["best_return"]) for row in rows],
@@ -91,9 +92,13 @@ def list_runs(args: argparse.Namespace) -> int:
 def show_run(args: argparse.Namespace) -> int:
     run = Store(args.store).run(args.run_id)
     if args.json:
-        print(json.dumps({**_row(run), "note": run.labels.note, "description": run.config}))
+        print(
+            json.dumps(
+                {**_row(run, run.status), "note": run.labels.note, "description": run.config}
+            )
+        )
         return 0
-    row = _row(run) | {"state": run.shown}
+    row = _row(run, run.status) | {"state": run.shown}
     del row["small_copy"]  # the state says so
     described = {
         **{name: _text(value) for name, value in row.items()},
@@ -125,7 +130,7 @@ def diff(args: argparse.Namespace) -> int:
 
 
 def _comparable(run: RunReader) -> dict[str, Any]:
-    """What two runs may differ in, by dotted name; not what every run has of its own."""
+    """What two runs may differ in, by dotted name, without what is unique to every run."""
     if not run.config.get("config"):
         raise UserError(f"run '{run.run_id}' has no settings to compare")
     own = {name: run.config.get(name) for name in ("config", "versions", "git_commit", "machine")}
@@ -135,26 +140,26 @@ def _comparable(run: RunReader) -> dict[str, Any]:
 
 
 def _check_filters(args: argparse.Namespace, runs: Sequence[RunReader]) -> None:
-    """Raises UserError for an environment or learner that nobody knows and no run has."""
+    """Raises UserError for an environment or learner that is unknown and that no run has."""
     known = {
         "env": (args.env, [*ENV_NAMES, *(run.env for run in runs)]),
-        "learner": (args.learner, [*LEARNER_NAMES, *(run.learner for run in runs)]),
+        "learner": (args.learner, [*LEARNERS, *(run.learner for run in runs)]),
     }
     for kind, (asked, names) in known.items():
         if asked is not None and asked not in names:
             raise unknown(kind, asked, dict.fromkeys(names))
 
 
-def _wanted(run: RunReader, args: argparse.Namespace) -> bool:
-    asked = {"env": run.env, "learner": run.learner, "state": run.status.shown}
+def _wanted(run: RunReader, status: Status, args: argparse.Namespace) -> bool:
+    asked = {"env": run.env, "learner": run.learner, "state": status.shown}
     same = all(getattr(args, name) in (None, value) for name, value in asked.items())
     return same and (args.tag is None or args.tag in run.labels.tags)
 
 
-def _row(run: RunReader) -> dict[str, Any]:
+def _row(run: RunReader, status: Status) -> dict[str, Any]:
     labels = run.labels
-    row = {**summary(run), "name": labels.name, "tags": list(labels.tags)}
-    row |= {"state": run.status.shown, "problems": run.problems}
+    row = {**summary(run, status), "name": labels.name, "tags": list(labels.tags)}
+    row |= {"state": status.shown, "problems": run.problems}
     return {**row, "small_copy": run.small_copy, "left_out": list(run.left_out)}
 
 

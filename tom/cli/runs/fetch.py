@@ -1,4 +1,4 @@
-"""`tom runs fetch`: runs out of an object store."""
+"""`tom runs fetch`: download runs from an object store."""
 
 import argparse
 import json
@@ -18,18 +18,18 @@ def add_verbs(verbs, add_verb) -> None:
 
 def fetch(args: argparse.Namespace) -> int:
     bucket, store = Bucket.open(args.url), Store(args.store)
-    found: dict[str, str] = {}
+    done: dict[str, str] = {}
     try:
         wanted = args.run_ids or run_ids(bucket)
         if not wanted:
             raise UserError(f"no runs in {args.url}: is it the --store of a sweep?")
         store.ensure_writable()
         for run_id in wanted:
-            found[run_id] = fetch_run(bucket, run_id, store)
+            done[run_id] = fetch_run(bucket, run_id, store)
             if not args.json:
-                print(terminal(f"{run_id} {found[run_id]}"), flush=True)
+                print(terminal(f"{run_id} {done[run_id]}"), flush=True)
     except OSError as error:
         raise UserError(f"{args.url}: {error}") from error
     if args.json:
-        print(json.dumps(found))
+        print(json.dumps(done))
     return 0

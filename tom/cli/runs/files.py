@@ -55,25 +55,25 @@ def add_verbs(verbs, add_verb) -> None:
 def verify_runs(args: argparse.Namespace) -> int:
     store = Store(args.store)
     runs = _chosen(store, args.run_ids)
-    found = {run.run_id: verify(run) for run in runs}
+    problems = {run.run_id: verify(run) for run in runs}
     if args.json:
-        print(json.dumps({"runs": found, "store": store.problems}))
+        print(json.dumps({"runs": problems, "store": store.problems}))
     else:
-        for problem in [f"{r}: {text}" for r, texts in found.items() for text in texts]:
+        for problem in [f"{r}: {text}" for r, texts in problems.items() for text in texts]:
             print(terminal(problem))
         for problem in store.problems:
             print(terminal(problem))
-        bad = sum(map(bool, found.values()))
-        print(f"{len(found)} runs read, {bad} with problems")
-    return 1 if any(found.values()) or store.problems else 0
+        bad = sum(map(bool, problems.values()))
+        print(f"{len(problems)} runs read, {bad} with problems")
+    return 1 if any(problems.values()) or store.problems else 0
 
 
 def repair_runs(args: argparse.Namespace) -> int:
-    found = {run.run_id: repair(run) for run in _chosen(Store(args.store), args.run_ids)}
+    repairs = {run.run_id: repair(run) for run in _chosen(Store(args.store), args.run_ids)}
     if args.json:
-        print(json.dumps(found))
+        print(json.dumps(repairs))
     else:
-        for run_id, done in found.items():
+        for run_id, done in repairs.items():
             for line in done or ["nothing to mend"]:
                 print(terminal(f"{run_id}: {line}"))
     return 0
@@ -95,7 +95,7 @@ def export_runs(args: argparse.Namespace) -> int:
 
 
 def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
-    """Export a run; with a small copy go copies of the weighings of its buffer."""
+    """Export a run; a small copy brings copies of the weighings of its buffer."""
     if args.small:
         yield export_small(run, args.out, args.keep)
         yield from copy_small(args.store, run.run_id, args.out)
@@ -105,7 +105,7 @@ def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
 
 @contextmanager
 def _all_or_none(folder: Path) -> Iterator[list[Path]]:
-    """Takes down what is made in `folder`; where that breaks off, all of it is removed again."""
+    """Collect the paths made in `folder`; after an error all of them are removed again."""
     made: list[Path] = []
     new = [place for place in (folder / WEIGHINGS, folder) if not place.exists()]
     try:
@@ -131,13 +131,13 @@ def write_index(args: argparse.Namespace) -> int:
 
 
 def size(args: argparse.Namespace) -> int:
-    found = {run.run_id: sizes.sizes(run) for run in _chosen(Store(args.store), args.run_ids)}
+    bytes_of = {run.run_id: sizes.sizes(run) for run in _chosen(Store(args.store), args.run_ids)}
     if args.json:
-        print(json.dumps(found))
+        print(json.dumps(bytes_of))
         return 0
-    largest = sorted(found.items(), key=lambda item: -sum(item[1].values()))
+    largest = sorted(bytes_of.items(), key=lambda item: -sum(item[1].values()))
     rows = [(name, *_megabytes([*parts.values(), sum(parts.values())])) for name, parts in largest]
-    total = sum(sum(parts.values()) for parts in found.values())
+    total = sum(sum(parts.values()) for parts in bytes_of.values())
     show(f"{total / MB:.1f} MB in {len(rows)} runs", ("run", *sizes.PARTS, "all"), rows)
     return 0
 
@@ -146,8 +146,8 @@ def prune(args: argparse.Namespace) -> int:
     if args.keep < 0:
         raise UserError(f"--keep {args.keep}: must be 0 or more")
     runs = _finished(Store(args.store), args.run_ids)
-    found = {run.run_id: sizes.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
-    freed = {name: count for name, count in found.items() if count}
+    by_run = {run.run_id: sizes.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
+    freed = {name: count for name, count in by_run.items() if count}
     if args.json:
         print(json.dumps(freed))
         return 0
@@ -159,13 +159,13 @@ def prune(args: argparse.Namespace) -> int:
 
 
 def _chosen(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
-    """The named runs, or all; a name that is wrong stops everything before it begins."""
+    """The named runs, or all. Raises UserError for an unknown name, before anything is done."""
     store.ensure_there()
     return [store.run(run_id) for run_id in run_ids] if run_ids else store.runs()
 
 
 def _finished(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
-    """The named runs, or all that have finished."""
+    """The named runs, or all finished runs."""
     runs = _chosen(store, run_ids)
     return runs if run_ids else [run for run in runs if run.status.state == "finished"]
 

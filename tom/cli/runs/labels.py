@@ -1,4 +1,4 @@
-"""`tom runs rename|tag|note|trash|restore`: labels of runs, and their trash."""
+"""`tom runs rename|tag|note|trash|restore`: labels of runs, and the trash."""
 
 import argparse
 import json
@@ -46,7 +46,7 @@ def trash(args: argparse.Namespace) -> int:
     if not args.run_ids:
         return _list(args, manage.trashed(store))
     for run_id in args.run_ids:
-        store.run(run_id)  # all of them or none
+        store.run(run_id)  # an unknown name is an error before any run is changed
     return _list(args, [str(manage.trash(store, run_id)) for run_id in args.run_ids])
 
 

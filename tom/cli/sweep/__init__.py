@@ -1,4 +1,4 @@
-"""`tom sweep`: many trainings, stopped and taken up again by the same command."""
+"""`tom sweep`: many trainings; the same command resumes them after a stop."""
 
 import argparse
 import json
@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tom.cli.named import add_termination
 from tom.cli.parser import add_accept_versions, add_config_options, overrides
 from tom.cli.signals import on_stopping
 from tom.cli.sweep.dry import dry_run, longest
@@ -16,10 +17,12 @@ from tom.cli.sweep.places import open_backend, open_engine, place, refuse_mismat
 from tom.cli.sweep.table import Watcher, job_row
 from tom.cli.train_many import run_fleets
 from tom.config import OnlineConfig, merged
-from tom.envs import ENV_NAMES
+from tom.envs import ANY, ENV_NAMES, bring
+from tom.envs.ends import bring_rule
 from tom.errors import UserError
-from tom.learners import LEARNER_NAMES
+from tom.learners import LEARNERS, with_own_settings
 from tom.sweep.driver import ATTEMPTS, Driver
+from tom.sweep.engine import GoneError
 from tom.sweep.slurm import script
 from tom.training.plan import Trial, checked, read_plan, trials
 from tom.training.presets import PRESETS
@@ -39,8 +42,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         f"{ATTEMPTS} times without getting further is reported and left. Ctrl-C stops all "
         "cleanly; the same command goes on.",
     )
-    parser.add_argument("--env", nargs="+", metavar="ENV", help=", ".join(ENV_NAMES))
-    parser.add_argument("--learner", nargs="+", metavar="LEARNER", help=", ".join(LEARNER_NAMES))
+    parser.add_argument("--env", nargs="+", metavar="ENV", help=f"{', '.join(ENV_NAMES)}, {ANY}")
+    add_termination(parser)
+    parser.add_argument("--learner", nargs="+", metavar="LEARNER", help=", ".join(LEARNERS))
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 to N - 1 [1]")
     parser.add_argument("--steps", type=int, metavar="N", help="env steps of each run")
     parser.add_argument("--preset", metavar="PRESET", help=", ".join(PRESETS) + " [paper]")
@@ -66,7 +70,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--only", type=int, metavar="I", help="only the I-th run of the plan")
     parser.add_argument("--dry-run", action="store_true", help="what would run, hours and disk")
     parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
-    add_config_options(parser, OnlineConfig, leave_out=OWN_OPTIONS)
+    add_config_options(parser, with_own_settings(OnlineConfig, LEARNERS), leave_out=OWN_OPTIONS)
     parser.set_defaults(run=run)
 
 
@@ -93,22 +97,27 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _planned(args: argparse.Namespace) -> list[Trial]:
-    """The trainings that were asked for; options of the command line come on top of the file."""
+    """The requested trainings; options on the command line override the file."""
     content: dict[str, Any] = read_plan(args.file) if args.file else {}
     names = ("env", "learner", "seeds", "steps", "preset")
     content |= {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     held = content.get("settings", {})
-    if isinstance(held, dict):  # anything else is an error that `checked` names
+    if isinstance(held, dict):  # anything else is an error that `checked` reports
         content["settings"] = merged(held, overrides(args))
     missing = [f"--{name}" for name in ("env", "learner") if not content.get(name)]
     if missing:
         raise UserError(f"a sweep needs {' and '.join(missing)} (or --file PLAN.yaml)")
-    found = trials(checked(content))
+    plan = checked(content)
+    for name in plan.env:
+        bring(name)
+    held = plan.settings.get("model", {})
+    bring_rule(held.get("termination") if isinstance(held, dict) else None)
+    planned = trials(plan)
     if args.only is None:
-        return found
-    if not 0 <= args.only < len(found):
-        raise UserError(f"--only {args.only}: this sweep has runs 0 to {len(found) - 1}")
-    return [found[args.only]]
+        return planned
+    if not 0 <= args.only < len(planned):
+        raise UserError(f"--only {args.only}: this sweep has runs 0 to {len(planned) - 1}")
+    return [planned[args.only]]
 
 
 def _jobs(args: argparse.Namespace) -> int:
@@ -123,7 +132,7 @@ def _by_env(planned: list[Trial]) -> list[list[Trial]]:
 
 
 def drive(args: argparse.Namespace, driver: Driver) -> int:
-    """Run the sweep to its end with a table of how it goes; the exit code."""
+    """Run the sweep to its end with a table of its progress; returns the exit code."""
     on_stopping(signal.default_int_handler)
     stream = sys.stderr if args.json else sys.stdout
     with Watcher(driver, stream) as watcher:
@@ -131,6 +140,9 @@ def drive(args: argparse.Namespace, driver: Driver) -> int:
             while not driver.poll():
                 watcher.look()
                 time.sleep(POLL_S)
+        except GoneError as error:
+            watcher.say(str(error))
+            driver.let_go()
         except KeyboardInterrupt:
             watcher.say("stopping: every training writes a checkpoint (Ctrl-C again: at once)")
         finally:
@@ -153,7 +165,7 @@ def _report(args: argparse.Namespace, driver: Driver) -> int:
     done = states.count("finished")
     stream = sys.stderr if args.json else sys.stdout
     print(f"{done} of {len(states)} runs finished, {len(failed)} failed", file=stream)
-    if "stopped" in states or "waiting" in states:
+    if done + len(failed) < len(states):
         print("stopped: the same command goes on", file=stream)
     if isinstance(args.store, str):
         print(f"to look at them: tom runs fetch {args.store} --store runs", file=stream)
@@ -161,7 +173,7 @@ def _report(args: argparse.Namespace, driver: Driver) -> int:
 
 
 def _own_words() -> list[str]:
-    """This very command, for each task of an array to repeat."""
+    """The words of this command, which each task of a Slurm array repeats."""
     words = [word for word in sys.argv[1:] if word not in ("--engine=slurm", "--dry-run")]
     while "--engine" in words:
         at = words.index("--engine")

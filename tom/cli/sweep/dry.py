@@ -1,4 +1,4 @@
-"""`tom sweep --dry-run`: what would run, and how many hours and gigabytes it will take."""
+"""`tom sweep --dry-run`: the trainings that would run, with their hours and gigabytes."""
 
 import argparse
 import json
@@ -14,15 +14,15 @@ from tom.training.plan import Trial, same_run
 
 
 def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jobs: int) -> int:
-    """Print what would run; the exit code."""
+    """Print the trainings that would run; returns the exit code."""
     runs = store.runs()
-    found = [same_run(trial, runs) for trial in planned]
+    existing = [same_run(trial, runs) for trial in planned]
     costs = [
         None if _finished(run) else _cost(trial, runs, run)
-        for trial, run in zip(planned, found, strict=True)
+        for trial, run in zip(planned, existing, strict=True)
     ]
-    rows = [_row(*each) for each in zip(planned, found, costs, strict=True)]
-    todo = [row for row, run in zip(rows, found, strict=True) if not _finished(run)]
+    rows = [_row(*each) for each in zip(planned, existing, costs, strict=True)]
+    todo = [row for row, run in zip(rows, existing, strict=True) if not _finished(run)]
     hours = makespan([row["hours"] or 0.0 for row in todo], jobs)
     disk = sum(row["megabytes"] or 0.0 for row in todo)
     if args.json:
@@ -44,7 +44,7 @@ def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jo
 
 
 def longest(store: Store, planned: Sequence[Trial]) -> float | None:
-    """The hours of the longest run from its start, where all can be judged."""
+    """The hours of the longest run from its start; None if a run cannot be projected."""
     runs = store.runs()
     expected = [_cost(trial, runs, None) for trial in planned]
     if any(one is None for one in expected):
@@ -53,14 +53,14 @@ def longest(store: Store, planned: Sequence[Trial]) -> float | None:
 
 
 def _cost(trial: Trial, runs: Sequence[RunReader], run: RunReader | None) -> Cost | None:
-    """What is left of a training: by runs like it, else by the last `tom bench` of this machine."""
-    # Imported here: it brings every part of a training.
+    """The remaining cost of a training, from similar runs, else from this machine's `tom bench`."""
+    # Imported here because it imports every part of a training.
     from tom.bench.last import bench_cost, last_bench
 
     at = None if run is None else checkpoint.newest(run.path / checkpoint.FOLDER)
-    found = cost(trial, runs, at or 0)
-    if found is not None:
-        return found
+    expected = cost(trial, runs, at or 0)
+    if expected is not None:
+        return expected
     ms = last_bench()
     return None if ms is None else bench_cost(trial, ms, at or 0)
 

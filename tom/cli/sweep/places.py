@@ -1,4 +1,4 @@
-"""Where a sweep's runs lie and where its trainings run, from the words of the command line."""
+"""A sweep's backend (where runs are stored) and engine (where trainings run), from options."""
 
 import argparse
 import os
@@ -34,7 +34,7 @@ def refuse_mismatch(engine: str, address: str | None, store: Path | str, on_gpu:
 
 
 def open_backend(store: Path | str, trials: list[Trial]) -> AbstractContextManager[Backend]:
-    """Where the runs lie. Raises UserError where an object store cannot be reached."""
+    """The storage of the runs. Raises UserError if an object store cannot be reached."""
     if isinstance(store, Path):
         return nullcontext(FolderBackend(Store(store)))
     try:
@@ -44,7 +44,7 @@ def open_backend(store: Path | str, trials: list[Trial]) -> AbstractContextManag
 
 
 def open_engine(engine: str, address: str | None, jobs: int | None) -> Engine:
-    """Where the trainings run. Raises UserError where there is no such cluster."""
+    """The engine that runs the trainings. Raises UserError if there is no such cluster."""
     if engine == "ray":
         return open_ray(address, jobs)
     return LocalEngine(jobs or len(os.sched_getaffinity(0)))

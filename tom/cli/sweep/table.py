@@ -1,25 +1,25 @@
-"""What a running sweep shows: a live table on a terminal, lines elsewhere."""
+"""The progress of a sweep: a live table on a terminal, lines elsewhere."""
 
+from math import inf
 from time import monotonic
 from typing import Any, TextIO
 
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from tom.cli.screen import Screen, Shown
 from tom.harmless import terminal
 from tom.record import RunReader
 from tom.sweep.driver import Driver, Job
 
 LINE_EVERY_S = 30.0
-LOOK_EVERY_S = 1.0
 ORDER = ("running", "elsewhere", "failed", "stopped", "waiting", "finished")
 COLUMNS = ("run", "state", "step", "of", "last return", "best return", "steps/s", "left", "note")
 
 
 def job_row(driver: Driver, job: Job) -> dict[str, Any]:
-    """Where one training stands, for a script."""
+    """The state of one training, for scripts."""
     status = RunReader(driver.store.path / job.run_id).status
     return {
         "run_id": job.run_id,
@@ -34,46 +34,25 @@ def job_row(driver: Driver, job: Job) -> dict[str, Any]:
     }
 
 
-class Watcher:
-    """Shows a sweep as it goes; `look` may be called as often as one likes."""
+class Watcher(Shown):
+    """Shows the progress of a sweep; `look` may be called at any rate."""
 
     def __init__(self, driver: Driver, stream: TextIO) -> None:
         self._driver = driver
-        self._console = Console(file=stream)
-        live = self._console.is_terminal
-        self._live = Live(console=self._console, auto_refresh=False) if live else None
-        self._shown = -LINE_EVERY_S
+        self._screen = Screen(stream, self._picture, self._summary, LINE_EVERY_S, -inf)
         self._states: dict[str, str] = {}
 
-    def __enter__(self) -> "Watcher":
-        if self._live:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live:
-            self._live.stop()
-
-    def say(self, line: str) -> None:
-        self._console.print(line, markup=False)
-
     def look(self) -> None:
-        """Show where the sweep stands."""
-        if self._live:
-            if monotonic() - self._shown >= LOOK_EVERY_S or self._changed():
-                self._shown = monotonic()
-                self._live.update(self._picture(), refresh=True)
-            return
-        for job in self._changed():
-            note = f" ({job.note.splitlines()[0]})" if job.note else ""
-            line = terminal(f"{job.run_id}: {job.state}{note}")
-            print(line, file=self._console.file, flush=True)
-        if monotonic() - self._shown >= LINE_EVERY_S:
-            self._shown = monotonic()
-            print(self._summary(), file=self._console.file, flush=True)
+        """Update the display."""
+        changed = self._changed()
+        if not self._screen.live:
+            for job in changed:
+                note = f" ({job.note.splitlines()[0]})" if job.note else ""
+                self._screen.print(terminal(f"{job.run_id}: {job.state}{note}"))
+        self._screen.look(monotonic(), now=self._screen.live and bool(changed))
 
     def _changed(self) -> list[Job]:
-        """The trainings whose state is another than at the last look."""
+        """The trainings whose state has changed since the last call of `look`."""
         new = [s for s in self._driver.jobs if self._states.get(s.trial.run_id) != s.state]
         self._states |= {job.trial.run_id: job.state for job in new}
         return new
@@ -86,13 +65,13 @@ class Watcher:
         return ", ".join(parts) + full + trouble
 
     def _picture(self) -> Group:
-        """As many runs as the terminal has lines for, those that matter first."""
+        """A table of as many runs as the terminal has lines for, the most important first."""
         table = Table(title_justify="left")
         for column in COLUMNS:
             left = column in ("run", "state", "note")
             table.add_column(column, justify="left" if left else "right", no_wrap=column != "note")
         jobs = sorted(self._driver.jobs, key=lambda job: ORDER.index(job.state))
-        room = max(self._console.height - 8, 3)
+        room = self._screen.rows
         for job in jobs[:room]:
             table.add_row(*(Text(terminal(cell)) for cell in self._cells(job)))
         more = f", {len(jobs) - room} more not shown" if len(jobs) > room else ""

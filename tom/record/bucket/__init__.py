@@ -1,1 +1,1 @@
-"""Runs in an object store: attempts at them there, and how they come here."""
+"""Runs in an object store: how they are written there and fetched from there."""

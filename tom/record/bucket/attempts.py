@@ -1,9 +1,9 @@
-"""A run in an object store: each attempt at it writes below a name of its own.
+"""A run in an object store, where each attempt to train it writes under its own prefix.
 
-`<run_id>/<attempt>/...` holds a run folder. An object store has neither locks nor renames, so
-nobody ever writes what somebody else writes: whoever goes on with a run copies it into a new
-attempt, and an attempt that was thought dead can spoil nothing but its own. `status.json` is put
-last; the newest attempt that has one is the run.
+`<run_id>/<attempt>/...` holds a run folder. An object store has neither locks nor renames, so two
+writers never share a prefix: a process that resumes a run copies it into a new attempt, and an
+attempt that was wrongly taken for dead can damage only its own objects. `status.json` is put last;
+the newest attempt that has one is the run.
 """
 
 import re
@@ -39,9 +39,9 @@ def newest_checkpoint(names: Sequence[str]) -> int:
 
 
 def fetch(bucket: Bucket, run_id: str, target: Path) -> str | None:
-    """Copy a run into the folder `target`; the attempt that it was, None where there is no run.
+    """Copy a run into the folder `target`; returns the attempt, or None if there is no run.
 
-    Raises OSError where the store does not answer.
+    Raises OSError if the store does not answer.
     """
     for last in (*[False] * (TRIES - 1), True):
         attempt = newest(bucket.names(run_id))
@@ -50,12 +50,12 @@ def fetch(bucket: Bucket, run_id: str, target: Path) -> str | None:
         shutil.rmtree(target, ignore_errors=True)
         try:
             bucket.fetch(f"{run_id}/{attempt}", target)
-        except FileNotFoundError:  # a new checkpoint has taken the place of an old one
+        except FileNotFoundError:  # a new checkpoint has replaced an old one
             if last:
                 raise
             continue
         (target / CLAIM).unlink(missing_ok=True)
-        for folder in layout.FOLDERS:  # an object store has no empty ones
+        for folder in layout.FOLDERS:  # an object store has no empty folders
             (target / folder).mkdir(exist_ok=True)
         return attempt
     return None
@@ -63,53 +63,53 @@ def fetch(bucket: Bucket, run_id: str, target: Path) -> str | None:
 
 @dataclass
 class Attempt:
-    """Puts a run folder into the store, again and again. All methods raise OSError."""
+    """Copies a run folder into the store repeatedly. All methods raise OSError."""
 
     bucket: Bucket
     run_id: str
     name: str
     _held: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """what the store has of each file: its time of change in ns and its size"""
+    """modification time in ns and size of each file when it was last put"""
 
     @classmethod
     def claim(cls, bucket: Bucket, run_id: str) -> "Attempt":
-        """Begin a new attempt; every earlier one ends when it next looks."""
+        """Begin a new attempt; every earlier attempt ends at its next `check`."""
         number = int(_last(bucket, run_id).partition("-")[0]) + 1
         name = f"{number:06d}-{secrets.token_hex(4)}"
         bucket.write(f"{run_id}/{name}/{CLAIM}", name.encode())
         return cls(bucket, run_id, name)
 
     def check(self) -> None:
-        """Raises LostError where there is a newer attempt."""
+        """Raises LostError if there is a newer attempt."""
         if _last(self.bucket, self.run_id) != self.name:
             raise LostError(f"run '{self.run_id}' was taken over by another attempt")
 
     def put(self, folder: Path) -> None:
         """Bring the store's copy of `folder` up to date.
 
-        Wherever this breaks off, it leaves a run that can go on: data come first, then checkpoints,
-        their manifests and the status, and only then is removed what the folder has no more.
+        If this is interrupted, the run can still be resumed: data is put first, then checkpoints,
+        their manifests and the status; only then are deleted files removed from the store.
         """
         self.check()
-        status = (folder / layout.STATUS).read_bytes()  # before all: `finished` speaks for the rest
-        # Checkpoints before the data that they count on, which is there before them.
-        found = _files(folder, folder / checkpoint.FOLDER) | _files(folder, folder)
-        for name in sorted(found, key=_rank):
-            if self._held.get(name) == found[name]:
+        status = (folder / layout.STATUS).read_bytes()  # read before all other files
+        # Checkpoints are listed first: their data was written before them and is listed later.
+        files = _files(folder, folder / checkpoint.FOLDER) | _files(folder, folder)
+        for name in sorted(files, key=_rank):
+            if self._held.get(name) == files[name]:
                 continue
             try:
                 self._write(name, (folder / name).read_bytes())
-            except FileNotFoundError:  # the training has dropped it since
+            except FileNotFoundError:  # the training has deleted it since
                 continue
-            self._held[name] = found[name]
+            self._held[name] = files[name]
         self._write(layout.STATUS, status)
-        gone = [name for name in self._held if name not in found]
+        gone = [name for name in self._held if name not in files]
         self.bucket.remove(self._name(name) for name in gone)
         for name in gone:
             del self._held[name]
 
     def supersede(self, earlier: str) -> None:
-        """Remove an earlier attempt, all of which this one holds."""
+        """Remove an earlier attempt; this one holds all of its content."""
         self.bucket.remove(self.bucket.names(f"{self.run_id}/{earlier}"))
 
     def _write(self, name: str, content: bytes) -> None:
@@ -120,18 +120,18 @@ class Attempt:
 
 
 def _last(bucket: Bucket, run_id: str) -> str:
-    """The newest attempt that was claimed."""
+    """The newest claimed attempt."""
     return max((n for n in bucket.folders(run_id) if NAME.fullmatch(n)), default="000000")
 
 
 def _files(folder: Path, part: Path) -> dict[str, tuple[int, int]]:
-    """Time of change and size of every file in `part` but the status and those with a dot."""
-    found: dict[str, tuple[int, int]] = {}
+    """Modification time and size of every file in `part` except the status and hidden files."""
+    stamps: dict[str, tuple[int, int]] = {}
     for path, stat in files_in(part):
         name = path.relative_to(folder)
         if name.as_posix() != layout.STATUS and not any(one.startswith(".") for one in name.parts):
-            found[name.as_posix()] = (stat.st_mtime_ns, stat.st_size)
-    return found
+            stamps[name.as_posix()] = (stat.st_mtime_ns, stat.st_size)
+    return stamps
 
 
 def _rank(name: str) -> tuple[int, str]:

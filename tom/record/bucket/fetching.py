@@ -1,4 +1,4 @@
-"""Copies runs out of an object store into a run store, where everything else can read them."""
+"""Copy runs from an object store into a run store."""
 
 import os
 import shutil
@@ -15,15 +15,15 @@ FETCHED, SAME, AHEAD, BUSY = "fetched", "is up to date", "is further here", "is 
 
 
 def run_ids(bucket: Bucket) -> list[str]:
-    """The runs in the object store. Raises OSError where it does not answer."""
+    """The ids of the runs in the object store. Raises OSError if it does not answer."""
     return [name for name in bucket.folders() if layout.RUN_ID.fullmatch(name)]
 
 
 def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
-    """Bring the store's copy of a run up to date; what was done.
+    """Bring the store's copy of a run up to date; returns what was done.
 
-    Labels given here stay, and so does a run that is further here. Raises UserError where there is
-    no such run, OSError where the object store does not answer.
+    Local labels are kept, and so is a local run that is further. Raises UserError if there is no
+    such run, OSError if the object store does not answer.
     """
     place = store.resolve(run_id)
     unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
@@ -43,7 +43,7 @@ def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
 
 
 def _replace(held: RunReader, fetched: RunReader) -> str:
-    """Put what was fetched in the place of what the store held, where that is behind."""
+    """Replace the store's run by the fetched one if that is further."""
     if lock.held(held.path):
         return BUSY
     if held.status == fetched.status:
@@ -70,14 +70,14 @@ def _swap(place: Path, unfinished: Path) -> None:
 
 
 def _older(place: Path) -> Path:
-    """Where a run lies for the instant in which a newer copy takes its place."""
+    """The path to which a run is moved while a newer copy takes its place."""
     return place.with_name(f".{place.name}.old")
 
 
 def _mend(store: Store, place: Path) -> None:
-    """Bring back the run that a fetch had moved when it was killed.
+    """Restore a run that a killed fetch had moved away.
 
-    Where another one has its place by now, which may be no copy of it, it goes to the trash.
+    If another run has its place by now, which may not be a copy of it, it goes to the trash.
     """
     older = _older(place)
     if not older.is_dir():

@@ -1,4 +1,4 @@
-"""An object store, seen as files below `s3://bucket/prefix`."""
+"""An object store as files below `s3://bucket/prefix`."""
 
 import os
 import re
@@ -16,7 +16,7 @@ URL = re.compile(r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(?:/(?P<pref
 
 
 class Bucket:
-    """The objects below an URL, by names relative to it. All but `open` raise OSError."""
+    """The objects below a URL, by relative names. All methods except `open` raise OSError."""
 
     def __init__(self, files: fs.FileSystem, base: str, url: str) -> None:
         self._files = files
@@ -27,7 +27,7 @@ class Bucket:
     def open(cls, url: str) -> "Bucket":
         """The store at `url`; credentials, region and endpoint are those of the environment.
 
-        Raises UserError where the URL is malformed, or its bucket cannot be reached.
+        Raises UserError if the URL is malformed or the bucket cannot be reached.
         """
         match = URL.fullmatch(url)
         if match is None:
@@ -36,28 +36,28 @@ class Bucket:
         prefix = (match["prefix"] or "").strip("/")
         try:
             files = _connect(name)
-            found = files.get_file_info(name).type
+            kind = files.get_file_info(name).type
         except OSError as error:
             raise UserError(f"{url}: cannot reach the bucket: {reason(error)}") from error
-        if found is fs.FileType.NotFound:
+        if kind is fs.FileType.NotFound:
             raise UserError(f"{url}: there is no bucket '{name}' (or these credentials see none)")
         return cls(files, f"{name}/{prefix}" if prefix else name, url.rstrip("/"))
 
     def names(self, folder: str = "") -> list[str]:
         """The names of all objects below `folder`, sorted."""
         below = fs.FileSelector(self._path(folder), allow_not_found=True, recursive=True)
-        found = self._files.get_file_info(below)
+        infos = self._files.get_file_info(below)
         start = len(self._base) + 1
-        return sorted(one.path[start:] for one in found if one.type is fs.FileType.File)
+        return sorted(one.path[start:] for one in infos if one.type is fs.FileType.File)
 
     def folders(self, folder: str = "") -> list[str]:
-        """The names of the folders right below `folder`, sorted."""
+        """The names of the folders directly below `folder`, sorted."""
         below = fs.FileSelector(self._path(folder), allow_not_found=True)
-        found = self._files.get_file_info(below)
-        return sorted(one.base_name for one in found if one.type is fs.FileType.Directory)
+        infos = self._files.get_file_info(below)
+        return sorted(one.base_name for one in infos if one.type is fs.FileType.Directory)
 
     def read(self, name: str) -> bytes:
-        """The content of an object. Raises FileNotFoundError where there is none."""
+        """The content of an object. Raises FileNotFoundError if it does not exist."""
         with self._files.open_input_stream(self._path(name)) as stream:
             return stream.read()
 
@@ -67,7 +67,7 @@ class Bucket:
             stream.write(content)
 
     def remove(self, names: Iterable[str]) -> None:
-        """Delete objects; those that are not there are passed over."""
+        """Delete objects; missing ones are ignored."""
         for name in names:
             with suppress(FileNotFoundError):
                 self._files.delete_file(self._path(name))
@@ -86,7 +86,7 @@ class Bucket:
 
 
 def _connect(bucket: str) -> fs.S3FileSystem:
-    """pyarrow's own reading of the environment knows no endpoint beside time limits."""
+    """Connect with endpoint and time limits; pyarrow's own set-up does not support both."""
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
     region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
     where: dict[str, str] = {}

@@ -1,21 +1,23 @@
-"""How a run is laid out in Rerun: everything is there without a click."""
+"""The layout of a run in Rerun, which shows everything without a click."""
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from tom.envs import ENVS
+from tom.envs import ROAD
+from tom.learners import LEARNERS
 
 PROFILE = "weights/profile"
 SCENE = "scene"
 TRACKED = f"{SCENE}/place"  # moves along with the robot; the camera sits on it
 ROBOT = f"{SCENE}/robot"
-GHOST = f"{SCENE}/ghost"  # what a model makes of the robot
+GHOST = f"{SCENE}/ghost"  # the robot as a model predicts it
 GROUND = f"{SCENE}/ground"
 MAP = "map"
 CAR, GHOST_CAR = f"{MAP}/car", f"{MAP}/ghost"
 REWARD = "reward"
+OBSERVED = "observation"
 
-FIT = "fit"  # what a single fit measured, as text
+FIT = "fit"  # the metrics of a single fit, as text
 
 RETURN = {"Return": ("eval/return", "eval/return_max")}
 POLICY = {"Policy: losses": ("critic/loss", "actor/loss")}
@@ -23,19 +25,20 @@ MODEL = {
     "Dynamics model: loss": ("model/train_nll", "model/holdout_nll", "model/holdout_nll_uniform"),
     "Weights": ("weights/ess", "weights/zeros", "weights/age_correlation"),
 }
-TOM = {"TOM: discriminator and dual Q": ("discriminator/loss", "dual/loss", "dual/q_mean")}
 
 
-def blueprint(env: str, learner: str) -> rrb.Blueprint:
-    """Robot or maps and the weight profile on the left, curves on the right."""
-    online = env in ENVS
-    picture = _robot() if online else _maps()
+def blueprint(env: str, learner: str, *, drawn: bool = True) -> rrb.Blueprint:
+    """Robot or maps and the weight profile on the left, curves on the right.
+
+    If nothing can be `drawn`, curves of the observations replace the robot.
+    """
+    online = env != ROAD
+    picture = _maps() if not online else _robot() if drawn else _observations()
     profile = rrb.BarChartView(origin=PROFILE, name="Mean weight, oldest to newest transitions")
-    shown = (
-        RETURN | MODEL | POLICY | (TOM if learner == "tom" else {}) if online else RETURN | POLICY
-    )
+    own = LEARNERS[learner].charts if learner in LEARNERS else {}
+    shown = {**RETURN, **MODEL, **POLICY, **own} if online else RETURN | POLICY
     plots = [_plot(name, paths) for name, paths in shown.items()]
-    # Offline there is one fit: its numbers are a table, not curves.
+    # Offline there is a single fit: its metrics are a table, not curves.
     text = [] if online else [rrb.TextDocumentView(origin=FIT, name="Fit")]
     return rrb.Blueprint(
         rrb.Horizontal(
@@ -50,10 +53,15 @@ def blueprint(env: str, learner: str) -> rrb.Blueprint:
     )
 
 
-def episode_blueprint(env: str) -> rrb.Blueprint:
-    """One episode in its own time, again and again: the robot or the car, and the reward."""
+def episode_blueprint(env: str, drawn: bool = True, observed: int = 0) -> rrb.Blueprint:
+    """One episode in real time, in a loop: the robot or the car, and the reward.
+
+    If nothing can be `drawn`, curves of `observed` dimensions replace the robot.
+    """
     name = "The episode; red: what the model imagines"
-    picture = _robot(name) if env in ENVS else _map(name, ["$origin/**"])
+    picture = _map(name, ["$origin/**"]) if env == ROAD else _robot(name)
+    if env != ROAD and not drawn:
+        picture = _plot("Observations", tuple(f"{OBSERVED}/{i + 1}" for i in range(observed)))
     return rrb.Blueprint(
         rrb.Vertical(picture, _plot("Reward of each step", (REWARD,)), row_shares=[3, 1]),
         rrb.TimePanel(state="collapsed", timeline="replay", play_state="playing", loop_mode="all"),
@@ -71,6 +79,10 @@ def _robot(name: str = "First evaluation episode") -> rrb.Spatial3DView:
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=(0.4, -2.6, 1.1), look_target=(0.0, 0.0, 0.65)),
     )
+
+
+def _observations() -> rrb.TimeSeriesView:
+    return _plot("Observations of the first evaluation episode", (f"{OBSERVED}/**",))
 
 
 def _maps() -> rrb.Horizontal:
@@ -96,9 +108,9 @@ def _plot(name: str, paths: tuple[str, ...]) -> rrb.TimeSeriesView:
     everything = rr.TimeRange(
         start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
     )
-    # Where the lines seldom are: returns rise, losses fall.
+    # A corner that lines rarely cross: returns rise, losses fall.
     corner = rrb.Corner2D.RightBottom if name in RETURN else rrb.Corner2D.RightTop
-    # A metric with one value yet is a point and no line: points are shown always.
+    # Points are always shown, because a metric with a single value has no line.
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"+ /{path}" for path in paths],

@@ -1,4 +1,4 @@
-"""One evaluation episode as a Rerun recording of its own, made when somebody looks at it."""
+"""One evaluation episode as a separate Rerun recording, made on request."""
 
 from numpy.typing import NDArray
 
@@ -15,15 +15,16 @@ def episode_recording(
 ) -> bytes:
     """The bytes of a recording: the robot (or the car on its map), its ghost, its rewards.
 
-    `step` is the evaluation's, `dt` the seconds of a step, `ghost` what a model imagines:
-    joint positions (H + 1, nq), or places (H + 1, 2) on road-and-rocks.
+    `step` is the evaluation's, `dt` the seconds of a step, `ghost` a model's prediction: joint
+    positions (H + 1, nq), or positions (H + 1, 2) on road-and-rocks.
     """
     view = RerunView(
         f"{run.run_id}, step {step}",
         run.env,
         run.learner,
         every=episode.length + 1,
-        layout=episode_blueprint(run.env),
+        layout=episode_blueprint(run.env, episode.qpos is not None, episode.obs.shape[1]),
+        run=run,
     )
     for at in run.field_steps("map")[:1]:
         view.field(Field(step, "map", run.field("map", at)))

@@ -1,21 +1,25 @@
-"""Turns run folders into live Rerun recordings, of one run or of all that train, for each viewer.
+"""Live Rerun recordings for each viewer, of one run or of all running ones, from run folders.
 
-It reads as any reader does: trainings know nothing of it, and it may start late.
+It reads run folders like any reader: trainings do not know of it, and it may start late.
 """
 
 import logging
 import os
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from tom.envs import ENVS
+from tom.data.unpack import open_file
+from tom.envs import ROAD
+from tom.errors import UserError
 from tom.events import Evaluation, Field
 from tom.record import layout
+from tom.record.decode import is_whole, numbers, profiles_of
 from tom.record.files import parse_json_line
 from tom.record.reader import RunReader
 from tom.record.rerun.view import RerunView
@@ -30,33 +34,33 @@ _log = logging.getLogger(__name__)
 
 
 class Tail:
-    """The rows that a JSON lines file has gained since the last look."""
+    """The new rows of a JSON lines file since the last call."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = 0
 
     def blocks(self) -> Iterator[list[dict[str, Any]]]:
-        """New whole rows, a megabyte of them at a time, until there are no more for now.
+        """New complete rows in blocks of a megabyte, until there are no more for now.
 
-        Damaged rows are passed over. A file that was cut starts again.
+        Damaged rows are skipped. A file that became shorter is read again from the start.
         """
         while whole := self._next_block():
             rows = map(parse_json_line, whole.splitlines())
-            yield [row for row in rows if row and isinstance(row.get("env_step"), int)]
+            yield [row for row in rows if row and is_whole(row.get("env_step"))]
 
     def _next_block(self) -> bytes:
-        """Some whole lines; empty where there are no new ones."""
+        """Some complete lines; empty if there are no new ones."""
         try:
-            with self._path.open("rb") as file:
+            with open_file(self._path) as file:
                 size = file.seek(0, os.SEEK_END)
-                if size < self._offset:  # a resumed run writes what follows once more
+                if size < self._offset:  # a resumed run writes the following rows again
                     self._offset = file.seek(0)
                 file.seek(self._offset)
                 text = file.read(BLOCK_BYTES)
                 while text and b"\n" not in text and (more := file.read(BLOCK_BYTES)):
                     text += more
-        except FileNotFoundError:
+        except (OSError, ValueError):  # it does not exist yet, or is not a file
             return b""
         whole = text[: text.rfind(b"\n") + 1]
         self._offset += len(whole)
@@ -64,38 +68,38 @@ class Tail:
 
 
 class Follower:
-    """What one run has shown so far."""
+    """The state of one run's live recording."""
 
     def __init__(self, run: RunReader, sink: rr.FileSink | None = None) -> None:
         self.run = run
-        config = run.config.get("config", {})
-        every = int(config.get("evaluation", {}).get("every", 1000))
-        self._view = RerunView(run.run_id, run.env, run.learner, every, sink)
+        self._view = RerunView(run.run_id, run.env, run.learner, _every(run), sink, run=run)
         self._metrics = Tail(run.path / layout.METRICS)
         self._profiles = Tail(run.path / layout.PROFILES)
         self._placed = False
         self._shown: set[tuple[str, int]] = set()
 
     def follow(self) -> Iterator[None]:
-        """Send what is new, piece by piece: all of a long run would be gigabytes at once."""
+        """Send new data piece by piece, because a long run would be gigabytes at once."""
         for rows in self._metrics.blocks():
             for row in rows:
-                values = {k: v for k, v in row.items() if k != "env_step" and v is not None}
-                self._view.metrics(row["env_step"], values)
+                self._view.metrics(row["env_step"], numbers(row))
             self._view.flush()
             yield
         for rows in self._profiles.blocks():
-            for row in rows:
-                self._view.profile(row["env_step"], np.array(row["bins"], np.float64))
+            profiles, _ = profiles_of(rows)
+            for step, bins in zip(profiles.env_step.tolist(), profiles.bins, strict=True):
+                self._view.profile(step, bins)
             yield
-        if self.run.env not in ENVS:
+        if self.run.env == ROAD:
             yield from self._follow_weights()
         for name in self.run.field_names():
             for step in self._new(name, self.run.field_steps(name)):
-                self._view.field(Field(step, name, self.run.field(name, step)))
+                with self._passing_over(layout.field(name, step)):
+                    self._view.field(Field(step, name, self.run.field(name, step)))
                 yield
         for step in self._new("", self.run.evaluation_steps()):
-            self._view.evaluation(Evaluation(step, self.run.episodes(step)))
+            with self._passing_over(layout.episodes(step)):
+                self._view.evaluation(Evaluation(step, self.run.episodes(step)))
             yield
 
     def _follow_weights(self) -> Iterator[None]:
@@ -103,20 +107,30 @@ class Follower:
             rows, _ = self.run.buffer()
             if not len(rows):
                 return
-            self._view.places(np.asarray(rows.obs))
             self._placed = True
+            with self._passing_over("buffer"):
+                self._view.places(np.asarray(rows.obs))
         for step in self._new("weights", self.run.snapshot_steps()):
-            self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
+            with self._passing_over(layout.snapshot(step)):
+                self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
             yield
 
+    @contextmanager
+    def _passing_over(self, name: str) -> Iterator[None]:
+        """If a file of the run cannot be shown, print its name and go on with the others."""
+        try:
+            yield
+        except (UserError, LookupError, TypeError, ValueError, OverflowError) as error:
+            _log.warning("%s of %s is left out of Rerun: %s", name, self.run.run_id, error)
+
     def pieces(self) -> Iterator[bytes]:
-        """What is new as bytes, where there is no sink."""
+        """New data as bytes, if there is no sink."""
         for _ in self.follow():
             yield self._view.read()
         yield self._view.read()
 
     def close(self, within_s: float = FLUSH_S) -> None:
-        """Hand over what is left. Raises RuntimeError where it is not taken in time."""
+        """Flush the remaining data. Raises RuntimeError if this takes too long."""
         self._view.close(within_s)
 
     def _new(self, kind: str, steps: list[int]) -> list[int]:
@@ -125,11 +139,19 @@ class Follower:
         return new
 
 
+def _every(run: RunReader) -> int:
+    """Env steps between two evaluations."""
+    settings = run.config.get("config")
+    evaluation = settings.get("evaluation") if isinstance(settings, dict) else None
+    every = evaluation.get("every") if isinstance(evaluation, dict) else None
+    return max(every, 1) if is_whole(every) else 1000
+
+
 def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
-    """The bytes of a recording that grows with the run and ends with it; none between two looks."""
+    """The bytes of a recording that grows and ends with the run; empty bytes between updates."""
     follower = Follower(run)
     while not stopping.is_set():
-        alive = run.status.alive  # before the rows: what comes later is not missed
+        alive = run.status.alive  # read before the rows, so that later rows are not missed
         yield from follower.pieces()
         if not alive:
             return
@@ -138,7 +160,7 @@ def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
 
 
 def stream_all(store: Store, stopping: threading.Event) -> Iterator[bytes]:
-    """The bytes of the recordings of all runs that train, those too that begin later."""
+    """The bytes of the recordings of all running trainings, also of those that start later."""
     trainings = Trainings(store)
     while not stopping.is_set():
         yield from trainings.pieces()
@@ -147,22 +169,22 @@ def stream_all(store: Store, stopping: threading.Event) -> Iterator[bytes]:
 
 
 class Trainings:
-    """What one viewer has been shown of the runs of `store` that are running."""
+    """The live recordings of the running trainings of `store` for one viewer."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
         self._followers: dict[str, Follower] = {}
-        self._done: dict[str, float] = {}  # run id -> when the run that was shown had started
+        self._done: dict[str, float] = {}  # run id -> start time of the finished recording
 
     @property
     def followed(self) -> list[str]:
-        """The runs that are being shown."""
+        """The ids of the runs that are shown."""
         return list(self._followers)
 
     def pieces(self) -> Iterator[bytes]:
-        """One look at the store: what is new there.
+        """The new data in the store.
 
-        A run that cannot be shown is named once and does not stop the others.
+        A run that cannot be shown is printed once and does not stop the others.
         """
         for run_id in dict.fromkeys([*self._store.recent(DEAD_AFTER_S), *self._followers]):
             try:
@@ -173,7 +195,7 @@ class Trainings:
 
     def _follow(self, run_id: str) -> Iterator[bytes]:
         run = self._store.run(run_id)
-        status = run.status  # before the rows: what comes later is not missed
+        status = run.status  # read before the rows, so that later rows are not missed
         if self._done.get(run_id) == status.started:
             return
         if run_id not in self._followers:

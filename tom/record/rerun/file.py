@@ -10,11 +10,11 @@ from tom.record.reader import RunReader
 from tom.record.rerun.feed import Follower
 
 WRITTEN_S = 600.0
-"""what Rerun still holds of a recording is on the disk within this"""
+"""seconds in which Rerun must write the rest of a recording to disk"""
 
 
 def write(reader: RunReader, path: Path) -> None:
-    """Write the recording; OSError where it does not fit on the disk."""
+    """Write the recording. Raises OSError if it does not fit on the disk."""
 
     def pieces(file: BinaryIO) -> None:
         try:
@@ -22,7 +22,7 @@ def write(reader: RunReader, path: Path) -> None:
             for _ in follower.follow():
                 pass
             follower.close(WRITTEN_S)
-        except RuntimeError as error:  # all that Rerun says of a full disk
+        except RuntimeError as error:  # Rerun's error for a full disk
             raise OSError(f"{error}: is the disk full?") from error
 
     replace(path, pieces, sync=False)

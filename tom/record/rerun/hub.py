@@ -1,11 +1,11 @@
 """The Rerun hub of a studio: one process that a launcher starts, watches and ends.
 
-`python -m tom.record.rerun.hub` serves Rerun's web viewer and the recordings that it shows: of what
-trains in the store, and of any run, both growing. Everything goes over its one port, which knows
-whom it answers. It listens on 127.0.0.1 unless told otherwise, and ends with its parent.
+`python -m tom.record.rerun.hub` serves Rerun's web viewer and growing recordings: of all running
+trainings in the store, and of any single run. Everything goes over one port, which checks each
+request. It listens on 127.0.0.1 unless told otherwise, and ends with its parent.
 
-Rerun's own server answers every page and every program that reaches its ports, and cannot be told
-not to. So it runs only until the viewer's files have been taken from it.
+Rerun's own server answers every page and program that reaches its ports, and has no option against
+this. So it runs only until the viewer's files have been copied from it.
 """
 
 import argparse
@@ -23,8 +23,9 @@ from urllib.parse import quote
 
 import rerun_cli
 
+from tom import plugins
+from tom.machine import processes
 from tom.machine.address import free_port
-from tom.machine.parent import end_with_parent
 from tom.record.rerun import web
 
 START_S = 30.0
@@ -32,9 +33,9 @@ STOP_S = 3.0
 
 
 def command(host: str, port: int, store: Path | str, studio_port: int = 0) -> list[str]:
-    """The command that runs the hub of `store`; it is up when GET / on `port` says 200.
+    """The command that runs the hub of `store`; it is ready when GET / on `port` returns 200.
 
-    The pages on `studio_port` may show the viewer as a part of themselves.
+    The pages on `studio_port` may embed the viewer.
     """
     options = {"--host": host, "--port": port, "--store": store, "--studio-port": studio_port}
     given = [str(part) for option in options.items() for part in option]
@@ -42,7 +43,7 @@ def command(host: str, port: int, store: Path | str, studio_port: int = 0) -> li
 
 
 def binary() -> Path:
-    """Rerun's own program: killing the Python wrapper in the wheel would orphan it."""
+    """The path of Rerun's program, because killing the wheel's Python wrapper would orphan it."""
     return Path(rerun_cli.__file__).with_name("rerun")
 
 
@@ -53,24 +54,25 @@ def viewer_url(host: str, port: int, source: str, theme: str = "dark") -> str:
 
 
 def live_url(host: str, port: int, run_id: str = "") -> str:
-    """A recording of one run of the store, or of all that train; it grows while they do."""
+    """The URL of a growing recording of one run of the store, or of all running ones."""
     return f"http://{host}:{port}/live{f'/{quote(run_id)}' if run_id else ''}.rrd"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the hub until SIGTERM or SIGINT (0); 1 where Rerun does not start."""
+    """Run the hub until SIGTERM or SIGINT; returns 0, or 1 if Rerun does not start."""
     parser = argparse.ArgumentParser(prog="tom.record.rerun.hub", description=__doc__)
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--port", type=int, required=True)
     parser.add_argument("--store", type=Path, default=Path("runs"))
     parser.add_argument("--studio-port", type=int, default=0)
     args = parser.parse_args(arguments)
+    plugins.load()
     stopping = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stopping.set())
     live = partial(_live, args.store, stopping)
     try:
-        page = web.Server(args.host, args.port, viewer_files(), live, args.studio_port)
+        page = web.ViewerServer(args.host, args.port, viewer_files(), live, args.studio_port)
     except TimeoutError as error:
         print(f"the Rerun viewer is not there: {error}", file=sys.stderr)
         return 1
@@ -81,9 +83,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def viewer_files() -> dict[str, web.Asset]:
-    """The web viewer's files by their paths, from Rerun's own server.
+    """The web viewer's files by path, from Rerun's own server.
 
-    Raises TimeoutError where that does not answer.
+    Raises TimeoutError if that does not answer.
     """
     with tempfile.TemporaryDirectory(prefix="tom-hub-") as folder:
         port = free_port("127.0.0.1")
@@ -91,10 +93,10 @@ def viewer_files() -> dict[str, web.Asset]:
         try:
             return _taken(rerun, port)
         finally:
-            _stop(rerun)
+            processes.stop([rerun], STOP_S)
 
 
-def _taken(rerun: subprocess.Popen[bytes], port: int) -> dict[str, web.Asset]:
+def _taken(rerun: processes.Process, port: int) -> dict[str, web.Asset]:
     deadline = time.monotonic() + START_S
     while True:
         try:
@@ -106,7 +108,7 @@ def _taken(rerun: subprocess.Popen[bytes], port: int) -> dict[str, web.Asset]:
 
 
 def _live(store: Path, stopping: threading.Event, run_id: str) -> Iterator[bytes]:
-    # Imported here: the viewer's page need not wait for it.
+    # Imported here because the viewer's page does not need it.
     from tom.record.rerun.feed import stream, stream_all
     from tom.record.store import Store
 
@@ -115,21 +117,16 @@ def _live(store: Path, stopping: threading.Event, run_id: str) -> Iterator[bytes
     return stream_all(Store(store), stopping)
 
 
-def _start(port: int, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+def _start(port: int, environment: Mapping[str, str]) -> processes.Process:
     host = "127.0.0.1"
     options = ["--serve-web", "--bind", host, "--port", str(free_port(host))]
-    return subprocess.Popen(
-        [str(binary()), *options, "--web-viewer-port", str(port)],
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        preexec_fn=end_with_parent if sys.platform == "linux" else None,
-    )
+    command = [str(binary()), *options, "--web-viewer-port", str(port)]
+    # In the hub's process group, which the studio ends as a whole.
+    return processes.start(command, subprocess.DEVNULL, environment, session=False)
 
 
 def without_analytics(folder: Path) -> dict[str, str]:
-    """The environment in which Rerun sends no usage statistics; the user's own is untouched."""
+    """Environment variables that turn off Rerun's usage statistics; user settings stay."""
     settings = {"XDG_CONFIG_HOME": str(folder), "XDG_DATA_HOME": str(folder)}
     environment = {**os.environ, **settings}
     command = [str(binary()), "analytics", "disable"]
@@ -137,17 +134,8 @@ def without_analytics(folder: Path) -> dict[str, str]:
     return environment
 
 
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    try:
-        process.wait(STOP_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
 if __name__ == "__main__":
-    # What streams and what torch holds would keep the process for seconds.
+    # Open streams and torch would delay the exit by seconds.
     code = main()
     sys.stdout.flush()
     os._exit(code)

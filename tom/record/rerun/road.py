@@ -17,13 +17,13 @@ MODELLED = (230, 90, 90)
 
 
 def places(stream: rr.RecordingStream, points: NDArray) -> None:
-    """Where the transitions lie, (N, 2)."""
+    """Draw the positions (N, 2) of the transitions."""
     drawn = rr.Points2D.from_fields(positions=_up(points), radii=0.004, draw_order=-1)
     stream.log(f"{MAP}/data", drawn, static=True)
 
 
 def weights(stream: rr.RecordingStream, weight: NDArray) -> None:
-    """Each of these transitions in the colour of its weight, (N,)."""
+    """Colour the transitions by their weights (N,)."""
     stream.log(f"{MAP}/data", rr.Points2D.from_fields(colors=heat(weight)))
 
 
@@ -34,14 +34,14 @@ def car(
     points: NDArray,
     colour: tuple[int, int, int],
 ) -> None:
-    """A car at `path`, moving through places (H + 1, 2)."""
+    """Draw a car at `path` that moves through positions (H + 1, 2)."""
     look = rr.Points2D.from_fields(colors=colour, radii=0.012, draw_order=2)
     stream.log(path, look, static=True)
     stream.send_columns(path, times, rr.Points2D.columns(positions=_up(points)))
 
 
 def picture(stream: rr.RecordingStream, name: str, arrays: Mapping[str, NDArray]) -> None:
-    """The task's own picture `name`, from the arrays that docs/run-folder.md names."""
+    """Draw the task's picture `name`, from the arrays described in docs/run-folder.md."""
     draw = {"map": _map, "trajectories": _trajectories, "model": _model}
     if name in draw:
         draw[name](stream, arrays)
@@ -50,7 +50,7 @@ def picture(stream: rr.RecordingStream, name: str, arrays: Mapping[str, NDArray]
 def _map(stream: rr.RecordingStream, arrays: Mapping[str, NDArray]) -> None:
     line = arrays["centre_line"]
     width = float(arrays["road_half_width"])
-    # A strip for each piece: their round ends make a round corner.
+    # One strip for each segment, so that round ends make round corners.
     pieces = _up(np.stack([line[:-1], line[1:]], axis=1))
     road = rr.LineStrips2D(pieces, radii=width, colors=TARMAC, draw_order=-2)
     ends = np.stack([arrays["start"], arrays["goal"]])

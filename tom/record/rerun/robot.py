@@ -14,15 +14,17 @@ Times = tuple[rr.TimeColumn, ...]
 def draw(
     stream: rr.RecordingStream, path: str, times: Times, drawn: scene.Geometry, *, ghost: bool
 ) -> None:
-    """The robot at `path`, moving; a ghost is translucent and of one colour."""
+    """Draw the moving robot at `path`; a ghost is translucent and has one colour."""
     _capsules(stream, f"{path}/capsules", times, drawn.capsules, ghost=ghost)
     _ellipsoids(stream, f"{path}/ellipsoids", times, drawn.ellipsoids, ghost=ghost)
+    _cylinders(stream, f"{path}/cylinders", times, drawn.cylinders, ghost=ghost)
+    _boxes(stream, f"{path}/boxes", times, drawn.boxes, ghost=ghost)
 
 
 def floor(stream: rr.RecordingStream, height: float) -> None:
-    """The floor as a slab with lines a metre apart: they show how fast the robot goes.
+    """Draw the floor as a slab with lines one metre apart, which show the robot's speed.
 
-    It is translucent, as a recording does not know whether its viewer is light or dark.
+    It is translucent, because the viewer may be light or dark.
     """
     slab = rr.Boxes3D(
         centers=[(40, 0, height - 0.05)],
@@ -71,6 +73,44 @@ def _ellipsoids(
     )
     stream.log(path, fixed, static=True)
     columns = rr.Ellipsoids3D.columns(
+        centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
+    )
+    stream.send_columns(path, times, columns.partition([count] * frames))
+
+
+def _cylinders(
+    stream: rr.RecordingStream, path: str, times: Times, shape: scene.Shape, *, ghost: bool
+) -> None:
+    frames, count = shape.center.shape[:2]
+    if not count:
+        return
+    radius, half = shape.size.T
+    fixed = rr.Cylinders3D.from_fields(
+        radii=radius,
+        lengths=2 * half,
+        colors=GHOST if ghost else shape.color,
+        fill_mode="transparentfillmajorwireframe" if ghost else "solid",
+    )
+    stream.log(path, fixed, static=True)
+    columns = rr.Cylinders3D.columns(
+        centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
+    )
+    stream.send_columns(path, times, columns.partition([count] * frames))
+
+
+def _boxes(
+    stream: rr.RecordingStream, path: str, times: Times, shape: scene.Shape, *, ghost: bool
+) -> None:
+    frames, count = shape.center.shape[:2]
+    if not count:
+        return
+    fixed = rr.Boxes3D.from_fields(
+        half_sizes=shape.size,
+        colors=GHOST if ghost else shape.color,
+        fill_mode="transparentfillmajorwireframe" if ghost else "solid",
+    )
+    stream.log(path, fixed, static=True)
+    columns = rr.Boxes3D.columns(
         centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
     )
     stream.send_columns(path, times, columns.partition([count] * frames))

@@ -1,7 +1,7 @@
-"""The Rerun recording of a run, made in the background: training never waits for it.
+"""The Rerun recording of a run, written in the background: training never waits for it.
 
 Only `run.rrd` is written here. A live viewer is fed by the studio's hub from the run folder
-(feed.py), so a viewer that is absent, slow or dies is nothing that a training could notice.
+(feed.py), so a training cannot notice a viewer that is absent, slow or dead.
 """
 
 import queue
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from tom.config import EvaluationConfig
 from tom.data.transitions import Transitions
-from tom.envs import ENVS
+from tom.envs import ROAD
 from tom.events import Evaluation, Field, Weights
 from tom.record import layout
+from tom.record.reader import RunReader
 from tom.record.writer import RunWriter
 
 if TYPE_CHECKING:
@@ -28,14 +29,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 CAPACITY = 256
-"""Entries that wait for the background thread; more are dropped."""
+"""maximum number of entries waiting for the background thread; more are dropped"""
 
 CLOSE_S = 10.0
-"""Seconds that the end of a run waits for its recording."""
+"""seconds that the end of a run waits for its recording"""
 
 
 class Sink(Protocol):
-    """A best-effort view of the run. No method waits for the view, none raises."""
+    """A best-effort view of the run. No method waits or raises."""
 
     def metrics(self, env_step: int, values: Mapping[str, float]) -> None: ...
 
@@ -48,17 +49,17 @@ class Sink(Protocol):
     def field(self, field: Field) -> None: ...
 
     def close(self) -> str | None:
-        """End the view; returns what a reader must know about what it left out."""
+        """End the view; returns a notice if data was left out."""
         ...
 
 
 class RerunSink:
-    """Writes one run's recording from a thread of its own; drops what does not fit its queue."""
+    """Writes one run's recording in a thread; drops entries that do not fit its queue."""
 
     def __init__(self, path: Path, run_id: str, env: str, learner: str, every: int) -> None:
         """Record into `path`, a new file; `every` env steps lie between two evaluations."""
         self.path = path
-        self._mapped = env not in ENVS
+        self._mapped = env == ROAD
         self.dropped = 0
         self._error: str | None = None
         self._queue: queue.Queue[Callable[[RerunView], object] | None] = queue.Queue(CAPACITY)
@@ -76,7 +77,7 @@ class RerunSink:
             self._offer(lambda view: view.weights(weights.env_step, weights.weight))
 
     def rows(self, rows: Transitions) -> None:
-        if self._mapped:  # the map's data come at once, before everything else
+        if self._mapped:  # the map's data come first, all at once
             self._offer(lambda view: view.places(np.asarray(rows.obs)))
 
     def evaluation(self, evaluation: Evaluation) -> None:
@@ -97,8 +98,8 @@ class RerunSink:
         return None
 
     def _ended(self) -> bool:
-        """Whether the thread has come to its end in time, everything before it done."""
-        with suppress(queue.Full):  # a thread that hangs: it is alive below
+        """Whether the thread has finished in time, after all entries."""
+        with suppress(queue.Full):  # the thread hangs, which is checked below
             self._queue.put(None, timeout=CLOSE_S)
             self._thread.join(CLOSE_S)
         return not self._thread.is_alive()
@@ -110,7 +111,7 @@ class RerunSink:
             self.dropped += 1
 
     def _run(self, run_id: str, env: str, learner: str, every: int) -> None:
-        """Work through the queue; an entry that Rerun refuses does not stop the others."""
+        """Process the queue; an entry that fails does not stop the others."""
         view = self._attempt(lambda: _view(self.path, run_id, env, learner, every))
         while (entry := self._queue.get()) is not None:
             if view is not None:
@@ -121,13 +122,13 @@ class RerunSink:
     def _attempt(self, step: Callable[[], T]) -> T | None:
         try:
             return step()
-        except Exception as error:  # whatever Rerun raises, training goes on without it
+        except Exception as error:  # training goes on without Rerun, whatever it raises
             self._error = self._error or f"{type(error).__name__}: {error}"
             return None
 
 
 def open_sink(writer: RunWriter) -> Sink:
-    """The Rerun recording of the run that `writer` writes, in a file of its own."""
+    """The Rerun recording of the run of `writer`, in a new file."""
     config = writer.config
     evaluation = getattr(config, "evaluation", None) or EvaluationConfig()
     path = layout.next_rrd(writer.path)
@@ -135,16 +136,16 @@ def open_sink(writer: RunWriter) -> Sink:
 
 
 def _view(path: Path, run_id: str, env: str, learner: str, every: int) -> "RerunView":
-    # Imported here: it takes half a second that a training need not wait for.
+    # Imported here because it takes half a second.
     import rerun as rr
 
     from tom.record.rerun.view import RerunView
 
-    return RerunView(run_id, env, learner, every, rr.FileSink(path))
+    return RerunView(run_id, env, learner, every, rr.FileSink(path), run=RunReader(path.parent))
 
 
 def _leave_behind() -> None:
-    """Let the process end although Rerun still holds data that nobody takes."""
+    """Let the process end although Rerun still holds unwritten data."""
     import rerun as rr
 
     rr.unregister_shutdown()

@@ -1,20 +1,22 @@
-"""What of a run goes into Rerun, and under which path; how it is laid out is in blueprint.py.
+"""The data of a run in Rerun and its paths; blueprint.py has the layout.
 
-Timelines: `env_step`, on which everything lives (the frames of an evaluation follow its step),
-and `replay`, on which the evaluation episodes follow each other in real time.
+Timelines: `env_step` for everything (the frames of an evaluation follow its step), and `replay`,
+on which the evaluation episodes follow each other in real time.
 """
 
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from tom.envs import ENVS, scene
+from tom.envs import ENVS, ROAD, scene
 from tom.events import Episode, Evaluation, Field
 from tom.learners import LEARNERS
 from tom.metrics import describe
+from tom.record.reader import RunReader
 from tom.record.rerun import road as rerun_road
 from tom.record.rerun import robot as rerun_robot
 from tom.record.rerun.blueprint import (
@@ -22,22 +24,24 @@ from tom.record.rerun.blueprint import (
     FIT,
     GHOST,
     GHOST_CAR,
+    OBSERVED,
     PROFILE,
     REWARD,
     ROBOT,
     TRACKED,
     blueprint,
 )
+from tom.record.task_record import scene_of, seconds
 
-ROWS = 256  # of metrics that are sent together: a viewer takes a second for some hundred chunks
+ROWS = 256  # of metrics sent together, because a viewer takes a second for some hundred chunks
 
-NEUTRAL = "8a92a3"  # weights of a learner that has no colour
+NEUTRAL = "8a92a3"  # for weights of a learner without colour
 FRAMES_PER_S = 30
 PAUSE_S = 0.5  # between two episodes on the timeline `replay`
 
 
 class RerunView:
-    """One run's recording. Every method may block as long as its sink does."""
+    """One run's recording. Every method may block while its sink does."""
 
     def __init__(
         self,
@@ -47,22 +51,24 @@ class RerunView:
         every: int,
         sink: rr.FileSink | None = None,
         layout: rrb.Blueprint | None = None,
+        run: RunReader | None = None,
     ) -> None:
-        """`every` env steps lie between two evaluations; without a sink, `read` the bytes.
+        """`every`: env steps between two evaluations. Without a sink, `read` returns the bytes.
 
-        `layout`: instead of the one of a whole run.
+        `layout` replaces the layout of a whole run. `run` describes a task that is not ours.
         """
         self._env = env
+        self._run = run
         self._every = every
         self._replay_s = 0.0
         self._floor_drawn = False
         self._places = 0
         self._scalars: dict[str, list[tuple[int, float]]] = {}
         self._rows = 0
-        # Viewers keep one layout for an application: runs that differ in theirs differ in it.
+        # Viewers store one layout per application id, so runs with other layouts get another id.
         application = f"tom-studio {env} {learner}{' episode' if layout else ''}"
-        layout = layout or blueprint(env, learner)
-        # Chunks of seconds, not of a fifth of one: a viewer is slow with many small ones.
+        layout = layout or blueprint(env, learner, drawn=env in ENVS or self._model is not None)
+        # Chunks of seconds instead of a fifth of one, because many small ones slow a viewer.
         batches = rr.ChunkBatcherConfig(flush_tick=1.0)
         self._stream = rr.RecordingStream(application, recording_id=run_id, batcher_config=batches)
         self._stream.set_log_tick_enabled(False)
@@ -74,13 +80,13 @@ class RerunView:
         else:
             self._stream.set_sinks(sink, default_blueprint=layout)
         self._stream.send_recording_name(run_id)
-        # Without one the viewer takes a colour of its own, and that is another learner's.
+        # Otherwise the viewer chooses a colour, which may be another learner's.
         entry = LEARNERS.get(learner)
         colour = entry.colour if entry else None
         self._colour = [*bytes.fromhex(colour.removeprefix("#") if colour else NEUTRAL)]
 
     def read(self) -> bytes:
-        """What was recorded since the last call, where there is no sink."""
+        """The bytes recorded since the last call, if there is no sink."""
         return (self._bytes.read() if self._bytes else None) or b""
 
     def metrics(self, env_step: int, values: Mapping[str, float]) -> None:
@@ -91,12 +97,12 @@ class RerunView:
         self._rows += 1
         if self._rows >= ROWS:
             self.flush()
-        if self._env not in ENVS and any(path.startswith("model/") for path in values):
+        if self._env == ROAD and any(path.startswith("model/") for path in values):
             self._stream.set_time("env_step", sequence=env_step)
             self._stream.log(FIT, rr.TextDocument(_table(values), media_type=rr.MediaType.MARKDOWN))
 
     def flush(self) -> None:
-        """Send the metrics that wait: a value alone would cost a kilobyte and slow the viewer."""
+        """Send the waiting metrics; sent singly each would cost a kilobyte and slow the viewer."""
         for path, points in self._scalars.items():
             steps, values = zip(*points, strict=True)
             times = rr.TimeColumn("env_step", sequence=np.array(steps))
@@ -110,32 +116,39 @@ class RerunView:
         self._stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins), color=self._colour))
 
     def places(self, places: NDArray) -> None:
-        """Where the transitions lie on the map, (N, 2); drawn once."""
+        """Draw the positions (N, 2) of the transitions on the map, once."""
         self._places = len(places)
         rerun_road.places(self._stream, places)
 
     def weights(self, env_step: int, weight: NDArray) -> None:
-        """Each transition on the map in the colour of its weight, (N,)."""
+        """Colour the transitions on the map by their weights (N,)."""
         if self._places != len(weight):
             return
         self._stream.set_time("env_step", sequence=env_step)
         rerun_road.weights(self._stream, weight)
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """The first episode, where it has MuJoCo states."""
+        """Draw the first episode: its robot, or its observations if there is no robot."""
         for episode in evaluation.episodes[:1]:
-            if episode.qpos is not None:
+            if episode.qpos is not None and self._model is not None:
                 self._replay(evaluation.env_step, episode.length, {ROBOT: episode.qpos})
+            elif self._env != ROAD:
+                dt = 1 / FRAMES_PER_S if self._run is None else seconds(self._run)
+                self._observe(evaluation.env_step, episode, dt)
+                self._replay_s += episode.length * dt + PAUSE_S
 
     def episode(self, env_step: int, episode: Episode, dt: float, ghost: NDArray | None) -> None:
-        """One episode with the reward of every step, in its own time of `dt` seconds a step.
+        """Draw one episode with the reward of every step, at `dt` seconds per step.
 
         `ghost`: joint positions (H + 1, nq) of a translucent robot beside the real one;
-        road-and-rocks: places (H + 1, 2).
+        on road-and-rocks positions (H + 1, 2). Without a robot, curves of observations are drawn.
         """
         steps = np.arange(episode.length)
         times = self._times(env_step, episode.length, steps, dt)
         self._stream.send_columns(REWARD, times, rr.Scalars.columns(scalars=episode.reward))
+        if self._env != ROAD and (episode.qpos is None or self._model is None):
+            self._observe(env_step, episode, dt)
+            return
         if episode.qpos is not None:
             both = {ROBOT: episode.qpos} | ({} if ghost is None else {GHOST: ghost})
             self._replay(env_step, episode.length, both)
@@ -147,21 +160,22 @@ class RerunView:
             rerun_road.car(self._stream, GHOST_CAR, times, ghost, rerun_road.MODELLED)
 
     def field(self, field: Field) -> None:
-        """Road-and-rocks: the map, the trajectories and the model's displacements."""
-        if self._env in ENVS:
+        """Draw the map, trajectories and model displacements of road-and-rocks."""
+        if self._env != ROAD:
             return
         self._stream.set_time("env_step", sequence=field.env_step)
         rerun_road.picture(self._stream, field.name, field.arrays)
 
     def close(self, timeout_s: float) -> None:
-        """Write out what is left; raises when the sink does not take it in time."""
+        """Flush the remaining data. Raises an error if the sink takes too long."""
         self.flush()
         self._stream.flush(timeout_sec=timeout_s)
         self._stream.disconnect()
 
     def _replay(self, env_step: int, length: int, robots: Mapping[str, NDArray]) -> None:
-        """Robots by path, moving through joint positions (length + 1, nq); the eye follows one."""
-        model = scene.model(self._env)
+        """Draw robots by path, moving through joint positions (length + 1, nq)."""
+        model = self._model
+        assert model is not None
         stride = max(1, int(1 / (FRAMES_PER_S * model.dt)))
         frames = np.arange(0, length + 1, stride)
         times = self._times(env_step, length, frames, model.dt)
@@ -177,8 +191,25 @@ class RerunView:
                 moves = rr.Transform3D.columns(translation=place)
                 self._stream.send_columns(TRACKED, times, moves)
 
+    @cached_property
+    def _model(self) -> scene.Model | None:
+        """The MuJoCo model of the robot, or None."""
+        if self._env in ENVS:
+            return scene.model(self._env)
+        return None if self._run is None else scene_of(self._run)
+
+    def _observe(self, env_step: int, episode: Episode, dt: float) -> None:
+        """Draw every dimension of an episode's observations as a curve."""
+        frames = np.arange(episode.length + 1)
+        times = self._times(env_step, episode.length, frames, dt)
+        for i, values in enumerate(np.asarray(episode.obs, np.float64).T):
+            columns = rr.Scalars.columns(scalars=values)
+            self._stream.send_columns(f"{OBSERVED}/{i + 1}", times, columns)
+
     def _times(self, env_step: int, length: int, frames: NDArray, dt: float) -> rerun_robot.Times:
-        steps = env_step + frames * self._every // max(length + 1, self._every)
+        """Times of the frames; on `env_step` they end at the evaluation's step."""
+        span = min(length, max(self._every - 1, 0), env_step)
+        steps = env_step - span + frames * span // max(length, 1)
         return (
             rr.TimeColumn("env_step", sequence=steps),
             rr.TimeColumn("replay", duration=self._replay_s + frames * dt),
@@ -186,7 +217,7 @@ class RerunView:
 
 
 def _table(values: Mapping[str, float]) -> str:
-    """What a fit measured, as a table."""
+    """The metrics of a fit as a Markdown table."""
     groups = ("weights/", "model/", "planner/", "discriminator/", "dual/")
     rows = [(path, value) for path, value in values.items() if path.startswith(groups)]
     lines = [f"| {path} | {value:.4g} | {describe(path)} |" for path, value in sorted(rows)]

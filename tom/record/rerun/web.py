@@ -1,9 +1,10 @@
-"""The Rerun web viewer's page, served so that it speaks to this machine only.
+"""The server of the Rerun web viewer's page, which connects only to this machine.
 
-The page in Rerun's wheel asks the network for fonts, for the newest release and sends usage
-statistics. It is served here without the fonts and with a `fetch` that knows local hosts only.
+The page in Rerun's wheel loads fonts, asks for the newest release and sends usage statistics. Here
+it is served without the fonts and with a `fetch` that is restricted to local hosts.
 """
 
+import logging
 import re
 import select
 import socket
@@ -15,10 +16,13 @@ from http import HTTPStatus
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.metadata import version
+from itertools import chain
 from urllib.parse import unquote
 
 from tom.errors import UserError
 from tom.machine.address import family, framing, refusal
+
+_log = logging.getLogger(__name__)
 
 FONTS = re.compile(rb"<link[^>]*fonts\.(?:googleapis|gstatic)\.com[^>]*>")
 
@@ -48,17 +52,17 @@ class Asset:
 
 
 def local_page(html: bytes) -> bytes:
-    """The viewer's page without its requests to the outside."""
+    """The viewer's page without requests to other machines."""
     return FONTS.sub(b"", html).replace(b"<head>", b"<head>\n" + LOCAL_ONLY, 1)
 
 
-class Server(ThreadingHTTPServer):
+class ViewerServer(ThreadingHTTPServer):
     """Serves the viewer's `files` by their paths, and growing recordings.
 
-    `live` gives the bytes of a run's recording for as long as it grows, and of all that train for
-    an empty name; UserError where there is no such run. It gives empty bytes from time to time, so
-    that a viewer which has gone is noticed. The pages on `studio_port` may frame what is served.
-    Raises OSError when the port is taken.
+    `live` yields the bytes of a run's recording as long as it grows, for an empty name those of all
+    running trainings; UserError if there is no such run. It yields empty bytes from time to time,
+    so that a closed viewer is noticed. The pages on `studio_port` may embed the viewer. Raises
+    OSError if the port is taken.
     """
 
     daemon_threads = True
@@ -79,14 +83,14 @@ class Server(ThreadingHTTPServer):
         super().__init__((host, port), Handler)
 
     def start(self) -> None:
-        """Serve from a thread of its own until `shutdown`."""
+        """Serve from a new thread until `shutdown`."""
         threading.Thread(target=self.serve_forever, name="rerun-page", daemon=True).start()
 
 
 class Handler(BaseHTTPRequestHandler):
     """Answers one request."""
 
-    server: Server  # pyright: ignore[reportIncompatibleVariableOverride]
+    server: ViewerServer  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def do_GET(self) -> None:
         path = self.path.partition("?")[0]
@@ -112,15 +116,20 @@ class Handler(BaseHTTPRequestHandler):
     def _stream(self, run_id: str) -> None:
         try:
             parts = self.server.live(run_id)
+            first = next(parts, b"")  # an error comes here, before the response has begun
         except UserError:
             self._say(404, "no such run")
+            return
+        except Exception as error:
+            _log.warning("cannot show %r in Rerun: %s", run_id, error)
+            self._say(500, "this run cannot be shown")
             return
         self.send_response(200)
         self.send_header("Content-Type", "application/octet-stream")
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         with suppress(ConnectionError):  # the viewer was closed
-            for part in parts:
+            for part in chain([first], parts):
                 self.wfile.write(part)
                 self.wfile.flush()
                 if not part and _gone(self.connection):
@@ -131,7 +140,7 @@ class Handler(BaseHTTPRequestHandler):
         super().end_headers()
 
     def _say(self, code: int, words: str) -> None:
-        """Answer with a sentence of ours: nothing of the request, which may be anybody's words."""
+        """Answer with our own text, which must not repeat the untrusted request."""
         self.send_response(code)
         self.send_header("Content-Type", "text/plain; charset=utf-8")
         self.send_header("X-Content-Type-Options", "nosniff")
@@ -140,24 +149,24 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(words.encode())
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """What the base class refuses, without its words: they quote the request."""
+        """Errors of the base class, without its message, which quotes the request."""
         self.close_connection = True
         self._say(code, self.responses[HTTPStatus(code)][0])
 
     def log_message(self, format: str, *args: object) -> None:
-        """Requests are not worth a line each."""
+        """Print nothing for a request."""
 
 
 def assets(upstream: tuple[str, int]) -> dict[str, Asset]:
-    """The viewer's files by their paths, from Rerun's own server on host and port `upstream`.
+    """The viewer's files by path, from Rerun's own server on host and port `upstream`.
 
-    Raises OSError where it does not answer or has other files.
+    Raises OSError if it does not answer or has unknown files.
     """
     return {path: _fetch(upstream, path) for path in FILES}
 
 
 def _gone(connection: socket.socket) -> bool:
-    """The other end, which has nothing more to say, has closed."""
+    """Whether the other end has closed the connection."""
     readable, _, _ = select.select([connection], [], [], 0)
     return bool(readable) and not connection.recv(1, socket.MSG_PEEK)
 

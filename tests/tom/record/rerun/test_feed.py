@@ -1,5 +1,6 @@
 """Viewers get what running runs write, whenever they come."""
 
+import json
 import threading
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,9 +12,12 @@ from recorded import FIT, STEPS, Config, events, logged
 from rerun.chunk import RrdReader
 
 from tom.events import Metrics
-from tom.record import Recorder, RunWriter, Store, layout
+from tom.record import RunReader, Store, layout
+from tom.record.export import export
+from tom.record.recorder import Recorder
 from tom.record.rerun import feed
 from tom.record.rerun.feed import Follower, Tail, Trainings, stream, stream_all
+from tom.record.writer import RunWriter
 
 
 def rows(parts: Iterable[bytes], folder: Path, of: str) -> pd.DataFrame:
@@ -81,8 +85,7 @@ def test_a_run_that_cannot_be_shown_does_not_stop_the_others(store: Store, tmp_p
     for recorder in recorders:
         for event in events():
             recorder.consume(event)
-    with (store.path / "a" / "weights" / "profiles.jsonl").open("a") as file:
-        file.write('{"env_step": 7, "bins": "none"}\n')
+    (store.path / "a" / "config.json").write_text("{")
     list(trainings.pieces())
     assert trainings.followed == ["b"]
     for recorder in recorders:
@@ -180,3 +183,47 @@ def test_a_file_that_was_cut_is_read_from_its_beginning(tmp_path: Path):
     assert len(next(iter(tail.blocks()))) == 3
     path.write_text('{"env_step":1}\n{"env_step":2}\n')  # resumed from step 2
     assert list(tail.blocks()) == [[{"env_step": 1}, {"env_step": 2}]]
+
+
+ODD_ROWS = (
+    '{"env_step": 1' + "0" * 40 + ', "critic/q": 1}',
+    '{"env_step": 1001, "critic/loss": "a word", "critic/q": 7}',
+    '{"env_step": 1002, "critic/q": 1' + "0" * 400 + "}",
+    '{"env_step": 1003, "critic/q": [1], "b": {"z": 1}}',
+    '{"env_step": true, "critic/q": 1}',
+)
+ODD_PROFILES = (
+    '{"env_step": 1' + "0" * 40 + ', "bins": [1, 2], "ess": 1, "zeros": 0, "count": 1}',
+    '{"env_step": 5}',
+    '{"env_step": 5, "bins": [1' + "0" * 400 + '], "ess": 1, "zeros": 0, "count": 1}',
+)
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_rows_of_text_and_of_numbers_that_none_holds__are_passed_over_in_rerun_and_the_rest_shown(
+    record, tmp_path: Path
+):
+    run = record()
+    (run.path / "metrics.parquet").unlink()
+    for name, rows in ((layout.METRICS, ODD_ROWS), (layout.PROFILES, ODD_PROFILES)):
+        with (run.path / name).open("a") as file:
+            file.write("\n".join(rows) + "\n")
+    (run.path / layout.episodes(500)).write_bytes(b"no archive")
+    np.savez(run.path / layout.field("map", 500), allow_pickle=False, other=np.zeros(3))
+    path = export(run, "rrd", tmp_path / "out")
+    assert logged(path, "critic/q")["env_step"].tolist() == [1001]
+    assert len(logged(path, "weights/profile")) == STEPS / FIT
+    assert sum(map(len, stream(run, threading.Event()))) > 10_000
+    assert run.metrics()["env_step"].tolist()[-3:] == [1001, 1002, 1003]
+    assert len(run.profiles().env_step) == STEPS / FIT
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_a_run_of_an_environment_that_nobody_knows__is_shown_but_for_its_robot(record):
+    run = record()
+    content = json.loads((run.path / "config.json").read_text())
+    content["env"] = content["config"]["env"] = "nosuch"
+    (run.path / "config.json").write_text(json.dumps(content))
+    assert sum(map(len, stream(RunReader(run.path), threading.Event()))) > 10_000

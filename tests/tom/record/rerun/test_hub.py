@@ -77,13 +77,32 @@ def test_a_hub_on_another_address_listens_there_alone(tmp_path: Path):
 
 @pytest.mark.skipif(not socket.has_ipv6, reason="no IPv6")
 def test_a_page_is_served_on_ipv6_under_its_own_names():
-    server = web.Server("::1", hub.free_port("::1"), {}, lambda run_id: iter([run_id.encode()]))
+    server = web.ViewerServer(
+        "::1", hub.free_port("::1"), {}, lambda run_id: iter([run_id.encode()])
+    )
     server.start()
     port = server.server_port
     try:
         assert get(port, "/live/a.rrd", host="::1")[:2] == (200, b"a")
         assert get(port, "/live/a.rrd", host="::1", Host=f"localhost:{port}")[0] == 200
         assert get(port, "/live/a.rrd", host="::1", Host=f"evil.example:{port}")[0] == 403
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_a_run_that_cannot_be_shown__is_an_error_and_no_empty_recording():
+    def no_recording(run_id: str) -> Iterator[bytes]:
+        yield bytes([int(run_id)])  # raises at the first look
+
+    server = web.ViewerServer("127.0.0.1", hub.free_port("127.0.0.1"), {}, no_recording)
+    server.start()
+    try:
+        assert get(server.server_port, "/live/7.rrd")[:2] == (200, b"\x07")
+        status, words, _ = get(server.server_port, "/live/seven.rrd")
+        assert (status, words) == (500, b"this run cannot be shown")
     finally:
         server.shutdown()
         server.server_close()

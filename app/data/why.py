@@ -1,0 +1,211 @@
+"""Why a transition has its weight, for the pages: the terms, and the nearest transitions."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from app.data import readers
+from app.data.buffer import Floats, Rows
+from app.data.cache import VersionedCache
+from app.data.readers import RunInfo
+from app.data.weighings import Weighing
+from tom.analysis import why
+from tom.analysis.imagine import stored_model
+from tom.analysis.weighing import load_policy, made_anew
+from tom.analysis.why import Near, Sum
+from tom.config import RolloutConfig, TomConfig
+from tom.data.transitions import TensorTransitions, Transitions
+from tom.dynamics.neural import NeuralDynamics
+from tom.envs import ENVS, task
+from tom.errors import UserError
+from tom.learners import LEARNERS, WITH_TERMS
+from tom.learners.terms import Terms, of_recorded
+from tom.record import stamps
+from tom.record.array_files import DAMAGE, read_table
+from tom.record.files import read_json
+from tom.record.reader import RunReader
+from tom.record.store import Store
+from tom.reports.weighing_files import REPORT, WEIGHTS
+from tom.training.resume import recorded_config
+
+NEAREST = 5
+JUDGED = 500
+"""number of rows from which the usual distance to the policy's rows is estimated"""
+ROLLOUTS, STEPS = 24, 10
+
+
+@dataclass(frozen=True)
+class Source:
+    """The terms of N weights, the settings of their computation, and the policy's own rows."""
+
+    terms: Terms
+    config: TomConfig
+    whose: str
+    lately: TensorTransitions  # (M,) the discriminator's rows of the policy
+    step: int | None  # of the fit or weighing; None: all that the run collected
+
+    def sum_of(self, row: int) -> Sum:
+        """The terms of a row."""
+        return why.sum_of(self.terms, self.config, row)
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """The policy's transitions nearest to a row, and the usual distances for comparison."""
+
+    near: Near
+    rows: Transitions  # (K,) those transitions
+    usual: float  # median over rows of the buffer
+    own: float  # median over the policy's own rows
+
+
+def source(run: RunInfo, rows: Rows, weighings: list[Weighing]) -> Source | str:
+    """The terms of these weights, or a text with the reason why there are none."""
+    key = run.path, rows.first, rows.weight.tobytes(), tuple(w.written for w in weighings)
+    return _SOURCES.get(key, lambda: _source(run, rows, weighings))
+
+
+def neighbours(rows: Rows, source: Source, row: int) -> Neighbours:
+    """The policy's transitions nearest to a row of the buffer."""
+    replay = rows.rows.torch()
+    near = why.nearest(replay, row, source.lately, NEAREST)
+    judged = torch.linspace(0, len(replay) - 1, min(JUDGED, len(replay))).long()
+    usual = why.usual_distance(replay, source.lately, judged)
+    half = len(source.lately) // 2
+    own = _between(replay, source.lately, half)
+    return Neighbours(near, source.lately[near.index].numpy(), usual, own)
+
+
+def starts(run: RunInfo, rows: Rows, row: int) -> float | str:
+    """The expected number of a fit's rollouts that start in a row, or why it is unknown."""
+    settings = _rollout_settings(run)
+    if settings is None:
+        return "the settings of this run's rollouts are those of another version"
+    return why.expected_starts(torch.from_numpy(rows.weight), row, settings)
+
+
+def rollouts(run: RunInfo, rows: Rows, row: int, step: int | None) -> tuple[Floats, int] | str:
+    """Rollouts (ROLLOUTS, STEPS + 1, O) of the policy in the stored model, and its step.
+
+    A text with the reason if there are none.
+    """
+    reader = readers.reader(run)
+    key = run.path, rows.first + row, step, stamps.model(reader.path)
+    return _ROLLOUTS.get(key, lambda: _rollouts(run, reader, rows, row, step))
+
+
+def recorded_after(rows: Rows, row: int) -> NDArray[np.float32]:
+    """The recorded observations (T + 1, O) from a row on, T at most STEPS."""
+    last = row
+    whole = rows.rows
+    ended = (np.asarray(whole.terminated) != 0) | (np.asarray(whole.truncated) != 0)
+    while last - row + 1 < STEPS and last + 1 < len(rows) and not ended[last]:
+        last += 1
+    obs, following = np.asarray(whole.obs), np.asarray(whole.next_obs)
+    return np.concatenate([obs[row : last + 1], following[last : last + 1]])
+
+
+_SOURCES: VersionedCache[Source | str] = VersionedCache(4)
+_ROLLOUTS: VersionedCache[tuple[Floats, int] | str] = VersionedCache(16)
+
+
+def _source(run: RunInfo, rows: Rows, weighings: list[Weighing]) -> Source | str:
+    reader = readers.reader(run)
+    whose_sum = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
+    without = f"none of its weights are {whose_sum}"
+    for table, weight, named in candidates(reader, rows, weighings):
+        if len(table[weight]) != len(rows) or not np.array_equal(table[weight], rows.weight):
+            continue
+        learner, made = named
+        if learner not in WITH_TERMS:
+            return f"only {whose_sum} weights are such a sum, and these are of {learner}"
+        try:
+            config, whose, lately, step = _made_by(run, reader, rows, weight, made)
+        except (UserError, OSError, ValueError, KeyError) as error:
+            return str(error)
+        prefix = "" if made is None else f"{weight}-"
+        terms = of_recorded(
+            {n: torch.tensor(table[prefix + n]) for n in Terms.named() if prefix + n in table}
+        )
+        if terms is not None:
+            return Source(terms, config, whose, lately, step)
+        without = "its terms were not kept: this run or weighing is older than they are, or small"
+    return without
+
+
+def candidates(
+    reader: RunReader, rows: Rows, weighings: list[Weighing]
+) -> Iterator[tuple[dict[str, NDArray], str, tuple[str, Weighing | None]]]:
+    """Columns, the name of the weights' column, and their source."""
+    for step in reader.snapshot_steps():
+        frame = reader.snapshot(step)
+        yield {n: frame[n].to_numpy() for n in frame}, "weight", (reader.learner, None)
+    for made in weighings:
+        try:
+            frame = read_table(Path(made.path) / WEIGHTS)
+        except DAMAGE:
+            continue
+        table = {str(n): np.array(frame[n]) for n in frame}
+        for name in table:
+            learner, _, seed = name.rpartition("-s")
+            if seed.isdigit():
+                yield table, name, (learner, made)
+
+
+def _made_by(
+    run: RunInfo, reader: RunReader, rows: Rows, weight: str, made: Weighing | None
+) -> tuple[TomConfig, str, TensorTransitions, int | None]:
+    if made is None:
+        config = recorded_config(reader)
+        tom: TomConfig = config.tom  # pyright: ignore[reportAttributeAccessIssue]
+        newest = int(getattr(config, "policy_capacity", 1000))
+        end = rows.first + len(rows)
+        return tom, "the run's own fit", rows.rows[-newest:].torch(), end
+    report = read_json(Path(made.path) / REPORT)
+    tom = TomConfig.model_validate(report["config"]["tom"])
+    known, store = task(run.env), Store(Path(run.path).parent)
+    policy = load_policy(made.policy, store, known, made.step)
+    seed = int(weight.rpartition("-s")[2])
+    lately = made_anew(known, policy, int(report["footprint"]), seed).transitions.torch()
+    return tom, f"the weighing {made.name}", lately, made.step
+
+
+def _between(replay: TensorTransitions, lately: TensorTransitions, half: int) -> float:
+    """The median distance of one half of the policy's rows to the other half."""
+    if not half:
+        return float("nan")
+    joined = TensorTransitions.join([replay, lately[:half]])
+    moments = why.usual_distance  # in the scale of the buffer, which few rows hardly change
+    return moments(joined, lately[half:], torch.arange(len(replay), len(joined)))
+
+
+def _rollout_settings(run: RunInfo) -> RolloutConfig | None:
+    try:
+        return getattr(recorded_config(readers.reader(run)), "rollout", None)
+    except UserError:
+        return None
+
+
+def _rollouts(
+    run: RunInfo, reader: RunReader, rows: Rows, row: int, step: int | None
+) -> tuple[Floats, int] | str:
+    if run.env not in ENVS:
+        return "road-and-rocks is planned, not rolled out"
+    try:
+        known, kept = task(run.env), stored_model(reader)
+        policy_step = step if step in reader.policy_steps() else None
+        policy = load_policy(run.path, Store(Path(run.path).parent), known, policy_step)
+    except UserError as error:
+        return str(error)
+    if not isinstance(kept.predictor, NeuralDynamics):
+        return "its model draws no samples"
+    start = torch.as_tensor(np.asarray(rows.rows.obs)[row])
+    generator = torch.Generator().manual_seed(0)
+    paths = why.rollouts(
+        kept.predictor, policy, known.terminated, start, STEPS, ROLLOUTS, generator
+    )
+    return paths.numpy().astype(np.float64), kept.env_step

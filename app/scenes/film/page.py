@@ -1,0 +1,74 @@
+"""The cinema as one HTML file, whose Content-Security-Policy forbids any request."""
+
+import html
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from app.figures.scales import OCTAVES
+from app.theme import (
+    BACKGROUND,
+    BORDER,
+    COLUMNS,
+    DIVERGING,
+    NEUTRAL,
+    SURFACE,
+    TEXT,
+    Mode,
+    learner_colour,
+)
+
+SECONDS = 60.0
+WIDTH, HEIGHT = 1280, 720
+_HERE = Path(__file__).parent
+_NOTHING = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
+"""the Content-Security-Policy: no external resources"""
+_MODES: tuple[Mode, ...] = ("light", "dark")
+
+
+def cinema(story: dict[str, Any], learner: str, mode: Mode, seconds: float = SECONDS) -> str:
+    """The page that plays a story (`app.scenes.film.story`) in `seconds`."""
+    told = {**story, "seconds": seconds, "mode": mode, "look": look(learner)}
+    return document(story["title"], "cinema.js", told, mode)
+
+
+def document(title: str, script: str, told: dict[str, Any], mode: Mode) -> str:
+    """One self-contained HTML page: the canvas, its controls, the scripts and their data."""
+    # Escape characters that would end a script element or begin a comment in it.
+    data = json.dumps(told, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    scripts = "\n".join(_asset(name) for name in ("canvas.js", script))
+    return (
+        f'<!doctype html><html lang="en" data-mode="{mode}"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_NOTHING}">'
+        '<meta name="viewport" content="width=device-width">'
+        f"<title>{html.escape(title)}</title><style>{_asset('film.css')}</style></head><body>"
+        f'<canvas width="{WIDTH}" height="{HEIGHT}" role="img" '
+        f'aria-label="{html.escape(title)}"></canvas>'
+        '<div class="controls"><button type="button" aria-label="play or pause">▶</button>'
+        '<input type="range" min="0" max="1" step="any" value="0" aria-label="time"></div>'
+        f"<script>const TOLD = {data};\n{scripts}</script></body></html>"
+    )
+
+
+def look(learner: str) -> dict[str, Any]:
+    """The studio's colours for both modes."""
+    return {
+        mode: {
+            "background": BACKGROUND[mode],
+            "surface": SURFACE[mode],
+            "text": TEXT[mode],
+            "border": BORDER[mode],
+            "neutral": NEUTRAL,
+            "learner": learner_colour(learner),
+            "map": DIVERGING[mode],
+            "points": COLUMNS[mode],
+            "octaves": OCTAVES,
+        }
+        for mode in _MODES
+    }
+
+
+@cache
+def _asset(name: str) -> str:
+    return (_HERE / name).read_text()

@@ -1,0 +1,149 @@
+"""A run's story as plain data: weights, buffer, returns and robots on one timeline."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.data import buffer_reader, pictures, readers
+from app.data.buffer import WINDOW, windows
+from app.data.readers import RunInfo
+from app.data.regions import principal_plane
+from app.scenes.film.robots import body, packed
+from app.scenes.states import poses
+from app.theme import learner_label
+from tom.analysis.curves import curve_points
+from tom.data.transitions import Transitions
+from tom.envs import Task
+from tom.envs.scene import Model
+from tom.errors import UserError
+from tom.record.profiles import Profiles
+from tom.record.reader import RunReader
+from tom.record.task_record import scene_of, task_of
+
+FITS = 240
+"""maximum number of fits: four per second of a minute"""
+POINTS = 2500
+ROBOTS = 56
+EVERY = 2
+"""steps from one frame of a moment to the next"""
+EPISODES, FRAMES = 12, 150
+"""maximum number of shown evaluations, and of frames of each"""
+
+
+def story(run: RunInfo) -> dict[str, Any]:
+    """The data of the cinema, ready for JSON. Raises UserError if a part is missing."""
+    profiles = readers.profiles(run)
+    if len(profiles.env_step) < 2:
+        raise UserError("a story needs two model fits at least, and this run has kept fewer")
+    reader = readers.reader(run)
+    recorded, _ = reader.buffer()
+    if run.env == pictures.ENV:
+        raise UserError("road-and-rocks has a story of its own: the page Road and rocks plays it")
+    if not len(recorded):
+        raise UserError("its buffer is not there: no robots and no map of the buffer can be drawn")
+    known, model = task_of(reader), scene_of(reader)
+    if model is None:
+        raise UserError(f"there is no robot to draw in {run.env}")
+    fits = _thinned(profiles)
+    end = min(int(profiles.env_step[-1]), len(recorded))
+    rows = recorded[:end]
+    return {
+        "title": _title(run),
+        "run": run.run_id,
+        "steps": profiles.env_step[fits].tolist(),
+        "count": profiles.count[fits].tolist(),
+        "ess": np.round(profiles.ess[fits], 4).tolist(),
+        "bins": profiles.bins.shape[1],
+        "weights": packed(np.log2(np.maximum(profiles.bins[fits], 2.0**-9)).astype(np.float32)),
+        "returns": _returns(run),
+        "cloud": _cloud(rows),
+        "crowd": _crowd(known, model, reader, rows),
+        "policy": _policy(known, model, reader),
+        "dt": model.dt,
+    }
+
+
+def _title(run: RunInfo) -> str:
+    env = run.env.replace("-", " ").capitalize()
+    return f"{env} · {learner_label(run.learner)} · seed {run.seed}"
+
+
+def may_be_told(run: RunInfo) -> bool:
+    """Whether the run has the parts of a story, as far as is known without reading them."""
+    return run.env != pictures.ENV and readers.has_profiles(run) and buffer_reader.has_rows(run)
+
+
+def _thinned(profiles: Profiles) -> NDArray[np.int64]:
+    count = len(profiles.env_step)
+    return np.unique(np.linspace(0, count - 1, min(count, FITS)).round().astype(np.int64))
+
+
+def _returns(run: RunInfo) -> dict[str, list[float]]:
+    step, value = curve_points(readers.metrics(run), "eval/return")
+    return {"step": np.asarray(step).tolist(), "value": np.round(value, 2).tolist()}
+
+
+def _cloud(rows: Transitions) -> dict[str, Any]:
+    """Evenly chosen transitions of the buffer, on its two principal components in [0, 1]."""
+    plane = principal_plane(rows)
+    index = np.unique(np.linspace(0, len(rows) - 1, POINTS).astype(np.int64))
+
+    def unit(x: NDArray) -> NDArray[np.float32]:
+        low, high = np.quantile(x, [0.003, 0.997])
+        return np.clip((x[index] - low) / max(high - low, 1e-9), 0, 1).astype(np.float32)
+
+    return {
+        "row": packed(index.astype(np.int32)),
+        "x": packed(unit(plane.x)),
+        "y": packed(unit(plane.y)),
+    }
+
+
+def _crowd(known: Task, model: Model, reader: RunReader, rows: Transitions) -> dict[str, Any]:
+    """Robots in evenly chosen states of the buffer, each moving through its window of steps."""
+    ended = (np.asarray(rows.terminated) != 0) | (np.asarray(rows.truncated) != 0)
+    index = np.linspace(0, len(rows) - 1, min(ROBOTS, len(rows)) + 1).astype(np.int64)[:-1]
+    state = {name: of[: len(rows)] for name, of in reader.buffer_state().items()}
+    qpos = poses(known, rows, state, windows(ended, index.tolist()))[:, ::EVERY]
+    robots = body(model, qpos.reshape(-1, qpos.shape[-1]))
+    return {
+        "row": index.tolist(),
+        "frames": qpos.shape[1],
+        "now": WINDOW // EVERY,
+        "every": EVERY,
+        "radius": robots.radius.tolist(),
+        **robots.plain(),
+    }
+
+
+def _policy(known: Task, model: Model, reader: RunReader) -> list[dict[str, Any]]:
+    """Evaluation episodes during the run, which show the progress of the policy."""
+    kept = np.array(reader.evaluation_steps(), np.int64)
+    if not len(kept):
+        return []
+    chosen = kept[np.unique(np.linspace(0, len(kept) - 1, EPISODES).round().astype(int))]
+    told = []
+    for step in chosen.tolist():
+        episodes = [e for e in reader.episodes(step) if e.qpos is not None and e.length]
+        if not episodes:
+            continue
+        returns = [e.undiscounted_return for e in episodes]
+        middle = episodes[int(np.argsort(returns)[len(returns) // 2])]
+        assert middle.qpos is not None
+        qpos = middle.qpos[: 2 * FRAMES : 2].copy()
+        roots = known.root_dims or 0
+        place = qpos[:, 0].copy() if roots else np.zeros(len(qpos))
+        qpos[:, :roots] = 0
+        robot = body(model, qpos)
+        told.append(
+            {
+                "step": step,
+                "return": round(middle.undiscounted_return, 1),
+                "place": np.round(place - place[0], 3).tolist(),
+                "every": 2,
+                "radius": robot.radius.tolist(),
+                **robot.plain(),
+            }
+        )
+    return told

@@ -1,0 +1,92 @@
+"""The runs that are compared, in which groups, and which of them are hidden."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import streamlit as st
+
+from app import session
+from app.data.called import names, told_apart
+from app.data.readers import RunInfo
+from app.figures.looks import Look, looks
+from app.parts import address
+from app.parts.eyes import Item, Row
+from tom.analysis import grouping
+from tom.analysis.grouping import Kind
+
+HIDE = "hide"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs, the kind of each (by id), and the look of each kind; all of them, hidden ones too.
+
+    `hidden` holds titles of groups and ids of runs. A run that is hidden is no member of its group.
+    """
+
+    runs: tuple[RunInfo, ...]
+    by: str
+    kinds: Mapping[str, Kind]
+    looks: Mapping[Kind, Look]
+    hidden: tuple[str, ...]
+
+    @property
+    def members(self) -> list[RunInfo]:
+        """The runs that are not hidden one by one."""
+        return [run for run in self.runs if run.run_id not in self.hidden]
+
+    @property
+    def shown(self) -> list[RunInfo]:
+        """The runs that are hidden neither one by one nor with their group."""
+        off = self.hidden_kinds
+        return [run for run in self.members if self.kinds[run.run_id] not in off]
+
+    @property
+    def hidden_kinds(self) -> list[Kind]:
+        """The groups that are hidden."""
+        return [kind for kind, look in self.looks.items() if look.title in self.hidden]
+
+    @property
+    def usual(self) -> bool:
+        """The runs of a group differ in nothing but the seed."""
+        return self.by == grouping.USUAL
+
+    def rows(self) -> list[Row]:
+        """A row a group, with its runs, as the list beside the figure has them."""
+        several = len({run.env for run in self.runs}) > 1
+        called = names(self.runs) if several else told_apart(self.runs)
+        rows = []
+        for kind, look in self.looks.items():
+            mine = [run for run in self.runs if self.kinds[run.run_id] == kind]
+            items = [
+                Item(run.run_id, run.labels.name or called[run.run_id], run.run_id in self.hidden)
+                for run in sorted(mine, key=lambda run: (run.env, run.seed))
+            ]
+            rows.append(Row(look, look.title in self.hidden, items))
+        return rows
+
+
+def compare(runs: Sequence[RunInfo], by: str) -> Comparison:
+    """The runs in groups, without what the reader or the address hides of them."""
+    kinds = grouping.kinds(runs, by)
+    found = looks([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
+    there = {run.run_id for run in runs} | {look.title for look in found.values()}
+    hidden = [word for word in address.held(HIDE, list) if word in there]
+    address.keep(HIDE, hidden)
+    return Comparison(tuple(runs), by, kinds, found, tuple(hidden))
+
+
+def hide(words: Sequence[str]) -> None:
+    """These groups (by their titles) and runs (by their ids) are hidden from now on."""
+    st.session_state[HIDE] = list(words)
+
+
+def toggled(hidden: Collection[str], word: str) -> list[str]:
+    """With one more group or run hidden, or shown where it was hidden."""
+    others = [other for other in hidden if other != word]
+    return others if word in hidden else [*others, word]
+
+
+def switched(hidden: Collection[str], off: Collection[str], among: Collection[str]) -> list[str]:
+    """With those of the words `among` hidden that are `off`, and the others of them shown."""
+    return [*(w for w in hidden if w not in among), *(w for w in among if w in off)]

@@ -1,0 +1,79 @@
+"""The replay of a point that was clicked, beside the figure."""
+
+from collections.abc import Sequence
+from urllib.parse import quote
+
+import numpy as np
+import streamlit as st
+
+from app import text
+from app.data import readers
+from app.data.called import names
+from app.data.readers import RunInfo
+from app.parts import address, replay_link
+from app.parts.plot import Point
+from app.parts.stage import stage
+from app.scenes.control import ReplayChoice
+from tom.analysis.curves import Curve
+
+HEIGHT = 400
+REPLAY = "replay"
+"""in the address: `replay=hopper-tom-s0~20000`"""
+NOTHING = ("", 0)
+HORIZON = 25
+"""steps after which the ghost starts again from the real state"""
+
+
+def remember(curves: Sequence[Curve], point: Point) -> None:
+    """A point of a line was clicked: of a mean the run that lies nearest to it there counts."""
+    if isinstance(point.meta, str):
+        run_id = point.meta
+    elif isinstance(point.meta, list) and point.meta:
+        run_id = nearest([c for c in curves if c.run_id in point.meta], point.x, point.y)
+    else:
+        return
+    st.session_state[replay_link.CLICKED] = (run_id, int(point.x))
+
+
+def nearest(curves: Sequence[Curve], x: float, y: float) -> str:
+    """The run whose value at `x` is nearest to `y`."""
+    with_points = [curve for curve in curves if len(curve.step)]
+    gaps = [abs(float(np.interp(x, c.step, c.value)) - y) for c in with_points]
+    return with_points[int(np.argmin(gaps))].run_id if gaps else ""
+
+
+def chosen(runs: Sequence[RunInfo]) -> tuple[RunInfo, int, int] | None:
+    """The run, the step that was clicked, and the evaluation nearest to it whose episodes it kept;
+    None where nothing was."""
+    given = address.told(REPLAY)
+    if given is not None:
+        st.session_state[REPLAY] = ""
+        st.session_state[replay_link.CLICKED] = read(given)
+    run_id, step = st.session_state.get(replay_link.CLICKED, NOTHING)
+    run = next((run for run in runs if run.run_id == run_id), None)
+    steps = readers.reader(run).evaluation_steps() if run else []
+    if run is None or not steps:
+        return None
+    address.keep(REPLAY, [f"{run_id}~{step}"])
+    return run, step, min(steps, key=lambda evaluated: abs(evaluated - step))
+
+
+def read(words: Sequence[str]) -> tuple[str, int]:
+    """The run and the step that an address names as `run~step`."""
+    run_id, _, step = "".join(words[-1:]).rpartition("~")
+    return (run_id, int(step)) if step.isdecimal() else NOTHING
+
+
+def show(run: RunInfo, clicked: int, step: int) -> None:
+    """The robot at the kept evaluation, and which one that is."""
+    called = text.markdown(names([run])[run.run_id])
+    asked = "" if step == clicked else f", the nearest that is kept to step {clicked:,}"
+    address = f"/replays?run={quote(run.run_id)}&step={step}"
+    head, close = st.columns([6, 1], vertical_alignment="center")
+    head.markdown(f"[Replay of {called}, step {step:,}]({address}){asked}")
+    close.button("", icon=":material/close:", key="close replay", help="close", on_click=_forget)
+    stage(ReplayChoice(run.run_id, step, 0, 0, HORIZON, played=1), HEIGHT, "compare", compact=True)
+
+
+def _forget() -> None:
+    st.session_state.pop(replay_link.CLICKED, None)

@@ -1,0 +1,71 @@
+"""The current state of one of the watched runs: its weight map and newest evaluation in 3D."""
+
+from collections.abc import Sequence
+
+import streamlit as st
+
+from app import session
+from app.data import pictures, readers
+from app.data.called import names
+from app.data.readers import RunInfo
+from app.figures.base import steps_in_words
+from app.figures.weights import weight_map
+from app.parts import pick, widgets
+from app.parts.plot import chart
+from app.parts.stage import stage
+from app.scenes.control import Choice, ReplayChoice, RoadChoice
+
+HEIGHT = 330
+WITHOUT_GHOST = 0
+"""no ghost, because the run's model would be read again after each checkpoint"""
+SEEN = "live evaluation"
+"""the evaluation on the stage, and a count of them, so that each new one is played"""
+
+
+def pick_followed(runs: Sequence[RunInfo]) -> RunInfo:
+    """The run whose weights and robot are shown; training runs with uneven weights come first."""
+    by_id = {run.run_id: run for run in runs}
+    alive = [run for run in runs if run.status.alive]
+    first = widgets.most_telling(alive or runs)
+    return by_id[pick.one("Weights and robot of", names(runs), first.run_id, "follow")]
+
+
+def weights(run: RunInfo) -> None:
+    """The weight of each part of the buffer at every fit so far."""
+    profiles = readers.profiles(run)
+    if not len(profiles.env_step):
+        st.caption("No fit yet: the weight map begins with the first.")
+        return
+    last = len(profiles.env_step) - 1
+    x = steps_in_words([run.env])
+    figure = weight_map(profiles, last, session.mode(), HEIGHT, relative=True, x=x)
+    chart(figure, "live map", "weight of each part of the buffer at every fit")
+
+
+def robot(run: RunInfo) -> None:
+    """The newest evaluation, played once; for road-and-rocks its newest map."""
+    choice = _newest(run)
+    if choice is None:
+        st.caption("No evaluation yet: the robot comes with the first.")
+        return
+    stage(choice, HEIGHT, "live", compact=True)
+
+
+def newest_step(run: RunInfo) -> int | None:
+    """The step that `robot` shows."""
+    if run.env == pictures.ENV:
+        return next(iter(readers.road_steps(run)[-1:]), None)
+    return next(iter(readers.reader(run).evaluation_steps()[-1:]), None)
+
+
+def _newest(run: RunInfo) -> Choice | None:
+    step = newest_step(run)
+    if step is None:
+        return None
+    if run.env == pictures.ENV:
+        return RoadChoice((run.run_id,), step)
+    shown, count = st.session_state.get(SEEN, (None, 0))
+    if shown != (run.run_id, step):
+        count += 1
+        st.session_state[SEEN] = ((run.run_id, step), count)
+    return ReplayChoice(run.run_id, step, 0, 0, WITHOUT_GHOST, played=count)

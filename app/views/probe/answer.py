@@ -1,0 +1,76 @@
+"""The answer on top of the page: who errs least where its policy goes, and if by more than noise.
+
+Out of sample where runs sat exams; else from the errors on the policy's newest transitions, which
+the models were fitted to.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import streamlit as st
+
+from app import text
+from app.data.buffer import Floats
+from app.data.called import names
+from app.data.readers import RunInfo
+from app.theme import learner_label
+from app.views.probe import exams, model_error
+
+ERRORS = 2.0
+"""standard errors beyond which a difference is more than noise"""
+
+
+def draw(runs: Sequence[RunInfo], left_out: Sequence[RunInfo]) -> None:
+    """The sentence, and which runs of the task have no part in this page's numbers."""
+    _, result = exams.examined(runs)
+    if result.ranked:
+        st.markdown(exams.verdict(result), help=exams.WHAT)
+    elif len(result.standings) > 1:
+        errors = {standing.name: standing.error for standing in result.standings}
+        st.markdown(f"{sentence(errors)} In the exams, out of sample.", help=exams.WHAT)
+    else:
+        policy, other = model_error.PAIRS["One step"]
+        errors = in_sample(model_error.focus_values(runs, policy, other))
+        st.markdown(f"{sentence(errors)} In sample: on transitions that the models were fitted to.")
+    if left_out:
+        called = names(left_out)
+        said = [f"{called[run.run_id]} ({run.status.env_step:,} steps)" for run in left_out]
+        st.caption(f"Left out, of another length: {text.markdown('; '.join(said))}.")
+
+
+def in_sample(values: Mapping[str, Sequence[tuple[str, float, float]]]) -> dict[str, Floats]:
+    """Errors (n,) on the policy's newest transitions; `values` as `focus_values` gives them."""
+    return {
+        learner_label(learner): np.array([policy for _, policy, _ in runs])
+        for learner, runs in values.items()
+    }
+
+
+def sentence(errors: Mapping[str, Floats]) -> str:
+    """Who errs least, by how much, n, and whether that is more than noise; errors (n,) by name."""
+    finite = {name: values[np.isfinite(values)] for name, values in errors.items()}
+    ranked = sorted((e for e in finite.items() if len(e[1])), key=lambda e: float(e[1].mean()))
+    if not ranked:
+        return "**Who errs least where its policy goes?** No run of this task has measured it."
+    (first, least), *rest = ranked
+    one = text.markdown(first)
+    if not rest:
+        return f"**{one} alone has measured its error where its policy goes**: {least.mean():.3g}."
+    second, more = rest[0]
+    less = 100 * (1 - least.mean() / more.mean()) if more.mean() else 0.0
+    return (
+        f"**Where its own policy goes, {one} errs least**: {least.mean():.3g}, {less:.0f} % less "
+        f"than {text.markdown(second)}, the next (n = {len(least)} and {len(more)}). "
+        f"{beyond_noise(least, more)}"
+    )
+
+
+def beyond_noise(least: Floats, more: Floats) -> str:
+    """Whether two means lie farther apart than their standard errors explain, in a sentence."""
+    if min(len(least), len(more)) < 2:
+        return "Whether that is more than noise one run cannot tell."
+    gap = float(more.mean() - least.mean())
+    error = float(np.sqrt(least.var(ddof=1) / len(least) + more.var(ddof=1) / len(more)))
+    said = "More than noise" if gap > ERRORS * error else "No more than noise"
+    few = ", though of few runs" if min(len(least), len(more)) < exams.RANKED else ""
+    return f"{said}{few}: the gap is {gap:.2g}, its standard error {error:.2g}."

@@ -1,0 +1,20 @@
+"""Runs that can be compared by length: one that was stopped early sets no scale."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from app.data.readers import RunInfo
+
+FACTOR = 2.0
+"""a run is like the others where it has between half and twice their median steps"""
+
+
+def of_like_length(runs: Sequence[RunInfo]) -> tuple[list[RunInfo], list[RunInfo]]:
+    """The runs whose length is like that of most, and the others."""
+    if not runs:
+        return [], []
+    usual = float(np.median([run.status.env_step for run in runs]))
+    like = [usual / FACTOR <= run.status.env_step <= usual * FACTOR for run in runs]
+    kept = [run for run, is_like in zip(runs, like, strict=True) if is_like]
+    return kept, [run for run, is_like in zip(runs, like, strict=True) if not is_like]

@@ -1,0 +1,171 @@
+"""The counterfactual brush: what if this region of the buffer had counted more or less?"""
+
+from collections.abc import Sequence
+from tempfile import NamedTemporaryFile
+
+import numpy as np
+import streamlit as st
+
+from app import session, text
+from app.data import brush, buffer_reader, pictures, readers, trainings, weighings
+from app.data.brush import Brushed
+from app.data.buffer import Rows
+from app.data.readers import RunInfo
+from app.data.regions import Mask
+from app.data.trainings import Started
+from app.figures.brush import NAMES, change, error_bars, factor_in_words
+from app.parts.plot import chart
+from app.scenes.film.ghosts import ghosts
+from tom.analysis.brush import FACTORS
+from tom.record.task_record import scene_of, task_of
+
+HEIGHT = 380
+KEY = "brush"
+BEGUN = "brush begun"
+
+
+def section(run: RunInfo, rows: Rows, mask: Mask) -> None:
+    """Start a brush of the region, and show earlier ones."""
+    if run.env == pictures.ENV:
+        return
+    made = weighings.of_run(run, buffer_reader.length(run))
+    regions = {one.name: one for one in brush.of_run(made)}
+    with st.container(border=True):
+        st.markdown("**What if this region counted more, or less?**")
+        _start(run, rows, mask, brush.base(run, rows, made))
+        _progress()
+        if not regions:
+            return
+        chosen = st.selectbox(
+            "Brushed", list(regions), key=KEY, bind="query-params",
+            help="newest first; its weights can be chosen above under Weights of, and compared on "
+            "Probe",
+        )  # fmt: skip
+        _shown(run, regions.get(chosen or "", next(iter(regions.values()))))
+
+
+def command(
+    run_id: str, rows: str, step: int, of: str, factors: Sequence[float], store: str
+) -> list[str]:
+    """The arguments of `tom` that brush the rows listed in a file."""
+    weights = ["--weighing", of] if of else []
+    by = [f"{factor:g}" for factor in factors]
+    return [
+        "brush", run_id, "--rows", rows, "--step", str(step), *weights, "--factors", *by,
+        "--store", store,
+    ]  # fmt: skip
+
+
+def _start(run: RunInfo, rows: Rows, mask: Mask, of: str | None) -> None:
+    count = int(mask.sum())
+    columns = st.columns([3, 2], vertical_alignment="bottom")
+    factors = columns[0].pills(
+        "Its weight is multiplied by", list(FACTORS), default=list(FACTORS), key="factors",
+        selection_mode="multi", format_func=factor_in_words,
+    )  # fmt: skip
+    if why := _why_not(count, len(rows), of):
+        st.caption(why)
+        return
+    if columns[1].button(
+        f"Fit small models: {count:,} transitions", key="brush it", disabled=not factors,
+        type="primary", width="stretch",
+    ):  # fmt: skip
+        with NamedTemporaryFile("w", prefix="tom-brush-", suffix=".txt", delete=False) as file:
+            np.savetxt(file, rows.first + np.flatnonzero(mask), fmt="%d")
+        step = rows.first + len(rows)
+        words = command(run.run_id, file.name, step, of or "", factors, session.links().store)
+        st.session_state[BEGUN] = trainings.start(words)
+
+
+def _why_not(count: int, of: int, base: str | None) -> str:
+    if why := session.looks_on():
+        return why
+    if not 0 < count < of:
+        return "Draw a region that holds some of the buffer, not all of it."
+    return "" if base is not None else "The file that these weights come from has changed."
+
+
+@st.fragment(run_every=1)
+def _progress() -> None:
+    """The progress of the fits, and a button that ends them."""
+    begun: Started | None = st.session_state.get(BEGUN)
+    if begun is None:
+        return
+    code = begun.process.poll()
+    if code is None:
+        said = begun.tail().splitlines()[-1:] or ["model 0 of 1: reading the buffer"]
+        columns = st.columns([5, 1], vertical_alignment="center")
+        columns[0].progress(_share(said[0]), text.markdown(said[0]))
+        if columns[1].button("Cancel", key="cancel brush"):
+            begun.process.terminate()
+            begun.process.wait()
+            del st.session_state[BEGUN]
+            st.rerun()
+        return
+    del st.session_state[BEGUN]
+    if code:
+        st.error(text.markdown(begun.tail()), icon=":material/error:")
+        return
+    st.session_state.pop(KEY, None)  # show the newest
+    st.rerun()
+
+
+def _share(said: str) -> float:
+    """`model 3 of 12: ...` -> the completed share."""
+    words = said.replace(":", "").split()
+    try:
+        return min(int(words[1]) / int(words[3]), 1.0)
+    except (IndexError, ValueError, ZeroDivisionError):
+        return 0.0
+
+
+def _shown(run: RunInfo, brushed: Brushed) -> None:
+    left, right = st.columns([1, 1])
+    with left:
+        st.markdown(f"**{brushed.rows:,} of {brushed.of:,} transitions, step {brushed.step:,}**")
+        figure = error_bars(brushed, HEIGHT)
+        chart(figure, "brush errors", "errors of brushed models by region")
+        st.caption(in_words(brushed))
+    with right:
+        kept = [f for f in brushed.factors if f"x{f:g}" in brushed.ghosts]
+        if not kept:
+            st.caption("No ghosts: no evaluation episode was kept.")
+            return
+        factor = st.segmented_control(
+            "Ghost of weight", kept, default=kept[0], required=True, key="ghost of",
+            format_func=factor_in_words,
+        )  # fmt: skip
+        factor = kept[0] if factor not in kept else factor
+        name = f"region {factor_in_words(factor)}"
+        own = readers.reader(run)
+        model = scene_of(own)
+        if model is None:
+            st.caption("No ghosts: there is no robot to draw.")
+            return
+        drawn = task_of(own), model
+        page = ghosts(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
+        st.iframe(page, height=HEIGHT)
+        st.caption(
+            "An evaluation episode, and what two models make of its actions, from the real state "
+            "every 20 steps; at a quarter of real time."
+        )
+
+
+def in_words(brushed: Brushed) -> str:
+    """The change of the models' errors, one sentence per factor."""
+    said = []
+    for factor in brushed.factors:
+        parts = []
+        for region, name in NAMES.items():
+            ratio = change(brushed, region, factor) if region in brushed.errors else np.array([])
+            ratio = ratio[np.isfinite(ratio)]
+            if not len(ratio):
+                continue
+            sure = (ratio > 1).all() or (ratio < 1).all()
+            parts.append(f"{name} {100 * (ratio.mean() - 1):+.0f} %{'' if sure else ' (not all)'}")
+        said.append(f"Weight {factor_in_words(factor)}: {', '.join(parts)}.")
+    size = f"{brushed.model['layers']} layers of {brushed.model['hidden']} units"
+    return text.markdown(
+        f"{' '.join(said)} Not all: the seeds do not agree on the sign. Models of {size}, errors "
+        "one step ahead against those by the weights as they are."
+    )

@@ -1,0 +1,65 @@
+"""A page's choices and its address say the same."""
+
+from streamlit.testing.v1 import AppTest
+
+PAGE = """
+import streamlit as st
+from app.parts import address
+
+first = address.one(st.selectbox, "First", ["a", "b"], "first", "a", str.upper)
+if first == "b":
+    address.many("Then", ["x", "y", "z"], "then", usual=["x"])
+address.switch("On", "on", usual=True)
+address.words("Words", "words")
+st.session_state["seen"] = address.held("own", list)
+address.keep("own", st.session_state["own"])
+address.write()
+"""
+
+
+def page(**query: str | list[str]) -> AppTest:
+    app = AppTest.from_string(PAGE)
+    for name, value in query.items():
+        app.query_params[name] = value
+    return app.run()
+
+
+def address(app: AppTest) -> dict[str, list[str]]:
+    given = app.query_params.items()
+    return {name: [words] if isinstance(words, str) else words for name, words in given}
+
+
+def test_an_address_is_what_the_page_shows() -> None:
+    app = page(first="B", then=["z", "y", "gone"], on="false", words="hi", own="1~2", other="kept")
+    assert not app.exception
+    assert (app.selectbox[0].value, app.multiselect[0].value) == ("b", ["z", "y"])
+    assert (app.toggle[0].value, app.text_input[0].value) == (False, "hi")
+    assert app.session_state["seen"] == ["1~2"]
+    assert address(app) == {
+        "first": ["b"],
+        "then": ["z", "y"],
+        "on": ["false"],
+        "words": ["hi"],
+        "own": ["1~2"],
+        "other": ["kept"],
+    }
+
+
+def test_the_usual_is_not_in_the_address_and_what_makes_no_sense_is_taken_out() -> None:
+    app = page(first="nonsense", on="true")
+    assert app.selectbox[0].value == "a"
+    assert address(app) == {}
+    app.selectbox[0].select("b").run()
+    assert app.multiselect[0].value == ["x"]
+    assert address(app) == {"first": ["b"]}
+
+
+def test_a_choice_that_is_no_longer_there_leaves_the_address() -> None:
+    app = page(first="b", then="y")
+    app.toggle[0].set_value(False).run()
+    assert address(app) == {"first": ["b"], "then": ["y"], "on": ["false"]}
+    app.selectbox[0].select("a").run()
+    assert address(app) == {"on": ["false"]}
+    app.selectbox[0].select("b").run()
+    assert app.multiselect[0].value == ["x"]
+    assert not app.exception

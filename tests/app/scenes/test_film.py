@@ -1,0 +1,133 @@
+"""Attention cinema: the story is what the run recorded, and its page needs nothing else."""
+
+import base64
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studio_pages import draw
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+
+from app.data import readers
+from app.scenes.film import robots
+from app.scenes.film.ghosts import ghosts
+from app.scenes.film.page import cinema
+from app.scenes.film.story import may_be_told, story
+from app.servers.cinema import opened, video
+from app.servers.mp4 import Sample, mp4
+from tom.envs import task
+from tom.envs.scene import model
+from tom.errors import UserError
+from tom.record.reader import RunReader
+
+
+def numbers(text: str, kind: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), kind)
+
+
+def test_a_story_is_what_the_run_recorded(store: Path) -> None:
+    run = info(store, PENDULUM_TOM)
+    told, profiles = story(run), readers.profiles(run)
+    assert told["steps"] == profiles.env_step.tolist()
+    assert told["count"] == profiles.count.tolist()
+    weights = numbers(told["weights"], "<f4").reshape(len(told["steps"]), told["bins"])
+    assert np.exp2(weights) == pytest.approx(np.maximum(profiles.bins, 2.0**-9), rel=1e-5)
+    rows = numbers(told["cloud"]["row"], "<i4")
+    assert rows[0] == 0
+    assert rows[-1] == told["steps"][-1] - 1
+    assert len(numbers(told["cloud"]["x"], "<f4")) == len(rows)
+    kept = RunReader(store / PENDULUM_TOM).evaluation_steps()
+    assert {episode["step"] for episode in told["policy"]} <= set(kept)
+
+
+def test_robots_stand_on_the_floor_as_the_simulator_has_them() -> None:
+    found = robots.body(model("hopper"), np.array([[0, 1.25, 0, 0, 0, 0]], np.float32))
+    lowest = (found.ends[0, ..., 2] - found.radius[:, None]).min()
+    highest = (found.ends[0, ..., 2] + found.radius[:, None]).max()
+    assert lowest == pytest.approx(0, abs=110)  # millimetres
+    assert 1200 < highest < 1700
+    text = found.plain()["ends"]
+    assert numbers(text, "<i2").tolist() == found.ends.ravel().tolist()
+
+
+def test_the_page_asks_nobody_for_anything(store: Path) -> None:
+    run = info(store, PENDULUM_TOM)
+    told = {**story(run), "title": "</script><img src=x onerror=alert(1)>"}
+    page = cinema(told, run.learner, "dark")
+    assert "default-src 'none'" in page
+    assert not re.search(r"(?:src|href)=[\"']?(?:https?:)?//", page)
+    assert page.count("</script>") == 1
+    assert "<img" not in page
+
+
+def test_road_and_rocks_and_runs_without_a_buffer_have_no_story(store: Path) -> None:
+    assert not may_be_told(info(store, ROAD_TOM))
+    with pytest.raises(UserError, match="road-and-rocks"):
+        story(info(store, ROAD_TOM))
+
+
+def test_ghosts_stand_beside_the_episode() -> None:
+    qpos = np.zeros((5, 6), np.float32)
+    qpos[:, 1] = 1.25
+    kept = {"real": qpos, "x1": qpos, "x0": qpos, "dt": np.array(0.008)}
+    page = ghosts((task("hopper"), model("hopper")), kept, 0.0, "region x 0", "tom", "light")
+    assert page.count('"name":') == 3
+    assert "region x 0" in page
+
+
+def test_an_mp4_says_where_its_pictures_lie() -> None:
+    samples = [Sample(b"one", True), Sample(b"second", False), Sample(b"3", True)]
+    made = mp4(samples, b"\x01avcC", (320, 180), 30)
+    at = made.index(b"stco")
+    offset = int.from_bytes(made[at + 12 : at + 16], "big")
+    assert made[offset:] == b"onesecond3"
+    assert made[4:8] == b"ftyp"
+    at = made.index(b"stsz")
+    assert [int.from_bytes(made[at + 16 + 4 * i : at + 20 + 4 * i], "big") for i in range(3)] == [
+        3,
+        6,
+        1,
+    ]
+    at = made.index(b"stss")
+    assert [int.from_bytes(made[at + 12 + 4 * i : at + 16 + 4 * i], "big") for i in range(2)] == [
+        1,
+        3,
+    ]
+
+
+@pytest.mark.usefixtures("studio")
+def test_the_page_offers_the_film() -> None:
+    app = draw("cinema", run=PENDULUM_TOM, length="30 s")
+    assert any("at half speed" in caption.value for caption in app.caption)
+    assert "--cinema" in app.code[0].value
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium")
+def test_the_film_plays_without_a_server_and_becomes_an_mp4(store: Path) -> None:
+    run = info(store, PENDULUM_TOM)
+    page = cinema(story(run), run.learner, "light", 20.0)
+    with opened(page) as tab:
+        asked: list[str] = []
+        tab.on("request", lambda request: asked.append(request.url))
+        first, last = (tab.evaluate(PICTURE, seconds) for seconds in (0, 20))
+        assert first != last
+        made = base64.b64encode(video(tab, 20.0, 0.5)).decode()
+        assert not asked
+        tab.goto("about:blank")
+        seen = tab.evaluate(LOADED, made)
+    assert seen["duration"] == pytest.approx(0.5, abs=0.01)
+    assert (seen["width"], seen["height"]) == (1280, 720)
+
+
+PICTURE = "(seconds) => { film.draw(seconds); return document.querySelector('canvas').toDataURL() }"
+LOADED = """(made) => new Promise((resolve, reject) => {
+  const video = document.createElement("video");
+  video.onloadeddata = () => resolve({
+    duration: video.duration, width: video.videoWidth, height: video.videoHeight,
+  });
+  video.onerror = () => reject(new Error(video.error.message));
+  video.src = `data:video/mp4;base64,${made}`;
+})"""

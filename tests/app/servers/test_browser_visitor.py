@@ -1,0 +1,229 @@
+"""What a visitor comes for, done in a real browser from the first click to the last."""
+
+import io
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from PIL import Image
+from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
+from test_browser import DRAWN_S, Visit, wait_until_drawn
+
+from app.data import trainings
+from app.links import Links
+from app.servers.browser import chromium
+from app.servers.launcher import Studio, servers
+from tom.record import manage
+from tom.record.store import Store
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Locator, Page
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium"),
+]
+
+
+@pytest.fixture(scope="module")
+def own_store(tmp_path_factory: pytest.TempPathFactory, store: Path) -> Path:
+    """A copy of the recorded runs that the visitors may change."""
+    path = tmp_path_factory.mktemp("visitor") / "store"
+    shutil.copytree(store, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def opened(own_store: Path) -> Iterator[tuple[Links, "Browser"]]:
+    with servers(Studio(store=own_store), Event()) as (links, running), chromium() as browser:
+        assert running
+        yield links, browser
+
+
+@pytest.fixture
+def visitor(opened: tuple[Links, "Browser"]) -> Iterator[Visit]:
+    """A tab of their own, in which nothing may fail and which asks only this machine."""
+    links, browser = opened
+    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page.set_default_timeout(1000 * DRAWN_S)
+    visit = Visit(page, links)
+    yield visit
+    page.close()
+    assert visit.errors == []
+
+
+@pytest.fixture
+def no_training_left(own_store: Path) -> Iterator[None]:
+    yield
+    for run in Store(own_store).runs():
+        if run.status.alive:
+            trainings.stop(Store(own_store), run.run_id)
+
+
+def choose(page: "Page", label: str, option: str) -> None:
+    """Take an option of a select box or multiselect, again if the click fell into a redraw."""
+    from playwright.sync_api import TimeoutError
+
+    for _ in range(4):
+        page.get_by_role("combobox", name=label).first.click()
+        try:
+            page.get_by_role("option", name=option, exact=True).first.click(timeout=10_000)
+            return
+        except TimeoutError:
+            page.keyboard.press("Escape")
+    pytest.fail(f"{option} of {label} could not be taken")
+
+
+def click_in(chart: "Locator", x: float, y: float) -> None:
+    """A click at a share of a chart's width and height, from its top left corner."""
+    frame = chart.locator(".nsewdrag").first.bounding_box()
+    assert frame is not None
+    chart.page.mouse.click(frame["x"] + x * frame["width"], frame["y"] + y * frame["height"])
+
+
+def until(page: "Page", holds, what: str) -> None:
+    """Wait until something holds that no element of the page tells."""
+    deadline = time.monotonic() + DRAWN_S
+    while not holds():
+        assert time.monotonic() < deadline, what
+        page.wait_for_timeout(200)
+
+
+def picture(element: "Locator") -> np.ndarray:
+    """The pixels of an element: (height, width, 3)."""
+    return np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("RGB"))
+
+
+@pytest.mark.usefixtures("no_training_left")
+def test_starts_a_training_watches_it_and_stops_it(visitor: Visit, own_store: Path) -> None:
+    before = {run.run_id for run in Store(own_store).runs()}
+    page = visitor.page
+    page.goto(visitor.links.opened())
+    page.get_by_text("Nothing is training now").wait_for()
+    page.get_by_text("Start a training").click()
+    choose(page, "Environment", "inverted-pendulum")
+    choose(page, "Preset", "smoke")
+    steps = page.get_by_role("spinbutton", name="Steps")
+    until(page, lambda: steps.count() == 1 and steps.input_value() == "600", "not the preset's")
+    steps.fill("50000")
+    steps.press("Enter")
+    page.locator("code", has_text="--steps=50000").wait_for()
+    page.get_by_role("button", name="Start", exact=True).click()
+    page.get_by_text("1 training now").wait_for()
+    [run] = [run for run in Store(own_store).runs() if run.run_id not in before]
+    until(page, lambda: run.evaluation_steps(), "the training was never evaluated")
+    page.get_by_role("button", name="Stop", exact=True).click()
+    page.locator("code", has_text=f"tom train --resume {run.run_id}").wait_for()
+    page.get_by_role("button", name="Stop this training").click()
+    page.get_by_text("Nothing is training now").wait_for()
+    assert run.status.shown == "stopped"
+    assert 0 < run.status.env_step < 50_000
+    assert (run.path / "checkpoint").is_dir()
+
+
+def test_plays_through_the_fits_of_a_run(visitor: Visit, own_store: Path) -> None:
+    page = visitor.page
+    page.goto(visitor.links.opened(f"weights?run={PENDULUM_TOM}"))
+    steps = Store(own_store).run(PENDULUM_TOM).profiles().env_step
+    page.get_by_text(f"The fit at step {steps[-1]:,}").wait_for()
+    page.get_by_role("button", name="Play", exact=False).first.click()
+    page.get_by_text(f"The fit at step {steps[0]:,}").wait_for()
+    page.get_by_text(f"The fit at step {steps[-1]:,}").wait_for()
+    page.get_by_role("button", name="Play", exact=False).first.wait_for()  # it has stopped
+
+
+def test_weighs_a_buffer_and_reads_the_profiles(visitor: Visit) -> None:
+    page = visitor.page
+    page.goto(visitor.links.opened(f"probe?run={PENDULUM_TOM}"))
+    page.get_by_text("Nobody has weighed this buffer yet").wait_for()
+    page.get_by_role("button", name="Weigh", exact=True).click()
+    page.get_by_text("What the weights come to").wait_for()
+    names = "plot => plot.data.map(trace => trace.name || '').join()"
+    drawn = page.locator(".js-plotly-plot").first.evaluate(names)
+    assert all(learner in drawn for learner in ("TOM", "PMAC", "MLE"))
+
+
+def test_sees_the_replay_of_a_point_of_a_curve(visitor: Visit) -> None:
+    page = visitor.page
+    page.goto(visitor.links.opened("compare?env=inverted-pendulum&singles=false"))
+    chart = page.locator(".js-plotly-plot").first
+    chart.locator(".nsewdrag").first.wait_for()
+    place = """plot => {
+        const trace = plot.calcdata.findLast(points => points[0].trace.mode?.includes('lines')
+            && points.length > 1 && points.at(-1).x);
+        const {xaxis, yaxis} = plot._fullLayout, point = trace.at(-1);
+        return [(xaxis.l2p(point.x)) / xaxis._length, yaxis.l2p(point.y) / yaxis._length];
+    }"""
+    click_in(chart, *chart.evaluate(place))
+    link = page.get_by_role("link", name="Replay of")
+    link.wait_for()
+    wait_until_drawn(page.locator("iframe").first, 0.001)
+    with page.context.expect_page() as tab:
+        link.click()
+    tab.value.get_by_text("Reward of each step").wait_for()
+    tab.value.close()
+
+
+def test_sets_two_roads_side_by_side(visitor: Visit) -> None:
+    page = visitor.page
+    page.goto(visitor.links.opened(f"road?run={ROAD_TOM}"))
+    page.get_by_label("Side by side with").first.wait_for()
+    choose(page, "Side by side with", "Road and rocks · MLE · seed 0")
+    page.wait_for_url(f"**/road?*beside={ROAD_MLE}*")
+    maps = page.locator(".js-plotly-plot:has(.heatmaplayer)")
+    maps.nth(1).wait_for()
+    scale = """plot => {
+        const {coloraxis} = plot._fullLayout, {trace} = plot.calcdata[0][0];
+        return [coloraxis?.cmin ?? trace.zmin, coloraxis?.cmax ?? trace.zmax];
+    }"""
+    scales = [chart.evaluate(scale) for chart in maps.all()]
+    assert len(scales) == 2
+    assert scales[0] == scales[1]
+    wait_until_drawn(page.locator("iframe").first, 0.03)
+
+
+def test_labels_a_run_and_moves_it_to_the_trash_and_back(visitor: Visit, own_store: Path) -> None:
+    page, store = visitor.page, Store(own_store)
+    page.goto(visitor.links.opened("compare?show=Runs"))
+    choose(page, "Runs to label or to move to the trash", "pendulum-tom-1")
+    page.get_by_label("Name", exact=True).fill("the steady one")
+    page.get_by_role("button", name="Save").click()
+    until(page, lambda: store.run("pendulum-tom-1").labels.name, "no name was kept")
+    assert store.run("pendulum-tom-1").labels.name == "the steady one"
+    page.get_by_role("button", name="Move it to the trash").click()
+    page.get_by_role("button", name="Yes, move it").click()
+    page.get_by_text("1 in the trash").click()
+    assert manage.trashed(store) == ["pendulum-tom-1"]
+    choose(page, "Runs to bring back", "pendulum-tom-1")
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Bring back").click()
+    page.get_by_text("1 in the trash").wait_for(state="detached")
+    assert store.run("pendulum-tom-1").labels.name == "the steady one"
+
+
+def test_takes_a_cinema_home(
+    visitor: Visit, opened: tuple[Links, "Browser"], tmp_path: Path
+) -> None:
+    page = visitor.page
+    page.goto(visitor.links.opened(f"cinema?run={PENDULUM_TOM}"))
+    with page.expect_download() as download:
+        page.get_by_role("button", name="One HTML file").click()
+    film = tmp_path / "film.html"
+    download.value.save_as(film)
+    context = opened[1].new_context(offline=True)
+    home = context.new_page()
+    failures: list[str] = []
+    home.on("pageerror", lambda error: failures.append(str(error)))
+    home.on("request", lambda asked: failures.extend([asked.url] * asked.url.startswith("http")))
+    home.goto(film.as_uri())
+    first = picture(home.locator("canvas"))
+    assert (first != first[0, 0]).any(axis=-1).mean() > 0.02  # more than a background
+    home.locator("button").click()
+    until(home, lambda: (picture(home.locator("canvas")) != first).any(), "the film stands still")
+    assert failures == []
+    context.close()

@@ -1,0 +1,71 @@
+"""The Compare page and `tom reproduce returns` say the same of the gallery's runs."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import streamlit as st
+from studio_pages import draw
+
+from app.links import Links
+from tom.analysis.scores import BEST
+from tom.record import Store
+from tom.studies import returns as study
+
+RUNS = Path(__file__).parents[2] / "runs"
+GALLERY = study.select(
+    [run for run in Store(RUNS).runs() if run.small_copy and run.fits_model], "paper"
+)[0]
+ENVS = list(dict.fromkeys(cell.env for cell in GALLERY))
+
+
+LARGE = ("buffer", "checkpoint", "episodes", "model", "policies", "weights", "*.rrd")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The runs that the report takes, alone, without what no return is read from."""
+    path = tmp_path_factory.mktemp("gallery")
+    for run in (run for cell in GALLERY for run in cell.runs):
+        shutil.copytree(run.path, path / run.run_id, ignore=shutil.ignore_patterns(*LARGE))
+    return path
+
+
+@pytest.fixture(autouse=True)
+def shown(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    for name, value in Links(store=str(store), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    yield
+    st.cache_data.clear()
+    st.cache_resource.clear()
+
+
+def reported(env: str) -> dict[str, dict]:
+    return {row["learner"]: row for row in study.summary(GALLERY) if row["env"] == env}
+
+
+@pytest.mark.parametrize("env", ENVS)
+def test_the_table_of_curves_is_the_report_s(env: str) -> None:
+    table = draw("compare", env=env).dataframe[0].value.set_index("learner")
+    rows = reported(env)
+    assert set(table.index) == set(rows)
+    for learner, row in rows.items():
+        on_page = table.loc[learner]
+        assert (on_page["n"], on_page["steps"]) == (row["n"], row["at step"])
+        assert on_page["best"] == row["mean"]
+        assert on_page["best, 95 %"] == f"{row['low']:,.4g} to {row['high']:,.4g}"
+
+
+@pytest.mark.parametrize("env", ENVS)
+def test_the_statistics_are_the_report_s(env: str) -> None:
+    query = {"show": "Statistics", "env": env, "task": env, "score": BEST}
+    table = draw("compare", **query).dataframe[0].value.set_index("group")
+    rows = reported(env)
+    assert set(table.index) == set(rows)
+    for learner, row in rows.items():
+        on_page = table.loc[learner]
+        assert on_page["n"] == row["n"]
+        assert on_page["mean"] == f"{row['mean']:.4g} [{row['low']:.4g}, {row['high']:.4g}]"
+        assert on_page["median"].split()[0] == f"{row['median']:.4g}"
+        assert on_page["iqm"].split()[0] == f"{row['IQM']:.4g}"

@@ -1,0 +1,93 @@
+"""The counterfactual brush: what the page shows is what `tom brush` measured."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studio_pages import array, draw, figures
+from studio_runs import PENDULUM_TOM, info
+
+from app.data import brush, buffer_reader, weighings
+from app.links import Links
+from app.views.regions.brush import command
+from tom.cli import main
+from tom.record.array_files import read_table
+from tom.record.reader import RunReader
+
+FIT = 300
+
+
+@pytest.fixture(scope="module")
+def made(store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A real brush of the pendulum's newest rows."""
+    folder = tmp_path_factory.mktemp("brush")
+    rows = folder / "rows.txt"
+    rows.write_text("\n".join(map(str, range(150, 300))))
+    words = command(PENDULUM_TOM, str(rows), FIT, "", (0, 4), str(store))
+    words += ["--seeds", "0", "1", "--out", str(folder / "made")]
+    assert main(words) == 0
+    return folder / "made"
+
+
+@pytest.fixture
+def brushed(
+    studio: Links, store: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """The studio shows a store with that brush."""
+    there = tmp_path / "store"
+    shutil.copytree(store, there, copy_function=os.link)
+    shutil.copytree(made, there / "weighings" / "made")
+    for name, value in Links(store=str(there), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    return there
+
+
+def test_a_brush_is_a_weighing_whose_region_is_multiplied(made: Path, store: Path) -> None:
+    table = read_table(made / "weights.parquet")
+    own = RunReader(store / PENDULUM_TOM).snapshot(FIT)["weight"].to_numpy()
+    region = table["region"].to_numpy()
+    assert region.tolist() == [False] * 150 + [True] * 150
+    more = own * np.where(region, 4, 1)
+    assert table["region x 4-s0"].to_numpy() == pytest.approx(more / more.mean(), abs=1e-5)
+    assert (table["region x 0-s0"].to_numpy()[region] == 0).all()
+
+
+def test_the_page_shows_what_was_measured(brushed: Path) -> None:
+    run = info(brushed, PENDULUM_TOM)
+    (found,) = brush.of_run(weighings.of_run(run, 400))
+    report = json.loads((brushed / "weighings/made/report.json").read_text())
+    of = {(r["factor"], r["seed"]): r["errors"] for r in report["results"]}
+    ratio = np.mean([of[4, s]["rest"] / of[1, s]["rest"] for s in (0, 1)])
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    bars = [f for f in figures(app) if len(f["data"]) == 2 and f["data"][0]["type"] == "bar"]
+    assert array(bars[0]["data"][1]["y"])[1] + 1 == pytest.approx(ratio)
+    assert found.factors == [0, 4]
+    assert found.ghosts["real"].shape == found.ghosts["x4"].shape
+    assert "region x 4 s0, made" in app.selectbox(key="weights").options
+
+
+def test_weights_are_known_by_the_file_that_holds_them(brushed: Path) -> None:
+    run = info(brushed, PENDULUM_TOM)
+    (weighing,) = weighings.of_run(run, 400)
+    own = buffer_reader.rows(run, FIT)
+    weight = weighings.weights(weighing)["region x 4", 0]
+    other = buffer_reader.weighed_rows(run, weight, FIT)
+    assert own is not None
+    assert other is not None
+    assert brush.base(run, own, [weighing]) == ""
+    assert brush.base(run, other, [weighing]) == f"{weighing.path}:region x 4-s0"
+    assert brush.base(run, other, []) is None
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"), [("", "--rows"), ("1 two", "--rows"), ("300", "0 to 299")]
+)
+def test_rows_that_are_none_are_one_line(
+    rows: str, said: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "rows").write_text(rows)
+    assert main(command(PENDULUM_TOM, str(tmp_path / "rows"), FIT, "", (0,), str(store))) == 2
+    assert said in capsys.readouterr().err

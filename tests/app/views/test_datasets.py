@@ -1,0 +1,142 @@
+"""Data that no run collected, in a store that holds nothing else: Probe and Regions show it."""
+
+import shlex
+import shutil
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import streamlit as st
+import torch
+from streamlit.testing.v1 import AppTest
+from studio_pages import TIMEOUT_S, array, draw, figures
+
+from app.data import datasets
+from app.links import Links
+from app.scenes.states_frame import whose_rows
+from tom.cli import main
+from tom.envs import task
+from tom.errors import UserError
+from tom.policy.collect import footprint
+from tom.policy.stored import UniformPolicy
+from tom.record.files import read_json
+
+ENV = "inverted-pendulum"
+N = 300
+
+
+@pytest.fixture(scope="module")
+def weighed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with two weighings of one file, and one of another."""
+    folder = tmp_path_factory.mktemp("own")
+    for seed, name in enumerate(("my buffer", "other")):
+        generator = torch.Generator().manual_seed(seed)
+        rows = footprint(task(ENV), UniformPolicy(4, 1), N, seed, generator).transitions
+        columns = {field.name: np.asarray(getattr(rows, field.name)) for field in fields(rows)}
+        np.savez(folder / f"{name}.npz", allow_pickle=False, **columns)
+    words = ["--policy", "random", "--env", ENV, "--footprint", "50", "--learner", "pmac", "mle"]
+    for name, out in (("other", "third"), ("my buffer", "first"), ("my buffer", "second")):
+        made = ["--out", str(folder / "store/weighings" / out), "--store", str(folder / "store")]
+        assert main(["weigh", str(folder / f"{name}.npz"), *words, *made]) == 0
+    return folder / "store"
+
+
+@pytest.fixture(autouse=True)
+def studio(weighed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    for name, value in Links(store=str(weighed), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    yield
+    st.cache_data.clear()
+
+
+def named(weighed: Path, start: str) -> str:
+    return next(i.run_id for i in datasets.listing(str(weighed)) if i.run_id.startswith(start))
+
+
+def test_rows_that_were_weighed_twice_are_one_data_set(weighed: Path):
+    found = datasets.listing(str(weighed))
+    assert [one.run_id.rpartition("-")[0] for one in found] == ["my buffer", "other"]
+    assert [Path(one.path).name for one in found] == ["second", "third"]
+    assert [path.name for path in datasets.weighings(found[0])] == ["first", "second"]
+
+
+def test_probe_shows_each_learners_weights(weighed: Path):
+    app = draw("probe", run=named(weighed, "my buffer"), weighed="first")
+    assert app.selectbox[0].options == [named(weighed, name) for name in ("my buffer", "other")]
+    names = [line.get("name") for line in figures(app)[0]["data"]]
+    assert "PMAC (3 seeds)" in names
+    assert any(code.value.split()[0] == "tom" for code in app.code)
+    assert "weigh" not in [button.key for button in app.button]
+
+
+def test_the_command_on_the_page_weighs_the_same_rows_again(
+    weighed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    app = draw("probe", run=named(weighed, "my buffer"))
+    words = shlex.split(next(code.value for code in app.code if "/weighings/" in code.value))
+    monkeypatch.chdir(tmp_path)  # where no file of the user's lies
+    assert main([*words[1:], "--footprint", "50", "--out", "again"]) == 0
+    (before, _) = datasets.weighings(datasets.find(str(weighed), named(weighed, "my buffer")))
+    old, new = read_json(before / "report.json"), read_json(tmp_path / "again" / "report.json")
+    same = ("data", "rows_digest", "env", "policy", "preset", "rows")
+    assert [new[name] for name in same] == [old[name] for name in same]
+    assert new["medians"] == old["medians"]
+
+
+def test_a_store_without_anything_says_how_own_data_comes_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    for name, value in Links(store=str(tmp_path), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    app = draw("probe")
+    assert any(code.value.startswith("tom weigh DATA --policy POLICY") for code in app.code)
+    assert any(".npz or Parquet" in caption.value for caption in app.caption)
+
+
+def test_regions_counts_the_rows_of_the_file(weighed: Path):
+    learner = "PMAC s0, first"
+    app = draw("regions", run=named(weighed, "my buffer"), weights=learner, region="everything")
+    assert learner in app.selectbox(key="weights").options
+    table = app.dataframe[0].value.set_index("")
+    assert table.loc["transitions", "buffer"] == str(N)
+    (points,) = figures(app)[0]["data"][:1]
+    assert len(array(points["x"])) == N
+
+
+def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, monkeypatch):
+    shutil.copytree(weighed, tmp_path / "store")
+    for path in (tmp_path / "store").rglob("weights.parquet"):
+        path.write_bytes(b"no parquet")
+    for name, value in Links(store=str(tmp_path / "store"), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    assert "cannot be read" in draw("regions").warning[0].value
+    assert "cannot be read" in draw("probe").warning[0].value
+
+
+@pytest.mark.parametrize("view", ["live", "compare", "weights", "replays", "road", "studies"])
+def test_pages_of_runs_do_without_any(view: str):
+    script = f"from app.router import draw\nfrom app.views import {view}\ndraw({view}.page)"
+    app = AppTest.from_string(script, default_timeout=TIMEOUT_S).run()
+    assert not app.exception, app.exception[0].message
+
+
+def test_the_3d_scene_finds_the_rows(weighed: Path):
+    run = whose_rows(str(weighed), named(weighed, "my buffer"))
+    assert (run.path.name, run.env) == ("second", ENV)
+    assert len(run.buffer()[0]) == N
+    with pytest.raises(UserError, match="no data set"):
+        whose_rows(str(weighed), "my buffer-00000000")
+
+
+def test_a_link_to_elsewhere_is_no_data_set(weighed: Path, tmp_path: Path):
+    (tmp_path / "weighings").mkdir()
+    (tmp_path / "weighings" / "link").symlink_to(weighed / "weighings" / "first")
+    assert datasets.listing(str(tmp_path)) == ()
+
+
+def test_the_rows_of_a_weighing_are_whole(weighed: Path):
+    table = pq.read_table(weighed / "weighings" / "first" / "weights.parquet")
+    assert table.num_rows == N

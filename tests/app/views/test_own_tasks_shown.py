@@ -1,0 +1,124 @@
+"""Runs in tasks that are not ours on the pages: robots from their own geometry, else curves."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studio_pages import array, draw, figures
+
+from app.data import readers, replays
+from app.data.readers import RunInfo
+from app.links import Links
+from app.scenes import states
+from app.scenes.control import ReplayChoice, StatesChoice
+from app.scenes.replay import track
+from app.views.regions import buffer_reader
+from tom.record import Store, layout
+from tom.record.reader import RunReader
+from tom.record.task_record import scene_of, task_of
+from tom.training.presets import resolve
+from tom.training.run import train
+
+MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
+PENDULUM = "Pendulum-v1"
+SMALL = {"steps": 320, "evaluation": {"every": 160, "episodes": 1}, "matmul": "default"}
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in each task; the first one's under the name of a module that is not there."""
+    path = tmp_path_factory.mktemp("own")
+    for gym_id in (*MUJOCO, PENDULUM):
+        config = resolve(f"gymnasium:{gym_id}", "mle", "smoke", SMALL)
+        train(config, Store(path), gym_id)
+    for gym_id in ("Swimmer-v5", PENDULUM):
+        shutil.copytree(path / gym_id, path / f"absent-{gym_id}")
+        file = path / f"absent-{gym_id}" / layout.CONFIG
+        content = json.loads(file.read_text())
+        absent = f"absent_module:{gym_id}"
+        content["env"] = content["config"]["env"] = absent
+        file.write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture
+def shown(own: Path, studio: Links, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name, value in Links(store=str(own), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    return own
+
+
+def info(store: Path, run_id: str) -> RunInfo:
+    return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
+
+
+@pytest.mark.parametrize("run_id", [*MUJOCO, "absent-Swimmer-v5"])
+def test_a_robot_is_drawn_from_the_run_folder_alone(shown: Path, run_id: str):
+    run = RunReader(shown / run_id)
+    replay = replays.load(run, 320, 0, 10)
+    assert replay is not None
+    assert replay.drawn
+    assert replay.imagined is not None
+    assert (replay.ghost is not None) == run_id.endswith("Swimmer-v5")
+    driven = track(replay.model, replay.real)
+    assert np.isfinite(driven.solids.position).all()
+    assert np.ptp(driven.solids.position, axis=0).max() > 1e-3  # it moves
+    app = draw("replays", run=run_id)
+    assert not any("observations of the episode" in str(part) for part in app.main)
+    assert "absent_module" not in sys.modules
+    recorded = replays.recording(run, 320, 0, 10)
+    assert recorded is not None
+    assert len(recorded) > 1000
+    assert (shown / run_id / "run.rrd").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("run_id", [*MUJOCO, "absent-Swimmer-v5"])
+def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
+    run = RunReader(shown / run_id)
+    recorded, model = run.buffer()[0], scene_of(run)
+    assert model is not None
+    assert buffer_reader.drawn(info(shown, run_id))
+    ended = np.zeros(len(recorded), bool)
+    rows = buffer_reader.windows(ended, [20, 120])
+    qpos = states.poses(task_of(run), recorded, run.buffer_state(), rows)
+    group, height = states.group(model, qpos)
+    assert group.count == 2
+    assert np.isfinite(height)
+    assert np.abs(group.frame(0)[0] - group.frame(24)[0]).max() > 1e-4
+    assert figures(draw("regions", run=run_id))
+
+
+@pytest.mark.parametrize("run_id", [PENDULUM, f"absent-{PENDULUM}"])
+def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id: str):
+    run = RunReader(shown / run_id)
+    replay = replays.load(run, 320, 0, 10)
+    assert replay is not None
+    assert not replay.drawn
+    assert replay.dt == 0.05
+    app = draw("replays", run=run_id, step="320", episode="1")
+    assert not app.get("iframe")
+    curves = next(f for f in figures(app) if len(f["data"]) == 6)  # three dimensions, twice
+    assert array(curves["data"][0]["y"]) == pytest.approx(replay.episode.obs[:, 0])
+    assert replays.recording(run, 320, 0, 10) is not None
+    regions = draw("regions", run=run_id)
+    assert not regions.get("iframe")
+    moments = figures(regions)[-1]["data"]  # three dimensions of the heaviest and the lightest
+    assert len(moments) >= 3 * 10
+    assert len(array(moments[0]["y"])) == 25
+    assert "absent_module" not in sys.modules
+
+
+def test_choices_of_scenes_travel(shown: Path):
+    assert ReplayChoice("a", 1, 0, 0, 1) != StatesChoice("a", (1,), (), (1.0,), ())
+
+
+def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):
+    app = draw("probe", run="absent-Swimmer-v5")
+    (typed,) = (code.value for code in app.code if code.value.startswith("tom weigh absent"))
+    assert "--env absent_module:Swimmer-v5" in typed
+    assert "weigh" not in [button.key for button in app.button]
+    assert "weigh" in [button.key for button in draw("probe", run="Swimmer-v5").button]
+    assert "absent_module" not in sys.modules

@@ -1,0 +1,110 @@
+"""Why this weight: the page's sum is the weight that is recorded."""
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import streamlit as st
+from studio_pages import array, draw, figures, trace
+from studio_runs import PENDULUM_TOM, info
+
+from app.data import buffer_reader, weighings, why
+from app.data.buffer import Rows
+from app.data.regions import Plane
+from app.links import Links
+from app.parts.plot import Point
+from app.parts.why import clicked
+from tom.cli import main
+from tom.record.reader import RunReader
+
+FIT = 300
+
+
+@pytest.fixture
+def weighed(studio: Links, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A store with a weighing of the pendulum at a fit whose policy was kept."""
+    there = tmp_path / "store"
+    shutil.copytree(store, there, copy_function=os.link)
+    step = RunReader(there / PENDULUM_TOM).policy_steps()[-1]
+    words = [
+        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--step", str(step), "--learner", "tom",
+        "--seeds", "0", "--footprint", "100", "--store", str(there), "--matmul", "default",
+    ]  # fmt: skip
+    assert main(words) == 0
+    for name, value in Links(store=str(there), key="key").environment().items():
+        monkeypatch.setenv(name, value)
+    return there
+
+
+def own_rows(store: Path) -> Rows:
+    found = buffer_reader.rows(info(store, PENDULUM_TOM), FIT)
+    assert found is not None
+    return found
+
+
+def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
+    rows = own_rows(store)
+    found = why.source(info(store, PENDULUM_TOM), rows, [])
+    assert isinstance(found, why.Source)
+    assert found.step == FIT
+    for row in range(0, FIT, 17):
+        assert found.sum_of(row).weight == pytest.approx(rows.weight[row], abs=1e-5)
+
+
+def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
+    run = info(weighed, PENDULUM_TOM)
+    (made,) = weighings.of_run(run, 400)
+    (weight,) = weighings.weights(made).values()
+    rows = buffer_reader.weighed_rows(run, weight, made.end)
+    assert rows is not None
+    found = why.source(run, rows, [made])
+    assert isinstance(found, why.Source)
+    for row in range(0, len(rows), 17):
+        assert found.sum_of(row).weight == pytest.approx(weight[row], abs=1e-5)
+    assert len(found.lately) == 100
+    near = why.neighbours(rows, found, 5)
+    assert (near.near.distance.diff() >= 0).all()
+
+
+def test_other_weights_have_no_sum(store: Path) -> None:
+    rows = own_rows(store)
+    found = why.source(info(store, "pendulum-mle-0"), rows, [])
+    assert isinstance(found, str)
+
+
+def test_what_was_recorded_after_a_row_ends_with_its_episode(store: Path) -> None:
+    rows = own_rows(store)
+    ended = np.flatnonzero(np.asarray(rows.rows.terminated) != 0)
+    assert len(why.recorded_after(rows, int(ended[0]))) == 2
+    assert len(why.recorded_after(rows, int(ended[0]) - 1)) == 3
+
+
+def test_a_click_asks_about_the_point_under_it(store: Path) -> None:
+    rows = own_rows(store)
+    plane = Plane(np.arange(FIT * 1.0), np.zeros(FIT), "a", "b")
+    clicked(rows, plane)(Point(17.0, 0.0, 0, 3, None))
+    assert st.session_state["row"] == 17
+    del st.session_state["row"]
+
+
+@pytest.mark.usefixtures("studio")
+@pytest.mark.parametrize("view", ["regions", "weights"])
+def test_the_page_says_why(store: Path, view: str) -> None:
+    rows = own_rows(store)
+    row = int(rows.weight.argmax())
+    app = draw(view, run=PENDULUM_TOM, step=str(FIT), row=str(row))
+    bars = next(f for f in figures(app) if f["data"][0]["type"] == "waterfall")
+    values = array(trace(bars, type="waterfall")["y"])
+    assert values[-1] == pytest.approx(rows.weight[row], abs=1e-5)
+    assert any("start in this state" in c.value for c in app.caption)
+    assert any("standard deviations over" in c.value for c in app.caption)
+
+
+@pytest.mark.usefixtures("studio")
+def test_a_row_of_another_buffer_is_dropped(store: Path) -> None:
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row="100000")
+    assert app.number_input(key="row").value is None
+    app.button(key="why heaviest").click().run()
+    assert app.number_input(key="row").value == int(own_rows(store).weight.argmax())

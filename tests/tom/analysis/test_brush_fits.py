@@ -1,0 +1,76 @@
+"""A region's weights multiplied, and what a model fitted by them loses or gains."""
+
+import numpy as np
+import pytest
+import torch
+
+from tom.analysis.brush import REGION, REST, SMALL, Brush, brushed, fits
+from tom.data.transitions import TensorTransitions
+from tom.errors import UserError
+
+QUICK = SMALL.but(rounds=6, hidden=8, kind="linear")
+
+
+def bent(count: int = 1200) -> TensorTransitions:
+    """A world that moves one way left of zero and the other way right of it: no line fits both."""
+    generator = torch.Generator().manual_seed(0)
+    obs = torch.rand(count, 1, generator=generator) * 2 - 1
+    action = torch.zeros(count, 1)
+    step = torch.where(obs > 0, obs, -2 * obs) + 0.01 * torch.randn(count, 1, generator=generator)
+    zero = torch.zeros(count)
+    ended = (torch.arange(count) % 20 == 19).float()
+    return TensorTransitions(obs, action, zero, obs + step, zero, ended)
+
+
+def brush() -> Brush:
+    rows = bent()
+    return Brush(rows, torch.ones(len(rows)), rows.obs[:, 0] > 0)
+
+
+def test_the_region_is_multiplied_and_the_mean_stays_one():
+    weights, region = torch.tensor([1.0, 2.0, 0.0, 1.0]), torch.tensor([True, False, True, False])
+    found = brushed(weights, region, 4)
+    assert float(found.mean()) == pytest.approx(1)
+    assert float(found[0] / found[3]) == pytest.approx(4)
+    assert float(found[1] / found[3]) == pytest.approx(2)
+    assert torch.equal(brushed(weights, region, 1), weights)
+    assert brushed(weights, region, 0)[[0, 2]].tolist() == [0, 0]
+
+
+def test_nothing_left_is_refused():
+    weights, region = torch.tensor([1.0, 0.0]), torch.tensor([True, False])
+    with pytest.raises(UserError, match="nothing is left"):
+        brushed(weights, region, 0)
+    rows = bent(40)
+    with pytest.raises(UserError, match="not all"):
+        Brush(rows, torch.ones(40), torch.ones(40, dtype=torch.bool))
+
+
+def test_a_region_that_counts_less_is_modelled_worse_and_the_rest_better():
+    found = {(f.factor, f.seed): f.errors for f in fits(brush(), QUICK, (0, 0.25, 4), (0, 1))}
+    for seed in (0, 1):
+        as_is, without, less, more = (found[factor, seed] for factor in (1, 0, 0.25, 4))
+        assert without[REGION] > less[REGION] > as_is[REGION] > more[REGION]
+        assert without[REST] < less[REST] < as_is[REST] < more[REST]
+
+
+def test_the_same_seed_gives_the_same_bits():
+    one, again = (list(fits(brush(), SMALL.but(rounds=1), (4,), (3,))) for _ in range(2))
+    assert [f.factor for f in one] == [1, 4]
+    assert [f.errors for f in one] == [f.errors for f in again]
+    assert np.array_equal(one[1].weights, again[1].weights)
+
+
+def test_where_no_such_row_is_held_out_nothing_is_said():
+    rows = bent()
+    region = torch.zeros(len(rows), dtype=torch.bool)
+    region[0] = True
+    errors = [
+        f.errors[REGION] for f in fits(Brush(rows, torch.ones(len(rows)), region), QUICK, (), (1,))
+    ]
+    held = [
+        f.errors[REGION]
+        for f in fits(Brush(rows, torch.ones(len(rows)), region), QUICK, (), range(8))
+    ]
+    assert len(errors) == 1
+    assert any(np.isnan(held))

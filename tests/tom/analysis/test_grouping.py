@@ -1,0 +1,80 @@
+"""Which runs are put together, and by what."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from tom.analysis.curves import Curve, groups
+from tom.analysis.grouping import USUAL, Kind, choices, kinds, natural, number
+
+
+@dataclass(frozen=True)
+class Run:
+    run_id: str
+    settings: dict[str, str] = field(default_factory=dict)
+    learner: str = "tom"
+    preset: str = "paper"
+    env: str = "ant"
+
+
+RUNS = [
+    Run("a", {"seed": "0", "tom.flow": "discounted", "model.hidden": "64", "env": "ant"}),
+    Run("b", {"seed": "1", "tom.flow": "discounted", "model.hidden": "128", "env": "hopper"}),
+    Run("c", {"seed": "0", "tom.flow": "stationary", "model.hidden": "64"}, preset="mended"),
+    Run("d", {"seed": "0", "tom.flow": "discounted", "model.hidden": "64"}, learner="mle"),
+]
+
+
+def test_runs_can_be_grouped_by_what_they_differ_in() -> None:
+    assert choices(RUNS) == [USUAL, "model.hidden", "seed", "tom.flow"]
+    assert choices(RUNS[:1]) == [USUAL]
+    # MLE's runs have a flow in their configuration that does nothing.
+    assert "tom.flow" not in choices([RUNS[2], RUNS[3]])
+
+
+def test_as_usual_nothing_but_the_seed_may_differ() -> None:
+    assert kinds(RUNS) == {
+        "a": Kind("tom", "paper", "model.hidden 64"),
+        "b": Kind("tom", "paper", "model.hidden 128"),
+        "c": Kind("tom", "mended"),
+        "d": Kind("mle", "paper"),
+    }
+
+
+def test_a_setting_puts_runs_together_that_have_its_value() -> None:
+    assert kinds(RUNS, "model.hidden") == {
+        run_id: Kind(variant=f"model.hidden {words}")
+        for run_id, words in zip("abcd", ("64", "128", "64", "64"), strict=True)
+    }
+    assert set(kinds(RUNS, "learner").values()) == {Kind("tom"), Kind("mle")}
+    assert kinds(RUNS, "preset")["c"] == Kind(preset="mended")
+
+
+def test_what_a_setting_means_nothing_to_stays_in_its_usual_group() -> None:
+    found = kinds([*RUNS, Run("old")], "tom.flow")
+    assert found["a"] == found["b"] == Kind(variant="tom.flow discounted")
+    assert found["d"] == Kind("mle", "paper")
+    assert found["old"].learner == "tom"
+
+
+def test_groups_of_a_setting_pool_learners_and_follow_its_numbers() -> None:
+    of = kinds(RUNS, "model.hidden")
+    at = np.array([0, 10])
+    curves = [
+        Curve(run.run_id, "ant", run.learner, run.preset, i, at, at + i, "", of[run.run_id])
+        for i, run in enumerate(RUNS)
+    ]
+    small, large = groups(curves)
+    assert (small.kind, large.kind) == (of["a"], of["b"])
+    assert [curve.run_id for curve in small.curves] == ["a", "c", "d"]
+    assert small.mean.tolist() == pytest.approx([5 / 3, 10 + 5 / 3])
+
+
+def test_values_that_are_numbers_are_ordered_as_such() -> None:
+    assert number(Kind(variant="model.hidden 64"), "model.hidden") == 64
+    assert number(Kind(variant="sac.lr 3e-4"), "sac.lr") == 3e-4
+    assert number(Kind(variant="tom.flow discounted"), "tom.flow") is None
+    assert number(Kind("mle", "paper"), "tom.flow") is None
+    words = ["lr 0.001", "lr 3e-5", "hidden 128", "hidden 64"]
+    assert sorted(words, key=natural) == ["hidden 64", "hidden 128", "lr 3e-5", "lr 0.001"]

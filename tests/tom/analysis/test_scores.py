@@ -1,0 +1,46 @@
+"""One number a run, and what the numbers of several come to."""
+
+import numpy as np
+import pytest
+
+from tom.analysis import statistics
+from tom.analysis.curves import Curve
+from tom.analysis.scores import beats, begun, common_step, interval, steps_to
+
+
+def curve(step: list[int], value: list[float]) -> Curve:
+    return Curve("a", "ant", "tom", "paper", 0, np.array(step), np.array(value))
+
+
+def test_the_common_step_is_where_the_first_run_ends() -> None:
+    short, long = curve([1, 5], [0, 0]), curve([6, 9], [0, 0])
+    assert common_step([short, long]) == 5
+    assert begun([short], 5)
+    assert not begun([short, long], 5)
+
+
+def test_a_run_that_gets_there_later_does_not_get_there() -> None:
+    curves = [curve([1, 2, 3], [0, 1, 2]), curve([1, 2, 3], [2, 0, 0])]
+    assert steps_to(curves, 2.0, until=2).tolist() == [np.inf, 1]
+    assert steps_to(curves, 2.0, until=3).tolist() == [3, 1]
+
+
+def test_interval_of_one_number_has_no_bounds() -> None:
+    one = interval(np.array([3.0]))
+    assert one.value == 3
+    assert np.isnan([one.low, one.high]).all()
+
+
+@pytest.mark.parametrize("values", [[], [1.0, np.nan]])
+def test_without_every_run_there_is_no_statistic_of_them(values: list[float]) -> None:
+    assert np.isnan(interval(np.array(values), "iqm").value)
+
+
+def test_the_same_runs_have_the_same_interval_at_every_call() -> None:
+    a, b = np.arange(5.0), np.arange(5.0) + 1
+    assert beats([a], [b]) == beats([a], [b])
+    expected = statistics.probability_of_improvement(
+        np.array([[0.0, 9.0], [1.0, np.nan]]), np.array([[0.5, 1.0]]), statistics.draws()
+    )
+    found = beats([np.array([0.0, 1.0]), np.array([9.0])], [np.array([0.5]), np.array([1.0])])
+    assert found.value == expected.value == 0.75

@@ -1,0 +1,146 @@
+"""`tom` in tasks of the user's own: trained, gone on with and weighed; bad input leaves nothing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+MODULE = """
+import gymnasium as gym
+from gymnasium.envs.classic_control import PendulumEnv
+
+gym.register("Own-v0", PendulumEnv, max_episode_steps=60)
+IMPORTED = open("imported", "a").write("x")
+
+
+def fallen(obs):
+    return obs[:, 0] < -0.9
+
+
+def numbers(obs):
+    return obs[:, 0]
+"""
+TRAIN = "train --env own_tasks:Own-v0 --learner tom --preset smoke --no-rerun --store runs"
+RULE = "--termination own_tasks:fallen"
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """A folder that is not the source, with a module of the user's."""
+    (tmp_path / "own_tasks.py").write_text(MODULE)
+    return tmp_path
+
+
+def tom(words: str, home: Path) -> tuple[int, str]:
+    """The exit code and the last line that was said; a traceback is never said."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "tom", *words.split()],
+        cwd=home, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    said = done.stderr + done.stdout
+    assert "Traceback" not in said, said
+    return done.returncode, (done.stderr if done.returncode else done.stdout).strip()
+
+
+def metrics(home: Path, run_id: str) -> list[dict]:
+    rows = (home / "runs" / run_id / "metrics.jsonl").read_text().splitlines()
+    found = [json.loads(row) for row in rows]
+    return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in found]
+
+
+def test_a_task_and_a_rule_of_ones_own(home: Path):
+    assert tom(f"{TRAIN} {RULE} --steps 400 --run-id whole", home)[0] == 0
+    assert tom(f"{TRAIN} {RULE} --steps 300 --run-id parts", home)[0] == 0
+    config = json.loads((home / "runs/whole/config.json").read_text())
+    assert config["config"]["model"]["termination"] == "own_tasks:fallen"
+    assert config["task"]["obs_scale"] == [1, 1, 8]
+    assert config["task"]["action_high"] == [2]
+    assert max(row.get("rollout/terminated", 0) for row in metrics(home, "whole")) > 0
+
+    (home / "imported").unlink()
+    code, said = tom("train --resume parts --steps 400 --store runs", home)
+    assert (code, "add --env own_tasks:Own-v0" in said) == (2, True), said
+    for words in ("runs list --store runs", "runs show whole --store runs"):
+        assert tom(words, home)[0] == 0
+    code, said = tom("weigh parts --policy parts --store runs", home)
+    assert (code, "--env own_tasks:Own-v0" in said) == (2, True), said
+    assert not (home / "imported").exists()  # none of these named it
+    code, said = tom(
+        "train --resume parts --steps 400 --store runs --env own_tasks:Own-v0 "
+        "--termination own_tasks:numbers", home,
+    )  # fmt: skip
+    assert (code, "was made with own_tasks:fallen" in said) == (2, True), said
+    code, said = tom("train --resume parts --store runs --env own_tasks:Own-v0 --steps 400", home)
+    assert (code, "add --termination own_tasks:fallen" in said) == (2, True), said
+    words = (
+        f"train --resume parts --steps 400 --no-rerun --store runs --env own_tasks:Own-v0 {RULE}"
+    )
+    assert tom(words, home)[0] == 0
+    assert metrics(home, "parts")[-1] == metrics(home, "whole")[-1]
+    quick = "--learner mle pmac --seeds 0 --footprint 100 --json --env own_tasks:Own-v0"
+    code, said = tom(f"weigh whole --policy whole --store runs {quick}", home)
+    assert code == 0, said
+    assert len(json.loads(said)["results"]) == 2
+
+
+def test_a_sweep_names_its_task_to_its_trainings(home: Path):
+    words = f"sweep --env own_tasks:Own-v0 --learner mle --preset smoke --steps 210 {RULE}"
+    code, said = tom(f"{words} --store runs --jobs 1", home)
+    assert code == 0, said
+    (run,) = (home / "runs").glob("own_tasks-Own-v0-mle-s0-*")
+    assert json.loads((run / "status.json").read_text())["state"] == "finished"
+    code, said = tom(f"{words} --store runs --jobs 1", home)
+    assert code == 0
+    assert "1 of 1 runs finished" in said
+
+
+def test_a_sweep_in_a_task_of_ones_own_goes_on_where_it_was_stopped(home: Path):
+    words = f"sweep --env own_tasks:Own-v0 --learner mle --preset smoke --steps 900 {RULE}"
+    words += " --store runs --checkpoint-every 100 --plugin own_plugin.py"
+    (home / "own_plugin.py").write_text("def register(registry): pass")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "tom", *words.split()]
+    with subprocess.Popen(command, cwd=home, env=environment) as driver:
+        while driver.poll() is None and not list(home.glob("runs/*/checkpoint/*/manifest.json")):
+            time.sleep(0.1)
+        driver.send_signal(signal.SIGINT)
+    code, said = tom(words, home)
+    assert (code, "1 of 1 runs finished" in said) == (0, True), said
+    (log,) = (home / "runs/.sweep").glob("*.log")
+    began, went_on = [line for line in log.read_text().splitlines() if line.startswith("$ ")]
+    assert "--run-id=" in began
+    assert "--resume=" in went_on
+    assert not (home / "runs/.trash").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("--env gymnasium:CartPole-v1", "Discrete"),
+        ("--env gymnasium:Blackjack-v1", "Tuple"),
+        ("--env gymnasium:Pendulm-v1", "Pendulum"),
+        ("--env absent:Own-v0", "no module 'absent'"),
+        ("--env own_tasks:Other-v0", "cannot be made"),
+        ("--env own_tasks:Own-v0 --termination own_tasks:risen", "no function 'risen'"),
+        ("--env own_tasks:Own-v0 --termination own_tasks:numbers", "bool tensor"),
+        ("--env own_tasks:Own-v0 --termination nevr", "unknown termination 'nevr'"),
+        ("--env hoper", "hopper"),
+        ("--env odd:Ends-v0", "cannot be imported: SystemExit"),
+        ("--env gymnasium:Pendulum-v1 --termination odd:x", "cannot be imported: SystemExit"),
+        ("--env gymnasium:Pendulum-v1 --plugin odd.py", "fails: SystemExit"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(home: Path, words: str, named: str):
+    (home / "odd.py").write_text("import sys\nsys.exit(0)\n")
+    code, said = tom(f"train {words} --learner tom --preset smoke --store runs", home)
+    assert code == 2
+    assert named in said
+    assert len(said.splitlines()) == 1, said
+    assert not (home / "runs").exists() or not list((home / "runs").iterdir())

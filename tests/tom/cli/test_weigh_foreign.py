@@ -1,0 +1,119 @@
+"""`tom weigh` on data and policies that other libraries made."""
+
+import json
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from tom.cli import main
+from tom.data.transitions import Transitions
+from tom.envs import task
+from tom.policy.collect import footprint
+from tom.policy.stored import UniformPolicy
+from tom.record import RunReader
+from tom.reports.weighing_files import ROWS, of_run
+
+ENV = "inverted-pendulum"
+BOUND = 3.0  # of its actions
+N = 300
+QUICK = [
+    "--preset", "paper", "--tom.q-hidden", "16", "--tom.q-steps", "20", "--seeds", "0",
+    "--tom.discriminator-hidden", "16", "--tom.discriminator-steps", "20", "--footprint", "200",
+]  # fmt: skip
+
+
+class Policy(torch.nn.Module):
+    """Pushes the cart to where the pole leans, a little at random."""
+
+    def forward(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        mean = 4.0 * obs[:, 1:2]
+        return mean, torch.full_like(mean, -1.0)
+
+
+@pytest.fixture(scope="module")
+def rows() -> Transitions:
+    """Random actions in the task, in [-1, 1]."""
+    generator = torch.Generator().manual_seed(0)
+    return footprint(task(ENV), UniformPolicy(4, 1), N, 0, generator).transitions
+
+
+@pytest.fixture
+def data(rows: Transitions, tmp_path: Path) -> str:
+    columns = {field.name: np.asarray(getattr(rows, field.name)) for field in fields(rows)}
+    path = tmp_path / "mine.npz"
+    np.savez(path, allow_pickle=False, **columns | {"action": columns["action"] * BOUND})
+    return str(path)
+
+
+@pytest.fixture
+def policy(tmp_path: Path) -> str:
+    path = tmp_path / "policy.pt"
+    torch.jit.script(Policy()).save(str(path))
+    return str(path)
+
+
+def weigh(store: Path, *words: str) -> int:
+    return main(["weigh", *words, "--store", str(store), *QUICK])
+
+
+def test_own_data_by_an_own_policy(rows, data: str, policy: str, tmp_path: Path, capsys):
+    store = tmp_path / "store"
+    assert weigh(store, data, "--policy", policy, "--env", ENV, "--json") == 0
+    printed = capsys.readouterr()
+    report = json.loads(printed.out)
+    made = Path(report["out"])
+    assert made.parent == store / "weighings"
+    assert made.name.startswith("mine-by-policy.pt-")
+    assert (report["data"], report["rows"], report["ordered_from"]) == ("mine", N, 0)
+    assert {row["learner"] for row in report["results"]} == {"tom", "pmac", "mle"}
+    assert "mine: tom seed 0" in printed.err
+    footprints = {row["learner"]: row["footprint"] for row in report["results"]}
+    assert footprints["mle"] == 1.0
+    assert footprints["pmac"] != 1.0
+    weights = pq.read_table(made / "weights.parquet").to_pandas()
+    assert weights["tom-s0"].mean() == pytest.approx(1, abs=1e-4)
+    kept, version = RunReader(made).buffer()
+    for field in fields(rows):
+        expected = np.asarray(getattr(rows, field.name))
+        np.testing.assert_allclose(getattr(kept, field.name), expected, atol=1e-6)
+    assert version.tolist() == list(range(N))
+    assert of_run(store, "mine") == []  # it is no run
+    assert weigh(store, data, "--policy", "random", "--env", ENV, "--json") == 0
+    other = json.loads(capsys.readouterr().out)
+    assert other[ROWS] == report[ROWS]
+
+
+def test_a_function_beside_a_run(data: str, tmp_path: Path, monkeypatch, capsys):
+    (tmp_path / "their_policy.py").write_text("def act(obs): return 9 * obs[:, 1:2]\n")
+    monkeypatch.chdir(tmp_path)
+    words = ("--policy", "their_policy:act", "--env", ENV, "--learner", "mle", "--json")
+    assert weigh(tmp_path / "store", data, *words) == 0
+    assert "mine-by-their_policy.act-" in json.loads(capsys.readouterr().out)["out"]
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--policy", "POLICY"], "does not say which task it is of: add --env"),
+        (["--policy", "POLICY", "--env", "hoper"], "did you mean 'hopper'?"),
+        (["--policy", "POLICY", "--env", "hopper"], "has 4 observations and 1 actions, hopper has"),
+        (["--policy", "no.pt", "--env", ENV], "no policy at no.pt"),
+        (["--policy", "DATA", "--env", ENV], "is no stored policy"),
+        (["--policy", "absent_module:act", "--env", ENV], "no module 'absent_module'"),
+        (["--policy", "POLICY", "--env", ENV, "--step", "9"], "is a step of a run"),
+        (["--policy", "POLICY", "--env", ENV, "--learner", "vagram"], "leave vagram out"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_made(
+    data: str, policy: str, tmp_path: Path, words: list[str], named: str, capsys
+):
+    given = [{"POLICY": policy, "DATA": data}.get(word, word) for word in words]
+    assert weigh(tmp_path / "store", data, *given) == 2
+    message = capsys.readouterr().err
+    assert named in message
+    assert message.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.npz", "policy.pt"]

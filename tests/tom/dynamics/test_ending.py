@@ -1,0 +1,113 @@
+"""The head that learns what ends an episode: it finds the rule and says how sure it is."""
+
+import pytest
+import torch
+
+from tom.config import ModelConfig
+from tom.data.transitions import TensorTransitions
+from tom.dynamics.ending import NEVER, EndingHead, best_threshold, measured
+from tom.events import Metrics
+from tom.mbpo import Mbpo
+from tom.training.presets import resolve
+
+CONFIG = ModelConfig(batches_per_round=100)
+
+
+def rows(n: int, ends: bool = True, seed: int = 0) -> TensorTransitions:
+    """A walk that ends where the first of three numbers falls below -1 (a sixth of the rows)."""
+    generator = torch.Generator().manual_seed(seed)
+    obs, next_obs = torch.randn(2, n, 3, generator=generator)
+    fell = (next_obs[:, 0] < -1).float() if ends else torch.zeros(n)
+    none = torch.zeros(n)
+    return TensorTransitions(obs, torch.zeros(n, 1), none, next_obs, fell, none)
+
+
+def fitted(weights: torch.Tensor | None = None, config: ModelConfig = CONFIG, **given):
+    data = rows(3000, **given)
+    head = EndingHead(3, config, torch.Generator().manual_seed(1))
+    weights = torch.ones(len(data)) if weights is None else weights
+    return head, *head.fit(data, weights, torch.Generator().manual_seed(2))
+
+
+@pytest.mark.parametrize("weights", ["sample", "scale"])
+def test_it_learns_the_rule(weights: str):
+    head, metrics, notices = fitted(config=CONFIG.but(weights=weights))
+    fresh = rows(2000, seed=9)
+    called, fell = head(fresh.next_obs), fresh.terminated > 0
+    assert called[fell].float().mean() > 0.9
+    assert called[~fell].float().mean() < 0.03
+    assert metrics["model/ends_caught"] > 0.9
+    assert metrics["model/ends_calibration"] < 0.05
+    assert 0 < metrics["model/ends_threshold"] < 1
+    assert notices == ()
+
+
+def test_nothing_ends_before_an_end_was_seen():
+    head, metrics, _ = fitted(ends=False)
+    assert metrics == {"model/ends_threshold": NEVER}
+    assert not head(torch.full((5, 3), -9.0)).any()
+    assert not EndingHead(3, CONFIG, torch.Generator())(torch.zeros(5, 3)).any()
+
+
+def test_rows_without_weight_are_not_learnt_from():
+    data = rows(3000)
+    other = data.next_obs[:, 1] > 0
+    head, _, _ = fitted(torch.where(other, 2.0, 0.0))
+    turned = rows(3000)
+    turned.terminated[~other] = 1 - turned.terminated[~other]  # nonsense that counts nothing
+    again = EndingHead(3, CONFIG, torch.Generator().manual_seed(1))
+    again.fit(turned, torch.where(other, 2.0, 0.0), torch.Generator().manual_seed(2))
+    fresh = rows(500, seed=4).next_obs
+    assert head.threshold == pytest.approx(again.threshold)
+    assert torch.allclose(head.probability(fresh), again.probability(fresh))
+
+
+def test_ends_that_have_no_weight_are_learnt_without_weights_and_that_is_said():
+    weights = 1 - rows(3000).terminated
+    head, metrics, notices = fitted(weights)
+    assert [kind for kind, _ in notices] == ["ends-unweighted"]
+    plain, same, _ = fitted()
+    assert metrics == same
+    assert head.threshold == plain.threshold
+
+
+def test_its_state_is_all_of_it():
+    head, _, _ = fitted()
+    other = EndingHead(3, CONFIG, torch.Generator().manual_seed(7))
+    other.load_state_dict(head.state_dict())
+    data, weights = rows(800, seed=3), torch.ones(800)
+    both = [one.fit(data, weights, torch.Generator().manual_seed(4)) for one in (head, other)]
+    assert both[0] == both[1]
+    assert torch.equal(head.probability(data.obs), other.probability(data.obs))
+
+
+def test_the_threshold_has_the_best_weighted_f1():
+    p = torch.tensor([0.9, 0.8, 0.7, 0.6, 0.2])
+    label = torch.tensor([1.0, 1.0, 0.0, 1.0, 0.0])
+    assert best_threshold(p, label, torch.ones(5)) == pytest.approx(0.4)  # 3 of 4 called are right
+    heavy = torch.tensor([1.0, 1.0, 9.0, 1.0, 1.0])
+    assert best_threshold(p, label, heavy) == pytest.approx(0.75)
+    assert best_threshold(p, torch.zeros(5), torch.ones(5)) == 0.5
+
+
+def test_what_is_measured():
+    p, label = torch.tensor([0.95, 0.95, 0.05, 0.05]), torch.tensor([1.0, 0.0, 0.0, 0.0])
+    found = measured(p, label, torch.tensor([3.0, 1.0, 2.0, 2.0]), 0.5)
+    assert found["model/ends_caught"] == 1
+    assert found["model/ends_false"] == pytest.approx(1 / 5)
+    # (3 of 4 end, said .95: 4 x .2; none of 4 ends, said .05: 4 x .05) over 8
+    assert found["model/ends_calibration"] == pytest.approx((4 * 0.2 + 4 * 0.05) / 8)
+
+
+def test_the_exam_judges_it_like_a_rule():
+    """Hopper's ends, learnt by the head: most of the falls are foretold, few are invented."""
+    changes = {"model": {"termination": "learnt", "rounds": 20}, "steps": 1000}
+    config = resolve("hopper", "mle", "smoke", changes)
+    run = Mbpo(config)  # pyright: ignore[reportArgumentType]
+    told = [event.values for event in run.events() if isinstance(event, Metrics)]
+    exams = [values for values in told if "exam/falls_caught" in values]
+    assert len(exams) > 5
+    assert max(values["exam/falls_caught"] for values in exams) > 0.3
+    thresholds = [v["model/ends_threshold"] for v in told if "model/ends_threshold" in v]
+    assert 0 < thresholds[-1] < 1
+    assert any(values.get("rollout/terminated", 0) > 0 for values in told)

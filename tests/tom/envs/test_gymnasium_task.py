@@ -1,0 +1,272 @@
+"""Any Gymnasium task: its units, its episodes played again, its geometry; what cannot be used."""
+
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from tom.envs import ENVS, bring, scene, skeleton, task
+from tom.envs.ends import NEVER, RULES, bring_rule, rule
+from tom.envs.gymnasium_task import GymnasiumTask, describe
+from tom.envs.state import capture, restore
+from tom.errors import UserError
+
+MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
+OTHERS = ("Pendulum-v1", "MountainCarContinuous-v0")
+each = pytest.mark.parametrize("gym_id", MUJOCO + OTHERS)
+
+
+BOX = gym.spaces.Box(-1, 1, (2,))
+IMAGE = gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)
+NAMED: dict[str, gym.Space] = {"speed": gym.spaces.Box(-np.inf, np.inf, ()), "to_target": BOX}
+for name, obs, action in (
+    ("dm_control/arm-look-v0", gym.spaces.Dict({**NAMED, "camera": IMAGE}), BOX),
+    ("Pictures-v0", IMAGE, BOX),
+    ("Named-v0", gym.spaces.Dict({"a": BOX}), BOX),
+    ("Endless-v0", BOX, gym.spaces.Box(-np.inf, np.inf, (1,))),
+):
+    made = type("Made", (gym.Env,), {"observation_space": obs, "action_space": action})
+    gym.register(name, made)  # pyright: ignore[reportArgumentType]
+
+
+class Arm(gym.Env):
+    """Observes as DeepMind Control's tasks do."""
+
+    observation_space = gym.spaces.Dict(NAMED)
+    action_space = BOX
+
+    def reset(self, *, seed=None, options=None):
+        return {"speed": np.array(3.0), "to_target": np.array([0.25, -0.5])}, {}
+
+    def step(self, action):
+        return self.reset()[0], 0.0, False, False, {}
+
+
+class Flat(gym.Env):
+    """What `reset` and `step` return is asked of the class."""
+
+    observation_space = action_space = BOX
+    first: object = np.zeros(2)
+    second: tuple = (np.zeros(2), 0.0, False, False, {})
+
+    def reset(self, *, seed=None, options=None):
+        return self.first, {}
+
+    def step(self, action):
+        return self.second
+
+
+for name, parts in {
+    "NoSpace-v0": {"observation_space": None},
+    "Wide-v0": {"first": np.zeros(3)},
+    "NaN-v0": {"first": np.full(2, np.nan)},
+    "Unrewarded-v0": {"second": (np.zeros(2), np.nan, False, False, {})},
+    "Old-v0": {"second": (np.zeros(2), 0.0, False, {})},
+}.items():
+    gym.register(name, type("Odd", (Flat,), parts))  # pyright: ignore[reportArgumentType]
+
+
+class Broken(Arm):
+    """Asks MuJoCo for what this version has not."""
+
+    def __init__(self) -> None:
+        raise AttributeError("'MjModel' object has no attribute 'flex_vertedge'")
+
+
+gym.register("dm_control/arm-reach-v0", Arm)  # pyright: ignore[reportArgumentType]
+gym.register("dm_control/arm-broken-v0", Broken)  # pyright: ignore[reportArgumentType]
+
+
+def named(gym_id: str) -> GymnasiumTask:
+    found = task(f"gymnasium:{gym_id}")
+    assert isinstance(found, GymnasiumTask)
+    return found
+
+
+@each
+def test_units_are_the_tasks_own_bounds(gym_id: str):
+    known, raw = named(gym_id), gym.make(gym_id)
+    assert raw.spec is not None
+    assert isinstance(raw.action_space, gym.spaces.Box)
+    assert isinstance(raw.observation_space, gym.spaces.Box)
+    env = known.make()
+    obs, first = env.reset(seed=3)[0], raw.reset(seed=3)[0]
+    assert known.max_episode_steps == raw.spec.max_episode_steps
+    for action in np.random.default_rng(0).uniform(-1, 1, (30, known.action_dim)):
+        assert known.own_obs(obs) == pytest.approx(first, rel=1e-5, abs=1e-5)
+        assert known.unit_obs(first) == pytest.approx(obs, rel=1e-5, abs=1e-5)
+        own = raw.action_space.low + (action + 1) / 2 * np.ptp(
+            [raw.action_space.low, raw.action_space.high], axis=0
+        )
+        obs, reward, *_ = env.step(action)
+        first, other, *_ = raw.step(own.astype(np.float32))
+        assert reward == pytest.approx(float(other), rel=1e-4, abs=1e-5)
+    bounded = np.isfinite(raw.observation_space.low)
+    assert (np.abs(obs)[bounded] <= 1 + 1e-6).all()
+
+
+@each
+def test_an_episode_is_put_back_to_the_bit(gym_id: str):
+    known, actions = named(gym_id), np.random.default_rng(1).uniform(-1, 1, (90, 7))
+    env, other = known.make(), known.make(seed=9)
+
+    def play(env: gym.Env, rows: np.ndarray) -> list[np.ndarray]:
+        seen = []
+        for row in rows:
+            obs, _, terminated, truncated, _ = env.step(row[: known.action_dim])
+            seen.append(env.reset()[0] if terminated or truncated else obs)
+        return seen
+
+    env.reset(seed=5)
+    play(env, actions[:57])
+    restore(other, capture(env))
+    assert np.array_equal(play(env, actions[57:]), play(other, actions[57:]))
+
+
+class Forgetful(gym.Env):
+    """Its start does not follow the seed."""
+
+    observation_space = gym.spaces.Box(-1, 1, (1,))
+    action_space = gym.spaces.Box(-1, 1, (1,))
+    starts = iter(range(10_000))
+
+    def reset(self, *, seed=None, options=None):
+        return np.array([next(self.starts) / 10_000]), {}
+
+    def step(self, action):
+        return np.zeros(1), 0.0, False, False, {}
+
+
+def test_a_task_that_does_not_repeat_itself_cannot_go_on():
+    gym.register("Forgetful-v0", Forgetful)  # pyright: ignore[reportArgumentType]
+    known = named("Forgetful-v0")
+    assert known.max_episode_steps == 1000  # its specification sets no limit
+    env = known.make()
+    env.reset(seed=0)
+    with pytest.raises(UserError, match="same way again"):
+        restore(known.make(), capture(env))
+
+
+def test_named_arrays_of_deepmind_control_lie_side_by_side():
+    known = named("dm_control/arm-reach-v0")
+    assert known.obs_names == ("speed", "to target 1", "to target 2")
+    env = known.make()
+    obs, _ = env.reset(seed=0)
+    assert obs.tolist() == [3.0, 0.25, -0.5]
+    assert env.step(np.zeros(2))[0].shape == (3,)
+
+
+@pytest.mark.parametrize("gym_id", [*MUJOCO, "Ant-v5", "Humanoid-v5"])
+def test_a_robot_is_drawn_from_what_its_run_keeps(gym_id: str):
+    model = scene.made_model(named(gym_id))
+    assert model is not None
+    again = skeleton.of_arrays(skeleton.arrays(model))
+    spread = np.random.default_rng(0).normal(size=(5, model.mj.nq))
+    qpos = model.mj.qpos0 + 0.3 * spread
+    own, kept = (scene.geometry(one.mj, qpos) for one in (model, again))
+    for a, b in zip(own.shapes, kept.shapes, strict=True):
+        for part in ("size", "color", "center", "axis"):
+            assert getattr(a, part) == pytest.approx(getattr(b, part), abs=1e-5)
+    assert own.root == pytest.approx(kept.root, abs=1e-5)
+    assert (own.floor, model.dt) == (kept.floor, again.dt)
+    assert sum(len(shape.size) for shape in own.shapes) >= 3
+
+
+def test_damaged_geometry_is_refused():
+    model = scene.made_model(named("Reacher-v5"))
+    assert model is not None
+    for name, bad in (
+        ("body_parentid", np.array([0, 4, 1, 2, 0])),
+        ("geom_size", np.full((10, 3), np.nan)),
+        ("jnt_bodyid", np.array([0, 1, 2, 99])),
+        ("geom_type", np.full(10, 7)),
+        ("dt", np.array(0.0)),
+    ):
+        held = skeleton.arrays(model) | {name: bad}
+        with pytest.raises(ValueError, match=r".+"):
+            skeleton.of_arrays(held)
+
+
+def test_joints_are_found_in_observations_where_they_are():
+    found = {gym_id: named(gym_id).root_dims for gym_id in (*MUJOCO, "HalfCheetah-v5", "Ant-v5")}
+    assert found == {
+        "Swimmer-v5": 2,
+        "Reacher-v5": None,
+        "Pusher-v5": None,
+        "HalfCheetah-v5": 1,
+        "Ant-v5": None,
+    }
+    assert named("HalfCheetah-v5").qpos_from_obs(np.ones((2, 17)))[:, 0] == pytest.approx(0)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("gymnasium:CartPole-v1", "Discrete"),
+        ("gymnasium:Blackjack-v1", "Tuple"),
+        ("gymnasium:dm_control/arm-look-v0", "Dict"),
+        ("gymnasium:dm_control/arm-broken-v0", r"does not know MuJoCo \d.*docs/tasks.md"),
+        ("gymnasium:dm_control/arm-reech-v0", "arm-reach"),
+        ("gymnasium:dm_contrl/arm-reach-v0", "dm_contrl not found"),
+        ("gymnasium:Pictures-v0", r"Box\(8, 8, 3\)"),
+        ("gymnasium:Named-v0", "Dict"),
+        ("gymnasium:Endless-v0", "without bounds"),
+        ("gymnasium:NoSpace-v0", "NoneType space"),
+        ("gymnasium:Wide-v0", r"observes \(3,\) and \(2,\), its observation space says \(2,\)"),
+        ("gymnasium:NaN-v0", "no finite number"),
+        ("gymnasium:Unrewarded-v0", "no finite number"),
+        ("gymnasium:Old-v0", "fails at its first step, ValueError"),
+        ("gymnasium:Swimer-v5", "Swimmer"),
+        ("gymnasium:a:b", "MODULE:ID"),
+        ("gymnasium:", "MODULE:ID"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(name: str, words: str):
+    with pytest.raises(UserError, match=words) as error:
+        describe(name)
+    assert "\n" not in str(error.value)
+
+
+def test_a_module_is_imported_where_the_user_names_it_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "own_tasks.py").write_text(
+        "import gymnasium as gym\nfrom gymnasium.envs.classic_control import PendulumEnv\n"
+        "gym.register('Own-v0', PendulumEnv, max_episode_steps=50)\n"
+        "def fallen(obs):\n    return obs[:, 0] < 0\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    name = "own_tasks:Own-v0"
+    with pytest.raises(UserError, match="add --env own_tasks:Own-v0"):
+        task(name)
+    with pytest.raises(UserError, match="no module 'nowhere'"):
+        bring("nowhere:Own-v0")
+    bring(name)
+    assert task(name).max_episode_steps == 50
+    with pytest.raises(UserError, match="add --termination own_tasks:fallen"):
+        rule(task(name), "own_tasks:fallen")
+    with pytest.raises(UserError, match="has no function 'risen'"):
+        bring_rule("own_tasks:risen")
+    bring_rule("own_tasks:fallen")
+    ends = rule(task(name), "own_tasks:fallen")
+    assert ends(torch.tensor([[-0.5, 0, 0], [0.5, 0, 0]])).tolist() == [True, False]
+
+
+def test_a_rule_is_asked_in_the_tasks_units_and_tried_first():
+    known = named("MountainCarContinuous-v0")
+    RULES["test at the goal"] = lambda obs: obs[:, 0] >= 0.45
+    ends = rule(known, "test at the goal")
+    own = np.array([[0.5, 0.0], [0.4, 0.0]])
+    assert ends(torch.from_numpy(known.unit_obs(own))).tolist() == [True, False]
+    assert rule(known, None)(torch.zeros(2, 2)).tolist() == [False, False]
+    assert rule(ENVS["hopper"], NEVER)(torch.zeros(1, 11)).tolist() == [False]
+    RULES["test of numbers"] = lambda obs: obs[:, 0]
+    with pytest.raises(UserError, match="bool tensor"):
+        rule(known, "test of numbers")
+    RULES["test that fails"] = lambda obs: obs[:, 7]
+    with pytest.raises(UserError, match="IndexError"):
+        rule(known, "test that fails")
+    with pytest.raises(UserError, match="unknown termination"):
+        rule(known, "nevr")

@@ -1,0 +1,109 @@
+"""Runs and weighings as frames: the numbers are those of the files."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import tom
+from tom.errors import UserError
+from tom.frames import Run, Weighing
+from tom.record import RunReader
+
+GALLERY = Path(__file__).parents[2] / "runs"
+RUN = "inverted-pendulum-tom-s0-162b7ad0"
+QUICK = {"tom": {"q_steps": 20, "discriminator_steps": 20, "q_hidden": 16}}
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    found = tom.load(RUN, store=GALLERY)
+    assert isinstance(found, Run)
+    return found
+
+
+@pytest.fixture(scope="module")
+def weighing() -> Weighing:
+    return tom.weigh(
+        RUN, RUN, seeds=[0, 3], footprint=100, learners=["pmac", "tom"], settings=QUICK,
+        store=GALLERY,
+    )  # fmt: skip
+
+
+def test_a_run_is_what_its_folder_holds(run: Run):
+    reader = RunReader(GALLERY / RUN)
+    metrics = reader.metrics()
+    assert str(run.summary["env"]) == "inverted-pendulum"
+    assert run.metrics.index.tolist() == metrics["env_step"].tolist()
+    last = metrics["eval/return"].dropna().tolist()[-1]
+    assert run.metrics["eval/return"].dropna().tolist()[-1] == last
+    assert run.summary.to_dict()["last_return"] == last
+    np.testing.assert_array_equal(run.profiles, reader.profiles().bins)
+    rows = reader.buffer()[0]
+    assert len(run.transitions) == len(rows)
+    np.testing.assert_array_equal(run.transitions["next_obs_2"], np.asarray(rows.next_obs)[:, 2])
+    assert run.transitions["terminated"].dtype == bool
+    step = reader.snapshot_steps()[0]
+    np.testing.assert_array_equal(run.weights(step), reader.snapshot(step))
+    with pytest.raises(UserError, match="kept no weights of step 7: it kept"):
+        run.weights(7)
+
+
+def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: Path):
+    assert weighing.weights.columns.tolist() == ["pmac-s0", "tom-s0", "pmac-s3", "tom-s3"]
+    assert weighing.weights.mean().tolist() == pytest.approx([1] * 4, abs=1e-4)
+    assert weighing.table["learner"].tolist() == ["pmac", "tom", "pmac", "tom"]
+    profiles = weighing.by_learner()
+    assert {name: found.shape for name, found in profiles.items()} == {
+        "pmac": (2, 100), "tom": (2, 100),
+    }  # fmt: skip
+    assert weighing.profiles["tom-s3"].tolist() == pytest.approx(profiles["tom"][1])
+    out = weighing.save(tmp_path / "weighings" / "mine")
+    again = tom.load(out)
+    assert isinstance(again, Weighing)
+    pd.testing.assert_frame_equal(again.weights, weighing.weights)
+    assert again.table["ess"].tolist() == pytest.approx(weighing.table["ess"])
+    with pytest.raises(UserError, match="exists already"):
+        weighing.save(out)
+    with pytest.raises(UserError, match="was loaded from a folder: copy that folder"):
+        again.save(tmp_path / "copy")
+    with pytest.raises(UserError, match="are not kept here: load its run"):
+        _ = again.transitions  # its run is in another store
+
+
+def test_the_rows_of_a_weighing_come_from_its_run(weighing: Weighing, run: Run):
+    pd.testing.assert_frame_equal(weighing.transitions, run.transitions)
+    stored = sorted((GALLERY / "weighings").glob("hopper-tom-*"))[0]
+    found = tom.load(stored)
+    assert isinstance(found, Weighing)
+    assert len(found.transitions) == len(found.weights) == found.report["rows"]
+    assert found.random_share == found.report["ordered_from"] / found.report["rows"]
+
+
+def test_what_is_neither_a_run_nor_a_weighing(tmp_path: Path):
+    with pytest.raises(UserError, match="no run or weighing 'nothing'"):
+        tom.load("nothing", store=tmp_path)
+    (tmp_path / "report.json").write_text("{}")
+    with pytest.raises(UserError, match="cannot be read"):
+        tom.load(tmp_path)
+    with pytest.raises(UserError, match="did you mean 'tom'"):
+        tom.weigh(RUN, RUN, learners=["tmo"], store=GALLERY)
+
+
+def test_the_studio_comes_when_it_is_asked_for():
+    """Frames need none of it, and the package as such next to nothing."""
+    code = (
+        "import sys, tom\n"
+        "assert not {'torch', 'pandas'} & sys.modules.keys()\n"
+        "tom.load, tom.weigh, tom.studio\n"
+        "assert 'pandas' in sys.modules\n"
+        "assert not {'app', 'plotly', 'streamlit'} & sys.modules.keys()\n"
+        "assert {'load', 'studio', 'weigh'} <= set(dir(tom))\n"
+        "try: tom.nothing\n"
+        "except AttributeError: pass\n"
+        "else: raise SystemExit(1)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,141 @@
+"""What a model would have learnt if a region of the replay buffer had counted more or less.
+
+The weights of the region are multiplied by a factor, and all are scaled back to mean 1. One model
+is fitted with these weights and one with the original weights, on the same episodes, from the same
+initial parameters and with the same random draws. Both are tested on held-out episodes.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from tom.analysis.imagine import Predictor, imagine, joint_positions
+from tom.config import ModelConfig
+from tom.data.episodes import held_out_rows
+from tom.data.sampling import normalise
+from tom.data.transitions import TensorTransitions
+from tom.dynamics import make_model
+from tom.dynamics.base import DynamicsModel
+from tom.envs import Task
+from tom.errors import UserError
+from tom.events import Episode
+from tom.exams.diagnostics import one_step_error, step_scale
+from tom.rng import Streams
+
+AS_IT_IS = 1.0
+FACTORS = (0.0, 0.25, 4.0)
+HELD_OUT = 0.2
+"""share of the buffer that is held out, in whole episodes"""
+REGION, REST, POLICY = "region", "rest", "policy"
+SMALL = ModelConfig(hidden=32, layers=2, components=1, rounds=8)
+"""the default model: fitted in seconds, and small enough that weights matter"""
+
+
+@dataclass(frozen=True)
+class Brush:
+    """N transitions, their weights and the region whose weights are to be changed."""
+
+    rows: TensorTransitions  # (N,) oldest first
+    weights: Tensor  # (N,) as they are, mean 1
+    region: Tensor  # (N,) bool
+    fresh: TensorTransitions | None = None  # fresh transitions of the policy of interest
+
+    def __post_init__(self) -> None:
+        if not bool(self.region.any()) or bool(self.region.all()):
+            raise UserError("the region must hold some of the buffer's transitions, not all")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted with brushed weights (N,) under one seed.
+
+    `errors` are one-step errors, in standard deviations of a step's change, on three sets: held-out
+    rows inside the region, held-out rows outside it, and fresh transitions of the policy. NaN for
+    an empty set.
+    """
+
+    factor: float
+    seed: int
+    weights: NDArray[np.float32]
+    errors: dict[str, float]
+    model: DynamicsModel = field(repr=False, compare=False)
+
+
+def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
+    """The weights (N,), multiplied by `factor` in the region (N,), then scaled to mean 1.
+
+    Raises UserError if all weights would be zero.
+    """
+    if factor < 0:
+        raise UserError(f"factor {factor:g}: a weight cannot be negative")
+    found, degenerate = normalise(torch.where(region, factor * weights, weights))
+    if degenerate:
+        raise UserError("all of the weight lies in the region: nothing is left without it")
+    return found
+
+
+def fits(
+    brush: Brush, config: ModelConfig, factors: Sequence[float], seeds: Sequence[int]
+) -> Iterator[Fitted]:
+    """Fit a model for every seed and factor and yield each when it is ready; factor 1 comes first.
+
+    A seed fixes the held-out episodes and all random draws of a fit, so that factors compare.
+    """
+    every = list(dict.fromkeys((AS_IT_IS, *factors)))
+    weights = {factor: brushed(brush.weights, brush.region, factor) for factor in every}
+    scale = step_scale(brush.rows)
+    for seed in seeds:
+        held_out = held_out_rows(brush.rows, HELD_OUT, Streams(seed).torch("held out"))
+        kept = (~held_out).nonzero().squeeze(1)
+        for factor in every:
+            model = _fitted(brush.rows[kept], weights[factor][kept], config, seed)
+            errors = _errors(model, brush, held_out, scale)
+            yield Fitted(factor, seed, weights[factor].numpy(), errors, model)
+
+
+def _fitted(
+    rows: TensorTransitions, weights: Tensor, config: ModelConfig, seed: int
+) -> DynamicsModel:
+    weights, degenerate = normalise(weights)
+    if degenerate:
+        raise UserError("the episodes that are left to fit to have no weight: draw another region")
+    streams, dims = Streams(seed), (rows.obs.shape[1], rows.action.shape[1])
+    model = make_model(*dims, config, streams.torch("model"))
+    model.fit(rows, weights.clamp(max=config.weight_clip), None, streams.torch("fit"))
+    return model
+
+
+def _errors(
+    model: DynamicsModel, brush: Brush, held_out: Tensor, scale: Tensor
+) -> dict[str, float]:
+    judged = {
+        REGION: brush.rows[(held_out & brush.region).nonzero().squeeze(1)],
+        REST: brush.rows[(held_out & ~brush.region).nonzero().squeeze(1)],
+    }
+    if brush.fresh is not None:
+        judged[POLICY] = brush.fresh
+    return {
+        name: one_step_error(model, rows, scale) if len(rows) else float("nan")
+        for name, rows in judged.items()
+    }
+
+
+def ghosts(
+    known: Task,
+    episode: Episode,
+    models: Mapping[float, Predictor],
+    dt: float,
+    horizon: int,
+) -> dict[float, NDArray[np.float32]]:
+    """An episode as each factor's model predicts it: joint positions (H + 1, nq).
+
+    Predictions start again from the real state every `horizon` steps.
+    """
+    return {
+        factor: joint_positions(known, episode, imagine(model, episode, horizon).obs, dt, horizon)
+        for factor, model in models.items()
+    }

@@ -1,0 +1,216 @@
+"""Curves of single runs, and a statistic over seeds with its band. Pure functions.
+
+A page and a report put runs together here, so that they cannot disagree.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tom.analysis import statistics
+from tom.analysis.grouping import Kind, natural
+
+Statistic = Literal["mean", "median", "iqm"]
+Band = Literal["bootstrap", "deviation", "none"]
+RESAMPLES = 1000
+GRID = 1000
+"""places where a group is compared at most; what is left out is said on the figure"""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One metric of one run; `step` and `value` are (T,), steps ascending, no gaps.
+
+    `step` counts env steps, or what else the figure has along its x axis. Runs of one learner and
+    preset with other settings have another `variant`, which names what differs.
+    """
+
+    run_id: str
+    env: str
+    learner: str
+    preset: str
+    seed: int
+    step: NDArray
+    value: NDArray[np.float64]
+    variant: str = ""
+    group: Kind | None = None
+    """what its group has in common where that is not everything but the seed"""
+
+    @property
+    def final(self) -> float:
+        """The last value; NaN where there is none."""
+        return float(self.value[-1]) if len(self.value) else np.nan
+
+    @property
+    def best(self) -> float:
+        """The highest value; NaN where there is none."""
+        return float(self.value.max()) if len(self.value) else np.nan
+
+    @property
+    def best_so_far(self) -> "Curve":
+        """The running maximum of the values: what the paper draws."""
+        return replace(self, value=statistics.running_maximum(self.value))
+
+    def until(self, last: float) -> "Curve":
+        """What was recorded up to step `last`."""
+        here = self.step <= last
+        return replace(self, step=self.step[here], value=self.value[here])
+
+    @property
+    def kind(self) -> Kind:
+        """What it has in common with the runs of its group."""
+        return self.group or Kind(self.learner, self.preset, self.variant)
+
+
+@dataclass(frozen=True)
+class Group:
+    """The runs of one kind in one environment, on one grid of steps (T,).
+
+    They differ in nothing but the seed, where they are not grouped by a setting.
+
+    `mean` is the `statistic` over the runs that reach a step, `count` says how many those are;
+    `low` and `high` are the band, NaN wherever not all n runs are there or n is 1. `interpolated`:
+    not every run was recorded at every step that it covers and another run was recorded at.
+    """
+
+    env: str
+    learner: str
+    preset: str
+    curves: tuple[Curve, ...]
+    step: NDArray
+    mean: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    count: NDArray[np.int64]
+    statistic: Statistic = "mean"
+    variant: str = ""
+    thinned: bool = False
+    interpolated: bool = False
+
+    @property
+    def n(self) -> int:
+        return len(self.curves)
+
+    @property
+    def kind(self) -> Kind:
+        """What its runs have in common."""
+        return Kind(self.learner, self.preset, self.variant)
+
+    @property
+    def complete(self) -> NDArray[np.bool_]:
+        """Steps (T,) that all n runs reach."""
+        return self.count == self.n
+
+
+def curve_points(frame: pd.DataFrame, metric: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The steps and values of `metric` where it was recorded."""
+    if metric not in frame or frame.empty:
+        return np.zeros(0, np.int64), np.zeros(0)
+    value = np.asarray(frame[metric], np.float64)
+    here = np.isfinite(value)
+    return np.asarray(frame["env_step"], np.int64)[here], value[here]
+
+
+def points_against(
+    frame: pd.DataFrame, metric: str, other: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The values of `other` and of `metric`, in the order they were recorded.
+
+    Where the two were recorded at other steps, `other` is interpolated, never extrapolated.
+    """
+    step, value = curve_points(frame, metric)
+    at, x = curve_points(frame, other)
+    if not len(step) or not len(at):
+        return np.zeros(0), np.zeros(0)
+    beside = np.interp(step, at, x, left=np.nan, right=np.nan)
+    here = np.isfinite(beside)
+    return beside[here], value[here]
+
+
+def groups(
+    curves: Sequence[Curve], statistic: Statistic = "mean", band: Band = "bootstrap"
+) -> list[Group]:
+    """The curves grouped by their kind, in order of env, learner, preset, settings."""
+    keyed: dict[tuple[str, Kind], list[Curve]] = {}
+    for curve in curves:
+        if len(curve.step):
+            keyed.setdefault((curve.env, curve.kind), []).append(curve)
+    return [
+        aggregate(sorted(keyed[key], key=lambda c: c.seed), statistic, band)
+        for key in sorted(keyed, key=lambda key: (key[0], *key[1][:2], natural(key[1].variant)))
+    ]
+
+
+def aggregate(
+    curves: Sequence[Curve], statistic: Statistic = "mean", band: Band = "bootstrap"
+) -> Group:
+    """A statistic and its band over runs of one group.
+
+    Runs that were recorded at other steps are interpolated linearly, never extrapolated.
+    """
+    grid = np.unique(np.concatenate([c.step for c in curves]))
+    # Every run's steps are among the grid's, so that a run with fewer lacks some.
+    between = any(((grid >= c.step[0]) & (grid <= c.step[-1])).sum() > len(c.step) for c in curves)
+    thinned = len(grid) > GRID
+    if thinned:
+        grid = grid[np.linspace(0, len(grid) - 1, GRID).astype(int)]
+    values = np.stack([on_grid(c, grid) for c in curves])  # (n, T)
+    count = np.isfinite(values).sum(0)
+    complete = count == len(curves)
+    middle = np.empty(len(grid))
+    for n in np.unique(count):
+        # Columns with as many runs at once; the order of runs does not matter to a statistic.
+        columns = np.sort(values[:, count == n], axis=0)[:n]  # NaN comes last
+        middle[count == n] = statistics.STATISTICS[statistic](columns.T) if n else np.nan
+    low, high = np.full(len(grid), np.nan), np.full(len(grid), np.nan)
+    if len(curves) > 1 and complete.any():
+        low[complete], high[complete] = _band(values[:, complete], statistic, band)
+    learner, preset, variant = curves[0].kind
+    return Group(
+        curves[0].env, learner, preset, tuple(curves), grid, middle, low, high, count,
+        statistic, variant, thinned, between,
+    )  # fmt: skip
+
+
+def on_grid(curve: Curve, grid: NDArray) -> NDArray[np.float64]:
+    """The curve's values (T,) on `grid`, NaN outside the steps that it covers."""
+    return np.interp(grid, curve.step, curve.value, left=np.nan, right=np.nan)
+
+
+def smoothed(group: Group, window: int) -> Group:
+    """Centred moving average over `window` points of the group's line and band.
+
+    It is taken of the statistic, after the runs were put together, and shorter at both ends of
+    each stretch that all runs or not all runs reach: the two are statistics of other runs.
+    """
+    if window < 2:
+        return group
+    ends = np.flatnonzero(np.diff(group.complete)) + 1
+
+    def moving(value: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.concatenate([_moving(part, window) for part in np.split(value, ends)])
+
+    return replace(group, mean=moving(group.mean), low=moving(group.low), high=moving(group.high))
+
+
+def _band(
+    values: NDArray[np.float64], statistic: Statistic, band: Band
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Low and high (T,) of values (n, T)."""
+    if band == "bootstrap":
+        how = statistics.STATISTICS[statistic]
+        return statistics.band(values, how, statistics.draws(), resamples=RESAMPLES)
+    if band == "deviation":
+        mean, spread = values.mean(0), values.std(0, ddof=1)
+        return mean - spread, mean + spread
+    nothing = np.full(values.shape[1], np.nan)
+    return nothing, nothing
+
+
+def _moving(value: NDArray[np.float64], window: int) -> NDArray[np.float64]:
+    mean = pd.Series(value).rolling(window, center=True, min_periods=1).mean()
+    return np.where(np.isfinite(value), np.asarray(mean, np.float64), np.nan)

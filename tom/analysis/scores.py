@@ -1,0 +1,79 @@
+"""Scores of runs up to a step that all runs reach, and comparisons of them. Pure functions."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tom.analysis import statistics
+from tom.analysis.curves import Curve, Statistic
+from tom.analysis.statistics import Interval
+
+Floats = NDArray[np.float64]
+
+FINAL, BEST, HEIGHT = "value at the end", "best value", "mean height"
+SCORES = (FINAL, BEST, HEIGHT)
+
+
+def common_step(curves: Iterable[Curve]) -> float:
+    """The last step that all curves reach; every curve has at least one point."""
+    return min(float(curve.step[-1]) for curve in curves)
+
+
+def begun(curves: Iterable[Curve], until: float) -> bool:
+    """Whether every curve has a point up to step `until`, so that all runs have a score."""
+    return all(curve.step[0] <= until for curve in curves)
+
+
+def scores_of(curves: Sequence[Curve], score: str, until: float) -> Floats:
+    """The score of each run (n,) up to step `until`; NaN for a run without a point up to there."""
+    return np.array([_score(curve, score, until) for curve in curves], np.float64)
+
+
+def _score(curve: Curve, score: str, until: float) -> float:
+    cut = curve.until(until)
+    if score == FINAL:
+        return cut.final
+    if score == BEST:
+        return cut.best
+    height = statistics.area_under_curve(curve.step, curve.value, until)
+    # A single point has no area: its value is the mean height.
+    return height if np.isfinite(height) else cut.final
+
+
+def steps_to(curves: Sequence[Curve], level: float, until: float) -> Floats:
+    """The first recorded step (n,) at which each run reaches `level`; infinity if it does not.
+
+    Steps after `until` do not count, because runs that ended earlier have none.
+    """
+    cut = [curve.until(until) for curve in curves]
+    return np.array([statistics.steps_to_reach(c.step, c.value, level) for c in cut], np.float64)
+
+
+def interval(values: Floats, statistic: Statistic = "mean") -> Interval:
+    """A statistic of n numbers and its bootstrap interval.
+
+    The bounds are NaN if n is 1; everything is NaN if a value is missing.
+    """
+    if not len(values) or not np.isfinite(values).all():
+        return Interval(np.nan, np.nan, np.nan)
+    column = np.asarray(values, np.float64)[:, None]
+    return statistics.interval(column, statistics.STATISTICS[statistic], statistics.draws())
+
+
+def beats(first: Sequence[Floats], second: Sequence[Floats]) -> Interval:
+    """P(a run of `first` beats a run of `second`); each holds scores (n,) for the same tasks.
+
+    Raises ValueError if a task has no score.
+    """
+    return statistics.probability_of_improvement(
+        _matrix(first), _matrix(second), statistics.draws()
+    )
+
+
+def _matrix(tasks: Sequence[Floats]) -> Floats:
+    """(runs, tasks), padded with NaN if a task has fewer runs."""
+    matrix = np.full((max(map(len, tasks)), len(tasks)), np.nan)
+    for i, scores in enumerate(tasks):
+        matrix[: len(scores), i] = scores
+    return matrix

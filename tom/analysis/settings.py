@@ -1,0 +1,96 @@
+"""The settings of runs: in what they differ, and which runs form one group."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from tom.config import Settings, in_words
+from tom.learners import others_groups
+from tom.training.presets import resolve
+
+# They do not change a run's numbers, or at most its length.
+NO_MATTER = {"seed", "steps", "checkpoint_every", "snapshots", "bins", "threads"}
+NO_MATTER |= {"device", "matmul", "env", "learner", "preset"}
+NONE = "-"
+
+
+class WithPreset(Protocol):
+    """The task, learner and preset of a run or a group of runs."""
+
+    @property
+    def env(self) -> str: ...
+    @property
+    def learner(self) -> str: ...
+    @property
+    def preset(self) -> str: ...
+
+
+class Made(WithPreset, Protocol):
+    """A run with its settings: a `RunReader`, or a page's `RunInfo`."""
+
+    @property
+    def run_id(self) -> str: ...
+    @property
+    def settings(self) -> Settings: ...
+
+
+def differences(runs: Sequence[Made]) -> dict[str, list[str]]:
+    """The settings in which the runs differ: path to the values, in the order of the runs."""
+    paths = sorted({path for run in runs for path in run.settings})
+    rows = {path: [run.settings.get(path, NONE) for run in runs] for path in paths}
+    return {path: words for path, words in rows.items() if len(set(words)) > 1}
+
+
+def telling_presets(kinds: Sequence[WithPreset]) -> list[str]:
+    """The preset of each, empty if its learner has only one preset in its task."""
+    used: dict[tuple[str, str], set[str]] = {}
+    for one in kinds:
+        used.setdefault((one.env, one.learner), set()).add(one.preset)
+    return [one.preset if len(used[one.env, one.learner]) > 1 else "" for one in kinds]
+
+
+def variants(runs: Sequence[Made]) -> dict[str, str]:
+    """For each run id, its differences from the runs of the same environment, learner and preset.
+
+    Empty if only the seed differs. Settings that a run's version did not have yet do not count, nor
+    do settings of other learners.
+    """
+    kinds: dict[tuple[str, str, str], list[Made]] = {}
+    for run in runs:
+        kinds.setdefault((run.env, run.learner, run.preset), []).append(run)
+    variant_of: dict[str, str] = {}
+    for (_, learner, _), members in kinds.items():
+        apart = {
+            path: words
+            for path, words in differences(members).items()
+            if matters(path, learner) and len(set(words) - {NONE}) > 1
+        }
+        for i, run in enumerate(members):
+            words = [f"{path} {values[i]}" for path, values in apart.items()]
+            variant_of[run.run_id] = ", ".join(words)
+    return variant_of
+
+
+def changed(run: Made) -> dict[str, str]:
+    """The settings in which a run differs from its preset: path to value.
+
+    Only settings that matter to its learner and exist both in this version and in the run's.
+    """
+    preset = resolve(run.env, run.learner, run.preset).model_dump(mode="json")
+    usual = in_words(preset)
+    return {
+        path: words
+        for path, words in run.settings.items()
+        if matters(path, run.learner) and words != usual.get(path, words)
+    }
+
+
+def unlike(runs: Sequence[Made]) -> list[str]:
+    """Paths of the settings that not all of these runs have changed in the same way."""
+    every = [changed(run) for run in runs]
+    paths = sorted({path for one in every for path in one})
+    return [path for path in paths if len({one.get(path) for one in every}) > 1]
+
+
+def matters(path: str, learner: str) -> bool:
+    """Whether a setting changes the numbers of a run of this learner."""
+    return path not in NO_MATTER and path.partition(".")[0] not in others_groups(learner)

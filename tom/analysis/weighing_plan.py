@@ -1,0 +1,123 @@
+"""The data, policy and settings of a weighing, checked before anything is computed."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tom.analysis.ordered_data import OrderedData, after_random, find_run, load_data
+from tom.analysis.weighing import PolicyOfInterest, Weighed, load_policy, policy_env, weigh
+from tom.config import RunConfig, TomConfig
+from tom.envs import Task, task
+from tom.errors import UserError, unknown
+from tom.learners import LEARNERS, with_own_settings
+from tom.record import Store
+from tom.training import presets
+from tom.training.resume import recorded_config
+
+OWN = "own"
+OBJECTIVES = {
+    "exact": TomConfig.preset("exact"),
+    **{
+        name: TomConfig.model_validate(presets.PRESETS[name]["tom"])
+        for name in ("paper", "mended", "released")
+    },
+}
+"""TOM's settings by the name of the preset they come from"""
+PRESETS = (OWN, *OBJECTIVES)
+
+
+@dataclass(frozen=True)
+class WeighingPlan:
+    """Data, policy and settings that belong to the same task."""
+
+    data: OrderedData
+    known: Task
+    policy: PolicyOfInterest
+    config: RunConfig
+    preset: str
+    learners: tuple[str, ...]
+    seeds: tuple[int, ...]
+    footprint: int
+
+    @property
+    def steps(self) -> int:
+        """The number of steps that the policy will take in the real environment."""
+        return 2 * self.footprint * len(self.seeds)
+
+    def carry_out(self, stepped: Callable[[], None] = lambda: None) -> Iterator[Weighed]:
+        """Yield every learner's weights under every seed (`weigh`)."""
+        parts = self.data, self.policy, self.known, self.config, self.learners, self.seeds
+        return weigh(*parts, self.footprint, stepped)
+
+
+def plan_weighing(
+    data: str,
+    policy: str,
+    store: Store,
+    *,
+    learners: Sequence[str],
+    seeds: Sequence[int],
+    footprint: int,
+    env: str | None = None,
+    step: int | None = None,
+    random: str | None = None,
+    preset: str | None = None,
+    settings: Mapping[str, Any],
+) -> WeighingPlan:
+    """The plan to weigh `data` for `policy`; `tom weigh` documents both.
+
+    `settings` are nested like `RunConfig` and override the preset. Raises UserError, or pydantic's
+    ValidationError for a wrong setting.
+    """
+    rows, name = _data(data, policy, store, env, step, random)
+    known = task(name)
+    preset = preset or ("exact" if step is None else OWN)
+    config = _config(preset, data, store, name).but(**settings)
+    for learner in learners:
+        if learner not in LEARNERS:
+            raise unknown("learner", learner, LEARNERS)
+    return WeighingPlan(
+        rows, known, load_policy(policy, store, known, step), config, preset,
+        tuple(dict.fromkeys(learners)), tuple(dict.fromkeys(seeds)), footprint,
+    )  # fmt: skip
+
+
+def _data(
+    name: str, policy: str, store: Store, env: str | None, step: int | None, random: str | None
+) -> tuple[OrderedData, str]:
+    env = env or policy_env(policy, store)
+    data = load_data(name, store, env, step)
+    if data.env != (env or data.env):
+        raise UserError(f"{data.name} is of {data.env}, not of {env}: name a policy of {data.env}")
+    if random:
+        data = after_random(load_data(random, store, data.env), data)
+    assert data.env is not None
+    return data, data.env
+
+
+def _config(preset: str, data: str, store: Store, env: str) -> RunConfig:
+    if preset not in PRESETS:
+        raise unknown("preset", preset, PRESETS)
+    if preset == OWN:
+        return _own_settings(data, store)
+    return settings_type()(env=env, learner="tom", tom=OBJECTIVES[preset])
+
+
+def _own_settings(name: str, store: Store) -> RunConfig:
+    run = find_run(name, store)
+    if run is None:
+        raise UserError(f"{name} is no run, so it has no settings: --preset exact, paper or mended")
+    own = recorded_config(run, "name --preset exact, paper or mended")
+    return settings_type()(
+        env=own.env, learner="tom", tom=own.tom, pmac=own.pmac, vagram=own.vagram
+    )
+
+
+def settings_type() -> type[RunConfig]:
+    """The configuration class with the settings of every plug-in's learner."""
+    return with_own_settings(RunConfig, LEARNERS)
+
+
+def setting_groups() -> set[str]:
+    """The names of the groups of learners' settings."""
+    return {entry.group for entry in LEARNERS.values() if entry.group}

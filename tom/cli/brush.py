@@ -1,0 +1,186 @@
+"""`tom brush`: refit the model with a region of the buffer counting more or less."""
+
+import argparse
+import json
+import shlex
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from tom.analysis.brush import AS_IT_IS, FACTORS, SMALL, Brush, Fitted, fits, ghosts
+from tom.analysis.ordered_data import OrderedData, find_run, of_run
+from tom.analysis.weighing import load_policy, made_anew
+from tom.cli.parser import folder
+from tom.cli.weigh import count, whole
+from tom.envs import scene, task
+from tom.errors import UserError
+from tom.machine.matmul import choose_matmul
+from tom.record import RunReader, Store, layout
+from tom.record.array_files import DAMAGE, read_table
+from tom.record.reader import at_or_before
+from tom.record.versions import git_commit, versions
+from tom.reports import brush_files, weighing_files
+
+FRESH = 2000
+HORIZON = 20
+"""steps after which a ghost restarts from the real state"""
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "brush",
+        help="fit a small model with a region of the buffer counting more or less",
+        description="Multiply the weights of some transitions of a run's buffer, fit a small model "
+        "afresh by them, and measure what it has lost or gained on held-out episodes. Writes a "
+        "weighing, with the errors in report.json and the ghosts of an episode in ghosts.npz.",
+    )
+    parser.add_argument("run_name", metavar="RUN", help="a run (id or folder)")
+    parser.add_argument("--rows", type=Path, required=True, help="a text file: row numbers, from 0")
+    parser.add_argument("--step", type=count, required=True, metavar="N", help="a kept model fit")
+    parser.add_argument(
+        "--weighing", help="the weights are COLUMN of a weighing: FOLDER:COLUMN [the run's own]"
+    )
+    parser.add_argument(
+        "--factors", nargs="+", type=float, default=list(FACTORS), metavar="X",
+        help="the region's weights are multiplied by these [0 0.25 4]",
+    )  # fmt: skip
+    parser.add_argument("--seeds", nargs="+", type=whole, default=[0, 1, 2], metavar="N")
+    parser.add_argument("--hidden", type=count, default=SMALL.hidden, help="[%(default)s]")
+    parser.add_argument("--layers", type=count, default=SMALL.layers, help="[%(default)s]")
+    parser.add_argument("--out", type=Path, help="new folder [STORE/weighings/RUN-brushed-TIME]")
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    torch.set_num_threads(1)
+    choose_matmul("default")
+    store = Store(args.store)
+    reader = find_run(args.run_name, store)
+    if reader is None:
+        raise UserError(f"no run '{args.run_name}' in {store.path}/: name one of `tom runs list`")
+    data = of_run(reader, args.step)
+    region = _region(args.rows, reader, data, args.step)
+    brush = _brush(args, reader, store, data, region)
+    out = args.out or _default_out(store, reader)
+    weighing_files.check_free(out)
+    begun, models = perf_counter(), list[Fitted]()
+    config = SMALL.but(hidden=args.hidden, layers=args.layers)
+    seeds = list(dict.fromkeys(args.seeds))
+    total = len(dict.fromkeys((AS_IT_IS, *args.factors))) * len(seeds)
+    for one in fits(brush, config, args.factors, seeds):
+        models.append(one)
+        words = f"model {len(models)} of {total}: region x {one.factor:g}, seed {one.seed}"
+        print(words, file=sys.stderr, flush=True)
+    report = {
+        "data": data.name,
+        "env": data.env,
+        "policy": reader.run_id,
+        "preset": "own",
+        "rows": len(data),
+        "ordered_from": data.ordered_from,
+        "step": args.step,
+        "brush": {
+            "of": args.weighing or "own",
+            "model": config.model_dump(include={"kind", "hidden", "layers", "rounds"}),
+            "fresh": 0 if brush.fresh is None else len(brush.fresh),
+        },
+        "made": {
+            "command": shlex.join(["tom", *sys.argv[1:]]),
+            "git_commit": git_commit(),
+            "versions": versions(),
+            "hours": (perf_counter() - begun) / 3600,
+        },
+    }
+    made = _ghosts(reader, models, args.step)
+    brush_files.write(out, region, models, report, made)
+    print(json.dumps({"out": str(out)}) if args.json else out)
+    return 0
+
+
+def _region(path: Path, reader: RunReader, data: OrderedData, step: int) -> NDArray[np.bool_]:
+    """The rows listed in the file, by their numbers in the run's record, as a mask (N,)."""
+    try:
+        numbers = np.array(path.read_text().split(), np.int64)
+    except (OSError, ValueError, OverflowError) as error:
+        raise UserError(f"--rows {path}: {error}; write row numbers into it, one a line") from None
+    first = step - len(data)
+    if not len(numbers) or numbers.min() < first or numbers.max() >= step:
+        raise UserError(
+            f"--rows {path}: the buffer of run {reader.run_id} at step {step} holds the rows "
+            f"{first} to {step - 1}: name some of these"
+        )
+    region = np.zeros(len(data), bool)
+    region[numbers - first] = True
+    return region
+
+
+def _brush(
+    args: argparse.Namespace,
+    reader: RunReader,
+    store: Store,
+    data: OrderedData,
+    region: NDArray[np.bool_],
+) -> Brush:
+    weights = _own(reader, args.step) if args.weighing is None else _of(args.weighing, store)
+    if len(weights) != len(data):
+        raise UserError(
+            f"these are weights of {len(weights)} transitions, and the buffer at step {args.step} "
+            f"holds {len(data)}: name weights of that step"
+        )
+    fresh = None
+    if args.step in reader.policy_steps():
+        known = task(reader.env)
+        policy = load_policy(str(reader.path), store, known, args.step)
+        made = made_anew(known, policy, FRESH, min(args.seeds), "fresh episodes")
+        fresh = made.transitions.torch()
+    return Brush(data.transitions, torch.tensor(weights), torch.from_numpy(region), fresh)
+
+
+def _own(reader: RunReader, step: int) -> NDArray[np.float32]:
+    kept = reader.snapshot_steps()
+    if step not in kept:
+        advice = ", ".join(map(str, kept)) or "none"
+        raise UserError(f"run {reader.run_id} kept no weights of step {step}; it kept: {advice}")
+    return reader.snapshot(step)["weight"].to_numpy(np.float32)
+
+
+def _of(name: str, store: Store) -> NDArray[np.float32]:
+    where, _, column = name.rpartition(":")
+    path = Path(where) if "/" in where else store.path / layout.WEIGHINGS / where
+    try:
+        return read_table(path / weighing_files.WEIGHTS)[column].to_numpy(np.float32)
+    except (KeyError, *DAMAGE) as error:
+        raise UserError(
+            f"--weighing {name}: no such weights ({error}): name FOLDER:COLUMN"
+        ) from None
+
+
+def _ghosts(reader: RunReader, fitted: list[Fitted], step: int) -> dict[str, NDArray]:
+    """Joint positions (H + 1, nq) of a recorded episode and of its prediction by each model.
+
+    The models are the first seed's; the episode is from the last evaluation at or before `step`.
+    Empty if no episode was recorded.
+    """
+    kept = reader.evaluation_steps()
+    if not kept:
+        return {}
+    episodes = reader.episodes(at_or_before(kept, step))
+    longest = max(episodes, key=lambda e: e.length, default=None)
+    if longest is None or longest.qpos is None or not longest.length:
+        return {}
+    first = fitted[0].seed
+    models = {f.factor: f.model for f in fitted if f.seed == first}
+    dt = scene.model(reader.env).dt
+    made = ghosts(task(reader.env), longest, models, dt, HORIZON)
+    named = {f"x{factor:g}": qpos for factor, qpos in made.items()}
+    return {"real": np.asarray(longest.qpos, np.float32), "dt": np.array(dt), **named}
+
+
+def _default_out(store: Store, reader: RunReader) -> Path:
+    return store.new_weighing(f"{reader.run_id}-brushed")

@@ -1,0 +1,28 @@
+"""Import the modules of tasks and termination rules that the command line names."""
+
+import argparse
+
+from tom.cli.parser import DEST
+from tom.envs import bring
+from tom.envs.ends import bring_rule
+
+TERMINATION = "model.termination"
+
+
+def add_termination(parser: argparse._ActionsContainer) -> None:
+    """Add `--termination`, a short form of the setting `model.termination`."""
+    parser.add_argument(
+        "--termination",
+        dest=DEST + TERMINATION,
+        metavar="module:function",
+        help="what ends an episode in the model: next observations (B, O) in the task's units -> "
+        "bool (B,); or never; or learnt, by a head of the model (short for --model.termination)",
+    )
+
+
+def bring_named(args: argparse.Namespace) -> None:
+    """Import the modules of the tasks and the rule that these arguments name. Raises UserError."""
+    given = getattr(args, "env", None)
+    for name in given if isinstance(given, list) else [given]:
+        bring(name)
+    bring_rule(getattr(args, DEST + TERMINATION, None))

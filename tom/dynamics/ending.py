@@ -1,0 +1,158 @@
+"""A head of the dynamics model that learns which next observations end an episode.
+
+p(end | s') is a Bernoulli distribution whose logit is a network of s' (the task only tells that an
+episode ended there). It is fitted by the same weighted maximum likelihood as the model, on the same
+rows. A modelled episode ends where p reaches the threshold that was best on held-out rows.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits, relu
+
+from tom.config import ModelConfig
+from tom.data.sampling import WeightedSampler, uniform_indices
+from tom.data.scaling import Scaling
+from tom.data.transitions import TensorTransitions
+from tom.nn.mlp import StackedMLP
+from tom.nn.trained import Trained
+
+HIDDEN = 64
+ROUNDS = 5
+"""rounds of `batches_per_round` minibatches in a fit; few, because only one number is learnt"""
+BINS = 10
+NEVER = 2.0
+"""a threshold that no probability reaches"""
+UNWEIGHTED = (
+    "ends-unweighted",
+    "no end of an episode has any weight: the head that learns ends is fitted without weights",
+)
+
+
+class EndingHead:
+    """The head of one member, with its threshold; before the first fit it never ends an episode."""
+
+    def __init__(self, obs_dim: int, config: ModelConfig, generator: torch.Generator) -> None:
+        net = StackedMLP(1, [obs_dim, HIDDEN, HIDDEN, 1], relu, [generator])
+        self.config = config
+        self.network = Trained(net, config.lr)
+        device = self.network.device
+        self.mean, self.std = torch.zeros(obs_dim).to(device), torch.ones(obs_dim).to(device)
+        self.threshold = NEVER
+
+    def __call__(self, next_obs: Tensor) -> Tensor:
+        """Which next_obs (B, O) end an episode, (B,)."""
+        if self.threshold >= NEVER:
+            return next_obs.new_zeros(len(next_obs)).bool()
+        with torch.no_grad():
+            return self.probability(next_obs) >= self.threshold
+
+    def probability(self, next_obs: Tensor) -> Tensor:
+        """p(end | s'), (B,), for next_obs (B, O)."""
+        return torch.sigmoid(self._logit(next_obs))
+
+    def fit(
+        self, rows: TensorTransitions, weights: Tensor, generator: torch.Generator
+    ) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
+        """Fit to transitions with weights (N,), as the model's; returns metrics and notices.
+
+        While the buffer contains no end of an episode, nothing is learnt and no episode ends.
+        """
+        label = (rows.terminated > 0).to(rows.obs)
+        if not bool(label.any()):
+            self.threshold = NEVER
+            return {"model/ends_threshold": NEVER}, ()
+        notices: tuple[tuple[str, str], ...] = ()
+        if not bool((weights * label).any()):
+            weights, notices = torch.ones_like(weights), (UNWEIGHTED,)
+        scaling = Scaling.of((rows.next_obs,))
+        self.mean, self.std = scaling.mean, scaling.std
+        held, kept = self._split(label, generator)
+        self._train(rows.next_obs[kept], label[kept], weights[kept], generator)
+        # Ends are rare: if none was held out, the threshold is chosen on all rows.
+        judges = held if bool((label * weights)[held].any()) else torch.cat((held, kept))
+        with torch.no_grad():
+            p = self.probability(rows.next_obs[judges])
+        label, weights = label[judges], weights[judges]
+        self.threshold = best_threshold(p, label, weights)
+        return measured(p, label, weights, self.threshold), notices
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            "network": self.network.state_dict(),
+            "mean": self.mean,
+            "std": self.std,
+            "threshold": self.threshold,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self.mean = state["mean"].to(self.network.device)
+        self.std = state["std"].to(self.network.device)
+        self.threshold = state["threshold"]
+
+    def _logit(self, next_obs: Tensor) -> Tensor:
+        return self.network.net(((next_obs - self.mean) / self.std)[None])[0, :, 0]
+
+    def _split(self, label: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """The row numbers that are held out, and the others."""
+        n, config = len(label), self.config
+        order = torch.randperm(n, generator=generator, device=label.device)
+        held = min(int(n * config.holdout), config.holdout_max)
+        return order[:held], order[held:]
+
+    def _train(
+        self, next_obs: Tensor, label: Tensor, weights: Tensor, generator: torch.Generator
+    ) -> None:
+        drawn = self.config.weights == "sample" and bool(weights.any())
+        sampler = WeightedSampler(weights, generator) if drawn else None
+        size = self.config.batch_size
+        for _ in range(ROUNDS * self.config.batches_per_round):
+            if sampler is not None:
+                index, scale = sampler.draw(size), None
+            else:
+                index = uniform_indices(len(label), size, generator)
+                scale = weights[index]
+            logit = self._logit(next_obs[index])
+            loss = binary_cross_entropy_with_logits(logit, label[index], scale)
+            tensors = self.network.net.tensors()
+            self.network.optimiser.step(torch.autograd.grad(loss, tensors))
+
+
+def best_threshold(p: Tensor, label: Tensor, weights: Tensor) -> float:
+    """The threshold on p (N,) with the largest weighted F1; .5 if there are no ends.
+
+    F1 = 2 caught / (called + ends), where each term is the weight of these rows.
+    """
+    order = torch.argsort(p, descending=True)
+    caught = (weights * label)[order].cumsum(0)
+    called = weights[order].cumsum(0)
+    ends = (weights * label).sum()
+    if not bool(ends > 0):
+        return 0.5
+    score = 2 * caught / (called + ends)
+    ranked = p[order]
+    last = torch.ones_like(ranked, dtype=torch.bool)
+    last[:-1] = ranked[:-1] > ranked[1:]  # equal probabilities are on the same side
+    at = int(torch.where(last, score, -1.0).argmax())
+    following = float(ranked[at + 1]) if at + 1 < len(ranked) else 0.0
+    return 0.5 * (float(ranked[at]) + following)  # half way to the next lower probability
+
+
+def measured(p: Tensor, label: Tensor, weights: Tensor, threshold: float) -> dict[str, float]:
+    """Metrics of the head on rows (N,) that it was not fitted to, weighted like the fit."""
+    total = weights.sum().clamp_min(1e-12)
+    called = (p >= threshold).to(p)
+    ends, others = weights * label, weights * (1 - label)
+    clamped = p.clamp(1e-6, 1 - 1e-6)
+    loss = -(label * clamped.log() + (1 - label) * (1 - clamped).log())
+    which = (p * BINS).long().clamp(max=BINS - 1)
+    gap = torch.zeros(BINS).to(p).index_add(0, which, weights * (label - p))
+    return {
+        "model/ends_loss": float((weights * loss).sum() / total),
+        "model/ends_threshold": threshold,
+        "model/ends_calibration": float(gap.abs().sum() / total),
+        "model/ends_caught": float((ends * called).sum() / ends.sum().clamp_min(1e-12)),
+        "model/ends_false": float((others * called).sum() / others.sum().clamp_min(1e-12)),
+    }

@@ -1,0 +1,55 @@
+"""The description of a task that a training needs without making the environment."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from torch import Tensor
+
+Termination = Callable[[Tensor], Tensor]
+"""next_obs (B, O) -> terminated (B,), a bool tensor."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A task; agents act in [-1, 1].
+
+    `terminated` ends modelled episodes; it is the task's own rule if `knows_ends`, else it never
+    ends one. `steps` is the length of a training; `obs_names` names the O dimensions. A MuJoCo task
+    has `nq` joint positions. With `root_dims` an observation is qpos without that many leading
+    entries (the position on the ground), then qvel. With `keeps_states` observations have another
+    form, and the simulator's state is recorded with every row. `settings` change the presets.
+    """
+
+    name: str
+    terminated: Termination
+    steps: int
+    action_dim: int
+    obs_names: tuple[str, ...]
+    max_episode_steps: int = 1000
+    nq: int = 0
+    root_dims: int | None = None
+    knows_ends: bool = True
+    keeps_states: bool = False
+    of_paper: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def obs_dim(self) -> int:
+        return len(self.obs_names)
+
+    def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
+        """The environment, with actions in [-1, 1]; its random streams follow `seed`, if given."""
+        raise NotImplementedError
+
+    def described(self) -> dict[str, Any] | None:
+        """The description for a run's `config.json`; None for a task of ours."""
+        return None
+
+    def qpos_from_obs(self, obs: np.ndarray) -> np.ndarray:
+        """Joint positions (..., nq) of observations (..., O), with the root at the origin."""
+        assert self.root_dims is not None, "observations of this task do not hold its joints"
+        root = np.zeros((*obs.shape[:-1], self.root_dims), obs.dtype)
+        return np.concatenate((root, obs[..., : self.nq - self.root_dims]), axis=-1)

@@ -1,0 +1,78 @@
+"""Any environment with Box spaces, rescaled by its bounds, whose episodes can be replayed."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from tom.errors import UserError
+
+
+class Unit(gym.Wrapper):
+    """Actions in [-1, 1], observations `(obs - offset) / scale` in float32.
+
+    Every episode has its own seed, drawn from the last given seed. The state of an episode is
+    stored as this seed and the actions since, so nothing of the environment's content needs to be
+    known.
+    """
+
+    def __init__(
+        self, env: gym.Env, action: tuple[NDArray, NDArray], obs: tuple[NDArray, NDArray]
+    ) -> None:
+        """`action` is the lower and upper bounds (A,), `obs` the offset and scale (O,)."""
+        super().__init__(env)
+        self._low, self._high = action
+        self._offset, self._scale = obs
+        self._seeds = np.random.default_rng()
+        self._seed = 0
+        self._actions: list[NDArray[np.float32]] = []
+        self._obs = np.zeros(0, np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Start a new episode; `seed` determines it and all later ones."""
+        if seed is not None:
+            self._seeds = np.random.default_rng(seed)
+        self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
+        self._actions = []
+        obs, info = self.env.reset(seed=self._seed, options=options)
+        return self._seen(obs), info
+
+    def step(self, action: NDArray):
+        """One step with an action (A,) in [-1, 1]."""
+        taken = np.clip(np.asarray(action, np.float32), -1, 1)
+        self._actions.append(taken.copy())
+        own = self._low + 0.5 * (taken.astype(np.float64) + 1) * (self._high - self._low)
+        obs, reward, terminated, truncated, info = self.env.step(own.astype(np.float32))
+        return self._seen(obs), float(reward), bool(terminated), bool(truncated), info
+
+    def capture(self) -> dict[str, Any]:
+        """The state for `restore`, as tensors and primitives."""
+        width = len(self._low)
+        return {
+            "seeds": self._seeds.bit_generator.state,
+            "seed": self._seed,
+            "actions": torch.from_numpy(np.array(self._actions, np.float32).reshape(-1, width)),
+            "obs": torch.from_numpy(self._obs.copy()),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Replay the captured episode up to the step of the capture.
+
+        Raises UserError if the observation there is not the captured one.
+        """
+        self.reset(seed=state["seed"])
+        for action in state["actions"].numpy():
+            self.step(action)
+        self._seeds.bit_generator.state = state["seeds"]
+        if not np.array_equal(self._obs, state["obs"].numpy()):
+            raise UserError(
+                f"{self.unwrapped.spec.id if self.unwrapped.spec else 'the task'} does not play an "
+                "episode the same way again from its seed and actions, so a run in it cannot go "
+                "on: start the run again"
+            )
+
+    def _seen(self, obs: NDArray) -> NDArray[np.float32]:
+        self._obs = ((np.asarray(obs, np.float64) - self._offset) / self._scale).astype(np.float32)
+        return self._obs

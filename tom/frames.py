@@ -1,0 +1,227 @@
+"""Runs and weighings as pandas frames: `tom.load`, `tom.weigh` (docs/notebook.ipynb)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tom.analysis.ordered_data import OrderedData, find_run
+from tom.analysis.weighing import Weighed
+from tom.analysis.weighing_plan import plan_weighing
+from tom.data.sampling import bin_means
+from tom.data.transitions import Transitions
+from tom.envs import bring
+from tom.errors import UserError, reason
+from tom.learners import WEIGHED_FIRST
+from tom.record import RunReader, Store
+from tom.record.array_files import DAMAGE, read_table
+from tom.record.files import read_json
+from tom.reports import weighing_files
+from tom.reports.weighing_files import NEEDED, REPORT, ROWS, WEIGHTS
+
+BINS = 100
+SHOWN = ("learner", "seed", "footprint", "footprint_se", "footprint_noise", "ess", "last_two")
+"""columns of a weighing's table, chosen from a report's entries"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recorded run. Unreadable parts are empty and listed in `reader.problems`."""
+
+    reader: RunReader
+
+    @property
+    def name(self) -> str:
+        return self.reader.run_id
+
+    @property
+    def summary(self) -> pd.Series:
+        """The run's main settings and its progress."""
+        run, status = self.reader, self.reader.status
+        told = {"env": run.env, "learner": run.learner, "seed": run.seed, "state": run.shown}
+        told |= {"env_step": status.env_step, "last_return": status.last_return}
+        return pd.Series({**told, "best_return": status.best_return}, name=run.run_id)
+
+    @cached_property
+    def metrics(self) -> pd.DataFrame:
+        """All metrics (`tom.metrics`), one row per recorded `env_step`, NaN if missing."""
+        return self.reader.metrics().set_index("env_step")
+
+    @cached_property
+    def profiles(self) -> pd.DataFrame:
+        """The mean weight of each bin, oldest first, one row per model fit, by `env_step`."""
+        recorded = self.reader.profiles()
+        return pd.DataFrame(recorded.bins, index=pd.Index(recorded.env_step, name="env_step"))
+
+    @cached_property
+    def transitions(self) -> pd.DataFrame:
+        """The replay buffer, one row per transition, oldest first."""
+        return transitions_frame(self.reader.buffer()[0])
+
+    def weights(self, step: int | None = None) -> pd.DataFrame:
+        """All weights of the fit at `step` (default: the last stored one), one row per transition.
+
+        Raises UserError if the weights of that fit were not stored.
+        """
+        kept = self.reader.snapshot_steps()
+        if not kept or (step is not None and step not in kept):
+            steps = ", ".join(map(str, kept)) or "none"
+            raise UserError(f"run {self.name} kept no weights of step {step}: it kept {steps}")
+        return self.reader.snapshot(kept[-1] if step is None else step)
+
+    def _repr_html_(self) -> str:
+        return self.summary.to_frame().T.to_html()
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """The result of `tom weigh`: learners' weights for the same rows, given a policy."""
+
+    report: Mapping[str, Any]
+    weights: pd.DataFrame
+    """one column `<learner>-s<seed>` each, one row per transition, oldest first, mean 1"""
+    rows: Transitions | None
+    """numpy arrays; None if they are not stored"""
+    _made: tuple[OrderedData, list[Weighed]] | None = field(default=None, repr=False)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row per learner and seed: the match to the policy, and the effective sample size."""
+        results = pd.DataFrame(self.report["results"])
+        return results.loc[:, [name for name in SHOWN if name in results]]
+
+    @property
+    def profiles(self) -> pd.DataFrame:
+        """The mean weight in each of 100 equal parts of the data, oldest first, one column each."""
+        return pd.DataFrame(
+            {
+                name: bin_means(self.weights[name].to_numpy(copy=True), BINS).numpy()
+                for name in self.weights
+            }
+        )
+
+    @property
+    def random_share(self) -> float:
+        """The share of the rows, starting with the oldest, that is random data."""
+        return self.report["ordered_from"] / max(self.report["rows"], 1)
+
+    @cached_property
+    def transitions(self) -> pd.DataFrame:
+        """The weighed rows. Raises UserError if they are not stored."""
+        if self.rows is None:
+            raise UserError(f"the rows of {self.report['data']} are not kept here: load its run")
+        return transitions_frame(self.rows)
+
+    def by_learner(self) -> dict[str, NDArray[np.float64]]:
+        """The profiles of each learner's seeds, (S, 100)."""
+        profiles = self.profiles
+        grouped: dict[str, list[NDArray[np.float64]]] = {}
+        for name in profiles:
+            grouped.setdefault(str(name).rpartition("-s")[0], []).append(profiles[name].to_numpy())
+        return {learner: np.stack(seeds) for learner, seeds in grouped.items()}
+
+    def save(self, out: Path | str) -> Path:
+        """Write the weighing into the new folder `out`, like `tom weigh`. Raises UserError."""
+        if self._made is None:
+            raise UserError("this weighing was loaded from a folder: copy that folder")
+        weighing_files.check_free(Path(out))
+        weighing_files.write(Path(out), *self._made, BINS, dict(self.report))
+        return Path(out)
+
+    def _repr_html_(self) -> str:
+        return self.table.to_html(index=False)
+
+
+def load(name: str | Path, store: str | Path = "runs") -> Run | Weighing:
+    """Load a run (id or folder) or the folder of a weighing. Raises UserError if it is neither."""
+    place = Store(Path(store))
+    for path in (Path(name), place.path / "weighings" / Path(name)):
+        if (path / REPORT).is_file():
+            return _weighing(path)
+    run = find_run(str(name), place)
+    if run is None or not run.is_run:
+        raise UserError(
+            f"no run or weighing '{name}': name a folder, or a run of {place.path}/ (`tom runs`)"
+        )
+    return Run(run)
+
+
+def weigh(
+    data: str | Path,
+    policy: str | Path,
+    *,
+    env: str | None = None,
+    learners: Sequence[str] = WEIGHED_FIRST,
+    seeds: Sequence[int] = (0, 1, 2),
+    footprint: int = 1000,
+    step: int | None = None,
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    store: str | Path = "runs",
+    stepped: Callable[[], None] = lambda: None,
+) -> Weighing:
+    """Compute each learner's weights for recorded `data`, given the policy of interest `policy`.
+
+    The arguments are those of `tom weigh`; `settings` are nested like a run's, for example
+    `{"tom": {"q_steps": 500}}`. Nothing is written before `save`. `stepped` is called after each
+    step of the policy in the task. Raises UserError, or ValidationError for a wrong setting.
+    """
+    begun = perf_counter()
+    bring(env)
+    plan = plan_weighing(
+        str(data), str(policy), Store(Path(store)), env=env, step=step, preset=preset,
+        settings=settings or {}, learners=learners, seeds=seeds, footprint=footprint,
+    )  # fmt: skip
+    weighed = list(plan.carry_out(stepped))
+    command, hours = f"tom.weigh({str(data)!r}, {str(policy)!r})", (perf_counter() - begun) / 3600
+    report = weighing_files.report(plan, weighed, str(policy), step, command, hours)
+    weights = pd.DataFrame({f"{one.learner}-s{one.seed}": one.weights for one in weighed})
+    rows = plan.data.transitions.numpy()
+    return Weighing(report, weights, rows, (plan.data, weighed))
+
+
+def transitions_frame(rows: Transitions) -> pd.DataFrame:
+    """One row per transition; a vector has one column per dimension: `obs_0`, `obs_1`, ..."""
+    part = rows.numpy()
+    columns: dict[str, NDArray] = {}
+    for name in ("obs", "action", "reward", "next_obs", "terminated", "truncated"):
+        values = np.asarray(getattr(part, name))
+        if values.ndim == 1:
+            columns[name] = values != 0 if name in ("terminated", "truncated") else values
+        else:
+            columns |= {f"{name}_{i}": values[:, i] for i in range(values.shape[1])}
+    return pd.DataFrame(columns)
+
+
+def _weighing(path: Path) -> Weighing:
+    """The weighing in a folder. Raises UserError."""
+    try:
+        report, weights = read_json(path / REPORT), read_table(path / WEIGHTS)
+        if not report.keys() >= NEEDED:
+            raise ValueError(f"{REPORT} is not a weighing's")
+    except DAMAGE as error:
+        raise UserError(f"weighing {path} cannot be read ({reason(error)}): weigh again") from error
+    kept = [name for name in weights if str(name).rpartition("-s")[2].isdigit()]
+    return Weighing(report, weights.loc[:, kept], _rows(path, report, len(weights)))
+
+
+def _rows(path: Path, report: Mapping[str, Any], count: int) -> Transitions | None:
+    """The weighed rows, from the weighing's folder or from the run beside it."""
+    run = RunReader(path) if ROWS in report else _run_of(path, report)
+    rows = run.buffer()[0].numpy() if run is not None else None
+    end = count if report.get("step") is None else int(report["step"])
+    if rows is None or not count <= end <= len(rows):
+        return None
+    return rows[end - count : end]
+
+
+def _run_of(path: Path, report: Mapping[str, Any]) -> RunReader | None:
+    if path.absolute().parent.name != "weighings":
+        return None
+    return find_run(str(report["data"]), Store(path.absolute().parents[1]))

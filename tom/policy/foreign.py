@@ -1,0 +1,163 @@
+"""Policies that other libraries made: a TorchScript or ONNX file, or a function `module:name`.
+
+Each maps observations (B, O) either to `(mean, log_std)`, (B, A) each, of a Gaussian that tanh
+squashes into [-1, 1] (soft actor-critic's policy), or to actions (B, A) in the task's own units.
+A function and a TorchScript file are code: they do what they like (docs/security.md).
+"""
+
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from tom.envs.gymnasium_task import import_named
+from tom.errors import OF_USERS, UserError, reason
+
+TORCHSCRIPT = (".pt", ".pth", ".ts", ".torchscript")
+ONNX = ".onnx"
+INTERPRETER = "TorchScript interpreter."
+"""ends the first line of an error in a TorchScript network, which says nothing else"""
+_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_LARGEST_SEED = 2**62
+
+Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
+"""the least and the largest action of a task, (A,) each, in its own units"""
+
+
+def is_foreign(name: str) -> bool:
+    """`name` is that of a TorchScript or ONNX file, or of a function."""
+    return Path(name).suffix in (*TORCHSCRIPT, ONNX) or _is_function(name)
+
+
+class ForeignPolicy:
+    """A policy that is asked as a `tom.learners.base.Policy` is; nothing is known of its value.
+
+    What it draws with torch's own random numbers follows the generator too.
+    """
+
+    value_gradient = None
+
+    def __init__(
+        self, name: str, ask: Callable[[Tensor], Any], obs_dim: int, bounds: Bounds
+    ) -> None:
+        """Asks it about two observations. Raises UserError where the answer is no policy's."""
+        self.name, self.obs_dim, self.action_dim = name, obs_dim, len(bounds[0])
+        self._ask = ask
+        self._low, self._high = (torch.as_tensor(bound, dtype=torch.float32) for bound in bounds)
+        self(torch.zeros(2, obs_dim), 1, torch.Generator().manual_seed(0))
+
+    @torch.no_grad()
+    def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        """n sampled actions for obs (B, O): (n, B, A) in [-1, 1]. Raises UserError."""
+        answer = self._answer(obs.to(torch.float32).repeat(n, 1), generator)
+        if len(answer) == 2:
+            mean, log_std = answer
+            noise = torch.randn(mean.shape, generator=generator)
+            action = torch.tanh(mean + log_std.exp() * noise)
+        else:
+            action = (2 * answer[0] - self._high - self._low) / (self._high - self._low)
+        return action.clamp(-1, 1).unflatten(0, (n, len(obs)))
+
+    def _answer(self, obs: Tensor, generator: torch.Generator) -> tuple[Tensor, ...]:
+        """(mean, log_std) or (actions,), each (B, A)."""
+        seed = int(torch.randint(_LARGEST_SEED, (1,), generator=generator))
+        try:
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(seed)
+                found = self._ask(obs)
+            parts = found if isinstance(found, tuple | list) else (found,)
+            answer = tuple(torch.as_tensor(part, dtype=torch.float32) for part in parts)
+        except UserError:
+            raise
+        except OF_USERS as error:
+            raise UserError(
+                f"policy {self.name} fails on observations {tuple(obs.shape)}, any number of which "
+                f"it must take: {_why(error)}"
+            ) from error
+        shape = len(obs), self.action_dim
+        if len(answer) not in (1, 2) or any(part.shape != shape for part in answer):
+            shapes = ", ".join(str(tuple(part.shape)) for part in answer) or "nothing"
+            raise UserError(
+                f"policy {self.name} maps observations {tuple(obs.shape)} to {shapes}: it must "
+                f"return actions {shape}, or mean and log_std {shape} each"
+            )
+        if not all(bool(part.isfinite().all()) for part in answer):
+            raise UserError(f"policy {self.name} returns what is no finite number: name another")
+        return answer
+
+
+def _why(error: BaseException) -> str:
+    """`reason`; of TorchScript's many lines, the one that says it."""
+    lines = str(error).strip().splitlines()
+    return lines[-1][:200] if lines and lines[0].endswith(INTERPRETER) else reason(error)
+
+
+def foreign_policy(
+    name: str, obs_dim: int, bounds: Bounds, own_obs: Callable[[NDArray], NDArray] = np.asarray
+) -> ForeignPolicy:
+    """The policy `name` (`is_foreign`) for a task of these dimensions. Raises UserError.
+
+    `own_obs` puts observations (B, O) into the task's own units, which it is asked in.
+    """
+    if _is_function(name):
+        ask = _function(name)
+    elif Path(name).is_file():
+        ask = (_onnx if Path(name).suffix == ONNX else _torchscript)(name)
+    else:
+        raise UserError(f"no policy at {name}: name a file that is there")
+
+    def ask_in_own_units(obs: Tensor) -> Any:
+        return ask(torch.as_tensor(own_obs(obs.numpy()), dtype=torch.float32))
+
+    return ForeignPolicy(name, ask_in_own_units, obs_dim, bounds)
+
+
+def _is_function(name: str) -> bool:
+    return _FUNCTION.fullmatch(name) is not None and not Path(name).exists()
+
+
+def _function(name: str) -> Callable[[Tensor], Any]:
+    """A Python function of observations (B, O), a numpy array; its module is code that is run."""
+    module, _, function = name.partition(":")
+    found = getattr(import_named(module, f"--policy {name}"), function, None)
+    if not callable(found):
+        raise UserError(f"--policy {name}: module '{module}' has no function '{function}'")
+    return lambda obs: found(obs.numpy())
+
+
+def _torchscript(name: str) -> Callable[[Tensor], Any]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # torch prefers torch.export, whose files need pickle
+            network = torch.jit.load(name, map_location="cpu").eval()
+    except (RuntimeError, ValueError, OSError) as error:
+        raise UserError(
+            f"{name} is no TorchScript file: write it by torch.jit.trace(...).save "
+            "(docs/your-own.md); checkpoints hold pickles and are not loaded"
+        ) from error
+    return network
+
+
+def _onnx(name: str) -> Callable[[Tensor], Any]:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise UserError(
+            f"{name} needs onnxruntime: pip install 'tom-studio[onnx]', or export TorchScript"
+        ) from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    try:
+        session = onnxruntime.InferenceSession(name, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its errors share no class
+        raise UserError(f"{name} is no ONNX file that can be used: export it again") from error
+    inputs = [one.name for one in session.get_inputs()]
+    if len(inputs) != 1:
+        raise UserError(f"{name} takes {', '.join(inputs)}: export it with one input, observations")
+    return lambda obs: session.run(None, {inputs[0]: obs.numpy()})
