@@ -1,5 +1,6 @@
 """The addresses of the studio's servers, passed by the launcher to its processes."""
 
+import hashlib
 import json
 import os
 from collections.abc import Sequence
@@ -39,6 +40,11 @@ class Links:
     def environment(self) -> dict[str, str]:
         """The environment variables of this studio's processes."""
         return {VARIABLE: json.dumps(asdict(self))}
+
+    @property
+    def launch(self) -> str:
+        """The name of this launch, for everybody: the key cannot be found from it."""
+        return hashlib.sha256(self.key.encode()).hexdigest()
 
     @property
     def local_host(self) -> str:

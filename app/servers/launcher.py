@@ -21,14 +21,16 @@ from tom.record.rerun import hub
 
 DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
+ATTEMPTS = 5
+"""launches, each on other ports, before the studio gives up finding free ones"""
 RESTARTS = 3
 """maximum number of restarts of a dead viewer"""
 QUIET_S = 3600.0
+"""seconds without a death after which the restarts are counted anew"""
 OPEN = (
     "tom studio: reachable from other machines, without a password: runs can be read by everybody "
     "who reaches this host"
 )
-"""seconds without a death after which the restarts are counted anew"""
 
 
 @dataclass(frozen=True)
@@ -60,17 +62,30 @@ def run(studio: Studio, *, browser: bool) -> int:
 @contextmanager
 def servers(studio: Studio, stopping: Event) -> Iterator[tuple[Links, list[Server] | None]]:
     """The studio's healthy servers; None if they did not start."""
+    started: list[Server] = []
     with tempfile.TemporaryDirectory(prefix="tom-studio-") as folder:
-        links = plan(studio, Path(folder))
-        if studio.host not in LOOPBACK:
-            print(OPEN, file=sys.stderr)
-        started = build(links, Path(folder))
         try:
-            for server in started:
-                server.start()
-            yield links, started if _all_healthy(started, stopping) else None
+            links, failed = _launch(studio, Path(folder), started, stopping)
+            if failed and not stopping.is_set():
+                print(f"tom studio: {failed.name} did not start:\n{failed.tail()}", file=sys.stderr)
+            yield links, None if failed else started
         finally:
             stop(started)
+
+
+def _launch(
+    studio: Studio, folder: Path, started: list[Server], stopping: Event, left: int = ATTEMPTS
+) -> tuple[Links, Server | None]:
+    """Start the servers, kept in `started`; their links and the first that does not answer."""
+    links = plan(studio, folder)
+    if studio.host not in LOOPBACK and left == ATTEMPTS:
+        print(OPEN, file=sys.stderr)
+    started[:] = build(links, folder)
+    failed = _start(started, stopping)
+    if failed and failed.lost_its_port() and left > 1 and not stopping.is_set():
+        stop(started)  # another program took the port after it was found free
+        return _launch(studio, folder, started, stopping, left - 1)
+    return links, failed
 
 
 def plan(studio: Studio, folder: Path) -> Links:
@@ -106,15 +121,21 @@ def build(links: Links, folder: Path) -> list[Server]:
     python = [sys.executable, "-m"]
     environment = {**links.environment(), "OMP_NUM_THREADS": "1"}
 
-    def server(name: str, command: list[str], port: int, health: str) -> Server:
+    def server(name: str, command: list[str], port: int, health: str, mark: str = "") -> Server:
         log = folder / f"{name}.log"
-        return Server(name, command, environment, links.local_host, port, health, log)
+        return Server(name, command, environment, links.local_host, port, health, log, mark)
 
     hub_command = hub.command(links.host, links.rerun_port, links.store, links.port)
     return [
         server("rerun", hub_command, links.rerun_port, "/"),
         server("viser", [*python, "app.scenes.server"], links.viser_port, "/"),
-        server("streamlit", [*python, "app.servers.pages"], links.port, "/_stcore/health"),
+        server(
+            "streamlit",
+            [*python, "app.servers.pages"],
+            links.port,
+            "/api/health",
+            mark=links.launch,
+        ),
     ]
 
 
@@ -128,14 +149,15 @@ def _studio_port(host: str, asked: int | None) -> int:
     return asked
 
 
-def _all_healthy(started: list[Server], stopping: Event) -> bool:
+def _start(servers: Sequence[Server], stopping: Event) -> Server | None:
+    """Start them; the first that does not answer, None if all do."""
+    for server in servers:
+        server.start()
     deadline = time.monotonic() + START_TIMEOUT_S
-    for server in started:
+    for server in servers:
         if not server.wait_until_healthy(deadline, stopping.is_set):
-            if not stopping.is_set():
-                print(f"tom studio: {server.name} did not start:\n{server.tail()}", file=sys.stderr)
-            return False
-    return True
+            return server
+    return None
 
 
 class Restarts:

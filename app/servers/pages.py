@@ -64,7 +64,7 @@ def routes(links: Links) -> list[Route]:
         return FileResponse(path, headers={"Content-Security-Policy": allowed})
 
     def health(_: Request) -> Response:
-        return JSONResponse({"store": links.store, "status": "ok"})
+        return JSONResponse({"store": links.store, "status": "ok", "launch": links.launch})
 
     def library(_: Request) -> Response:
         return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})

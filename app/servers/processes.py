@@ -15,6 +15,7 @@ from tom.machine import address, processes
 
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12
+HEALTH_BYTES = 65536
 
 
 @dataclass
@@ -29,6 +30,8 @@ class Server:
     health: str
     """path that returns 200 once the server is ready"""
     log: Path
+    mark: str = ""
+    """text of the answer that proves the server to be this one, not another on its port"""
     process: processes.Process | None = field(default=None, init=False)
 
     def start(self) -> None:
@@ -41,11 +44,12 @@ class Server:
         return self.process is not None and self.process.poll() is None
 
     def healthy(self) -> bool:
-        """Whether it answers."""
+        """Whether it answers, and with its mark."""
         connection = http.client.HTTPConnection(self.host, self.port, timeout=2)
         try:
             connection.request("GET", self.health)
-            return connection.getresponse().status == 200
+            answer = connection.getresponse()
+            return answer.status == 200 and self.mark.encode() in answer.read(HEALTH_BYTES)
         except (OSError, http.client.HTTPException):
             return False
         finally:
@@ -58,6 +62,10 @@ class Server:
                 return True
             time.sleep(0.05)
         return False
+
+    def lost_its_port(self) -> bool:
+        """Whether it ended because another program listens on its port."""
+        return not self.running and not is_free(self.host, self.port)
 
     def tail(self) -> str:
         """The last lines of its output."""

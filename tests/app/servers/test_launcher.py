@@ -1,18 +1,22 @@
 """The launcher: one address, errors in one line, and an end without orphans."""
 
+import json
 import signal
 import socket
 import subprocess
 import sys
 import time
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier, Event
 
 import pytest
 from kernel import LOOPBACK, alive, descendants, listening
 from studio_runs import ROAD_TOM
 
 from app.__main__ import main
+from app.servers.launcher import Studio, servers
 from app.servers.processes import free_port, is_free
 
 START_S = 90
@@ -47,6 +51,23 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
         time.sleep(0.05)
     assert not [pid for pid in children if alive(pid)]
     assert is_free("127.0.0.1", port)
+
+
+def test_two_studios_launched_at_once_each_serve_their_own_store(tmp_path: Path) -> None:
+    both_up = Barrier(2, timeout=START_S)
+
+    def served(name: str) -> str:
+        (tmp_path / name).mkdir()
+        with servers(Studio(store=tmp_path / name), Event()) as (links, running):
+            assert running
+            both_up.wait()
+            with urllib.request.urlopen(f"{links.address}/api/health", timeout=10) as answer:
+                store = json.load(answer)["store"]
+            both_up.wait()
+            return Path(store).name
+
+    with ThreadPoolExecutor(2) as launches:
+        assert list(launches.map(served, ["one", "other"])) == ["one", "other"]
 
 
 def test_a_port_that_is_taken_is_one_line_and_code_2(
