@@ -5,7 +5,7 @@ import json
 import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
@@ -102,6 +102,17 @@ def wait_until_drawn(element: "Locator", share: float, top: float = 1.0) -> None
         element.page.wait_for_timeout(500)
 
 
+def wait_until_steady(page: "Page", true: Callable[[], bool], seconds: float) -> None:
+    """Wait until something has been true for `seconds` without a break."""
+    deadline = time.monotonic() + DRAWN_S
+    since = time.monotonic()
+    while time.monotonic() - since < seconds:
+        assert time.monotonic() < deadline, "the page does not come to rest so"
+        page.wait_for_timeout(100)
+        if not true():
+            since = time.monotonic()
+
+
 def zoom_in(chart: "Locator") -> list[float]:
     """Drag a box over a chart; the range of steps that it shows then."""
     before = shown_steps(chart)
@@ -112,7 +123,7 @@ def zoom_in(chart: "Locator") -> list[float]:
     mouse.down()
     mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.8 * box["height"], steps=5)
     mouse.up()
-    chart.page.wait_for_timeout(300)
+    wait_until_steady(chart.page, lambda: shown_steps(chart) != before, 0.3)
     after = shown_steps(chart)
     assert before[0] < after[0] < after[1] < before[1]
     return after

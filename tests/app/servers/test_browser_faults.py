@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from studio_runs import PENDULUM_TOM
-from test_browser import Visit, own, visit  # noqa: F401 (the last two are fixtures)
+from test_browser import Visit, own, visit, wait_until_steady  # noqa: F401 (two are fixtures)
 
 from tom.record import layout, manage
 from tom.record.files import replace_json
@@ -58,10 +58,9 @@ def test_an_open_page_takes_up_a_training_that_starts(visit: Visit, own: Path) -
     (own / PENDULUM_TOM / layout.LOCK).unlink()  # as if another machine wrote it
     set_status(own / PENDULUM_TOM, state="running", heartbeat=time.time() + 25)
     page.get_by_text("1 training now").wait_for()
-    page.wait_for_timeout(3000)
+    cards, busy = page.get_by_text("last return"), page.get_by_test_id("stStatusWidget")
     # The others' cards are gone, and the page is at rest.
-    assert page.get_by_text("last return").count() == 1
-    assert page.get_by_test_id("stStatusWidget").count() == 0
+    wait_until_steady(page, lambda: cards.count() == 1 and not busy.count(), 3)
     set_status(own / PENDULUM_TOM, state=ended["state"])
     page.get_by_text("Nothing is training now").wait_for()
 
