@@ -5,18 +5,19 @@ from typing import Any, Literal
 import numpy as np
 from plotly.colors import sample_colorscale
 
+from tom.config import SAC_ALONE
 from tom.learners import LEARNERS
 from tom.reports.colours import LEARNER_COLOURS
 
 Mode = Literal["light", "dark"]
 
-# No learners of a model, drawn beside them in muted tones.
+# These learn no model. They are drawn beside the learners in muted tones.
 BASELINE_COLOURS: dict[str, str] = {
     "expert-only": "#6d7686",
     "footprint-only": "#98815f",
-    "sac": "#7d6f66",
+    SAC_ALONE: "#7d6f66",
 }
-_OTHER_LABELS = {"sac": "SAC"}
+_OTHER_LABELS = {SAC_ALONE: "SAC"}
 _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
 # For groups that no learner gives a colour: told apart by every eye, and from the neutral one.
 QUALITATIVE = ("#0096ff", "#c31e2d", "#a5960f", "#693cf0", "#963ca5", "#b43c5a")

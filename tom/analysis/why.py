@@ -15,7 +15,7 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, mixed_with_uniform
 from tom.learners.terms import Terms, slope
-from tom.policy.rollout import Simulator, Termination
+from tom.policy.rollout import RolloutModel, Termination
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def expected_starts(weights: Tensor, row: int, config: RolloutConfig) -> float:
 
 @torch.no_grad()
 def rollouts(
-    model: Simulator,
+    model: RolloutModel,
     policy: Policy,
     terminated: Termination,
     start: Tensor,

@@ -11,7 +11,7 @@ from app import session, text
 from app.data import buffer_reader, datasets, pictures, readers, trainings, weighings
 from app.data.readers import RunInfo
 from app.data.trainings import Started
-from app.data.weighings import Weighing
+from app.data.weighings import WeighingInfo
 from app.figures.probe import probe_profiles
 from app.parts import empty, form, widgets
 from app.parts.plot import chart
@@ -78,7 +78,7 @@ def page() -> None:
     widgets.show_problems(run)
 
 
-def _pick_weighing(found: list[Weighing]) -> Weighing | None:
+def _pick_weighing(found: list[WeighingInfo]) -> WeighingInfo | None:
     by_name = {weighing.name: weighing for weighing in found}
     if not found:
         st.selectbox("Weighed", ["not yet"], disabled=True)
@@ -90,7 +90,7 @@ def _pick_weighing(found: list[Weighing]) -> Weighing | None:
     return by_name.get(chosen or "", found[0])
 
 
-def _weighed(weighing: Weighing, rows: int) -> None:
+def _weighed(weighing: WeighingInfo, rows: int) -> None:
     of = weighings.weights(weighing)
     if not of:
         st.warning("The weights of this weighing cannot be read.")

@@ -9,7 +9,7 @@ import streamlit as st
 from app import text
 from app.data import readers
 from app.data.cache import VersionedCache
-from app.data.exams import RANKED, Exams, Outcome, Standing, exams_of, middle, outcome
+from app.data.exams import RANKED, Exams, Ranking, Standing, exams_of, middle, ranking
 from app.data.readers import RunInfo
 from app.figures.exams import footprint_error_return
 from app.figures.looks import looks
@@ -31,7 +31,7 @@ OWN = (
     "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
     "them on the same buffers."
 )
-_OUTCOMES: VersionedCache[tuple[list[Exams], Outcome]] = VersionedCache(16)
+_RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache(16)
 
 
 def draw(runs: Sequence[RunInfo]) -> None:
@@ -57,26 +57,26 @@ def draw(runs: Sequence[RunInfo]) -> None:
     st.caption(" ".join(_remarks(result, len(runs) - len(found))))
 
 
-def _remarks(result: Outcome, lacking: int) -> list[str]:
+def _remarks(result: Ranking, lacking: int) -> list[str]:
     few = statistics.remark(min(one.seeds for one in result.ranked or result.standings))
     words = [f"{text.markdown(few)}." if few else "", OWN]
     return [*words, NO_EXAM.format(runs=_count(lacking)) if lacking else ""]
 
 
-def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Outcome]:
+def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Ranking]:
     """The exams of the runs that sat one, and what they come to."""
 
-    def make() -> tuple[list[Exams], Outcome]:
+    def make() -> tuple[list[Exams], Ranking]:
         names = group_names(runs)
         read = [
             exams_of(run.run_id, run.learner, run.seed, names[run.run_id], readers.metrics(run))
             for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id))
         ]
         found = [one for one in read if len(one.step)]
-        return found, outcome(found)
+        return found, ranking(found)
 
     version = tuple((run.path, readers.recorded(run)) for run in runs)
-    return _OUTCOMES.get(tuple(run.path for run in runs), make, version)
+    return _RANKINGS.get(tuple(run.path for run in runs), make, version)
 
 
 def group_names(runs: Sequence[RunInfo]) -> dict[str, str]:
@@ -86,7 +86,7 @@ def group_names(runs: Sequence[RunInfo]) -> dict[str, str]:
     return {run_id: groups[kind].title for run_id, kind in kinds.items()}
 
 
-def verdict(result: Outcome) -> str:
+def verdict(result: Ranking) -> str:
     """One sentence: who errs least where its policy goes, by how much, and if beyond noise."""
     if not result.ranked:
         counts = "; ".join(
@@ -133,7 +133,7 @@ def _short(value: float) -> str:
     return f"{value:.3g}" if np.isfinite(value) else "-"
 
 
-def table(result: Outcome) -> pd.DataFrame:
+def table(result: Ranking) -> pd.DataFrame:
     """A line a group: n, and interquartile means over its runs with 95 % bootstrap intervals."""
     rows = []
     for one in result.standings:
