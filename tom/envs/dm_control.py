@@ -74,8 +74,8 @@ def _arrays(env: gym.Env) -> list[tuple[str, gym.Space]]:
 
 
 def _named_arrays(env: gym.Env) -> bool:
-    found = _arrays(env)
-    return bool(found) and all(isinstance(of, Box) and len(of.shape) < PICTURE for _, of in found)
+    arrays = _arrays(env)
+    return bool(arrays) and all(isinstance(of, Box) and len(of.shape) < PICTURE for _, of in arrays)
 
 
 def _version(name: str) -> str:
