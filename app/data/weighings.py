@@ -110,8 +110,8 @@ def numbers(
 def footprints(weighing: WeighingInfo) -> dict[str, tuple[float, float]]:
     """By learner the footprint of its weights and its standard error, medians over the seeds.
 
-    1: as far from fresh episodes of the policy as the unweighted buffer. Empty where none was
-    measured.
+    At 1 the weighted buffer is as far from fresh episodes of the policy as the unweighted one.
+    Empty if none was measured.
     """
     by_learner: dict[str, list[tuple[float, float]]] = {}
     try:

@@ -33,9 +33,10 @@ class Row(NamedTuple):
 def eyes(
     rows: Sequence[Row], key: str, toggled: Callable[[str], None], everything: Callable[[], None]
 ) -> None:
-    """The list. `toggled` is told the title of a group or the id of a run; `everything`: show all.
+    """Show the list.
 
-    Both run before the page is drawn again.
+    `toggled` is called with the title of a group or the id of a run, `everything` when the user
+    asks to show all. Both run before the page is drawn again.
     """
 
     def on(event: str, act: Callable[..., None]) -> None:

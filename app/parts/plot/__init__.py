@@ -1,6 +1,6 @@
-"""A Plotly chart that stays itself while its data change: zoom is kept, nothing flickers.
+"""A Plotly chart that is updated in place when its data change, so zoom is kept without flicker.
 
-Streamlit's own chart is taken down and built anew whenever its figure differs.
+Streamlit's own chart is removed and built again whenever its figure differs.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,7 +22,7 @@ _STYLE = Path(__file__).with_name("plot.css")
 
 @dataclass(frozen=True)
 class Point:
-    """What was clicked: a point, bar or cell, and where in the figure's data it is."""
+    """A clicked point, bar or cell, and its place in the figure's data."""
 
     x: Any
     y: Any
@@ -41,7 +41,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Region:
-    """What a box or a lasso holds; `points` are (trace, index in the trace)."""
+    """The content of a box or a lasso; `points` are (trace, index in the trace)."""
 
     points: tuple[tuple[int, int], ...]
     outline: tuple[tuple[float, float], ...]
@@ -55,7 +55,7 @@ class Region:
 
 @dataclass(frozen=True)
 class View:
-    """The part of a figure that is shown, (low, high) in its own units; None: all of an axis."""
+    """The shown part of a figure: (low, high) of each axis in its own units, None for all of it."""
 
     x: tuple[float, float] | None = None
     y: tuple[float, float] | None = None
@@ -79,12 +79,12 @@ def chart(
 ) -> None:
     """Show `figure`.
 
-    `label` says in words what the figure shows, for those who cannot see it, and names the files
-    that a reader saves. With `selected` the figure has box and lasso; it is called with None when
-    the selection is lifted. Zoom, selection and hidden lines last while the figure's `uirevision`
-    stays the same. A page that keeps the zoom itself gives the `view` and is told of another by
-    `viewed`; `hidden` is told the `uid` of every line that the legend has switched off. All
-    callbacks run before the page is drawn again.
+    `label` describes the figure in words, for users who cannot see it, and names the files that a
+    user saves. With `selected` the figure has box and lasso; it is called with None when the
+    selection is cleared. Zoom, selection and hidden lines last while the figure's `uirevision`
+    stays the same. A page that stores the zoom itself passes the `view`, and `viewed` is called
+    with each new one; `hidden` is called with the `uid` of every line that is switched off in the
+    legend. All callbacks run before the page is drawn again.
     """
 
     def on_click() -> None:
