@@ -72,10 +72,10 @@ def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
     """
     if factor < 0:
         raise UserError(f"factor {factor:g}: a weight cannot be negative")
-    found, degenerate = normalise(torch.where(region, factor * weights, weights))
+    normalised, degenerate = normalise(torch.where(region, factor * weights, weights))
     if degenerate:
         raise UserError("all of the weight lies in the region: nothing is left without it")
-    return found
+    return normalised
 
 
 def fits(

@@ -69,8 +69,8 @@ def nearest(replay: TensorTransitions, row: int, others: TensorTransitions, coun
     scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
     here, there = (scaling(_transition(part)) for part in (replay[row : row + 1], others))
     distance = (there - here).square().mean(1).sqrt()
-    found = distance.topk(min(count, len(others)), largest=False)
-    return Near(found.indices, found.values)
+    closest = distance.topk(min(count, len(others)), largest=False)
+    return Near(closest.indices, closest.values)
 
 
 def usual_distance(replay: TensorTransitions, others: TensorTransitions, rows: Tensor) -> float:
