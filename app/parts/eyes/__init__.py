@@ -40,9 +40,9 @@ def eyes(
     """
 
     def on(event: str, act: Callable[..., None]) -> None:
-        told = st.session_state[key].get(event)
-        if told is not None:
-            act(*told)
+        values = st.session_state[key].get(event)
+        if values is not None:
+            act(*values)
 
     groups: list[dict[str, Any]] = [
         {

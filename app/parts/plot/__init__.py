@@ -33,10 +33,10 @@ class Point:
     """the trace's own `meta`: the run's id on curves"""
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Self:
-        index = told["index"]
+    def of(cls, message: Mapping[str, Any]) -> Self:
+        index = message["index"]
         index = (int(index[0]), int(index[1])) if isinstance(index, list) else int(index)
-        return cls(told["x"], told["y"], int(told["trace"]), index, told["meta"])
+        return cls(message["x"], message["y"], int(message["trace"]), index, message["meta"])
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,9 @@ class Region:
     """corners (x, y) of the box or lasso that was drawn last, in the figure's units"""
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Self:
-        points = tuple((int(trace), int(index)) for trace, index in told["points"])
-        return cls(points, tuple((float(x), float(y)) for x, y in told["outline"]))
+    def of(cls, message: Mapping[str, Any]) -> Self:
+        points = tuple((int(trace), int(index)) for trace, index in message["points"])
+        return cls(points, tuple((float(x), float(y)) for x, y in message["outline"]))
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class View:
     y: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Self:
-        x, y = ((float(p[0]), float(p[1])) if p else None for p in (told["x"], told["y"]))
+    def of(cls, message: Mapping[str, Any]) -> Self:
+        x, y = ((float(p[0]), float(p[1])) if p else None for p in (message["x"], message["y"]))
         return cls(x, y)
 
 
@@ -88,24 +88,24 @@ def chart(
     """
 
     def on_click() -> None:
-        told = st.session_state[key].get("clicked")
-        if clicked is not None and told is not None:
-            clicked(Point.of(told))
+        message = st.session_state[key].get("clicked")
+        if clicked is not None and message is not None:
+            clicked(Point.of(message))
 
     def on_select() -> None:
-        told = st.session_state[key].get("selected")
-        if selected is not None and told is not None:
-            selected(Region.of(told) if told["points"] or told["outline"] else None)
+        message = st.session_state[key].get("selected")
+        if selected is not None and message is not None:
+            selected(Region.of(message) if message["points"] or message["outline"] else None)
 
     def on_view() -> None:
-        told = st.session_state[key].get("viewed")
-        if viewed is not None and told is not None:
-            viewed(View.of(told))
+        message = st.session_state[key].get("viewed")
+        if viewed is not None and message is not None:
+            viewed(View.of(message))
 
     def on_hide() -> None:
-        told = st.session_state[key].get("hidden")
-        if hidden is not None and told is not None:
-            hidden([str(uid) for uid in told])
+        message = st.session_state[key].get("hidden")
+        if hidden is not None and message is not None:
+            hidden([str(uid) for uid in message])
 
     data = {
         "figure": figure.to_json(remove_uids=False),
