@@ -18,7 +18,7 @@ from tom.learners import SUBJECT
 from tom.plugins import PAGES
 
 
-class View(Protocol):
+class Page(Protocol):
     """A page: a module, or a plug-in's object with the same attributes."""
 
     @property
@@ -57,7 +57,7 @@ LOGO = (
 )
 
 
-def views() -> tuple[View | ModuleType, ...]:
+def views() -> tuple[Page | ModuleType, ...]:
     """Our pages, then those of plug-ins."""
     return (*VIEWS, *PAGES)
 

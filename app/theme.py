@@ -5,20 +5,21 @@ from typing import Any, Literal
 import numpy as np
 from plotly.colors import sample_colorscale
 
+from tom.config import SAC_ALONE
 from tom.learners import LEARNERS
 from tom.reports.colours import LEARNER_COLOURS
 
 Mode = Literal["light", "dark"]
 
-# No learners of a model, drawn beside them in muted tones.
+# These learn no model. They are drawn beside the learners in muted tones.
 BASELINE_COLOURS: dict[str, str] = {
     "expert-only": "#6d7686",
     "footprint-only": "#98815f",
-    "sac": "#7d6f66",
+    SAC_ALONE: "#7d6f66",
 }
-_OTHER_LABELS = {"sac": "SAC"}
+_OTHER_LABELS = {SAC_ALONE: "SAC"}
 _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
-# For groups that no learner gives a colour: told apart by every eye, and from the neutral one.
+# For groups without a learner's colour; also the colour-blind can tell them apart and from neutral.
 QUALITATIVE = ("#0096ff", "#c31e2d", "#a5960f", "#693cf0", "#963ca5", "#b43c5a")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "pentagon")
 NEUTRAL = "#8a92a3"
@@ -30,8 +31,8 @@ BORDER: dict[Mode, str] = {"light": "#dde2ec", "dark": "#2c3342"}
 # Buttons and sliders: no learner's colour, so that colour always means data.
 ACCENT: dict[Mode, str] = {"light": "#4a5a8a", "dark": "#6379bd"}
 
-# Weight against the uniform one. Ink follows attention: pale blue counts less, the page's own
-# tone as much, strong orange more.
+# Weight relative to uniform. Rows that count more have stronger colours: pale blue counts less,
+# the page's own tone as much, strong orange more.
 DIVERGING: dict[Mode, list[tuple[float, str]]] = {
     "light": [
         (0.0, "#8fb4ea"),
@@ -73,7 +74,7 @@ def ramp(count: int, mode: Mode) -> list[str]:
 
 
 def learner_colour(learner: str) -> str:
-    """The colour of a learner, the same wherever it is drawn; neutral for one that is not known."""
+    """The colour of a learner, the same in every figure; neutral for an unknown learner."""
     if learner in BASELINE_COLOURS:
         return BASELINE_COLOURS[learner]
     if learner not in LEARNERS:
@@ -85,13 +86,13 @@ def learner_colour(learner: str) -> str:
 
 
 def learner_symbol(learner: str) -> str:
-    """The marker of a learner: a second cue beside its colour."""
+    """The marker of a learner, a second cue besides its colour."""
     names = list(LEARNER_COLOURS)
     return SYMBOLS[names.index(learner)] if learner in names else "x"
 
 
 def learner_label(learner: str) -> str:
-    """How a learner is called on a page; its bare name where the registry has none."""
+    """The label of a learner on a page; its plain name if it is not in the registry."""
     return LEARNERS[learner].label if learner in LEARNERS else _OTHER_LABELS.get(learner, learner)
 
 

@@ -41,10 +41,10 @@ class Weights:
     """The weight of every transition in the replay buffer, oldest first, at a model fit.
 
     `weight` is (N,) and has mean 1 unless every weight is zero; `per_dim` is (N, O) for learners
-    that weigh each dimension (then `weight` is its mean over dimensions). `log_ratio` (N,) is the
-    r that was fed to the dual Q, where the learner has one, and `terms` (N,) the others that make
-    the weight beside it (`tom.learners.terms`). `policy` is the policy of interest at
-    this fit, as the arrays of `tom.policy.stored`.
+    that weigh each dimension (then `weight` is its mean over dimensions). If the learner
+    has a dual Q, `log_ratio` (N,) is its input r, and `terms` (N,) are the other terms of the
+    weight (`tom.learners.terms`). `policy` is the policy of interest at this fit, as the arrays of
+    `tom.policy.stored`.
     """
 
     env_step: int

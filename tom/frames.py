@@ -44,9 +44,9 @@ class Run:
     def summary(self) -> pd.Series:
         """The run's main settings and its progress."""
         run, status = self.reader, self.reader.status
-        told = {"env": run.env, "learner": run.learner, "seed": run.seed, "state": run.shown}
-        told |= {"env_step": status.env_step, "last_return": status.last_return}
-        return pd.Series({**told, "best_return": status.best_return}, name=run.run_id)
+        entries = {"env": run.env, "learner": run.learner, "seed": run.seed, "state": run.shown}
+        entries |= {"env_step": status.env_step, "last_return": status.last_return}
+        return pd.Series({**entries, "best_return": status.best_return}, name=run.run_id)
 
     @cached_property
     def metrics(self) -> pd.DataFrame:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.data import readers
 from app.data.buffer import Rows
 from app.data.readers import RunInfo
-from app.data.weighings import Weighing
+from app.data.weighings import WeighingInfo
 from app.data.why import candidates
 from tom.data.unpack import DAMAGE as UNPACK_DAMAGE
 from tom.data.unpack import read_arrays
@@ -38,12 +38,12 @@ class Brushed:
         return sorted({f for of in self.errors.values() for f in of} - {1.0})
 
 
-def of_run(weighings: list[Weighing]) -> list[Brushed]:
+def of_run(weighings: list[WeighingInfo]) -> list[Brushed]:
     """The brushed regions among a run's weighings, newest first."""
     return [region for region in map(_read, weighings) if region is not None]
 
 
-def base(run: RunInfo, rows: Rows, weighings: list[Weighing]) -> str | None:
+def base(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> str | None:
     """The option of `tom brush` for these weights: empty for the run's own.
 
     None if no file has them.
@@ -54,7 +54,7 @@ def base(run: RunInfo, rows: Rows, weighings: list[Weighing]) -> str | None:
     return None
 
 
-def _read(weighing: Weighing) -> Brushed | None:
+def _read(weighing: WeighingInfo) -> Brushed | None:
     path = Path(weighing.path)
     try:
         report = read_json(path / REPORT)

@@ -44,7 +44,7 @@ def command(run: RunInfo) -> str:
 
 
 def words(run: RunInfo, store: str) -> list[str]:
-    """What follows `tom` to weigh the data set once more, from the rows that its weighing keeps."""
+    """The arguments of `tom` that weigh the data set again, from the rows of its last weighing."""
     report = dict(reports(Path(run.path).parents[1])).get(Path(run.path), {})
     code = ["--env", run.env] if is_code(run.env) else []
     return [
@@ -70,7 +70,7 @@ def _kept(store: Path) -> list[tuple[Path, dict[str, Any]]]:
 
 
 def _each(report: dict[str, Any], name: str) -> list[str]:
-    """What the results of a report have under `name`, each once."""
+    """The distinct values of `name` in the results of a report."""
     rows = [row for row in report.get("results", []) if isinstance(row, dict)]
     return list(dict.fromkeys(str(row.get(name)) for row in rows))
 
@@ -90,7 +90,7 @@ def _info(path: Path, report: dict[str, Any]) -> RunInfo:
         created="",
         status=Status(),
         problems=(),
-        labels=Labels(name=_called(report)),  # no learner and no seed tell it from others
+        labels=Labels(name=_called(report)),  # it has no learner and no seed to distinguish it
         settings={},
         small_copy=False,
         left_out=(),

@@ -114,7 +114,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Ranking:
     """The groups of the runs, and a ranking by error of those with enough seeds."""
 
     standings: tuple[Standing, ...]
@@ -130,7 +130,7 @@ class Outcome:
         return beats([first], [second])
 
 
-def outcome(exams: Sequence[Exams]) -> Outcome:
+def ranking(exams: Sequence[Exams]) -> Ranking:
     """Rank the groups with at least `RANKED` seeds, over the steps that so many of each reach.
 
     Runs that end earlier are left out, because their fits saw less data.
@@ -143,7 +143,7 @@ def outcome(exams: Sequence[Exams]) -> Outcome:
     standings = {name: standing(name, of, until) for name, of in groups.items()}
     ranked = [standings[name] for name in reach] if len(reach) > 1 else []
     ranked.sort(key=lambda one: one.typical)
-    return Outcome(tuple(standings.values()), until, tuple(ranked))
+    return Ranking(tuple(standings.values()), until, tuple(ranked))
 
 
 def reach_of(runs: Sequence[Exams]) -> float:

@@ -46,8 +46,8 @@ class Study:
     tables: tuple[Path, ...]  # CSV, the summary first, then by length: single values come last
     report: Path | None
     claim: str = ""
-    """the paper's"""
-    found: tuple[str, ...] = ()
+    """what the paper says"""
+    findings: tuple[str, ...] = ()
     """the verdict, in sentences"""
     origin: Mapping[str, str] = field(default_factory=dict)
 
@@ -61,7 +61,7 @@ def folders(store: Path | str) -> tuple[Path, Path]:
     return FOLDER, Store(store).studies
 
 
-def found(*places: Path) -> list[Study]:
+def listing(*places: Path) -> list[Study]:
     """The studies with a figure, a table or a report, in the order of `QUESTIONS`.
 
     A study in several places is taken from the first.
@@ -78,7 +78,7 @@ def found(*places: Path) -> list[Study]:
 
 def report(name: str, *places: Path) -> Path | None:
     """The report of the study `name`; None if there is no such study."""
-    return next((study.report for study in found(*places) if study.name == name), None)
+    return next((study.report for study in listing(*places) if study.name == name), None)
 
 
 def _subfolders(place: Path) -> list[Path]:
@@ -130,7 +130,7 @@ def _words(path: Path) -> dict[str, Any]:
         content = read_json(path)
         return {
             "claim": str(content["claim"]),
-            "found": tuple(map(str, content["found"])),
+            "findings": tuple(map(str, content["found"])),
             "origin": {str(name): str(value) for name, value in content["origin"].items()},
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError, UserError):

@@ -122,8 +122,8 @@ def settings(runs: Sequence[Made], names: Sequence[str]) -> pd.DataFrame:
 
 def _distinct(names: Sequence[str]) -> list[str]:
     seen: dict[str, int] = {}
-    found = []
+    distinct = []
     for name in names:
         seen[name] = seen.get(name, 0) + 1
-        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return found
+        distinct.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return distinct

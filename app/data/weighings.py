@@ -20,7 +20,7 @@ BINS = 100
 
 
 @dataclass(frozen=True)
-class Weighing:
+class WeighingInfo:
     """One result of `tom weigh`."""
 
     path: str
@@ -60,7 +60,7 @@ class Weighing:
         )
 
 
-def of_run(run: RunInfo, rows: int) -> list[Weighing]:
+def of_run(run: RunInfo, rows: int) -> list[WeighingInfo]:
     """The weighings of the buffer of a run (or a data set) of `rows` transitions, newest first.
 
     A resumed run has more rows than were weighed: the weighed ones are the first. Weighings of
@@ -74,7 +74,7 @@ def of_run(run: RunInfo, rows: int) -> list[Weighing]:
     return sorted((w for w in weighings if w is not None), key=lambda w: w.written, reverse=True)
 
 
-def weights(weighing: Weighing) -> dict[tuple[str, int], NDArray[np.float32]]:
+def weights(weighing: WeighingInfo) -> dict[tuple[str, int], NDArray[np.float32]]:
     """The weights (N,) by learner and seed; empty if the file cannot be read."""
     try:
         table = read_table(Path(weighing.path) / WEIGHTS)
@@ -98,7 +98,7 @@ def profiles(of: dict[tuple[str, int], NDArray[np.float32]]) -> dict[str, NDArra
 
 
 def numbers(
-    weighing: Weighing, of: dict[tuple[str, int], NDArray[np.float32]]
+    weighing: WeighingInfo, of: dict[tuple[str, int], NDArray[np.float32]]
 ) -> dict[str, list[Progression]]:
     """A summary of each learner's weights for each seed."""
     summaries: dict[str, list[Progression]] = {}
@@ -107,11 +107,11 @@ def numbers(
     return summaries
 
 
-def footprints(weighing: Weighing) -> dict[str, tuple[float, float]]:
+def footprints(weighing: WeighingInfo) -> dict[str, tuple[float, float]]:
     """By learner the footprint of its weights and its standard error, medians over the seeds.
 
-    1: as far from fresh episodes of the policy as the unweighted buffer. Empty where none was
-    measured.
+    At 1 the weighted buffer is as far from fresh episodes of the policy as the unweighted one.
+    Empty if none was measured.
     """
     by_learner: dict[str, list[tuple[float, float]]] = {}
     try:
@@ -130,7 +130,7 @@ def footprints(weighing: Weighing) -> dict[str, tuple[float, float]]:
     }
 
 
-def _read(path: Path, rows: int) -> Weighing | None:
+def _read(path: Path, rows: int) -> WeighingInfo | None:
     try:
         report: dict[str, Any] = read_json(path / REPORT)
         written = (path / REPORT).stat().st_mtime_ns
@@ -139,6 +139,6 @@ def _read(path: Path, rows: int) -> Weighing | None:
             return None
         policy, preset = str(report["policy"]), str(report["preset"])
         step = None if report.get("step") is None else int(report["step"])
-        return Weighing(str(path), policy, preset, weighed, first, step, written)
+        return WeighingInfo(str(path), policy, preset, weighed, first, step, written)
     except (OSError, ValueError, KeyError, TypeError):
         return None

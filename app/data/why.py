@@ -12,7 +12,7 @@ from app.data import readers
 from app.data.buffer import Floats, Rows
 from app.data.cache import VersionedCache
 from app.data.readers import RunInfo
-from app.data.weighings import Weighing
+from app.data.weighings import WeighingInfo
 from tom.analysis import why
 from tom.analysis.imagine import stored_model
 from tom.analysis.weighing import load_policy, made_anew
@@ -63,7 +63,7 @@ class Neighbours:
     own: float  # median over the policy's own rows
 
 
-def source(run: RunInfo, rows: Rows, weighings: list[Weighing]) -> Source | str:
+def source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source | str:
     """The terms of these weights, or a text with the reason why there are none."""
     key = run.path, rows.first, rows.weight.tobytes(), tuple(w.written for w in weighings)
     return _SOURCES.get(key, lambda: _source(run, rows, weighings))
@@ -113,7 +113,7 @@ _SOURCES: VersionedCache[Source | str] = VersionedCache(4)
 _ROLLOUTS: VersionedCache[tuple[Floats, int] | str] = VersionedCache(16)
 
 
-def _source(run: RunInfo, rows: Rows, weighings: list[Weighing]) -> Source | str:
+def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source | str:
     reader = readers.reader(run)
     whose_sum = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
     without = f"none of its weights are {whose_sum}"
@@ -138,8 +138,8 @@ def _source(run: RunInfo, rows: Rows, weighings: list[Weighing]) -> Source | str
 
 
 def candidates(
-    reader: RunReader, rows: Rows, weighings: list[Weighing]
-) -> Iterator[tuple[dict[str, NDArray], str, tuple[str, Weighing | None]]]:
+    reader: RunReader, rows: Rows, weighings: list[WeighingInfo]
+) -> Iterator[tuple[dict[str, NDArray], str, tuple[str, WeighingInfo | None]]]:
     """Columns, the name of the weights' column, and their source."""
     for step in reader.snapshot_steps():
         frame = reader.snapshot(step)
@@ -157,7 +157,7 @@ def candidates(
 
 
 def _made_by(
-    run: RunInfo, reader: RunReader, rows: Rows, weight: str, made: Weighing | None
+    run: RunInfo, reader: RunReader, rows: Rows, weight: str, made: WeighingInfo | None
 ) -> tuple[TomConfig, str, TensorTransitions, int | None]:
     if made is None:
         config = recorded_config(reader)

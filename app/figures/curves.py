@@ -20,9 +20,9 @@ from tom.analysis.grouping import Kind
 from tom.metrics import describe
 
 POINTS = 1500
-"""points of a line at most; what is left out is said on the figure"""
+"""maximum number of points of a line; the figure says if points were left out"""
 LONGEST = 40
-"""letters of a group's title under the pointer"""
+"""maximum number of characters of a group's title in the hover text"""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ PLAIN = Axes()
 
 
 def metric_title(metric: str) -> str:
-    """A metric's path, its words in brackets where the table has some."""
+    """A metric's path, followed by its description if there is one."""
     words = describe(metric)
     return metric if words == metric else f"{metric}: {words}"
 
@@ -52,9 +52,9 @@ def run_curves(
     axes: Axes = PLAIN,
     looks: Mapping[Kind, Look] | None = None,
 ) -> go.Figure:
-    """One line a run, coloured by learner; the runs of one learner differ in their dashes.
+    """One line per run, coloured by learner; the runs of one learner differ in their dashes.
 
-    Where `looks` of their groups are given, these say colours and dashes.
+    With `looks`, colours and dashes are those of the runs' groups instead.
     """
     figure = go.Figure()
     words = []
@@ -100,11 +100,11 @@ def group_curves(
     looks: Mapping[Kind, Look] | None = None,
     hidden: Collection[Kind] = (),
 ) -> go.Figure:
-    """A line a group with its band; thin lines for single runs; dotted where runs are missing.
+    """One line per group with its band, thin lines for single runs, dots if runs are missing.
 
-    `window`: points over which lines and bands are averaged, which the figure then says. `looks`
-    are those of all groups that are compared, here or elsewhere. `hidden` groups are in the legend
-    alone.
+    Lines and bands are averaged over `window` points, and the figure says so. `looks` are those of
+    all groups of a comparison, also of those in other figures. `hidden` groups appear only in the
+    legend.
     """
     figure = go.Figure()
     drawn: list[tuple[NDArray, NDArray]] = []
@@ -152,7 +152,7 @@ def _draw_axes(
     lines: list[Any] = list(figure.data)
     places = {float(x) for line in lines for x in line.x[:2]}
     if len(places) == 1 and not axes.log_x:
-        # One evaluation so far: where it lies says more than a thousandth to either side of it.
+        # With a single point Plotly would show a tiny range around it: start the axis at zero.
         figure.update_xaxes(rangemode="tozero", autorangeoptions={"include": 0})
 
 
@@ -196,7 +196,7 @@ def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
     full = group.complete
     parts = [go.Scatter(x=group.step[full], y=group.mean[full], customdata=group.count[full])]
     if not full.all():
-        # Joined to the solid part, so that the eye sees one line that gets less certain.
+        # Joined to the solid part, so that both look like one line.
         value = np.where(_beside(~full), group.mean, np.nan)
         parts.append(go.Scatter(x=group.step, y=value, customdata=group.count))
     only = group.curves[0].run_id if group.curves else None
@@ -227,12 +227,12 @@ def _short(title: str) -> str:
 
 
 def line_uid(group: Group) -> str:
-    """How a chart calls the line of a group."""
+    """The `uid` of a group's line in a chart."""
     return f"{_identity(group)} line"
 
 
 def _beside(here: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """True (T,) where `here` is, and on either side of it."""
+    """A mask (T,) of the places in `here` and their neighbours on either side."""
     wider = here.copy()
     wider[1:] |= here[:-1]
     wider[:-1] |= here[1:]

@@ -1,4 +1,4 @@
-"""How groups of runs are told apart: what they are called, colour, dash and marker of each."""
+"""What distinguishes groups of runs in a figure: title, colour, dash and marker."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,7 +20,7 @@ from tom.analysis.grouping import USUAL, Kind, natural, number
 
 @dataclass(frozen=True)
 class Look:
-    """How a group is called and drawn, wherever it is."""
+    """The title and style of a group, the same in every figure."""
 
     title: str
     colour: str
@@ -29,15 +29,15 @@ class Look:
 
 
 def looks(
-    found: Iterable[tuple[str, Kind]], by: str = USUAL, mode: Mode = "light"
+    groups: Iterable[tuple[str, Kind]], by: str = USUAL, mode: Mode = "light"
 ) -> dict[Kind, Look]:
-    """The look of every kind that is found in a task: pairs (environment, kind).
+    """The look of every kind among the groups, which are pairs (environment, kind).
 
-    A learner has its own colour, its first group a solid line and each further one another dash.
-    Values of a setting have colours of their own, in order where they are numbers; groups to which
-    the setting means nothing are grey.
+    A learner has its own colour; its first group has a solid line and each further one another
+    dash. Grouped by a setting, each value has its own colour, in order if the values are numbers;
+    groups of learners without that setting are grey.
     """
-    tasks = Counter(kind for _, kind in set(found))
+    tasks = Counter(kind for _, kind in set(groups))
     if by in (USUAL, "learner"):
         return _of_learners(tasks)
     values = sorted((kind for kind in tasks if not kind.learner), key=_order)
@@ -45,17 +45,17 @@ def looks(
 
 
 def _of_learners(tasks: Mapping[Kind, int]) -> dict[Kind, Look]:
-    # What is there in most tasks comes first, and so is the solid line of its learner.
-    found: dict[Kind, Look] = {}
+    # The kind with the most tasks comes first, so its learner's solid line belongs to it.
+    look_of: dict[Kind, Look] = {}
     for kind in sorted(tasks, key=lambda kind: (kind.learner, -tasks[kind], kind)):
-        place = sum(other.learner == kind.learner for other in found)
+        place = sum(other.learner == kind.learner for other in look_of)
         colour, symbol = learner_colour(kind.learner), learner_symbol(kind.learner)
-        found[kind] = Look(_title(kind, tasks), colour, DASHES[place % len(DASHES)], symbol)
-    return found
+        look_of[kind] = Look(_title(kind, tasks), colour, DASHES[place % len(DASHES)], symbol)
+    return look_of
 
 
 def _of_values(values: Sequence[Kind], by: str, mode: Mode) -> dict[Kind, Look]:
-    # Seeds are numbers that mean nothing.
+    # Seeds are numbers without a meaning.
     ordered = by != "seed" and all(number(kind, by) is not None for kind in values)
     colours = ramp(len(values), mode) if ordered else QUALITATIVE
     return {
@@ -80,7 +80,7 @@ def _left_grey(kinds: Iterable[Kind]) -> dict[Kind, Look]:
 
 
 def _title(kind: Kind, among: Iterable[Kind]) -> str:
-    """`TOM`; the preset too where its learner has several, and the settings."""
+    """The learner, such as `TOM`, then the preset if its learner has several, and the settings."""
     presets = {other.preset for other in among if other.learner == kind.learner}
     preset = kind.preset if len(presets) > 1 or not kind.learner else ""
     return ", ".join(filter(None, (learner_label(kind.learner), preset, kind.variant)))

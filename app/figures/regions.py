@@ -55,7 +55,7 @@ def region_map(
         go.Scattergl(
             x=plane.x[shown],
             y=plane.y[shown],
-            customdata=told(rows, shown),
+            customdata=hover_data(rows, shown),
             mode="markers",
             marker=marker,
             unselected={"marker": {"opacity": 0.35}},
@@ -85,7 +85,7 @@ def region_map(
     return figure
 
 
-def told(rows: Rows, index: NDArray[np.int64]) -> NDArray[np.object_]:
+def hover_data(rows: Rows, index: NDArray[np.int64]) -> NDArray[np.object_]:
     """Hover data of rows (K,): step, episode, step in it, phase, reward, weight: (K, 6)."""
     version = rows.version[index]
     phase = np.where(version == 0, "exploration", np.char.add("policy ", version.astype(str)))

@@ -25,11 +25,11 @@ class Profile:
 
 
 def profiles(
-    found: Sequence[Profile], thresholds: NDArray[np.float64], score: str, height: int
+    groups: Sequence[Profile], thresholds: NDArray[np.float64], score: str, height: int
 ) -> go.Figure:
-    """Share of runs whose score is above each threshold, a line a group (higher is better)."""
+    """Share of runs whose score is above each threshold, one line per group; higher is better."""
     figure = go.Figure()
-    for one in found:
+    for one in groups:
         if np.isfinite(one.low).any():
             figure.add_trace(
                 go.Scatter(
@@ -66,9 +66,9 @@ def improvement(
 ) -> go.Figure:
     """P(a run of the first beats a run of the second) for each pair, with its interval."""
     names = [f"{text.plotly(first)} > {text.plotly(second)}" for first, second, _ in pairs]
-    value = np.array([found.value for *_, found in pairs])
-    low = np.array([found.low for *_, found in pairs])
-    high = np.array([found.high for *_, found in pairs])
+    value = np.array([probability.value for *_, probability in pairs])
+    low = np.array([probability.low for *_, probability in pairs])
+    high = np.array([probability.high for *_, probability in pairs])
     figure = go.Figure(
         go.Scatter(
             x=value,

@@ -1,9 +1,10 @@
 """Choices that the address keeps; each change is an entry of the browser's history, so Back works.
 
-Streamlit's own `bind="query-params"` replaces the address in place, so that Back leaves the page.
-What the server writes to `st.query_params` is an entry of its own; a drawing that Back itself asked
-for adds none. So a page reads its choices here (`told`, or a widget of this module), says what each
-has become (`keep`), and puts all of them into the address at its end (`write`), in one step.
+Streamlit's own `bind="query-params"` replaces the address in place, so Back would leave the page.
+An address that the server writes to `st.query_params` is a new entry of the history, except when
+Back itself caused the drawing. So a page reads its choices here (`requested`, or a widget of this
+module), reports the new value of each (`keep`), and at its end puts all of them into the address in
+one step (`write`).
 """
 
 from collections.abc import Callable, Sequence
@@ -18,16 +19,16 @@ _KEPT, _KEEPING = "address: kept", "address: keeping"
 
 
 def visit(page: str) -> None:
-    """This drawing is of `page`: where the last one was of another, the address counts again."""
+    """This drawing is of `page`; if the last one was of another page, the address counts again."""
     st.session_state[_ARRIVED] = st.session_state.get(_PAGE) != page
     st.session_state[_PAGE] = page
-    st.session_state[_KEEPING] = {}  # of a drawing that was broken off
+    st.session_state[_KEEPING] = {}  # drop those of an interrupted drawing
 
 
-def told(key: str) -> list[str] | None:
-    """What the address says of a choice where it counts, else None: the reader's own choice does.
+def requested(key: str) -> list[str] | None:
+    """The words of the address for a choice; None if the user's own choice counts instead.
 
-    It counts when a page is come to, by a link or by Back and Forward.
+    The address counts when the user arrives at a page by a link, or by Back or Forward.
     """
     if key in st.session_state and not (st.session_state.get(_ARRIVED) or _went_back()):
         return None
@@ -35,12 +36,12 @@ def told(key: str) -> list[str] | None:
 
 
 def keep(key: str, words: Sequence[str]) -> None:
-    """What the address shall say of a choice from now on; nothing of the usual one."""
+    """Set what the address says of a choice from now on; no words for the default choice."""
     st.session_state.setdefault(_KEEPING, {})[key] = list(words)
 
 
 def write() -> None:
-    """Put the choices of this drawing into the address; those that it no longer has are gone."""
+    """Put the choices of this drawing into the address, and remove those that it no longer has."""
     keeping: dict[str, list[str]] = st.session_state.pop(_KEEPING, {})
     kept = st.session_state.get(_KEPT, set())
     for key in kept - keeping.keys():
@@ -53,7 +54,7 @@ def write() -> None:
         st.query_params.from_dict(after)
 
 
-def one(
+def choose_one(
     widget: Callable[..., T | None],
     label: str,
     options: Sequence[T],
@@ -62,19 +63,19 @@ def one(
     shown: Callable[[T], str] = str,
     **more: Any,
 ) -> T:
-    """One of `options`, in a selectbox, a segmented control or a slider."""
-    given = told(key)
+    """The user's choice of one of `options`: a selectbox, a segmented control or a slider."""
+    given = requested(key)
     if given is not None:
         st.session_state[key] = next(iter(_among(options, given, shown)), usual)
     elif st.session_state[key] not in options:
         st.session_state[key] = usual
-    chosen = widget(label, options, key=key, format_func=shown, **more)
-    found = usual if chosen is None else chosen
-    keep(key, [] if found == usual else [str(found)])
-    return found
+    picked = widget(label, options, key=key, format_func=shown, **more)
+    chosen = usual if picked is None else picked
+    keep(key, [] if chosen == usual else [str(chosen)])
+    return chosen
 
 
-def many(
+def choose_many(
     label: str,
     options: Sequence[str],
     key: str,
@@ -82,21 +83,21 @@ def many(
     usual: Sequence[str] = (),
     **more: Any,
 ) -> list[str]:
-    """Any number of `options`."""
-    given = told(key)
+    """The user's choice of any number of `options`: a multiselect."""
+    given = requested(key)
     if given is not None:
         st.session_state[key] = _among(options, given, shown) or list(usual)
     st.session_state[key] = [one for one in st.session_state[key] if one in options]
-    found = st.multiselect(
+    chosen = st.multiselect(
         label, options, key=key, format_func=shown, filter_mode="contains", select_all=False, **more
     )
-    keep(key, [] if found == list(usual) else found)
-    return found
+    keep(key, [] if chosen == list(usual) else chosen)
+    return chosen
 
 
 def switch(label: str, key: str, *, usual: bool = False) -> bool:
-    """Whether something is so."""
-    given = told(key)
+    """Whether the user has switched something on: a toggle."""
+    given = requested(key)
     if given is not None:
         st.session_state[key] = given[-1].lower() == "true" if given else usual
     on = st.toggle(label, key=key)
@@ -104,31 +105,31 @@ def switch(label: str, key: str, *, usual: bool = False) -> bool:
     return on
 
 
-def words(label: str, key: str, **more: Any) -> str:
-    """What somebody writes."""
-    given = told(key)
+def text_input(label: str, key: str, **more: Any) -> str:
+    """The text that the user has typed."""
+    given = requested(key)
     if given is not None:
         st.session_state[key] = "".join(given[-1:])
-    found = st.text_input(label, key=key, **more) or ""
-    keep(key, [found] if found else [])
-    return found
+    typed = st.text_input(label, key=key, **more) or ""
+    keep(key, [typed] if typed else [])
+    return typed
 
 
-def held(key: str, read: Callable[[list[str]], T]) -> T:
-    """What is no widget's: read from the address where it counts, else as the page has left it."""
-    given = told(key)
+def value_of(key: str, read: Callable[[list[str]], T]) -> T:
+    """A choice without a widget: read from the address if it counts, else the page's last value."""
+    given = requested(key)
     if given is not None:
         st.session_state[key] = read(given)
     return st.session_state[key]
 
 
 def _among(options: Sequence[T], given: Sequence[str], shown: Callable[[T], str]) -> list[T]:
-    """The options that an address names, as they are kept or as they are shown, in its order."""
+    """The options that an address names by their value or their label, in its order."""
     named = {shown(option): option for option in options} | {str(o): o for o in options}
     return [named[word] for word in given if word in named]
 
 
 def _went_back() -> bool:
-    """Back or Forward has asked for this drawing."""
+    """Whether Back or Forward caused this drawing."""
     context = get_script_run_ctx()
     return context is not None and context.is_history_navigation

@@ -92,7 +92,7 @@ def command(
 
 
 def shown(words: Sequence[str]) -> str:
-    """The command as it is typed in a terminal, with the plug-ins that this studio was given."""
+    """The command as one types it in a terminal, with the plug-ins of this studio."""
     given = [word for name in plugins.wanted_here() for word in (plugins.OPTION, name)]
     return shlex.join(["tom", *words, *given])
 

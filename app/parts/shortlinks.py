@@ -1,6 +1,6 @@
 """Short addresses that restore a view: `/v/<code>` leads to the page with all its choices.
 
-The views lie in `<store>/.views`, one small file each, named by what they hold.
+The views are in `<store>/.views`, one small file each, named by a digest of its content.
 """
 
 import hashlib
@@ -21,9 +21,9 @@ LONGEST = 8000
 
 
 def save(store: Path | str, page: str, query: str) -> str:
-    """Remember a page's address; its code. The same view has the same code.
+    """Store a page's address and return its code. The same view has the same code.
 
-    Raises UserError for an address that is too long, and where the store cannot be written.
+    Raises UserError if the address is too long or the store cannot be written.
     """
     if len(query) > LONGEST:
         raise UserError(
@@ -43,7 +43,7 @@ def save(store: Path | str, page: str, query: str) -> str:
 
 
 def target(store: Path | str, code: str) -> str | None:
-    """Where a code leads on this server; None for one that leads nowhere."""
+    """The address of a code on this server; None if there is no such view."""
     path = Path(store) / FOLDER / f"{code}.json"
     if not CODE.fullmatch(code) or path.is_symlink():
         return None
@@ -56,7 +56,7 @@ def target(store: Path | str, code: str) -> str | None:
 
 
 def nowhere(code: str) -> str:
-    """The page, as HTML, of a code that leads nowhere: why that may be, and a way on."""
+    """The HTML page for an unknown code: the possible reason, and a link to the studio."""
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8"><title>TOM Studio: no such link'
         '</title><meta name="color-scheme" content="light dark">'
@@ -69,7 +69,7 @@ def nowhere(code: str) -> str:
 
 
 def button() -> None:
-    """A small menu with the address of what is shown, short where the store may be written."""
+    """A small menu with the address of the shown view, and a short one if the store is writable."""
     with st.popover("Link", icon=":material/link:", width="stretch"):
         query = urlencode([(k, v) for k in st.query_params for v in st.query_params.get_all(k)])
         here = (st.context.url or "").split("?")[0]

@@ -26,7 +26,7 @@ LISTED = 200
 
 def page() -> None:
     """One of the computed studies; a list of the others, each with a button to run it."""
-    listed = studies.found(*studies.folders(session.links().store))
+    listed = studies.listing(*studies.folders(session.links().store))
     if listed:
         by_name = {study.name: study for study in listed}
         chosen = st.segmented_control(
@@ -62,9 +62,9 @@ def _said(study: Study) -> None:
     if study.claim:
         with left, st.container(border=True):
             st.markdown(f"**The paper.** {text.markdown(study.claim)}")
-    if study.found:
+    if study.findings:
         with right, st.container(border=True):
-            lines = "".join(f"\n- {text.markdown(line)}" for line in study.found)
+            lines = "".join(f"\n- {text.markdown(line)}" for line in study.findings)
             st.markdown(f"**Found here.**\n{lines}")
     if "command" in study.origin:
         st.code(study.origin["command"], language="bash", wrap_lines=True)
@@ -139,7 +139,7 @@ def _progress() -> None:
         code = begun.process.poll()
         if code is None:
             _goes_on(name, begun)
-        elif any(study.name == name for study in studies.found(studies.FOLDER)):
+        elif any(study.name == name for study in studies.listing(studies.FOLDER)):
             del _running()[name]  # 1: computed, but a check of the acceptance failed
             st.rerun()
         else:

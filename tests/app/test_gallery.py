@@ -97,11 +97,11 @@ def test_it_is_small() -> None:
 
 
 def test_its_studies_say_what_was_found_and_by_which_command() -> None:
-    found = studies.found(RUNS / STUDIES)
+    found = studies.listing(RUNS / STUDIES)
     assert {study.name for study in found} >= {"footprint", "returns"}
     for study in found:
         assert study.claim, study.name
-        assert study.found, study.name
+        assert study.findings, study.name
         assert study.figures, study.name
         assert study.origin["command"].startswith(f"tom reproduce {study.name}"), study.name
     assert size_of(RUNS / STUDIES) < STUDIES_BYTES

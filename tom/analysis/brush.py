@@ -50,7 +50,7 @@ class Brush:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class BrushedFit:
     """A model fitted with brushed weights (N,) under one seed.
 
     `errors` are one-step errors, in standard deviations of a step's change, on three sets: held-out
@@ -72,15 +72,15 @@ def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
     """
     if factor < 0:
         raise UserError(f"factor {factor:g}: a weight cannot be negative")
-    found, degenerate = normalise(torch.where(region, factor * weights, weights))
+    normalised, degenerate = normalise(torch.where(region, factor * weights, weights))
     if degenerate:
         raise UserError("all of the weight lies in the region: nothing is left without it")
-    return found
+    return normalised
 
 
 def fits(
     brush: Brush, config: ModelConfig, factors: Sequence[float], seeds: Sequence[int]
-) -> Iterator[Fitted]:
+) -> Iterator[BrushedFit]:
     """Fit a model for every seed and factor and yield each when it is ready; factor 1 comes first.
 
     A seed fixes the held-out episodes and all random draws of a fit, so that factors compare.
@@ -94,7 +94,7 @@ def fits(
         for factor in every:
             model = _fitted(brush.rows[kept], weights[factor][kept], config, seed)
             errors = _errors(model, brush, held_out, scale)
-            yield Fitted(factor, seed, weights[factor].numpy(), errors, model)
+            yield BrushedFit(factor, seed, weights[factor].numpy(), errors, model)
 
 
 def _fitted(

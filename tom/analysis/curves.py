@@ -18,15 +18,15 @@ Statistic = Literal["mean", "median", "iqm"]
 Band = Literal["bootstrap", "deviation", "none"]
 RESAMPLES = 1000
 GRID = 1000
-"""places where a group is compared at most; what is left out is said on the figure"""
+"""maximum number of steps at which a group is drawn; the figure says if steps were left out"""
 
 
 @dataclass(frozen=True)
 class Curve:
     """One metric of one run; `step` and `value` are (T,), steps ascending, no gaps.
 
-    `step` counts env steps, or what else the figure has along its x axis. Runs of one learner and
-    preset with other settings have another `variant`, which names what differs.
+    `step` counts env steps, or is the quantity on the figure's x axis. Runs of one learner and
+    preset whose settings differ have different `variant`s, which name the differences.
     """
 
     run_id: str
@@ -38,31 +38,31 @@ class Curve:
     value: NDArray[np.float64]
     variant: str = ""
     group: Kind | None = None
-    """what its group has in common where that is not everything but the seed"""
+    """what the runs of its group have in common, if they differ in more than the seed"""
 
     @property
     def final(self) -> float:
-        """The last value; NaN where there is none."""
+        """The last value; NaN if there is none."""
         return float(self.value[-1]) if len(self.value) else np.nan
 
     @property
     def best(self) -> float:
-        """The highest value; NaN where there is none."""
+        """The highest value; NaN if there is none."""
         return float(self.value.max()) if len(self.value) else np.nan
 
     @property
     def best_so_far(self) -> "Curve":
-        """The running maximum of the values: what the paper draws."""
+        """The running maximum of the values, which the paper draws."""
         return replace(self, value=statistics.running_maximum(self.value))
 
     def until(self, last: float) -> "Curve":
-        """What was recorded up to step `last`."""
+        """The part of the curve up to step `last`."""
         here = self.step <= last
         return replace(self, step=self.step[here], value=self.value[here])
 
     @property
     def kind(self) -> Kind:
-        """What it has in common with the runs of its group."""
+        """What the runs of its group have in common."""
         return self.group or Kind(self.learner, self.preset, self.variant)
 
 
@@ -70,11 +70,11 @@ class Curve:
 class Group:
     """The runs of one kind in one environment, on one grid of steps (T,).
 
-    They differ in nothing but the seed, where they are not grouped by a setting.
+    Unless they are grouped by a setting, they differ in nothing but the seed.
 
-    `mean` is the `statistic` over the runs that reach a step, `count` says how many those are;
-    `low` and `high` are the band, NaN wherever not all n runs are there or n is 1. `interpolated`:
-    not every run was recorded at every step that it covers and another run was recorded at.
+    `mean` is the `statistic` over the runs that reach a step, and `count` is their number; `low`
+    and `high` are the band, NaN at steps that not all n runs reach and if n is 1. `interpolated`:
+    some run has no value of its own at a step of another run, and is interpolated there.
     """
 
     env: str
@@ -97,7 +97,7 @@ class Group:
 
     @property
     def kind(self) -> Kind:
-        """What its runs have in common."""
+        """What the group's runs have in common."""
         return Kind(self.learner, self.preset, self.variant)
 
     @property
@@ -107,7 +107,7 @@ class Group:
 
 
 def curve_points(frame: pd.DataFrame, metric: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The steps and values of `metric` where it was recorded."""
+    """The steps at which `metric` was recorded, and its values."""
     if metric not in frame or frame.empty:
         return np.zeros(0, np.int64), np.zeros(0)
     value = np.asarray(frame[metric], np.float64)
@@ -118,9 +118,9 @@ def curve_points(frame: pd.DataFrame, metric: str) -> tuple[NDArray[np.int64], N
 def points_against(
     frame: pd.DataFrame, metric: str, other: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The values of `other` and of `metric`, in the order they were recorded.
+    """The values of `other` and of `metric`, in the order of recording.
 
-    Where the two were recorded at other steps, `other` is interpolated, never extrapolated.
+    If the two were recorded at different steps, `other` is interpolated, never extrapolated.
     """
     step, value = curve_points(frame, metric)
     at, x = curve_points(frame, other)
@@ -134,7 +134,7 @@ def points_against(
 def groups(
     curves: Sequence[Curve], statistic: Statistic = "mean", band: Band = "bootstrap"
 ) -> list[Group]:
-    """The curves grouped by their kind, in order of env, learner, preset, settings."""
+    """The curves grouped by kind, in the order of env, learner, preset, settings."""
     keyed: dict[tuple[str, Kind], list[Curve]] = {}
     for curve in curves:
         if len(curve.step):
@@ -148,12 +148,12 @@ def groups(
 def aggregate(
     curves: Sequence[Curve], statistic: Statistic = "mean", band: Band = "bootstrap"
 ) -> Group:
-    """A statistic and its band over runs of one group.
+    """A statistic and its band over the runs of one group.
 
-    Runs that were recorded at other steps are interpolated linearly, never extrapolated.
+    Runs that were recorded at different steps are interpolated linearly, never extrapolated.
     """
     grid = np.unique(np.concatenate([c.step for c in curves]))
-    # Every run's steps are among the grid's, so that a run with fewer lacks some.
+    # The grid has every run's steps, so a run with fewer steps in its range lacks some.
     between = any(((grid >= c.step[0]) & (grid <= c.step[-1])).sum() > len(c.step) for c in curves)
     thinned = len(grid) > GRID
     if thinned:
@@ -163,7 +163,7 @@ def aggregate(
     complete = count == len(curves)
     middle = np.empty(len(grid))
     for n in np.unique(count):
-        # Columns with as many runs at once; the order of runs does not matter to a statistic.
+        # All columns with n runs at once; no statistic depends on the order of runs.
         columns = np.sort(values[:, count == n], axis=0)[:n]  # NaN comes last
         middle[count == n] = statistics.STATISTICS[statistic](columns.T) if n else np.nan
     low, high = np.full(len(grid), np.nan), np.full(len(grid), np.nan)
@@ -184,8 +184,9 @@ def on_grid(curve: Curve, grid: NDArray) -> NDArray[np.float64]:
 def smoothed(group: Group, window: int) -> Group:
     """Centred moving average over `window` points of the group's line and band.
 
-    It is taken of the statistic, after the runs were put together, and shorter at both ends of
-    each stretch that all runs or not all runs reach: the two are statistics of other runs.
+    The average is over the statistic, not over single runs. Steps that all runs reach and other
+    steps are averaged separately, because they are statistics of different runs; the window is
+    shorter at both ends of each stretch.
     """
     if window < 2:
         return group

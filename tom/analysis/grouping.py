@@ -1,4 +1,4 @@
-"""What puts runs into one group: everything but the seed, or one setting that a reader asks for.
+"""What the runs of a group have in common: all but the seed, or one setting that the user chooses.
 
 A page and a report group here, so that they cannot disagree.
 """
@@ -12,12 +12,12 @@ from tom.analysis.settings import NONE, Made, variants
 from tom.learners import others_groups
 
 USUAL = "all but the seed"
-"""runs of a group differ in nothing but the seed, and in what changes no number"""
+"""runs of a group differ only in the seed and in settings that change no number"""
 _NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
 
 
 class Kind(NamedTuple):
-    """What the runs of a group have in common; empty where they may differ in it."""
+    """What the runs of a group have in common; a part is empty if they may differ in it."""
 
     learner: str = ""
     preset: str = ""
@@ -26,18 +26,18 @@ class Kind(NamedTuple):
 
 
 def choices(runs: Sequence[Made]) -> list[str]:
-    """What `runs` can be grouped by: as usual, or by a setting in which some of them differ.
+    """The ways to group `runs`: as usual, or by a setting in which some of them differ.
 
-    Not by environment, as no figure has runs of two. Settings that mean something to a few
-    learners alone are among them where those runs differ.
+    The environment is not among them, because no figure has runs of two. A setting of only some
+    learners is among them if the runs of these learners differ in it.
     """
-    found: dict[str, set[str]] = {}
+    values_of: dict[str, set[str]] = {}
     for run in runs:
         others = others_groups(run.learner)
         for path, words in run.settings.items():
             if path.partition(".")[0] not in others and words != NONE:
-                found.setdefault(path, set()).add(words)
-    paths = {path for path, values in found.items() if len(values) > 1} - {"env"}
+                values_of.setdefault(path, set()).add(words)
+    paths = {path for path, values in values_of.items() if len(values) > 1} - {"env"}
     first = [path for path in ("learner", "preset") if path in paths]
     return [USUAL, *first, *sorted(paths.difference(first))]
 
@@ -45,8 +45,9 @@ def choices(runs: Sequence[Made]) -> list[str]:
 def kinds(runs: Sequence[Made], by: str = USUAL) -> dict[str, Kind]:
     """The kind of each run, by its id.
 
-    Grouped by a setting, runs with the same value make a group, whatever else they differ in; runs
-    of which nothing is known of it, or to whose learner it means nothing, stay in their usual ones.
+    If they are grouped by a setting, runs with the same value form a group, even if they differ
+    in other settings. Runs without a value, or of a learner without that setting, stay in their
+    usual groups.
     """
     if by == "learner":
         return {run.run_id: Kind(learner=run.learner) for run in runs}
@@ -63,7 +64,7 @@ def kinds(runs: Sequence[Made], by: str = USUAL) -> dict[str, Kind]:
 
 
 def number(kind: Kind, by: str) -> float | None:
-    """The value of the setting by which a kind was grouped, where it is a number; else None."""
+    """The value of the setting by which a kind was grouped; None if it is not a number."""
     try:
         value = float(kind.variant.removeprefix(f"{by} "))
     except ValueError:
@@ -72,13 +73,13 @@ def number(kind: Kind, by: str) -> float | None:
 
 
 def natural(words: str) -> list[tuple[float, str]]:
-    """An order of words in which 64 comes before 128."""
+    """A sort key in which 64 comes before 128."""
     parts = enumerate(_NUMBER.split(words))
     return [(float(part), "") if i % 2 else (-1.0, part) for i, part in parts]
 
 
 def _of(run: Made, path: str) -> str:
-    """The value of a setting in words; empty where it means nothing to the run."""
+    """The value of a setting in words; empty if the run has none or its learner ignores it."""
     words = run.settings.get(path, NONE)
     mine = path.partition(".")[0] not in others_groups(run.learner)
     return words if mine and words != NONE else ""

@@ -52,16 +52,16 @@ class Imagined:
 
 def stored_step(run: RunReader) -> int | None:
     """The env step of the stored model, which may be damaged; None if there is no model."""
-    found = (checkpoint.newest(run.path / folder) for folder in checkpoint.MODEL_PLACES)
-    return next((step for step in found if step is not None), None)
+    steps = (checkpoint.newest(run.path / folder) for folder in checkpoint.MODEL_PLACES)
+    return next((step for step in steps if step is not None), None)
 
 
 def stored_model(run: RunReader) -> StoredModel:
     """The model in the newest checkpoint or in a small copy. Raises UserError if there is none."""
     if not run.fits_model:
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
-    found = (checkpoint.load(run.path / folder) for folder in checkpoint.MODEL_PLACES)
-    held = next((one for one in found if one is not None), None)
+    checkpoints = (checkpoint.load(run.path / folder) for folder in checkpoint.MODEL_PLACES)
+    held = next((one for one in checkpoints if one is not None), None)
     if held is None:
         small = "model" in run.left_out
         why = "left out of this small copy" if small else "it has no checkpoint that is whole"

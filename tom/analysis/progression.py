@@ -66,7 +66,7 @@ def progression(weights: NDArray, ordered_from: int) -> Progression:
 
 
 def rank_correlation(x: NDArray, y: NDArray) -> float:
-    """Spearman's rank correlation of x and y (n,), ties ranked alike; 0 where one is constant."""
+    """Spearman's rank correlation of x and y (n,), ties ranked alike; 0 if one is constant."""
     # Mean weights are of order one: bins that differ only by rounding are ties.
     ranks = [pd.Series(np.round(values, 9)).rank().to_numpy() for values in (x, y)]
     if min(np.ptp(r) for r in ranks) == 0:

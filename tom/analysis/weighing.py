@@ -162,18 +162,18 @@ def _weigh(
         generator=streams.torch("weigh"),
         value_gradient=policy.value_gradient,
     )
-    found = learner.weigh(context)
+    weighting = learner.weigh(context)
     judges, generator = fresh.transitions.torch(), streams.torch("exam")
-    match = footprint_match(rows, found.weights, judges, step_scaling(rows), generator)
-    ratio = None if found.log_ratio is None else found.log_ratio.to(torch.float32).numpy()
-    terms = {} if found.terms is None else found.terms.recorded()
+    match = footprint_match(rows, weighting.weights, judges, step_scaling(rows), generator)
+    ratio = None if weighting.log_ratio is None else weighting.log_ratio.to(torch.float32).numpy()
+    terms = {} if weighting.terms is None else weighting.terms.recorded()
     return Weighed(
         learner=config.learner,
         seed=config.seed,
-        weights=found.weights.to(torch.float32).numpy(),
+        weights=weighting.weights.to(torch.float32).numpy(),
         log_ratio=ratio,
-        metrics=dict(found.metrics),
-        notices=tuple(found.notices),
+        metrics=dict(weighting.metrics),
+        notices=tuple(weighting.notices),
         footprint_return=float(np.mean(made.returns)) if made.returns else None,
         match=match,
         terms={name: term.to(torch.float32).numpy() for name, term in terms.items()},

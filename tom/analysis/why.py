@@ -15,7 +15,7 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, mixed_with_uniform
 from tom.learners.terms import Terms, slope
-from tom.policy.rollout import Simulator, Termination
+from tom.policy.rollout import RolloutModel, Termination
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ def nearest(replay: TensorTransitions, row: int, others: TensorTransitions, coun
     scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
     here, there = (scaling(_transition(part)) for part in (replay[row : row + 1], others))
     distance = (there - here).square().mean(1).sqrt()
-    found = distance.topk(min(count, len(others)), largest=False)
-    return Near(found.indices, found.values)
+    closest = distance.topk(min(count, len(others)), largest=False)
+    return Near(closest.indices, closest.values)
 
 
 def usual_distance(replay: TensorTransitions, others: TensorTransitions, rows: Tensor) -> float:
@@ -94,7 +94,7 @@ def expected_starts(weights: Tensor, row: int, config: RolloutConfig) -> float:
 
 @torch.no_grad()
 def rollouts(
-    model: Simulator,
+    model: RolloutModel,
     policy: Policy,
     terminated: Termination,
     start: Tensor,

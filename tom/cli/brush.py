@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from tom.analysis.brush import AS_IT_IS, FACTORS, SMALL, Brush, Fitted, fits, ghosts
+from tom.analysis.brush import AS_IT_IS, FACTORS, SMALL, Brush, BrushedFit, fits, ghosts
 from tom.analysis.ordered_data import OrderedData, find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
 from tom.cli.parser import folder
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     brush = _brush(args, reader, store, data, region)
     out = args.out or _default_out(store, reader)
     weighing_files.check_free(out)
-    begun, models = perf_counter(), list[Fitted]()
+    begun, models = perf_counter(), list[BrushedFit]()
     config = SMALL.but(hidden=args.hidden, layers=args.layers)
     seeds = list(dict.fromkeys(args.seeds))
     total = len(dict.fromkeys((AS_IT_IS, *args.factors))) * len(seeds)
@@ -161,7 +161,7 @@ def _of(name: str, store: Store) -> NDArray[np.float32]:
         ) from None
 
 
-def _ghosts(reader: RunReader, fitted: list[Fitted], step: int) -> dict[str, NDArray]:
+def _ghosts(reader: RunReader, fitted: list[BrushedFit], step: int) -> dict[str, NDArray]:
     """Joint positions (H + 1, nq) of a recorded episode and of its prediction by each model.
 
     The models are the first seed's; the episode is from the last evaluation at or before `step`.

@@ -53,7 +53,7 @@ def bring(name: str | None) -> None:
 
 
 def is_code(name: str) -> bool:
-    """It is a task of a module that has to be imported; Gymnasium's own is here anyway."""
+    """Whether the task's module has to be imported; Gymnasium's own is always imported."""
     module, colon, _ = name.partition(":")
     return bool(colon) and module != OWN
 

@@ -1,7 +1,7 @@
-"""DeepMind Control's tasks, as shimmy brings them to Gymnasium: `shimmy:dm_control/walker-walk-v0`.
+"""DeepMind Control's tasks in Gymnasium, by shimmy: `shimmy:dm_control/walker-walk-v0`.
 
-They observe named arrays; here these lie side by side, in the order of their names. Nothing of
-dm_control is imported: it need not be installed.
+Their observations are named arrays, which are concatenated here in the order of their names.
+dm_control is not imported here and need not be installed.
 """
 
 import os
@@ -15,26 +15,26 @@ from gymnasium.wrappers import FlattenObservation
 
 NAMESPACE = "dm_control/"
 PICTURE = 3
-"""axes of one"""
+"""number of axes of a picture"""
 
 
 def is_one(gym_id: str) -> bool:
-    """The Gymnasium id is that of such a task."""
+    """Whether the Gymnasium id is that of such a task."""
     return gym_id.startswith(NAMESPACE)
 
 
 def without_screen() -> None:
-    """Nothing is rendered here; dm_control looks for a screen when it is imported, and warns."""
+    """Tell dm_control not to look for a screen at its import, which gives a warning without one."""
     os.environ.setdefault("MUJOCO_GL", "disable")
 
 
 def flat(env: gym.Env) -> gym.Env:
-    """`env` with its named arrays side by side; as it is where one of them is a picture."""
+    """`env` with its named arrays concatenated; unchanged if one of them is a picture."""
     return FlattenObservation(env) if _named_arrays(env) else env
 
 
 def obs_names(env: gym.Env) -> tuple[str, ...] | None:
-    """What each dimension of the flat observation is called; None where it has no names."""
+    """The name of each dimension of the flat observation; None if it has no names."""
     if not _named_arrays(env):
         return None
     sizes = {name: prod(space.shape or ()) for name, space in _arrays(env)}
@@ -47,21 +47,21 @@ def obs_names(env: gym.Env) -> tuple[str, ...] | None:
 
 
 def advice(error: BaseException) -> str:
-    """What to do where such a task cannot be made."""
+    """Advice for the user if such a task cannot be made."""
     if isinstance(error, gym.error.NamespaceNotFound):
         return "; pip install 'shimmy[dm-control]' and write shimmy:dm_control/..."
     if not isinstance(error, AttributeError):
         return ""
-    return (  # it asks MuJoCo's structures for what they no longer hold
+    return (  # it reads members that MuJoCo's structures no longer have
         f"; dm_control {_version('dm_control')} does not know MuJoCo {_version('mujoco')}: see "
         "docs/tasks.md"
     )
 
 
 def simulation(env: Any) -> Any:
-    """dm_control's physics in an unwrapped environment; None in any other.
+    """dm_control's physics of an unwrapped environment; None if it is of another kind.
 
-    Tasks that are composed have none either: they compile a new model for every episode.
+    None also for composed tasks, which compile a new model for every episode.
     """
     if not type(env).__module__.startswith("shimmy.dm_control"):
         return None
@@ -74,8 +74,8 @@ def _arrays(env: gym.Env) -> list[tuple[str, gym.Space]]:
 
 
 def _named_arrays(env: gym.Env) -> bool:
-    found = _arrays(env)
-    return bool(found) and all(isinstance(of, Box) and len(of.shape) < PICTURE for _, of in found)
+    arrays = _arrays(env)
+    return bool(arrays) and all(isinstance(of, Box) and len(of.shape) < PICTURE for _, of in arrays)
 
 
 def _version(name: str) -> str:

@@ -81,7 +81,7 @@ class GymnasiumTask(Task):
 def describe(name: str) -> GymnasiumTask:
     """The task `module:Id`: imports the module and makes the task once to inspect it.
 
-    Raises UserError where there is none, or one that cannot be trained in.
+    Raises UserError if there is no such task, or if it cannot be trained in.
     """
     module, _, gym_id = name.partition(":")
     if not gym_id or ":" in gym_id:
@@ -96,7 +96,7 @@ def describe(name: str) -> GymnasiumTask:
 def look_at(name: str, gym_id: str, terminated: Termination | None = None) -> GymnasiumTask:
     """The task of that Gymnasium id, made once to inspect it; `terminated` is its own rule.
 
-    Raises UserError where there is none, or one that cannot be trained in.
+    Raises UserError if there is no such task, or if it cannot be trained in.
     """
     env = _made(gym_id, name)
     try:
@@ -207,7 +207,7 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
 
 
 def _take_a_step(name: str, env: gym.Env, obs: Box, action: Box) -> None:
-    """Raises UserError where the task does not begin and go on as its spaces say."""
+    """Raises UserError if an episode of the task does not match its spaces."""
     try:
         first, _ = env.reset(seed=0)
         chosen = 0.5 * (action.low + action.high)

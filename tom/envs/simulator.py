@@ -1,4 +1,4 @@
-"""The MuJoCo simulation inside an environment, whoever made that."""
+"""The MuJoCo simulation inside an environment of Gymnasium or of DeepMind Control."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +11,7 @@ from tom.envs import dm_control
 
 @dataclass(frozen=True)
 class Simulator:
-    """MuJoCo's own model and data, which is stepped by others, and the seconds of a step."""
+    """MuJoCo's own model and data, which the environment steps, and the seconds of a step."""
 
     model: Any
     data: Any
@@ -19,7 +19,7 @@ class Simulator:
 
 
 def simulated(env: gym.Env) -> Simulator | None:
-    """The simulation inside `env`; None where it is another kind of environment."""
+    """The simulation inside `env`; None if `env` is of another kind."""
     inner = env.unwrapped
     if isinstance(inner, MujocoEnv):
         return Simulator(inner.model, inner.data, float(inner.dt))

@@ -1,8 +1,8 @@
-"""Policies that other libraries made: a TorchScript or ONNX file, or a function `module:name`.
+"""Policies of other libraries: a TorchScript or ONNX file, or a function `module:name`.
 
 Each maps observations (B, O) either to `(mean, log_std)`, (B, A) each, of a Gaussian that tanh
 squashes into [-1, 1] (soft actor-critic's policy), or to actions (B, A) in the task's own units.
-A function and a TorchScript file are code: they do what they like (docs/security.md).
+Functions and TorchScript files are code that can do anything (docs/security.md).
 """
 
 import re
@@ -22,7 +22,7 @@ from tom.errors import OF_USERS, UserError, reason
 TORCHSCRIPT = (".pt", ".pth", ".ts", ".torchscript")
 ONNX = ".onnx"
 INTERPRETER = "TorchScript interpreter."
-"""ends the first line of an error in a TorchScript network, which says nothing else"""
+"""end of the first line of an error in a TorchScript network; this line has no information"""
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _LARGEST_SEED = 2**62
 
@@ -31,14 +31,14 @@ Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 def is_foreign(name: str) -> bool:
-    """`name` is that of a TorchScript or ONNX file, or of a function."""
+    """Whether `name` is that of a TorchScript or ONNX file, or of a function."""
     return Path(name).suffix in (*TORCHSCRIPT, ONNX) or _is_function(name)
 
 
 class ForeignPolicy:
-    """A policy that is asked as a `tom.learners.base.Policy` is; nothing is known of its value.
+    """A policy of another library as a `tom.learners.base.Policy`, without a value function.
 
-    What it draws with torch's own random numbers follows the generator too.
+    Its draws from torch's global generator are reproducible too: each call seeds that generator.
     """
 
     value_gradient = None
@@ -46,7 +46,7 @@ class ForeignPolicy:
     def __init__(
         self, name: str, ask: Callable[[Tensor], Any], obs_dim: int, bounds: Bounds
     ) -> None:
-        """Asks it about two observations. Raises UserError where the answer is no policy's."""
+        """Tests it on two observations. Raises UserError if the output is not that of a policy."""
         self.name, self.obs_dim, self.action_dim = name, obs_dim, len(bounds[0])
         self._ask = ask
         self._low, self._high = (torch.as_tensor(bound, dtype=torch.float32) for bound in bounds)
@@ -70,8 +70,8 @@ class ForeignPolicy:
         try:
             with torch.random.fork_rng(devices=[]):
                 torch.manual_seed(seed)
-                found = self._ask(obs)
-            parts = found if isinstance(found, tuple | list) else (found,)
+                output = self._ask(obs)
+            parts = output if isinstance(output, tuple | list) else (output,)
             answer = tuple(torch.as_tensor(part, dtype=torch.float32) for part in parts)
         except UserError:
             raise
@@ -93,7 +93,7 @@ class ForeignPolicy:
 
 
 def _why(error: BaseException) -> str:
-    """`reason`; of TorchScript's many lines, the one that says it."""
+    """`reason` of an error; for TorchScript the last of its many lines, which has the reason."""
     lines = str(error).strip().splitlines()
     return lines[-1][:200] if lines and lines[0].endswith(INTERPRETER) else reason(error)
 
@@ -103,7 +103,7 @@ def foreign_policy(
 ) -> ForeignPolicy:
     """The policy `name` (`is_foreign`) for a task of these dimensions. Raises UserError.
 
-    `own_obs` puts observations (B, O) into the task's own units, which it is asked in.
+    `own_obs` converts observations (B, O) to the task's own units, which the policy expects.
     """
     if _is_function(name):
         ask = _function(name)
@@ -123,12 +123,12 @@ def _is_function(name: str) -> bool:
 
 
 def _function(name: str) -> Callable[[Tensor], Any]:
-    """A Python function of observations (B, O), a numpy array; its module is code that is run."""
+    """A Python function of observations (B, O), a numpy array. Its module is imported and run."""
     module, _, function = name.partition(":")
-    found = getattr(import_named(module, f"--policy {name}"), function, None)
-    if not callable(found):
+    policy = getattr(import_named(module, f"--policy {name}"), function, None)
+    if not callable(policy):
         raise UserError(f"--policy {name}: module '{module}' has no function '{function}'")
-    return lambda obs: found(obs.numpy())
+    return lambda obs: policy(obs.numpy())
 
 
 def _torchscript(name: str) -> Callable[[Tensor], Any]:

@@ -19,7 +19,7 @@ EXPLODED = 100.0
 """a modelled state has exploded if it is this many times larger than the largest start state"""
 
 
-class Simulator(Protocol):
+class RolloutModel(Protocol):
     """A dynamics model as far as a rollout needs it."""
 
     def sample(
@@ -40,7 +40,7 @@ def start_states(
 
 @torch.no_grad()
 def roll_out(
-    model: Simulator,
+    model: RolloutModel,
     policy: Policy,
     terminated: Termination,
     starts: Tensor,

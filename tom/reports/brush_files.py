@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tom.analysis.brush import AS_IT_IS, Fitted
+from tom.analysis.brush import AS_IT_IS, BrushedFit
 from tom.analysis.progression import progression
 from tom.record.files import replace_json
 from tom.reports.weighing_files import REPORT, WEIGHTS, whole_weighing
@@ -27,7 +27,7 @@ def called(factor: float) -> str:
 def write(
     out: Path,
     region: NDArray[np.bool_],
-    models: Sequence[Fitted],
+    models: Sequence[BrushedFit],
     report: dict[str, Any],
     ghosts: Mapping[str, NDArray],
 ) -> None:

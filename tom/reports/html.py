@@ -27,7 +27,7 @@ td, th { padding: .2rem .7rem .2rem 0; border-bottom: 1px solid #dde; text-align
 
 @dataclass(frozen=True)
 class Report:
-    """The content of a report: the paper's `claim`, the findings (`found`), and the origin.
+    """The content of a report: the paper's `claim`, the findings, and the origin.
 
     `figures` are (caption, path of a PNG), `tables` (title, rows); `origin` is command, commit and
     versions.
@@ -35,7 +35,7 @@ class Report:
 
     title: str
     claim: str
-    found: Sequence[str]
+    findings: Sequence[str]
     figures: Sequence[tuple[str, Path]] = ()
     tables: Sequence[tuple[str, Rows]] = ()
     origin: Mapping[str, str] = field(default_factory=dict)
@@ -49,7 +49,7 @@ def write_report(report: Report, folder: Path) -> Path:
         "<h2>What the paper says</h2>",
         f"<blockquote>{html.escape(report.claim)}</blockquote>",
         "<h2>What was found here</h2>",
-        *(f"<p>{html.escape(line)}</p>" for line in report.found),
+        *(f"<p>{html.escape(line)}</p>" for line in report.findings),
         *(_figure(caption, path) for caption, path in report.figures),
         *(f"<h2>{html.escape(name)}</h2>{_table(rows)}" for name, rows in report.tables),
         "<h2>How it was made</h2>",
@@ -58,7 +58,12 @@ def write_report(report: Report, folder: Path) -> Path:
     head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
     body = "\n".join(parts)
     path = folder / NAME
-    words = {name: getattr(report, name) for name in ("title", "claim", "found", "origin")}
+    words = {
+        "title": report.title,
+        "claim": report.claim,
+        "found": report.findings,
+        "origin": report.origin,
+    }
     (folder / WORDS).write_text(json.dumps(words, indent=1) + "\n")
     path.write_text(f"<!doctype html><html><head>{head}</head><body>\n{body}\n</body></html>\n")
     return path

@@ -23,7 +23,7 @@ class RoadModel:
     def sample(
         self, obs: Tensor, action: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """`predict`, as a `tom.policy.rollout.Simulator`: the linear model is deterministic."""
+        """`predict`, as a `tom.policy.rollout.RolloutModel`: the linear model is deterministic."""
         return self.predict(obs, action)
 
 

@@ -48,11 +48,11 @@ class Result:
     ordered_from: int
     condition: Condition
     preset: Preset
-    found: tuple[Weighed, ...]
+    weighed: tuple[Weighed, ...]
 
     def of(self, learner: str) -> list[Weighed]:
         """One learner's results, by seed."""
-        return [one for one in self.found if one.learner == learner]
+        return [one for one in self.weighed if one.learner == learner]
 
     def reports(self, learner: str) -> list[Progression]:
         """One learner's summaries, by seed."""

@@ -25,7 +25,7 @@ TITLES = {
 def keep_weights(folder: Path, case: Result) -> None:
     """Write all single weights of `case`."""
     name = f"{case.recording}-{case.condition}-{case.preset}.parquet"
-    write_weights(folder / name, case.found)
+    write_weights(folder / name, case.weighed)
 
 
 def write(folder: Path, done: Sequence[Result], findings: Sequence[Finding], preset: str) -> None:
@@ -44,7 +44,7 @@ def write(folder: Path, done: Sequence[Result], findings: Sequence[Finding], pre
         ]
         for name, of in by_recording.items()
     }
-    shares = {c.recording: c.ordered_from / len(c.found[0].weights) for c in done}
+    shares = {c.recording: c.ordered_from / len(c.weighed[0].weights) for c in done}
     save(profile_figure(panels, shares), folder, FIGURE)
 
 
@@ -81,7 +81,7 @@ def _write_profiles(path: Path, done: Sequence[Result]) -> None:
         lines = csv.writer(file)
         lines.writerow(["recording", "preset", "policy", "learner", "seed", "bin", "mean_weight"])
         for case in done:
-            for one in case.found:
+            for one in case.weighed:
                 key = [case.recording, case.preset, case.condition, one.learner, one.seed]
                 for number, mean in enumerate(bin_means(one.weights, BINS).tolist()):
                     lines.writerow([*key, number, f"{mean:.6g}"])

@@ -1,4 +1,8 @@
-"""Many trainings: running them (driver), where (engine, backend, slurm), how long (projection)."""
+"""Many trainings at once.
+
+`driver` runs them, `engine` starts their processes, `backend` knows where their runs are stored,
+`slurm` writes a script for a cluster, and `projection` estimates their hours and bytes.
+"""
 
 from tom.sweep.commands import Command, run_commands
 

@@ -1,4 +1,4 @@
-"""A sweep whose runs lie in an object store: what its driver sees of them."""
+"""The runs of a sweep in an object store, as far as its driver needs them."""
 
 import shutil
 import tempfile
@@ -13,18 +13,18 @@ from tom.record.bucket.objects import Bucket
 from tom.sweep.backend import LOGS
 from tom.training.plan import Trial
 
-LOOK_S = 5.0  # between two looks at a run
+LOOK_S = 5.0  # between two updates of a run
 
 
 class BucketBackend(AbstractContextManager["BucketBackend", None]):
     """The runs of `trials` in `bucket`.
 
-    `store` is a folder of this machine, gone with the sweep, that holds of every run its settings,
-    its status and the names of its checkpoints.
+    `store` is a temporary folder of this machine. For every run it holds the settings, the status
+    and the names of the checkpoints.
     """
 
     def __init__(self, bucket: Bucket, trials: Sequence[Trial]) -> None:
-        """Raises OSError where the bucket does not answer."""
+        """Raises OSError if the bucket does not answer."""
         self._bucket = bucket
         self._folder = Path(tempfile.mkdtemp(prefix="tom-sweep-"))
         self._next: dict[str, float] = {}
@@ -52,11 +52,14 @@ class BucketBackend(AbstractContextManager["BucketBackend", None]):
         return ["tom.sweep.worker", self._bucket.url, run_id, *words]
 
     def written(self, run: RunReader) -> bool:
-        """Judged by its heartbeat; an attempt judged wrongly ends when it finds a newer one."""
+        """Whether it has a recent heartbeat.
+
+        If this is wrong, the old attempt ends when it sees the newer one.
+        """
         return run.status.alive
 
     def begin_anew(self, run_id: str) -> str:
-        """A new attempt leaves the earlier ones alone."""
+        """Forget the run here; a new attempt does not change the earlier ones."""
         shutil.rmtree(self._folder / run_id)
         return f"{self._bucket.url}/{run_id}"
 
@@ -69,7 +72,7 @@ class BucketBackend(AbstractContextManager["BucketBackend", None]):
         return f"{self._bucket.url}/{name}"
 
     def _show(self, attempt: str, names: Sequence[str], path: Path) -> None:
-        """Make the run folder `path` say what the objects of an attempt say."""
+        """Copy settings, status and names of checkpoints of an attempt into the folder `path`."""
         path.mkdir(exist_ok=True)
         for name in (layout.CONFIG, layout.STATUS):
             (path / name).write_bytes(self._bucket.read(attempt + name))

@@ -1,4 +1,4 @@
-"""Opens the Ray engine; what Ray reads from the environment must stand there before its import."""
+"""Opens the Ray engine. The variables that Ray reads must be set before its import."""
 
 import os
 import secrets
@@ -12,11 +12,11 @@ ANSWER_S = 5.0  # a cluster's head answers within this
 
 
 def open_ray(address: str | None, jobs: int | None) -> Engine:
-    """Trainings on the Ray cluster at `address`, or on one here that ends with the sweep.
+    """The engine for the Ray cluster at `address`, or for one here that ends with the sweep.
 
-    `jobs` at a time (default: one a core of the cluster). Whoever talks to the cluster needs its
-    token, because Ray listens on every interface and runs what it is sent. Raises UserError where
-    Ray is not installed or the cluster cannot be joined.
+    It runs `jobs` trainings at a time (default: one per core of the cluster). Every client of the
+    cluster needs its token, because Ray listens on all interfaces and runs what it receives. Raises
+    UserError if Ray is not installed or the cluster cannot be joined.
     """
     if find_spec("ray") is None:
         raise UserError('--engine ray needs Ray: pip install -e ".[cluster]"')
@@ -32,7 +32,7 @@ def open_ray(address: str | None, jobs: int | None) -> Engine:
 
 
 def _reach(address: str) -> None:
-    """Raises UserError where nothing listens at HOST:PORT; Ray itself would try for minutes."""
+    """Raises UserError if nothing listens at HOST:PORT, because Ray would try for minutes."""
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal():
         raise UserError(f"--address {address}: must be HOST:PORT, as `ray start --head` prints it")

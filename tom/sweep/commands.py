@@ -1,4 +1,4 @@
-"""Many trainings as processes of their own: one single-threaded process a core."""
+"""Many trainings as separate processes: one single-threaded process per core."""
 
 import os
 import sys
@@ -11,12 +11,12 @@ from pathlib import Path
 from tom.machine.processes import Process, single_threaded, start, stop
 
 POLL_S = 0.1
-GRACE_S = 20.0  # a training stops within this once it is asked to
+GRACE_S = 20.0  # a training stops within this time after a request
 
 
 @dataclass(frozen=True)
 class Command:
-    """One `tom train` and where its output goes."""
+    """The arguments of one `tom train`, and the file for its output."""
 
     name: str
     arguments: tuple[str, ...]
@@ -29,10 +29,11 @@ def run_commands(
     workers: int | None = None,
     finished: Callable[[Command, int], None] = lambda command, code: None,
 ) -> dict[str, int]:
-    """Run all commands, `workers` at a time (default: one a core); exit codes by command name.
+    """Run all commands, `workers` at a time (default: one per core); exit codes by command name.
 
-    `finished` is told of every command as it ends. On Ctrl-C or an error all running trainings are
-    asked to stop (they end as `stopped`, their folders whole) before the error goes on.
+    `finished` is called with every command that has ended and its exit code. On Ctrl-C or an error
+    all running trainings are asked to stop, so that they end as `stopped` with whole folders; then
+    the error is raised again.
     """
     workers = workers or len(os.sched_getaffinity(0))
     waiting, running, codes = list(commands), {}, {}

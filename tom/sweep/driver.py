@@ -1,9 +1,9 @@
-"""Runs a sweep: starts trainings, judges them by their run folders, and starts them again.
+"""Runs a sweep: starts trainings, reads their state from the run folders, and restarts them.
 
-The run folders are the only memory: a driver that is killed and started again finds what is done,
-what can go on, and what another process is writing. Ctrl-C asks the trainings to stop; the kernel
-does the same when the driver itself is killed. Where the trainings run is the engine's business,
-where the runs lie is the backend's.
+The run folders are the only memory: a driver that was killed and is started again sees there which
+runs are finished, which can be resumed, and which another process is writing. Ctrl-C asks the
+trainings to stop; the kernel does the same if the driver is killed. The engine decides where the
+trainings run, the backend where the runs are stored.
 """
 
 import shutil
@@ -27,17 +27,17 @@ from tom.training.plan import Trial, same_run
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
 
 ATTEMPTS = 3
-"""A training that ends so often without getting further is given up."""
+"""A training is given up if it ends this many times without getting further."""
 
-BACK_OFF_S = 5.0  # before the second attempt; doubled for each more
-LOW_BYTES = 200e6  # with less room on the disk nothing is started, and no failure is counted
-KILL_AFTER_S = 300.0  # a training writes its checkpoint within this once it is asked to stop
+BACK_OFF_S = 5.0  # wait before the second attempt; it doubles with each further one
+LOW_BYTES = 200e6  # with less free disk space nothing is started and no failure is counted
+KILL_AFTER_S = 300.0  # a training writes its checkpoint within this time after a request
 TAIL_LINES = 5
 
 
 @dataclass
 class Job:
-    """Where one training of the sweep stands."""
+    """The state of one training of the sweep."""
 
     trial: Trial
     log: Path
@@ -46,13 +46,13 @@ class Job:
     attempts: int = 0
     step: int = -1  # of the newest checkpoint when it was last started
     not_before: float = 0.0
-    anew: bool = False  # what it has cannot be taken up
+    anew: bool = False  # its checkpoints cannot be resumed
     note: str = ""
     process: Process | None = field(default=None, repr=False)
 
 
 class Driver:
-    """Runs `trials` whose runs lie in `backend`. Call `poll` until it says that all is done."""
+    """Runs `trials`, whose runs are in `backend`. Call `poll` until it returns True."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class Driver:
         back_off_s: float = BACK_OFF_S,
         accept_versions: bool = False,
     ) -> None:
-        """`accept_versions`: runs of other versions go on, with other numbers."""
+        """`accept_versions`: resume runs of other versions, although their numbers may differ."""
         self.backend = backend
         self.store = backend.store
         self.engine = engine
@@ -82,16 +82,16 @@ class Driver:
                 job.state, job.note = "finished", f"{copy}was there already"
             self.jobs.append(job)
         self._order = list(self.jobs)
-        """in which they are looked after"""
+        """the order in which `poll` checks them"""
         self.full = False
         self.trouble = ""
-        """why the runs cannot be reached at present"""
+        """the reason why the runs cannot be reached at present"""
 
     def poll(self) -> bool:
-        """Look after every training once; True when there is nothing left to do.
+        """Check every training once; returns True when there is nothing left to do.
 
-        One out of reach is not judged, and ends the round: its backend may be down, and then
-        every question takes its time. The others come before it in the next poll. Raises GoneError.
+        A training that cannot be reached is not judged, and the round ends there: the backend may
+        be down, and then every request takes long. The next poll checks it last. Raises GoneError.
         """
         self.trouble = ""
         for job in tuple(self._order):
@@ -101,15 +101,15 @@ class Driver:
         return all(job.state in ("finished", "failed", "stopped") for job in self.jobs)
 
     def stop(self, wait_s: float = KILL_AFTER_S) -> None:
-        """Ask every training to stop and wait for them; those that do not are killed.
+        """Ask every training to stop, wait for them, and kill those that do not stop in time.
 
-        KeyboardInterrupt while it waits kills them at once.
+        A KeyboardInterrupt during the wait kills them at once.
         """
         running = [(job, job.process) for job in self.jobs if job.process]
         for _, process in running:
             process.signal(signal.SIGTERM)
         until = time.monotonic() + wait_s
-        with suppress(KeyboardInterrupt):  # asked twice: the checkpoints they have must do
+        with suppress(KeyboardInterrupt):  # a second request: they keep their last checkpoints
             while time.monotonic() < until and any(lives(process) for _, process in running):
                 time.sleep(0.1)
         for _, process in running:
@@ -117,18 +117,18 @@ class Driver:
         self.let_go()
 
     def let_go(self) -> None:
-        """Judge every training that was running by what its run says now; none is asked."""
+        """Take the final state of every running training from its run, not from its process."""
         for job in self.jobs:
             if job.process is None:
                 continue
             job.process = None
-            with suppress(OSError):  # out of reach: what was last seen of it must do
+            with suppress(OSError):  # out of reach: its last known state counts
                 self.backend.look(job.run_id, now=True)
             finished = self._reader(job).status.state == "finished"
             job.state = "finished" if finished else "stopped"
 
     def _reached(self, look: Callable[[Job], None], job: Job) -> bool:
-        """Do `look`; False where the training cannot be reached: it is the last one from now on."""
+        """Call `look`; False if the training cannot be reached, which is then checked last."""
         try:
             look(job)
         except OSError as error:
@@ -139,7 +139,7 @@ class Driver:
         return True
 
     def _attend(self, job: Job) -> None:
-        """Look after one training."""
+        """Check one training."""
         if job.state not in ("running", "elsewhere"):
             return
         self.backend.look(job.run_id)
@@ -154,7 +154,7 @@ class Driver:
             self._ended(job, ended)
 
     def _start_some(self) -> None:
-        with suppress(OSError):  # not there yet, or out of reach: a start will find out
+        with suppress(OSError):  # missing or out of reach: the start of a training will show it
             self.full = shutil.disk_usage(self.store.path).free < self.low_bytes
         busy = sum(job.state in ("running", "elsewhere") for job in self.jobs)
         slots = self.engine.slots
@@ -176,7 +176,7 @@ class Driver:
             return
         at = checkpoint.newest(run.path / checkpoint.FOLDER)
         if job.attempts and at is not None and at > job.step:
-            job.attempts = 0  # it got further: this is not what always fails
+            job.attempts = 0  # it got further, so its failures are not always the same
         job.attempts += 1
         job.step = -1 if at is None else at
         try:
@@ -187,12 +187,12 @@ class Driver:
             self._judge(job, str(error), hopeless=isinstance(error, UserError))
 
     def _words(self, job: Job, at: int | None) -> list[str]:
-        """The words of `tom train` that take a training up, or begin it."""
+        """The arguments of `tom train` that resume a training, or start it."""
         named = [f"{plugins.OPTION}={word}" for word in plugins.wanted_here()]
         if at is not None and not job.anew:
             return [f"--resume={job.run_id}", *job.trial.code(), *named, *self._accepted]
         job.run_id, job.anew = job.trial.run_id, False
-        if (self.store.path / job.run_id).is_dir():  # nothing in it to go on from
+        if (self.store.path / job.run_id).is_dir():  # it has no checkpoint to resume from
             where = self.backend.begin_anew(job.run_id)
             job.note = f"began anew; what was there is in {where}"
         return [*job.trial.options(), f"--run-id={job.run_id}", *named, *self._accepted]
@@ -205,24 +205,24 @@ class Driver:
 
     def _ended(self, job: Job, ended: Exit) -> None:
         run = self._reader(job)
-        if run.status.state == "finished":  # also where nobody saw its process end
+        if run.status.state == "finished":  # even if nobody saw its process end
             job.state, job.note = "finished", ""
         elif self.backend.written(run):
             job.state, job.note = "elsewhere", "another process is writing it"
         else:
             why = ended.why or run.status.reason or f"exit code {ended.code}"
             said = _tail(job.log)
-            # What only waits for a word is not begun anew: it may be hours of training.
+            # A run that only needs an option to be resumed may be hours of training: keep it.
             job.anew = ended.code == 2 and job.step >= 0 and ACCEPT not in said
             refused = ended.code == 2 and not job.anew
             self._judge(job, f"{why}\n{said}", refused)
 
     def _judge(self, job: Job, why: str, hopeless: bool) -> None:
-        """It ended before its time: once more, later, or never again."""
+        """Decide about a training that ended early: try again later, or give it up."""
         job.note = why.strip()
         full = shutil.disk_usage(self.store.path).free < self.low_bytes
         if full:
-            job.attempts -= 1  # no fault of its own, also where it was refused: it waits for room
+            job.attempts -= 1  # not its own fault, even if it was refused: it waits for disk space
         given_up = not full and (hopeless or job.attempts >= ATTEMPTS)
         job.state = "failed" if given_up else "waiting"
         job.not_before = time.monotonic() + self.back_off_s * 2 ** max(job.attempts - 1, 0)

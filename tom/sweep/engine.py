@@ -1,4 +1,4 @@
-"""Where a sweep's trainings run: processes of this machine, or of a cluster (`ray_engine`)."""
+"""The processes of a sweep's trainings, on this machine or on a cluster (`ray_engine`)."""
 
 import signal
 import sys
@@ -11,39 +11,39 @@ from typing import BinaryIO, Protocol
 
 from tom.machine import processes
 
-KILL_S = 10.0  # a process that is killed is gone within this
+KILL_S = 10.0  # a killed process has ended within this time
 
 
 @dataclass(frozen=True)
 class Exit:
-    """How a process ended; `code` is None where nobody saw it end."""
+    """How a process ended; `code` is None if nobody saw it end."""
 
     code: int | None
     why: str = ""
 
 
 class Process(Protocol):
-    """One training, wherever it runs."""
+    """The process of one training, on any machine."""
 
     def poll(self) -> Exit | None:
-        """How it ended; None as long as that is not known."""
+        """How it ended; None as long as this is unknown."""
         ...
 
     def signal(self, number: signal.Signals) -> None:
-        """Send it a signal; none where it has ended."""
+        """Send it a signal, unless it has ended."""
         ...
 
     def silent_s(self) -> float:
-        """Seconds in which nothing was heard from where it runs; 0 before it has begun."""
+        """Seconds since the last sign of its machine; 0 before it has started."""
         ...
 
     def end(self) -> None:
-        """Kill it where it still runs and let go of it."""
+        """Kill it if it still runs, and release it."""
         ...
 
 
 class GoneError(Exception):
-    """What the trainings run on is gone: none can be started, and none that runs be asked."""
+    """The cluster is gone: no training can be started, and the running ones cannot be reached."""
 
 
 class Engine(AbstractContextManager["Engine", None], Protocol):
@@ -55,15 +55,15 @@ class Engine(AbstractContextManager["Engine", None], Protocol):
         ...
 
     def start(self, words: Sequence[str], log: Path) -> Process:
-        """Start `python -m` followed by `words`; what it prints is appended to `log`.
+        """Start `python -m` followed by `words`, with its output appended to `log`.
 
-        Raises OSError where it cannot be started.
+        Raises OSError if it cannot be started.
         """
         ...
 
 
 class LocalEngine(AbstractContextManager["LocalEngine", None]):
-    """Processes of this machine, which the kernel ends with the driver."""
+    """Starts processes of this machine, which the kernel ends together with the driver."""
 
     def __init__(self, slots: int) -> None:
         self.slots = slots
@@ -73,7 +73,7 @@ class LocalEngine(AbstractContextManager["LocalEngine", None]):
             return LocalProcess(spawn(words, out))
 
     def __exit__(self, *_: object) -> None:
-        """Nothing is left to close: the driver ends what it started."""
+        """There is nothing to close: the driver ends the processes that it started."""
 
 
 class LocalProcess:
@@ -101,15 +101,15 @@ class LocalProcess:
 
 
 def spawn(words: Sequence[str], out: BinaryIO) -> processes.Process:
-    """Start `python -m` followed by `words` with one thread; output to `out`.
+    """Start `python -m` followed by `words` with one thread, with its output to `out`.
 
-    On the SIGTERM that it gets when the caller's thread ends, a training stops cleanly.
+    It gets SIGTERM when the caller's thread ends, on which a training stops cleanly.
     """
     return processes.start([sys.executable, "-m", *words], out, processes.single_threaded())
 
 
 def lives(process: Process, wait_s: float = 0.0) -> bool:
-    """It has not ended, also not within `wait_s`."""
+    """Whether it still runs after `wait_s` seconds; returns early if it ends before."""
     until = time.monotonic() + wait_s
     while process.poll() is None:
         if time.monotonic() >= until:

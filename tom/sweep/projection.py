@@ -1,4 +1,4 @@
-"""How long a sweep will take and how much it will write, from runs like it that are finished."""
+"""The time and disk space that a sweep will need, estimated from similar finished runs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from tom.record import RunReader
 from tom.record.sizes import sizes
 from tom.training.plan import Trial
 
-SAMPLES = 5  # finished runs looked at for each environment and learner
+SAMPLES = 5  # maximum number of finished runs per environment and learner
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What one training is expected to take; `source` says from which runs."""
+    """The expected cost of one training; `source` names the runs of the estimate."""
 
     hours: float
     megabytes: float
@@ -24,32 +24,32 @@ class Cost:
 def cost(trial: Trial, runs: Sequence[RunReader], done: int = 0) -> Cost | None:
     """The cost of `trial` from finished runs of the same environment and preset; None without any.
 
-    Of a run that goes on from step `done` what is left is counted. Runs of the same learner count
-    before those of another. Time and disk grow with the steps; a longer run also fits a larger
-    buffer, so what is judged from a short one is a lower bound.
+    For a run that is resumed at step `done` only the rest counts. Runs of the same learner are
+    preferred to those of others. Time and disk space are proportional to the steps; a longer run
+    also fits a larger buffer, so an estimate from a short run is a lower bound.
     """
     like = [run for run in runs if _alike(run, trial)]
     same = [run for run in like if run.learner == trial.learner]
     chosen = (same or like)[:SAMPLES]
-    found = [one for run in chosen if (one := _per_step(run)) is not None]
-    if not found:
+    costs = [one for run in chosen if (one := _per_step(run)) is not None]
+    if not costs:
         return None
-    seconds, written = (median(values) for values in zip(*found, strict=True))
+    seconds, written = (median(values) for values in zip(*costs, strict=True))
     steps = trial.config.total_steps
     other = "" if same else f" of {chosen[0].learner}"
-    source = f"{len(found)} run{'s' if len(found) > 1 else ''}{other}"
+    source = f"{len(costs)} run{'s' if len(costs) > 1 else ''}{other}"
     hours = seconds * steps_to_train(trial, done) / 3600
     return Cost(hours, written * max(steps - done, 0) / 1e6, source)
 
 
 def steps_to_train(trial: Trial, done: int) -> int:
-    """Env steps after exploration that a run has before it when it goes on from step `done`."""
+    """Env steps after exploration that remain for a run that is resumed at step `done`."""
     begun = max(done, trial.settings.get("exploration_steps", 0))
     return max(trial.config.total_steps - begun, 0)
 
 
 def makespan(hours: Sequence[float], slots: int) -> float:
-    """Hours until the last of these runs is done, begun in order, so many at a time."""
+    """Hours until the last of these runs ends, if they start in order, `slots` at a time."""
     ends = [0.0] * slots
     for run in hours:
         heapreplace(ends, ends[0] + run)
@@ -58,12 +58,13 @@ def makespan(hours: Sequence[float], slots: int) -> float:
 
 def _alike(run: RunReader, trial: Trial) -> bool:
     same = run.env == trial.env and run.config.get("preset") == trial.preset
-    done = run.status.state == "finished" and not run.small_copy  # whose bytes are not a run's
+    # A small copy has fewer bytes than its run.
+    done = run.status.state == "finished" and not run.small_copy
     return same and done and run.fits_model
 
 
 def _per_step(run: RunReader) -> tuple[float, float] | None:
-    """Seconds and bytes of one env step after exploration, which costs next to nothing."""
+    """Seconds and bytes per env step after exploration, which itself costs almost nothing."""
     table = run.metrics()
     if "time/wall_s" not in table or not run.status.env_step:
         return None

@@ -1,7 +1,7 @@
 """Trainings as processes on the machines of a Ray cluster, one core each.
 
-Ray only finds a machine with a free core and carries signals and output: how a training ended is
-judged by its run folder.
+Ray only chooses a machine with a free core and transmits signals and output. The run folder says
+how a training ended.
 """
 
 import logging
@@ -28,24 +28,24 @@ _JOIN = (
     "~/.ray/auth_token), and is this machine one of its nodes?"
 )
 _BEGIN = "cannot start Ray ({reason}): `ray start --head` may say more"
-OBJECT_STORE_BYTES = 80_000_000  # the least Ray takes: nothing but log lines goes through it
+OBJECT_STORE_BYTES = 80_000_000  # the minimum that Ray accepts: it only carries log lines
 
 
 class Remote:
-    """A process on some machine of the cluster, and what it prints."""
+    """A process on some machine of the cluster, and its output."""
 
     def __init__(self, words: Sequence[str], folder: str) -> None:
-        """It starts in `folder`, where modules of the user's may lie, if this machine has that."""
+        """It starts in `folder` if this machine has it, because the user's modules may be there."""
         if Path(folder).is_dir():
             os.chdir(folder)
-        self._out = tempfile.TemporaryFile()  # noqa: SIM115 - open for as long as this lives
+        self._out = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as this object exists
         self._process = LocalProcess(spawn(words, self._out))
         self._read = 0
 
     def look(self) -> tuple[Exit | None, bytes]:
-        """How it ended, and what it has printed since the last look."""
-        ended = self._process.poll()  # first: of a process that has ended, all output is there
-        file = self._out.fileno()  # the process writes at its offset, so this may not move it
+        """How it ended (None while it runs), and its output since the last call."""
+        ended = self._process.poll()  # before the output is read, which is complete after the end
+        file = self._out.fileno()  # the process writes at the file's offset, which must not move
         output = os.pread(file, os.fstat(file).st_size - self._read, self._read)
         self._read += len(output)
         return ended, output
@@ -61,7 +61,7 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
     """Starts processes on a cluster, never more than it has cores."""
 
     def __init__(self, address: str | None, jobs: int | None) -> None:
-        """Join the cluster at `address`, or begin one. Raises UserError where that fails."""
+        """Join the cluster at `address`, or start one. Raises UserError if that fails."""
         self._jobs = jobs
         self._folder = None if address else Path(tempfile.mkdtemp(prefix="tom-ray-"))
         try:
@@ -89,7 +89,7 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
 
     @property
     def slots(self) -> int:
-        """Cores; none while the head is silent, or Ray would wait for it. Raises GoneError."""
+        """The number of cores; 0 while the head is silent, as Ray would wait. Raises GoneError."""
         if not self._head.answers():
             return 0
         cores = int(ray.cluster_resources().get("CPU", 0))
@@ -105,10 +105,10 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
 
 
 class RayProcess:
-    """A process on the cluster; it is asked how it stands and answers when it can."""
+    """A process on the cluster. Requests for its state are answered when it can."""
 
     def __init__(self, actor: Any, log: Path) -> None:
-        """`actor` is the handle of a `Remote`; Ray's types do not know its methods."""
+        """`actor` is the handle of a `Remote`, whose methods Ray's types do not include."""
         self._actor = actor
         self._log = log
         self._watchdog = Watchdog()
@@ -136,7 +136,7 @@ class RayProcess:
         ray.kill(self._actor)
 
     def _hear(self) -> None:
-        """Take the answer and ask again."""
+        """Receive the answer and send the next request."""
         try:
             ended, output = ray.get(self._asked)
             with self._log.open("ab") as log:
@@ -151,7 +151,7 @@ class RayProcess:
 
 @contextmanager
 def _without_stderr() -> Iterator[None]:
-    """For Ray's core, which writes why it cannot join a cluster once a second; we say it once."""
+    """Hide the errors of Ray's core while it joins: it repeats them every second; we report one."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:
@@ -164,9 +164,9 @@ def _without_stderr() -> Iterator[None]:
 
 
 def ended_by(error: RayError) -> Exit | None:
-    """How a process ended whose machine gave no answer; None where Ray hopes for another one."""
+    """How a process ended whose machine gave no answer; None if Ray still expects one."""
     if isinstance(error, ActorUnavailableError):
-        return None  # its silence is counted: Ray may hope for good
+        return None  # the watchdog measures the silence, because Ray may wait forever
     return Exit(None, f"its machine or Ray's process there died: {_one_line(error)}")
 
 

@@ -1,4 +1,4 @@
-"""Whether the head of a Ray cluster still answers; Ray itself ends a driver without one."""
+"""Whether the head of a Ray cluster still answers. Ray itself would end a driver without one."""
 
 import socket
 import time
@@ -10,17 +10,17 @@ CONNECT_S, GONE_S = 2.0, 20.0  # Ray takes 60 s, and then ends the process with 
 
 
 class Head:
-    """The process that holds a Ray cluster together, at HOST:PORT."""
+    """The main process of a Ray cluster, at HOST:PORT."""
 
     def __init__(self, address: str, clock: Callable[[], float] = time.monotonic) -> None:
-        """`clock` gives seconds that never go back."""
+        """`clock` returns seconds that never decrease."""
         host, _, port = address.rpartition(":")
         self._address = (host.strip("[]"), int(port))
         self._clock = clock
         self._heard = clock()
 
     def answers(self) -> bool:
-        """It is there. Raises GoneError where it has not been for GONE_S."""
+        """Whether it answers. Raises GoneError if it has not answered for GONE_S."""
         try:
             socket.create_connection(self._address, CONNECT_S).close()
         except OSError as error:

@@ -1,7 +1,7 @@
-"""Where a run lies on this machine until its object store has all of it.
+"""The folder of a run on this machine until its object store has all of it.
 
-The folder's name follows from the store and the run, so what a store would not take is found again
-by the same command.
+Its name follows from the store and the run, so that the same command finds it again if the store
+did not accept all of it.
 """
 
 import fcntl
@@ -15,28 +15,28 @@ from pathlib import Path
 
 from tom.record import lock
 
-WAIT_S = 60.0  # a training whose worker was killed has written its checkpoint within this
+WAIT_S = 60.0  # a training whose worker was killed writes its checkpoint within this time
 
 
 @contextmanager
 def place(url: str, run_id: str) -> Iterator[Path]:
-    """A run store for `run_id` on its way to `url`: always the same, with what was left there.
+    """A local run store for `run_id` on its way to `url`: always the same folder, with its content.
 
-    It stays for as long as there is something in it. Where another process of this machine uses
-    it, a new one is made. Raises OSError where none can be.
+    It is removed at the end if it is empty. If another process of this machine uses it, a new one
+    is made. Raises OSError if that is not possible.
     """
     path, handle = _held(url, run_id)
     try:
         yield path
     finally:
         with suppress(OSError):
-            path.rmdir()  # holds a run: it stays
+            path.rmdir()  # fails if it holds a run, which must stay
         if handle is not None:
             os.close(handle)
 
 
 def _held(url: str, run_id: str) -> tuple[Path, int | None]:
-    """The folder, and what holds it for this process."""
+    """The folder, and the open handle that locks it for this process."""
     path = _root() / f"{hashlib.sha256(url.encode()).hexdigest()[:12]}-{run_id}"
     path.mkdir(exist_ok=True)
     handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
@@ -51,7 +51,7 @@ def _held(url: str, run_id: str) -> tuple[Path, int | None]:
 
 
 def _ended(run: Path) -> bool:
-    """Nothing writes the run, also not the training of a worker that was killed a moment ago."""
+    """Whether nobody writes the run any more; waits for a training whose worker was just killed."""
     until = time.monotonic() + WAIT_S
     while lock.held(run):
         if time.monotonic() > until:
@@ -61,12 +61,12 @@ def _ended(run: Path) -> bool:
 
 
 def _root() -> Path:
-    """The user's own folder among the temporary ones; a new one where somebody else made that."""
+    """The user's own temporary folder; a new one if somebody else has made one of that name."""
     path = Path(tempfile.gettempdir(), f"tom-runs-{os.getuid()}")
     with suppress(FileExistsError):
         path.mkdir(mode=0o700)
-    found = path.lstat()
-    own = found.st_uid == os.getuid() and not found.st_mode & 0o022
+    status = path.lstat()
+    own = status.st_uid == os.getuid() and not status.st_mode & 0o022
     return path if own and path.is_dir() and not path.is_symlink() else _new()
 
 

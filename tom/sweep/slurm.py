@@ -1,4 +1,4 @@
-"""A sweep as a Slurm array: a script that is printed, looked at and submitted by its reader."""
+"""A sweep as a Slurm array: a script that the user reads and submits."""
 
 import shlex
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from tom.sweep.backend import LOGS
 from tom.training.plan import Trial
 
 DEFAULT_HOURS = 24
-MARGIN = 1.5  # on the projected hours
+MARGIN = 1.5  # factor on the projected hours
 
 SCRIPT = """\
 #!/bin/bash

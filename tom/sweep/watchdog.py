@@ -1,4 +1,4 @@
-"""When a training is given up because nothing is heard of it any more."""
+"""When a training is given up because its machine is silent."""
 
 import time
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from tom.record.status import Status
 from tom.sweep.engine import Exit
 
-LOST_AFTER_S = 60.0  # neither its machine nor its heart was heard for so long: it is given up
+LOST_AFTER_S = 60.0  # it is given up after this time without an answer or a heartbeat
 
 
 class Watchdog:
@@ -18,23 +18,23 @@ class Watchdog:
 
     @property
     def started(self) -> bool:
-        """Something was heard at least once; before that the training waits for a free core."""
+        """Whether the machine has ever answered; before that the training waits for a free core."""
         return self._heard is not None
 
     @property
     def silent_s(self) -> float:
-        """Seconds since something was last heard; 0 before it has started."""
+        """Seconds since the last answer; 0 before the first one."""
         return 0.0 if self._heard is None else self._clock() - self._heard
 
     def reset(self) -> None:
-        """Something was heard just now: count from here."""
+        """The machine has answered: count from now."""
         self._heard = self._clock()
 
 
 def lost(silent_s: float, status: Status) -> Exit | None:
-    """The end of a training whose machine was silent for `silent_s`; None while it may live.
+    """The end of a training whose machine was silent for `silent_s`; None if it may still run.
 
-    Its heart in the run folder is proof of life, whatever its machine says to us.
+    A recent heartbeat in the run folder proves that it runs, even if its machine does not answer.
     """
     if silent_s < LOST_AFTER_S or status.alive:
         return None

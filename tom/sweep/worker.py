@@ -1,8 +1,8 @@
-"""One training whose run lies in an object store: `python -m tom.sweep.worker URL RUN_ID WORDS...`.
+"""One training whose run is in an object store: `python -m tom.sweep.worker URL RUN_ID WORDS...`.
 
-Trains in a folder of this machine and puts the run folder into the store as it goes. A run that is
-to go on is fetched first, unless this machine holds more of it. Nothing is deleted here before the
-store has all of it. Ends with the exit code of `tom train`.
+It trains in a folder of this machine and copies the run folder into the store as it grows. A run to
+be resumed is fetched first, unless this machine has more of it. Nothing is deleted here before the
+store has all of it. The exit code is that of `tom train`.
 """
 
 import shutil
@@ -24,20 +24,20 @@ from tom.record.versions import ACCEPT
 from tom.sweep import scratch
 from tom.sweep.engine import LocalProcess, lives, spawn
 
-PUT_S = 10.0  # the heartbeat in the store is at most so much older than the run's
-LAST_PUTS, AGAIN_S = 30, 20.0  # the end of a run is put so often before that is given up
+PUT_S = 10.0  # the heartbeat in the store is at most this much older than the run's
+LAST_PUTS, AGAIN_S = 30, 20.0  # attempts to put the end of a run, and the wait between them
 
 KEPT = (ACCEPT, "--env=", "--termination=", f"{plugins.OPTION}=")
-"""begin the words that a run which goes on may want as well"""
+"""beginnings of the options that also apply to a resumed run"""
 
 
 def main(url: str, run_id: str, words: Sequence[str]) -> int:
-    """The exit code: that of `tom train`, or 1 where the store failed."""
+    """Returns the exit code of `tom train`, or 1 if the store failed."""
     try:
         with scratch.place(url, run_id) as store:
             try:
                 return _work(Bucket.open(url), run_id, words, store)
-            except (UserError, OSError) as error:  # the sweep has reached it: worth another attempt
+            except (UserError, OSError) as error:  # the driver can reach it: try again
                 raise OSError(f"{error}{_stays(store / run_id)}") from error
     except OSError as error:
         print(f"{run_id}: {error}", file=sys.stderr)
@@ -45,19 +45,19 @@ def main(url: str, run_id: str, words: Sequence[str]) -> int:
 
 
 def _stays(folder: Path) -> str:
-    """Where the run folder is that the store has not all of."""
+    """A message with the place of a run folder that is not completely in the store."""
     if not (folder / layout.STATUS).exists():
         return ""
     return f"; all of it stays in {folder} on this machine, and the same command puts it there"
 
 
 def _work(bucket: Bucket, run_id: str, words: Sequence[str], store: Path) -> int:
-    """Train in the folder `store` and keep the bucket's copy up to date; the exit code."""
+    """Train in the folder `store` and keep the bucket's copy up to date; returns the exit code."""
     keeper = Keeper(Attempt.claim(bucket, run_id), store / run_id)
     try:
         code = _train(_begin(keeper, words), keeper)
         keeper.put_the_end()
-    except LostError:  # the run is the other attempt's
+    except LostError:  # another attempt has taken the run over
         shutil.rmtree(keeper.folder, ignore_errors=True)
         raise
     shutil.rmtree(keeper.folder, ignore_errors=True)
@@ -65,7 +65,7 @@ def _work(bucket: Bucket, run_id: str, words: Sequence[str], store: Path) -> int
 
 
 def _begin(keeper: "Keeper", words: Sequence[str]) -> Sequence[str] | None:
-    """Bring the run folder to where it goes on; the words for that, None where it has finished."""
+    """Prepare the run folder; returns the words to start or resume it, None if it has finished."""
     bucket, run_id = keeper.attempt.bucket, keeper.attempt.run_id
     names = bucket.names(run_id)
     here = checkpoint.newest(keeper.folder / checkpoint.FOLDER)
@@ -81,7 +81,7 @@ def _begin(keeper: "Keeper", words: Sequence[str]) -> Sequence[str] | None:
 
 
 def _train(words: Sequence[str] | None, keeper: "Keeper") -> int:
-    """`tom train` with `words`, put into the store as it goes; the exit code."""
+    """Run `tom train` with `words` and put the run into the store as it grows; the exit code."""
     if words is None:
         return 0
     own = ("tom", "train", *words, "--no-rerun", f"--store={keeper.folder.parent}")
@@ -94,24 +94,24 @@ def _train(words: Sequence[str] | None, keeper: "Keeper") -> int:
             keeper.put()
             wait_s = min(2 * wait_s, PUT_S)
     finally:
-        process.end()  # also where the run was taken over
+        process.end()  # also if another attempt has taken the run over
     ended = process.poll()
     return ended.code if ended and ended.code is not None and ended.code >= 0 else 1
 
 
 @dataclass
 class Keeper:
-    """Keeps the store's copy of the run folder `folder` up to date, also when puts fail."""
+    """Keeps the store's copy of the run folder `folder` up to date, even if some puts fail."""
 
     attempt: Attempt
     folder: Path
     earlier: str | None = None
-    """the attempt that this one goes on from"""
+    """the attempt that this one resumes"""
 
     def put(self) -> bool:
-        """Put what is new; False where the store failed. Raises LostError."""
+        """Put the new parts of the run; False if the store failed. Raises LostError."""
         if not (self.folder / layout.STATUS).exists():
-            return True  # the training has not begun, or was refused
+            return True  # the training has not started, or was refused
         try:
             self.attempt.put(self.folder)
             if self.earlier is not None:
@@ -125,7 +125,7 @@ class Keeper:
         return True
 
     def put_the_end(self) -> None:
-        """Put the ended run, for minutes where the store fails. Raises OSError in the end."""
+        """Put the ended run, trying for minutes if the store fails. Raises OSError in the end."""
         for _ in range(LAST_PUTS):
             if self.put():
                 return

@@ -66,7 +66,7 @@ class Trial:
         return tuple(f"--{name.replace('_', '-')}={_word(value)}" for name, value in words.items())
 
     def code(self) -> tuple[str, ...]:
-        """Those of its words that name code of the user's: whoever goes on with it wants them."""
+        """Its options that name the user's own code, which are also needed to resume the run."""
         rule = getattr(getattr(self.config, "model", None), "termination", None)
         named = {"env": self.env, "termination": rule or ""}
         return tuple(f"--{name}={word}" for name, word in named.items() if ":" in word)

@@ -33,15 +33,16 @@ class Row(NamedTuple):
 def eyes(
     rows: Sequence[Row], key: str, toggled: Callable[[str], None], everything: Callable[[], None]
 ) -> None:
-    """The list. `toggled` is told the title of a group or the id of a run; `everything`: show all.
+    """Show the list.
 
-    Both run before the page is drawn again.
+    `toggled` is called with the title of a group or the id of a run, `everything` when the user
+    asks to show all. Both run before the page is drawn again.
     """
 
     def on(event: str, act: Callable[..., None]) -> None:
-        told = st.session_state[key].get(event)
-        if told is not None:
-            act(*told)
+        values = st.session_state[key].get(event)
+        if values is not None:
+            act(*values)
 
     groups: list[dict[str, Any]] = [
         {

@@ -1,6 +1,6 @@
-"""A Plotly chart that stays itself while its data change: zoom is kept, nothing flickers.
+"""A Plotly chart that is updated in place when its data change, so zoom is kept without flicker.
 
-Streamlit's own chart is taken down and built anew whenever its figure differs.
+Streamlit's own chart is removed and built again whenever its figure differs.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,7 +22,7 @@ _STYLE = Path(__file__).with_name("plot.css")
 
 @dataclass(frozen=True)
 class Point:
-    """What was clicked: a point, bar or cell, and where in the figure's data it is."""
+    """A clicked point, bar or cell, and its place in the figure's data."""
 
     x: Any
     y: Any
@@ -33,36 +33,36 @@ class Point:
     """the trace's own `meta`: the run's id on curves"""
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Self:
-        index = told["index"]
+    def of(cls, message: Mapping[str, Any]) -> Self:
+        index = message["index"]
         index = (int(index[0]), int(index[1])) if isinstance(index, list) else int(index)
-        return cls(told["x"], told["y"], int(told["trace"]), index, told["meta"])
+        return cls(message["x"], message["y"], int(message["trace"]), index, message["meta"])
 
 
 @dataclass(frozen=True)
 class Region:
-    """What a box or a lasso holds; `points` are (trace, index in the trace)."""
+    """The content of a box or a lasso; `points` are (trace, index in the trace)."""
 
     points: tuple[tuple[int, int], ...]
     outline: tuple[tuple[float, float], ...]
     """corners (x, y) of the box or lasso that was drawn last, in the figure's units"""
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Self:
-        points = tuple((int(trace), int(index)) for trace, index in told["points"])
-        return cls(points, tuple((float(x), float(y)) for x, y in told["outline"]))
+    def of(cls, message: Mapping[str, Any]) -> Self:
+        points = tuple((int(trace), int(index)) for trace, index in message["points"])
+        return cls(points, tuple((float(x), float(y)) for x, y in message["outline"]))
 
 
 @dataclass(frozen=True)
 class View:
-    """The part of a figure that is shown, (low, high) in its own units; None: all of an axis."""
+    """The shown part of a figure: (low, high) of each axis in its own units, None for all of it."""
 
     x: tuple[float, float] | None = None
     y: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Self:
-        x, y = ((float(p[0]), float(p[1])) if p else None for p in (told["x"], told["y"]))
+    def of(cls, message: Mapping[str, Any]) -> Self:
+        x, y = ((float(p[0]), float(p[1])) if p else None for p in (message["x"], message["y"]))
         return cls(x, y)
 
 
@@ -79,33 +79,33 @@ def chart(
 ) -> None:
     """Show `figure`.
 
-    `label` says in words what the figure shows, for those who cannot see it, and names the files
-    that a reader saves. With `selected` the figure has box and lasso; it is called with None when
-    the selection is lifted. Zoom, selection and hidden lines last while the figure's `uirevision`
-    stays the same. A page that keeps the zoom itself gives the `view` and is told of another by
-    `viewed`; `hidden` is told the `uid` of every line that the legend has switched off. All
-    callbacks run before the page is drawn again.
+    `label` describes the figure in words, for users who cannot see it, and names the files that a
+    user saves. With `selected` the figure has box and lasso; it is called with None when the
+    selection is cleared. Zoom, selection and hidden lines last while the figure's `uirevision`
+    stays the same. A page that stores the zoom itself passes the `view`, and `viewed` is called
+    with each new one; `hidden` is called with the `uid` of every line that is switched off in the
+    legend. All callbacks run before the page is drawn again.
     """
 
     def on_click() -> None:
-        told = st.session_state[key].get("clicked")
-        if clicked is not None and told is not None:
-            clicked(Point.of(told))
+        message = st.session_state[key].get("clicked")
+        if clicked is not None and message is not None:
+            clicked(Point.of(message))
 
     def on_select() -> None:
-        told = st.session_state[key].get("selected")
-        if selected is not None and told is not None:
-            selected(Region.of(told) if told["points"] or told["outline"] else None)
+        message = st.session_state[key].get("selected")
+        if selected is not None and message is not None:
+            selected(Region.of(message) if message["points"] or message["outline"] else None)
 
     def on_view() -> None:
-        told = st.session_state[key].get("viewed")
-        if viewed is not None and told is not None:
-            viewed(View.of(told))
+        message = st.session_state[key].get("viewed")
+        if viewed is not None and message is not None:
+            viewed(View.of(message))
 
     def on_hide() -> None:
-        told = st.session_state[key].get("hidden")
-        if hidden is not None and told is not None:
-            hidden([str(uid) for uid in told])
+        message = st.session_state[key].get("hidden")
+        if hidden is not None and message is not None:
+            hidden([str(uid) for uid in message])
 
     data = {
         "figure": figure.to_json(remove_uids=False),

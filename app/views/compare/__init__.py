@@ -1,4 +1,4 @@
-"""Compare: learners against each other, over seeds, in figures and numbers that can be taken."""
+"""Compare: learners against each other, over seeds, in figures and numbers to download."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,7 +9,7 @@ from app.data import readers, tables
 from app.data.readers import RunInfo
 from app.parts import address, shortlinks, widgets
 from app.views.compare import curves, labels, numbers, side
-from app.views.compare.choice import chosen
+from app.views.compare.choice import chosen_runs
 from app.views.compare.comparison import Comparison, compare
 from tom.analysis import grouping
 from tom.analysis.settings import NONE
@@ -28,16 +28,16 @@ SETTINGS, RUNS = "Settings", "Runs"
 
 
 def page() -> None:
-    """One row of controls; then curves, statistics, runs side by side, settings or labels."""
+    """One row of controls; below it curves, statistics, runs side by side, settings or labels."""
     listing = readers.listing(session.links().store)
     row = st.columns([11, 3, 5, 4, 3], vertical_alignment="center", gap="small")
-    section = address.one(
+    section = address.choose_one(
         row[0].segmented_control, "Show", [CURVES, *SECTIONS, SETTINGS, RUNS], "show", CURVES,
         required=True, label_visibility="collapsed",
     )  # fmt: skip
     with row[1].popover("Runs", icon=":material/filter_alt:", width="stretch"):
-        runs = chosen(listing.runs)
-    by = address.one(
+        runs = chosen_runs(listing.runs)
+    by = address.choose_one(
         row[2].selectbox, "Group by", grouping.choices(runs), "group", grouping.USUAL,
         lambda path: f"by {path}", label_visibility="collapsed",
     )  # fmt: skip
@@ -58,13 +58,13 @@ def page() -> None:
     with row[4]:
         shortlinks.button()
     for run in runs:
-        # Not those of the weights: to read every run's profiles takes seconds.
+        # Without the problems of weights: reading the profiles of every run takes seconds.
         widgets.show_problems(run, readers.metrics_problems(run))
     widgets.show_store_problems(listing.problems)
 
 
 def _settings(runs: Sequence[RunInfo]) -> None:
-    """Only what differs, a column a run."""
+    """The settings that differ, one column per run."""
     shown = runs[:MOST_COLUMNS]
     table = tables.settings(shown, [run.name for run in shown])
     if table.empty:

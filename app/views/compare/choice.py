@@ -1,4 +1,4 @@
-"""Which runs are compared: filters, and single runs that are pinned."""
+"""The choice of the runs to compare: filters, and single runs that are pinned."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -17,22 +17,22 @@ FIELDS = {
 }
 
 
-def chosen(runs: Sequence[RunInfo]) -> list[RunInfo]:
+def chosen_runs(runs: Sequence[RunInfo]) -> list[RunInfo]:
     """The runs that pass the filters, and those that are pinned."""
     kept: list[RunInfo] = list(runs)
     for field, (label, shown) in FIELDS.items():
         options = sorted({getattr(run, field) for run in runs})
-        picked = address.many(label, options, field, shown, placeholder="all")
+        picked = address.choose_many(label, options, field, shown, placeholder="all")
         kept = [run for run in kept if not picked or getattr(run, field) in picked]
     every = sorted({tag for run in runs for tag in run.labels.tags})
-    tags = address.many("Tag", every, "tag", placeholder="any")
-    words = address.words(
+    tags = address.choose_many("Tag", every, "tag", placeholder="any")
+    words = address.text_input(
         "Name", "text", placeholder="regular expression",
         help="part of a run's name or id; a regular expression, such as `tom-s[01]`",
     )  # fmt: skip
     kept = matching([run for run in kept if tagged(run, tags)], words)
-    names = called(runs)
-    pinned = address.many(
+    names = names_with_ids(runs)
+    pinned = address.choose_many(
         "Pinned: compared whatever the filters say", list(names), "pin", names.__getitem__,
         placeholder="none",
     )  # fmt: skip
@@ -41,12 +41,15 @@ def chosen(runs: Sequence[RunInfo]) -> list[RunInfo]:
 
 
 def tagged(run: RunInfo, tags: Sequence[str]) -> bool:
-    """The run has one of the tags; any run where none is asked for."""
+    """Whether the run has one of the tags; always true if `tags` is empty."""
     return not tags or bool(set(tags) & set(run.labels.tags))
 
 
 def matching(runs: Sequence[RunInfo], words: str) -> list[RunInfo]:
-    """The runs whose name or id the regular expression finds; all, and why, if it is malformed."""
+    """The runs whose name or id contains a match of the regular expression `words`.
+
+    If it is malformed, all runs are returned and the page says why.
+    """
     try:
         pattern = re.compile(words, re.IGNORECASE)
     except re.error as error:
@@ -55,8 +58,8 @@ def matching(runs: Sequence[RunInfo], words: str) -> list[RunInfo]:
     return [run for run in runs if pattern.search(run.run_id) or pattern.search(run.name)]
 
 
-def called(runs: Sequence[RunInfo]) -> Mapping[str, str]:
-    """What to call each run in a list, by its id."""
+def names_with_ids(runs: Sequence[RunInfo]) -> Mapping[str, str]:
+    """By run id: the user's name with the id in brackets, or the id alone."""
     return {
         run.run_id: f"{run.labels.name} ({run.run_id})" if run.labels.name else run.run_id
         for run in runs

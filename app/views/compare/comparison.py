@@ -1,4 +1,4 @@
-"""The runs that are compared, in which groups, and which of them are hidden."""
+"""The runs that are compared, their groups, and which of them are hidden."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ HIDE = "hide"
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs, the kind of each (by id), and the look of each kind; all of them, hidden ones too.
+    """Runs, the kind of each (by id), and the look of each kind, including hidden ones.
 
-    `hidden` holds titles of groups and ids of runs. A run that is hidden is no member of its group.
+    `hidden` holds titles of groups and ids of runs. A hidden run does not count in its group.
     """
 
     runs: tuple[RunInfo, ...]
@@ -32,12 +32,12 @@ class Comparison:
 
     @property
     def members(self) -> list[RunInfo]:
-        """The runs that are not hidden one by one."""
+        """The runs that are not hidden themselves; their group may be."""
         return [run for run in self.runs if run.run_id not in self.hidden]
 
     @property
     def shown(self) -> list[RunInfo]:
-        """The runs that are hidden neither one by one nor with their group."""
+        """The runs that are hidden neither themselves nor with their group."""
         off = self.hidden_kinds
         return [run for run in self.members if self.kinds[run.run_id] not in off]
 
@@ -47,12 +47,12 @@ class Comparison:
         return [kind for kind, look in self.looks.items() if look.title in self.hidden]
 
     @property
-    def usual(self) -> bool:
-        """The runs of a group differ in nothing but the seed."""
+    def only_seeds_differ(self) -> bool:
+        """Whether the runs of a group differ in nothing but the seed."""
         return self.by == grouping.USUAL
 
     def rows(self) -> list[Row]:
-        """A row a group, with its runs, as the list beside the figure has them."""
+        """The list beside the figure: one row per group, with its runs."""
         several = len({run.env for run in self.runs}) > 1
         called = names(self.runs) if several else told_apart(self.runs)
         rows = []
@@ -67,26 +67,26 @@ class Comparison:
 
 
 def compare(runs: Sequence[RunInfo], by: str) -> Comparison:
-    """The runs in groups, without what the reader or the address hides of them."""
+    """Group the runs, and read from the page or its address which of them are hidden."""
     kinds = grouping.kinds(runs, by)
-    found = looks([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
-    there = {run.run_id for run in runs} | {look.title for look in found.values()}
-    hidden = [word for word in address.held(HIDE, list) if word in there]
+    look_of = looks([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
+    there = {run.run_id for run in runs} | {look.title for look in look_of.values()}
+    hidden = [word for word in address.value_of(HIDE, list) if word in there]
     address.keep(HIDE, hidden)
-    return Comparison(tuple(runs), by, kinds, found, tuple(hidden))
+    return Comparison(tuple(runs), by, kinds, look_of, tuple(hidden))
 
 
 def hide(words: Sequence[str]) -> None:
-    """These groups (by their titles) and runs (by their ids) are hidden from now on."""
+    """Hide these groups (titles) and runs (ids), and no others, from now on."""
     st.session_state[HIDE] = list(words)
 
 
 def toggled(hidden: Collection[str], word: str) -> list[str]:
-    """With one more group or run hidden, or shown where it was hidden."""
+    """`hidden` with one group or run added, or removed if it was there."""
     others = [other for other in hidden if other != word]
     return others if word in hidden else [*others, word]
 
 
 def switched(hidden: Collection[str], off: Collection[str], among: Collection[str]) -> list[str]:
-    """With those of the words `among` hidden that are `off`, and the others of them shown."""
+    """`hidden` with the words of `among` that are in `off`, and without the others of `among`."""
     return [*(w for w in hidden if w not in among), *(w for w in among if w in off)]

@@ -1,4 +1,4 @@
-"""Curves: a line and a band for each learner, a figure for each environment, a table, CSV."""
+"""Curves: a line and a band per group, a figure per environment, a table and CSV files."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -26,35 +26,35 @@ NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
 
 def draw(comparison: Comparison, controls: DeltaGenerator) -> None:
-    """The figures, what must be said about them, the table, and all of it as CSV.
+    """The figures with their remarks, the table, and all of it as CSV.
 
-    What is measured, and how, is chosen in the `controls`.
+    The user chooses in `controls` what is measured and how.
     """
     with controls.popover("Measure", icon=":material/tune:", width="stretch"):
         how = measure.choose(comparison.runs)
-    found, grouped = measure.grouped(
+    curves, grouped = measure.grouped(
         comparison.members, comparison.kinds, how.metric, how.axes.x, how.statistic, how.band
     )
     views = zoom.views((how.metric, how.axes.x))
-    beside = replay_beside.chosen(comparison.runs) if how.axes.x == measure.STEPS else None
-    # A replay takes the place of the list: three columns leave the figure too little.
+    beside = replay_beside.clicked_replay(comparison.runs) if how.axes.x == measure.STEPS else None
+    # A replay takes the place of the list: with three columns the figure would be too narrow.
     left, right = st.columns([3, 2] if beside else [4, 1])
     with left:
-        _figures(grouped, found, how, comparison, views)
+        _figures(grouped, curves, how, comparison, views)
     with right:
         if beside:
             replay_beside.show(*beside)
         else:
             _list(comparison)
     off = comparison.hidden_kinds
-    found = [curve for curve in found if curve.kind not in off]
-    if not any(len(curve.step) for curve in found):
+    curves = [curve for curve in curves if curve.kind not in off]
+    if not any(len(curve.step) for curve in curves):
         return
-    files: Files = {"Single runs": (lambda: tables.runs(found, how.axes.x), "runs")}
+    files: Files = {"Single runs": (lambda: tables.runs(curves, how.axes.x), "runs")}
     if grouped := [group for group in grouped if group.kind not in off]:
-        _remarks(grouped, found, how, comparison)
-        table = named(tables.summary(grouped), how.metric)
-        st.dataframe(shown(table), hide_index=True, column_config=columns())
+        _remarks(grouped, curves, how, comparison)
+        table = best_as_highest(tables.summary(grouped), how.metric)
+        st.dataframe(in_words(table), hide_index=True, column_config=columns())
         lines = (lambda: tables.bands(grouped, how.axes.x), "lines")
         files = {"Lines and bands": lines, **files, "Table": (lambda: table, "table")}
     downloads(files, how.metric)
@@ -73,15 +73,15 @@ def _list(comparison: Comparison) -> None:
 
 def _figures(
     grouped: Sequence[Group],
-    found: Sequence[Curve],
+    curves: Sequence[Curve],
     how: Measure,
     comparison: Comparison,
     views: Mapping[str, View],
 ) -> None:
-    """A figure for each environment; run by run where no mean can be taken."""
-    envs = sorted({curve.env for curve in found if len(curve.step)})
+    """One figure per environment; it shows single runs if no mean can be computed."""
+    envs = sorted({curve.env for curve in curves if len(curve.step)})
     if not envs:
-        hidden = "Every run is hidden." if not found else ""
+        hidden = "Every run is hidden." if not curves else ""
         st.info(hidden or f"None of these runs has recorded {text.markdown(how.metric)} yet.")
         return
     if not grouped:
@@ -95,7 +95,7 @@ def _figures(
         with layout[i % len(layout)], st.container(border=True):
             words = text.markdown(metric_title(how.metric))
             st.markdown(f"**{text.markdown(task(env))}**, {words}")
-            _figure(env, grouped, found, how, comparison, views, 460 if wide else 360)
+            _figure(env, grouped, curves, how, comparison, views, 460 if wide else 360)
     if grouped and how.axes.x == measure.STEPS:
         st.caption("Click a point of a line for the replay nearest to it.")
 
@@ -103,7 +103,7 @@ def _figures(
 def _figure(
     env: str,
     grouped: Sequence[Group],
-    found: Sequence[Curve],
+    curves: Sequence[Curve],
     how: Measure,
     comparison: Comparison,
     views: Mapping[str, View],
@@ -117,7 +117,7 @@ def _figure(
         )  # fmt: skip
         entries = {line_uid(group): looks[group.kind].title for group in here}
     else:
-        alone = [c for c in found if c.env == env and len(c.step) and c.kind not in off]
+        alone = [c for c in curves if c.env == env and len(c.step) and c.kind not in off]
         figure = run_curves(
             alone, how.metric, height, legend=len(alone) <= 12, axes=how.axes, looks=looks
         )
@@ -132,24 +132,24 @@ def _figure(
         figure,
         f"compare {env}",
         f"{how.metric} against {how.axes.x} in {env}",
-        partial(replay_beside.remember, found) if on_steps else None,
+        partial(replay_beside.remember, curves) if on_steps else None,
         view=views.get(env, zoom.ALL),
-        viewed=lambda view: zoom.keep(zoom.zoomed(views, env, view)),
+        viewed=lambda view: zoom.remember(zoom.zoomed(views, env, view)),
         hidden=switch,
     )
 
 
 def _remarks(
-    grouped: Sequence[Group], found: Sequence[Curve], how: Measure, comparison: Comparison
+    grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, comparison: Comparison
 ) -> None:
-    unit = "seeds" if comparison.usual else "runs"
+    unit = "seeds" if comparison.only_seeds_differ else "runs"
     words = [f"Line: {NAMES[how.statistic]} over {unit}."]
     if how.band == "bootstrap":
         words[0] += f" Band: 95 % bootstrap interval of the {NAMES[how.statistic]} "
         words[0] += f"(1000 resamples of the {unit})."
     elif how.band == "deviation":
         words[0] += f" Band: one standard deviation of the {unit} around their mean."
-    if not comparison.usual:
+    if not comparison.only_seeds_differ:
         by = text.markdown(comparison.by)
         words.append(f"Grouped by {by}: runs of a group may differ in everything else.")
     few = min((group.n for group in grouped if group.n > 1), default=0)
@@ -161,35 +161,38 @@ def _remarks(
         words.append("Dotted: not all n runs reach these steps.")
     if any(group.interpolated for group in grouped):
         words.append("Runs that were recorded at other steps are interpolated between theirs.")
-    if comparison.usual and any(group.variant for group in grouped):
+    if comparison.only_seeds_differ and any(group.variant for group in grouped):
         words.append("Settings that set runs of one learner apart are named.")
-    if comparison.usual and any(len({c.seed for c in g.curves}) < g.n for g in grouped):
+    if comparison.only_seeds_differ and any(len({c.seed for c in g.curves}) < g.n for g in grouped):
         words.append("A seed that was run twice counts twice.")
-    if empty := sum(not len(curve.step) for curve in found):
+    if empty := sum(not len(curve.step) for curve in curves):
         have = "1 run has" if empty == 1 else f"{empty} runs have"
         words.append(f"{have} recorded nothing of this yet.")
     st.caption(" ".join(words))
 
 
-def named(table: pd.DataFrame, metric: str) -> pd.DataFrame:
-    """The table, with no talk of the best where the highest value may be the worst: an error's."""
+def best_as_highest(table: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """The table with `highest` for `best` unless `metric` is a return.
+
+    The highest value of other metrics, such as an error, may be the worst.
+    """
     if metric in measure.METRICS.values():
         return table
     return table.rename(columns=lambda name: name.replace("best", "highest", 1))
 
 
-def shown(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with each interval in one column of words, without columns that say nothing."""
-    found = table.copy()
+def in_words(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with each interval in one column of text, without empty columns."""
+    shown = table.copy()
     for name in [name.removesuffix(" low") for name in table if name.endswith(" low")]:
-        low, high = found.pop(f"{name} low"), found.pop(f"{name} high")
+        low, high = shown.pop(f"{name} low"), shown.pop(f"{name} high")
         words = [
             f"{a:,.4g} to {b:,.4g}" if np.isfinite(a) else "-"
             for a, b in zip(low, high, strict=True)
         ]
-        found.insert(list(found.columns).index(name) + 1, f"{name}, 95 %", words)
-    silent = [name for name in ("learner", "preset", "settings") if not any(found[name].tolist())]
-    return found.drop(columns=silent)
+        shown.insert(list(shown.columns).index(name) + 1, f"{name}, 95 %", words)
+    silent = [name for name in ("learner", "preset", "settings") if not any(shown[name].tolist())]
+    return shown.drop(columns=silent)
 
 
 def columns() -> dict:
@@ -210,7 +213,7 @@ def columns() -> dict:
 
 
 def downloads(files: Files, name: str) -> None:
-    """A button for each table, which is made when it is asked for and given as CSV."""
+    """A download button for each table; its CSV file is made when the user asks for it."""
     with st.container(horizontal=True):
         for label, (make, suffix) in files.items():
             st.download_button(

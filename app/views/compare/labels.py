@@ -1,4 +1,4 @@
-"""Names, tags, notes and the trash: what people do with runs."""
+"""Names, tags and notes of runs, and the trash."""
 
 from collections.abc import Sequence
 
@@ -8,19 +8,19 @@ import streamlit as st
 from app import session, text
 from app.data.readers import RunInfo
 from app.theme import learner_label
-from app.views.compare.choice import called
+from app.views.compare.choice import names_with_ids
 from tom.errors import UserError
 from tom.record import manage
 from tom.record.store import Store
 
 
 def draw(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> None:
-    """Every run that passes the filters as a table; below it what can be done with some."""
+    """A table of the runs that pass the filters; below it the actions on chosen runs."""
     st.dataframe(overview(runs), hide_index=True, column_config=_columns())
     if why := session.looks_on():
         st.caption(why)
         return
-    names = called(everything)
+    names = names_with_ids(everything)
     picked = st.multiselect(
         "Runs to label or to move to the trash",
         [run.run_id for run in runs],
@@ -41,7 +41,7 @@ def draw(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> None:
 
 
 def overview(runs: Sequence[RunInfo]) -> pd.DataFrame:
-    """A row a run."""
+    """One row per run."""
     return pd.DataFrame(
         [
             {
@@ -125,7 +125,7 @@ def _restore() -> None:
 
 
 def _try(act, done: str) -> None:
-    """Do it and draw the page again; say in one line why it could not be done."""
+    """Call `act` and draw the page again; if it fails, show why in one line."""
     try:
         act()
     except UserError as error:

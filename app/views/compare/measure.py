@@ -1,4 +1,4 @@
-"""What is measured, along which axis, and how runs are put together: choices of the page."""
+"""The page's choices of a metric, its axis, and how runs are put together."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ BANDS: dict[str, Band] = {
 }
 WINDOWS = (1, 3, 5, 9, 15, 25, 51, 101)
 FIRST = ("exam/error", "exam/rollout_error", "exam/footprint")
-"""what is asked for most, in front of the other metrics"""
+"""the metrics that users want most; they come before the others"""
 IQM = "interquartile mean: the mean of the middle half of the runs; of fewer than four the mean"
 
 
@@ -45,25 +45,25 @@ class Measure:
 
 
 def choose(runs: Sequence[RunInfo]) -> Measure:
-    """The controls of curves; what they say is in the address."""
-    kind = address.one(
+    """The controls of curves; their values are in the address."""
+    kind = address.choose_one(
         st.segmented_control, "Measure", [*METRICS, OTHER], "measure", RETURN, required=True
     )
     names = in_order(name for run in runs for name in readers.metrics(run).columns)
-    other = address.one(
+    other = address.choose_one(
         st.selectbox, "Metric", names, "metric", names[0] if names else "", disabled=kind != OTHER,
         help="any metric that these runs recorded",
     )  # fmt: skip
-    statistic = address.one(
+    statistic = address.choose_one(
         st.segmented_control, "Over runs", list(STATISTICS), "statistic", "mean", required=True,
         help=IQM,
     )  # fmt: skip
-    band = address.one(st.selectbox, "Band", list(BANDS), "band", next(iter(BANDS)))
-    x = address.one(
+    band = address.choose_one(st.selectbox, "Band", list(BANDS), "band", next(iter(BANDS)))
+    x = address.choose_one(
         st.selectbox, "Along", [STEPS, SHARE, WALL, *names], "x", STEPS,
         help="env steps, the share of each run that is done, its own wall time, or any metric",
     )  # fmt: skip
-    window = address.one(
+    window = address.choose_one(
         st.select_slider, "Smoothing", WINDOWS, "smoothing", 1,
         lambda points: "none" if points == 1 else f"{points} points",
         help="moving average of the lines and bands, after the runs were put together",
@@ -86,10 +86,10 @@ def choose(runs: Sequence[RunInfo]) -> Measure:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """The metrics of runs by name, each once, those of `FIRST` in front."""
-    found = set(names) - {"env_step"}
-    first = [name for name in FIRST if name in found]
-    return [*first, *sorted(found.difference(first))]
+    """The distinct metrics of runs by name, those of `FIRST` in front."""
+    metrics = set(names) - {"env_step"}
+    first = [name for name in FIRST if name in metrics]
+    return [*first, *sorted(metrics.difference(first))]
 
 
 def grouped(
@@ -100,17 +100,17 @@ def grouped(
     statistic: Statistic = "mean",
     band: Band = "bootstrap",
 ) -> tuple[list[Curve], list[Group]]:
-    """The curves of the runs, and their groups where they can be put together (else none).
+    """The curves of the runs, and their groups; no groups if they cannot be put together.
 
-    `kinds` says of each run, by its id, what group it belongs to.
+    `kinds` is the group of each run, by its id.
     """
     held = tuple(
         (run.path, run.status.total, readers.recorded(run), kinds[run.run_id]) for run in runs
     )
 
     def make() -> tuple[list[Curve], list[Group]]:
-        found = [curve(run, metric, x, kinds[run.run_id]) for run in runs]
-        return found, groups(found, statistic, band) if advancing(found) else []
+        curves = [curve(run, metric, x, kinds[run.run_id]) for run in runs]
+        return curves, groups(curves, statistic, band) if advancing(curves) else []
 
     return _GROUPED.get((held, metric, x, statistic, band), make)
 
@@ -130,6 +130,6 @@ def curve(run: RunInfo, metric: str, x: str = STEPS, kind: Kind | None = None) -
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value, variant, kind)
 
 
-def advancing(found: Sequence[Curve]) -> bool:
-    """Along the axis every run only goes on, so that runs can be put together."""
-    return all((np.diff(one.step) > 0).all() for one in found)
+def advancing(curves: Sequence[Curve]) -> bool:
+    """Whether every curve advances along the axis, so that runs can be put together."""
+    return all((np.diff(one.step) > 0).all() for one in curves)

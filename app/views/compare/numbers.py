@@ -27,7 +27,7 @@ THRESHOLDS = 61
 
 
 def draw(comparison: Comparison) -> None:
-    """One environment, one score a run, and what its distribution says."""
+    """The distribution of one score per run in one environment."""
     row = st.columns([3, 4, 3, 3], vertical_alignment="bottom")
     runs, looks = comparison.shown, comparison.looks
     env, name, score = _pick(row, runs)
@@ -74,13 +74,13 @@ def draw(comparison: Comparison) -> None:
 
 
 def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str, str, str]:
-    """The environment, the metric and the score of a run that are looked at."""
+    """The chosen environment, metric and score of a run."""
     envs = sorted({run.env for run in runs})
-    env = address.one(row[0].selectbox, "Environment compared", envs, "task", envs[0])
-    metric = address.one(
+    env = address.choose_one(row[0].selectbox, "Environment compared", envs, "task", envs[0])
+    metric = address.choose_one(
         row[1].segmented_control, "Of", list(measure.METRICS), "of", measure.RETURN, required=True
     )
-    score = address.one(
+    score = address.choose_one(
         row[2].selectbox, "Score of a run", SCORES, "score", SCORES[0],
         help="all of them up to the step that every run reaches, so that a longer run has no "
         "advantage; mean height: area under the curve over its length",
@@ -93,15 +93,15 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str) -> N
     margin = 0.05 * (np.ptp(everything) or 1.0)
     at = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
     draws = np.random.default_rng(0)
-    found = []
+    of_groups = []
     for look, values in zip(looks, scores, strict=True):
         share = statistics.performance_profile(values[:, None], at)
         low, high = statistics.profile_band(values[:, None], at, draws, resamples=300)
-        found.append(Profile(look, share, low, high))
+        of_groups.append(Profile(look, share, low, high))
     with st.container(border=True):
         st.markdown("**Performance profile**: share of runs above a score, 95 % bootstrap band")
         label = f"share of runs whose {score} is above a threshold"
-        chart(profiles(found, at, score, 340), "performance profile", label)
+        chart(profiles(of_groups, at, score, 340), "performance profile", label)
     rows = []
     for look, values in zip(looks, scores, strict=True):
         row: dict[str, object] = {"group": look.title, "n": len(values)}
@@ -155,8 +155,8 @@ def _pairs(pairs: Sequence[tuple[str, str, statistics.Interval]]) -> pd.DataFram
 
 
 def _shown(table: pd.DataFrame) -> pd.DataFrame:
-    """The table in words: a group most of whose runs never get there has no median step."""
-    found = table.copy()
+    """The table as text; a level that is not reached has no step."""
+    shown = table.copy()
     for name in ("median step", "first"):
-        found[name] = [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
-    return found.rename(columns={"first": "first run"})
+        shown[name] = [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
+    return shown.rename(columns={"first": "first run"})

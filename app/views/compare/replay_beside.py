@@ -1,4 +1,4 @@
-"""The replay of a point that was clicked, beside the figure."""
+"""The replay of a clicked point, beside the figure."""
 
 from collections.abc import Sequence
 from urllib.parse import quote
@@ -21,11 +21,11 @@ REPLAY = "replay"
 """in the address: `replay=hopper-tom-s0~20000`"""
 NOTHING = ("", 0)
 HORIZON = 25
-"""steps after which the ghost starts again from the real state"""
+"""steps after which the ghost restarts from the real state"""
 
 
 def remember(curves: Sequence[Curve], point: Point) -> None:
-    """A point of a line was clicked: of a mean the run that lies nearest to it there counts."""
+    """Store a clicked point of a line; on a mean it means the run that is nearest there."""
     if isinstance(point.meta, str):
         run_id = point.meta
     elif isinstance(point.meta, list) and point.meta:
@@ -42,13 +42,15 @@ def nearest(curves: Sequence[Curve], x: float, y: float) -> str:
     return with_points[int(np.argmin(gaps))].run_id if gaps else ""
 
 
-def chosen(runs: Sequence[RunInfo]) -> tuple[RunInfo, int, int] | None:
-    """The run, the step that was clicked, and the evaluation nearest to it whose episodes it kept;
-    None where nothing was."""
-    given = address.told(REPLAY)
+def clicked_replay(runs: Sequence[RunInfo]) -> tuple[RunInfo, int, int] | None:
+    """The run, the clicked step, and the evaluation nearest to it whose episodes were recorded.
+
+    None if nothing was clicked or the run has no recorded episodes.
+    """
+    given = address.requested(REPLAY)
     if given is not None:
         st.session_state[REPLAY] = ""
-        st.session_state[replay_link.CLICKED] = read(given)
+        st.session_state[replay_link.CLICKED] = run_and_step(given)
     run_id, step = st.session_state.get(replay_link.CLICKED, NOTHING)
     run = next((run for run in runs if run.run_id == run_id), None)
     steps = readers.reader(run).evaluation_steps() if run else []
@@ -58,14 +60,14 @@ def chosen(runs: Sequence[RunInfo]) -> tuple[RunInfo, int, int] | None:
     return run, step, min(steps, key=lambda evaluated: abs(evaluated - step))
 
 
-def read(words: Sequence[str]) -> tuple[str, int]:
-    """The run and the step that an address names as `run~step`."""
+def run_and_step(words: Sequence[str]) -> tuple[str, int]:
+    """The run and the step from an address, which names them as `run~step`."""
     run_id, _, step = "".join(words[-1:]).rpartition("~")
     return (run_id, int(step)) if step.isdecimal() else NOTHING
 
 
 def show(run: RunInfo, clicked: int, step: int) -> None:
-    """The robot at the kept evaluation, and which one that is."""
+    """The robot at the evaluation `step`, with a line that names it."""
     called = text.markdown(names([run])[run.run_id])
     asked = "" if step == clicked else f", the nearest that is kept to step {clicked:,}"
     address = f"/replays?run={quote(run.run_id)}&step={step}"

@@ -14,22 +14,22 @@ from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
 from app.theme import learner_label
 from app.views.compare import measure
-from app.views.compare.choice import called
+from app.views.compare.choice import names_with_ids
 from app.views.compare.comparison import Comparison
 
 MOST = 4
 HORIZON = 25
-"""steps after which a ghost starts again from the real state"""
+"""steps after which a ghost restarts from the real state"""
 STAGE_HEIGHT = 480
 
 
 def draw(comparison: Comparison) -> None:
-    """Which runs, then their figures and their robots in as many columns."""
+    """The choice of runs, then their figures and their robots, one column per run."""
     runs = comparison.shown
-    names = called(runs)
+    names = names_with_ids(runs)
     asked.tell("side", names)
-    picked = address.many(
-        f"Two to {MOST} runs", list(names), "side", names.__getitem__, usual(runs),
+    picked = address.choose_many(
+        f"Two to {MOST} runs", list(names), "side", names.__getitem__, default_runs(runs),
         max_selections=MOST, on_change=asked.answered, args=("side",),
     )  # fmt: skip
     chosen = [run for run_id in picked for run in runs if run.run_id == run_id]
@@ -54,23 +54,23 @@ def draw(comparison: Comparison) -> None:
     _replays(chosen)
 
 
-def usual(runs: Sequence[RunInfo]) -> list[str]:
+def default_runs(runs: Sequence[RunInfo]) -> list[str]:
     """The newest run of each learner in the environment of the newest run."""
     if not runs:
         return []
     newest = {run.learner: run.run_id for run in reversed(runs) if run.env == runs[0].env}
-    found = list(newest.values())[:MOST]
-    return found if len(found) > 1 else [run.run_id for run in runs if run.env == runs[0].env][:2]
+    first = list(newest.values())[:MOST]
+    return first if len(first) > 1 else [run.run_id for run in runs if run.env == runs[0].env][:2]
 
 
 def _replays(chosen: Sequence[RunInfo]) -> None:
     evaluated = {run.run_id: readers.evaluation_steps(run) for run in chosen}
-    steps = sorted({step for found in evaluated.values() for step in found})
+    steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:
         return
     st.markdown("**Replays** of the evaluations at or before one step")
-    # To begin with a step that all of them have reached.
-    step = min(found[-1] for found in evaluated.values() if found)
+    # The first choice is a step that all of them have reached.
+    step = min(of_run[-1] for of_run in evaluated.values() if of_run)
     row = st.columns([5, 1], vertical_alignment="bottom")
     if len(steps) > 1:
         step = row[0].select_slider(

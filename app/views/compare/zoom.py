@@ -1,6 +1,7 @@
-"""The part of each figure that is shown, in the address: `zoom=hopper~0~50000~-100~3000`.
+"""The shown part of each figure, in the address: `zoom=hopper~0~50000~-100~3000`.
 
-The environment, low and high along x, low and high along y; empty where all of an axis is shown.
+That is the environment, low and high along x, low and high along y; both ends of an axis are empty
+if all of it is shown.
 """
 
 import math
@@ -16,44 +17,44 @@ ALL = View()
 
 
 def views(measured: object) -> dict[str, View]:
-    """The part of each environment's figure that the reader or the address has chosen.
+    """The part of each environment's figure that the user or the address has chosen.
 
-    A zoom is one of what was `measured`, so that it goes when that changes.
+    A zoom belongs to what was `measured` and is dropped when that changes.
     """
-    arrived = address.told(ZOOM) is not None
-    found = address.held(ZOOM, read)
+    arrived = address.requested(ZOOM) is not None
+    seen = address.value_of(ZOOM, from_words)
     if not arrived and st.session_state.get(OF, measured) != measured:
-        found = st.session_state[ZOOM] = {}
+        seen = st.session_state[ZOOM] = {}
     st.session_state[OF] = measured
-    address.keep(ZOOM, [word(env, view) for env, view in found.items()])
-    return found
+    address.keep(ZOOM, [to_word(env, view) for env, view in seen.items()])
+    return seen
 
 
-def keep(found: Mapping[str, View]) -> None:
-    """These parts of the environments' figures are shown from now on."""
-    st.session_state[ZOOM] = dict(found)
+def remember(seen: Mapping[str, View]) -> None:
+    """Show these parts of the environments' figures from now on."""
+    st.session_state[ZOOM] = dict(seen)
 
 
-def zoomed(found: Mapping[str, View], env: str, view: View) -> dict[str, View]:
-    """With another part shown of the figure of an environment, or all of it again."""
-    others = {name: seen for name, seen in found.items() if name != env}
+def zoomed(seen: Mapping[str, View], env: str, view: View) -> dict[str, View]:
+    """`seen` with another part of one environment's figure, or with all of it again."""
+    others = {name: shown for name, shown in seen.items() if name != env}
     return others if view == ALL else others | {env: view}
 
 
-def word(env: str, view: View) -> str:
-    """A figure's zoom as the address has it."""
+def to_word(env: str, view: View) -> str:
+    """A figure's zoom as a word of the address."""
     ends = [*(view.x or ("", "")), *(view.y or ("", ""))]
     return "~".join([env, *(end if isinstance(end, str) else f"{end:.5g}" for end in ends)])
 
 
-def read(words: Sequence[str]) -> dict[str, View]:
-    """The zoom of each environment, of those that an address names and that can be read."""
-    found = {env: View(part(ends[:2]), part(ends[2:])) for env, ends in map(_split, words)}
-    return {env: view for env, view in found.items() if view != ALL}
+def from_words(words: Sequence[str]) -> dict[str, View]:
+    """The zoom of each environment from the words of an address; malformed words are left out."""
+    seen = {env: View(part(ends[:2]), part(ends[2:])) for env, ends in map(_split, words)}
+    return {env: view for env, view in seen.items() if view != ALL}
 
 
 def part(ends: Sequence[str]) -> tuple[float, float] | None:
-    """Low and high, to the five digits that the address keeps; None where they are no range."""
+    """Low and high, to the five digits that the address keeps; None if they are not a range."""
     try:
         low, high = (float(f"{float(end):.5g}") for end in ends)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Probe: every learner's weights of one run's buffer; and does weighting help the model?"""
+"""Probe: every learner's weights of one buffer, and whether weighting helps the model."""
 
 from functools import partial
 
@@ -11,7 +11,7 @@ from app import session, text
 from app.data import buffer_reader, datasets, pictures, readers, trainings, weighings
 from app.data.readers import RunInfo
 from app.data.trainings import Started
-from app.data.weighings import Weighing
+from app.data.weighings import WeighingInfo
 from app.figures.probe import probe_profiles
 from app.parts import empty, form, widgets
 from app.parts.plot import chart
@@ -31,11 +31,11 @@ PATH = "probe"
 
 END = "the end"
 FOREIGN = "policy.pt, policy.onnx or module:function"
-DIGITS = 6  # of a number in the table: PMAC's weights of old data are 1e-20
+DIGITS = 6  # decimals in the table, because PMAC's weights of old data are 1e-20
 
 
 def page() -> None:
-    """A buffer; the learners' weights of it; the errors of their models."""
+    """A buffer, the learners' weights of its rows, and the errors of their models."""
     listing = readers.listing(session.links().store)
     online = [run for run in listing.runs if run.env != pictures.ENV]
     kept = [run for run in online if buffer_reader.has_rows(run)]
@@ -53,9 +53,9 @@ def page() -> None:
     if not rows:
         st.warning("This replay buffer cannot be read.")
         return
-    found = weighings.of_run(run, rows)
+    of_buffer = weighings.of_run(run, rows)
     with top[1]:
-        chosen = _pick_weighing(found)
+        chosen = _pick_weighing(of_buffer)
     task = [other for other in online if other.env == run.env]
     alike, others = of_like_length(task)
     answer.draw(alike, others)
@@ -78,19 +78,19 @@ def page() -> None:
     widgets.show_problems(run)
 
 
-def _pick_weighing(found: list[Weighing]) -> Weighing | None:
-    by_name = {weighing.name: weighing for weighing in found}
-    if not found:
+def _pick_weighing(of_buffer: list[WeighingInfo]) -> WeighingInfo | None:
+    by_name = {weighing.name: weighing for weighing in of_buffer}
+    if not of_buffer:
         st.selectbox("Weighed", ["not yet"], disabled=True)
         return None
     chosen = st.selectbox(
         "Weighed", list(by_name), key="weighed", bind="query-params",
         help="results of `tom weigh` in the store, newest first",
     )  # fmt: skip
-    return by_name.get(chosen or "", found[0])
+    return by_name.get(chosen or "", of_buffer[0])
 
 
-def _weighed(weighing: Weighing, rows: int) -> None:
+def _weighed(weighing: WeighingInfo, rows: int) -> None:
     of = weighings.weights(weighing)
     if not of:
         st.warning("The weights of this weighing cannot be read.")
@@ -119,9 +119,9 @@ def _weighed(weighing: Weighing, rows: int) -> None:
 
 
 def table(
-    found: dict[str, list[Progression]], footprints: dict[str, tuple[float, float]]
+    by_learner: dict[str, list[Progression]], footprints: dict[str, tuple[float, float]]
 ) -> pd.DataFrame:
-    """A line for each learner: medians over its seeds."""
+    """One row per learner: medians over its seeds."""
 
     def median(rows: list[Progression], name: str) -> float:
         values = [getattr(row, name) for row in rows]
@@ -144,7 +144,7 @@ def table(
             "newest": median(rows, "last_two"),
             "rank": median(rows, "spearman"),
         }
-        for learner, rows in found.items()
+        for learner, rows in by_learner.items()
     )
 
 
@@ -170,7 +170,7 @@ def _columns() -> dict:
 
 
 def _weigh_again(run: RunInfo) -> None:
-    """The command that weighs a data set: pages do not look for files of the user's."""
+    """Show the command that weighs a data set, because pages do not look for the user's files."""
     with st.expander("Weigh this data", icon=":material/scale:"):
         st.caption("No run collected it, so it is weighed in a terminal, where it lies by now:")
         words = datasets.words(run, session.links().store)
@@ -180,7 +180,7 @@ def _weigh_again(run: RunInfo) -> None:
 
 
 def _own() -> None:
-    """How data and policies of other libraries come here."""
+    """Show the command that weighs data and policies of other libraries."""
     with st.expander("Data and policies of your own", icon=":material/upload_file:"):
         words = ["weigh", "DATA", "--policy", "POLICY", "--env", "ENV"]
         st.code(form.shown([*words, "--store", session.links().store]), language="bash")
@@ -190,7 +190,7 @@ def _own() -> None:
 
 
 def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
-    """A form that starts `tom weigh` on this buffer, whole or as it was at a fit."""
+    """A form that starts `tom weigh` on this buffer, all of it or its state at a fit."""
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=not folded):
         row = st.columns([2, 4, 4, 2, 2])
         step = _pick_fit(row[0], run)
@@ -226,13 +226,13 @@ def _weigh(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
 
 
 def _foreign_policy() -> str:
-    """A policy that no run has made, as `tom weigh` takes it."""
+    """A policy that is not from a run, in the form that `tom weigh` accepts."""
     typed = st.text_input("File or function", placeholder=FOREIGN, key="weigh foreign")
     return typed or "POLICY"
 
 
 def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
-    """A fit whose policy the run kept, chosen here or by the address (`?at=`); None for its end."""
+    """The chosen fit (or `?at=`), one whose policy the run stored; None for the run's end."""
     steps = [str(step) for step in readers.policy_steps(run)]
     asked = st.session_state.get("at", st.query_params.get("at", END))
     if asked not in (END, *steps):
@@ -247,7 +247,7 @@ def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
 
 
 def has_policy(run: RunInfo, step: int | None) -> bool:
-    """The run has kept its policy of the fit at `step` (None: that of its end)."""
+    """Whether the run has stored its policy of the fit at `step` (None: its last policy)."""
     return readers.reader(run).has_policy(step)
 
 
@@ -260,7 +260,7 @@ def command(
     store: str,
     step: int | None = None,
 ) -> list[str]:
-    """What follows `tom` to weigh a run's buffer, as it was at `step` or at the end."""
+    """The arguments of `tom` that weigh a run's buffer at `step`, or at its end."""
     at = [] if step is None else ["--step", str(step)]
     code = ["--env", run.env] if is_code(run.env) else []
     seed_words = [str(seed) for seed in range(seeds)]
@@ -272,7 +272,7 @@ def command(
 
 @st.fragment(run_every=2)
 def _progress() -> None:
-    """What the weighing that was started here says; the page is drawn again when it is done."""
+    """The output of the weighing started here; the page is redrawn when it is done."""
     begun: Started | None = st.session_state.get("weighing")
     if begun is None:
         return

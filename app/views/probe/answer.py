@@ -1,7 +1,7 @@
-"""The answer on top of the page: who errs least where its policy goes, and if by more than noise.
+"""The answer on top of the page: which learner errs least on its own policy's transitions.
 
-Out of sample where runs sat exams; else from the errors on the policy's newest transitions, which
-the models were fitted to.
+It also says whether the difference is more than noise. It is out of sample if runs have exams; else
+it uses the errors on the policy's newest transitions, to which the models were fitted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,11 +17,11 @@ from app.theme import learner_label
 from app.views.probe import exams, model_error
 
 ERRORS = 2.0
-"""standard errors beyond which a difference is more than noise"""
+"""a difference of more standard errors than this is more than noise"""
 
 
 def draw(runs: Sequence[RunInfo], left_out: Sequence[RunInfo]) -> None:
-    """The sentence, and which runs of the task have no part in this page's numbers."""
+    """The answer in a sentence, and the runs of the task that do not count on this page."""
     _, result = exams.examined(runs)
     if result.ranked:
         st.markdown(exams.verdict(result), help=exams.WHAT)
@@ -47,7 +47,7 @@ def in_sample(values: Mapping[str, Sequence[tuple[str, float, float]]]) -> dict[
 
 
 def sentence(errors: Mapping[str, Floats]) -> str:
-    """Who errs least, by how much, n, and whether that is more than noise; errors (n,) by name."""
+    """Who errs least, by how much, n, and if beyond noise; `errors` are (n,) by name."""
     finite = {name: values[np.isfinite(values)] for name, values in errors.items()}
     ranked = sorted((e for e in finite.items() if len(e[1])), key=lambda e: float(e[1].mean()))
     if not ranked:
@@ -66,7 +66,7 @@ def sentence(errors: Mapping[str, Floats]) -> str:
 
 
 def beyond_noise(least: Floats, more: Floats) -> str:
-    """Whether two means lie farther apart than their standard errors explain, in a sentence."""
+    """A sentence on whether the gap of two means is larger than their standard errors explain."""
     if min(len(least), len(more)) < 2:
         return "Whether that is more than noise one run cannot tell."
     gap = float(more.mean() - least.mean())

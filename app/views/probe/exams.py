@@ -1,4 +1,4 @@
-"""Does weighting help, out of sample: what the exams of the runs' fits came to."""
+"""Whether weighting helps out of sample: the results of the exams of the runs' fits."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ import streamlit as st
 from app import text
 from app.data import readers
 from app.data.cache import VersionedCache
-from app.data.exams import RANKED, Exams, Outcome, Standing, exams_of, middle, outcome
+from app.data.exams import RANKED, Exams, Ranking, Standing, exams_of, middle, ranking
 from app.data.readers import RunInfo
 from app.figures.exams import footprint_error_return
 from app.figures.looks import looks
@@ -31,17 +31,17 @@ OWN = (
     "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
     "them on the same buffers."
 )
-_OUTCOMES: VersionedCache[tuple[list[Exams], Outcome]] = VersionedCache(16)
+_RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache(16)
 
 
 def draw(runs: Sequence[RunInfo]) -> None:
-    """Who errs least where its policy goes; the numbers; a point a fit."""
-    found, result = examined(runs)
-    if not found:
+    """Who errs least on its own policy's transitions, the numbers, and a figure of all fits."""
+    exams, result = examined(runs)
+    if not exams:
         if runs:
             st.caption(NO_EXAM.format(runs=_count(len(runs))))
         return
-    if not result.ranked:  # else it stands on top of the page
+    if not result.ranked:  # else the verdict is on top of the page
         st.markdown(verdict(result), help=WHAT)
     st.dataframe(table(result), hide_index=True, column_config=_columns())
     with st.container(border=True):
@@ -52,42 +52,42 @@ def draw(runs: Sequence[RunInfo]) -> None:
             "over that of the buffer without weights. It says nothing where that buffer lies no "
             "farther from the exam than two halves of the exam from each other.",
         )
-        figure = footprint_error_return(found, HEIGHT)
+        figure = footprint_error_return(exams, HEIGHT)
         chart(figure, "exams", "footprint, error in the exam and next return of every fit")
-    st.caption(" ".join(_remarks(result, len(runs) - len(found))))
+    st.caption(" ".join(_remarks(result, len(runs) - len(exams))))
 
 
-def _remarks(result: Outcome, lacking: int) -> list[str]:
+def _remarks(result: Ranking, lacking: int) -> list[str]:
     few = statistics.remark(min(one.seeds for one in result.ranked or result.standings))
     words = [f"{text.markdown(few)}." if few else "", OWN]
     return [*words, NO_EXAM.format(runs=_count(lacking)) if lacking else ""]
 
 
-def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Outcome]:
-    """The exams of the runs that sat one, and what they come to."""
+def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Ranking]:
+    """The exams of the runs that have any, and their ranking."""
 
-    def make() -> tuple[list[Exams], Outcome]:
+    def make() -> tuple[list[Exams], Ranking]:
         names = group_names(runs)
         read = [
             exams_of(run.run_id, run.learner, run.seed, names[run.run_id], readers.metrics(run))
             for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id))
         ]
-        found = [one for one in read if len(one.step)]
-        return found, outcome(found)
+        exams = [one for one in read if len(one.step)]
+        return exams, ranking(exams)
 
     version = tuple((run.path, readers.recorded(run)) for run in runs)
-    return _OUTCOMES.get(tuple(run.path for run in runs), make, version)
+    return _RANKINGS.get(tuple(run.path for run in runs), make, version)
 
 
 def group_names(runs: Sequence[RunInfo]) -> dict[str, str]:
-    """By run id what its group is called: its learner, and what else sets groups apart."""
+    """By run id the name of its group: its learner, and what distinguishes it from other groups."""
     kinds = grouping.kinds(runs)
     groups = looks((run.env, kinds[run.run_id]) for run in runs)
     return {run_id: groups[kind].title for run_id, kind in kinds.items()}
 
 
-def verdict(result: Outcome) -> str:
-    """One sentence: who errs least where its policy goes, by how much, and if beyond noise."""
+def verdict(result: Ranking) -> str:
+    """One sentence: who errs least on its policy's transitions, by how much, and if it is noise."""
     if not result.ranked:
         counts = "; ".join(
             f"{text.markdown(one.name)}: {_runs(one)}, typical error {_short(one.typical)}"
@@ -133,8 +133,8 @@ def _short(value: float) -> str:
     return f"{value:.3g}" if np.isfinite(value) else "-"
 
 
-def table(result: Outcome) -> pd.DataFrame:
-    """A line a group: n, and interquartile means over its runs with 95 % bootstrap intervals."""
+def table(result: Ranking) -> pd.DataFrame:
+    """One row per group: n, and interquartile means over its runs with 95 % bootstrap intervals."""
     rows = []
     for one in result.standings:
         rows.append(
@@ -152,11 +152,11 @@ def table(result: Outcome) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _words(found: Interval) -> str:
-    if not np.isfinite(found.value):
+def _words(mean: Interval) -> str:
+    if not np.isfinite(mean.value):
         return "-"
-    bounds = f" [{found.low:.3g}, {found.high:.3g}]" if np.isfinite(found.low) else ""
-    return f"{found.value:.3g}{bounds}"
+    bounds = f" [{mean.low:.3g}, {mean.high:.3g}]" if np.isfinite(mean.low) else ""
+    return f"{mean.value:.3g}{bounds}"
 
 
 def _columns() -> dict:

@@ -1,4 +1,4 @@
-"""Runs that can be compared by length: one that was stopped early sets no scale."""
+"""Runs of comparable length: a run that was stopped early must not set the scale."""
 
 from collections.abc import Sequence
 
@@ -7,11 +7,11 @@ import numpy as np
 from app.data.readers import RunInfo
 
 FACTOR = 2.0
-"""a run is like the others where it has between half and twice their median steps"""
+"""a run is like the others if it has between half and twice their median number of steps"""
 
 
 def of_like_length(runs: Sequence[RunInfo]) -> tuple[list[RunInfo], list[RunInfo]]:
-    """The runs whose length is like that of most, and the others."""
+    """The runs of about the usual length, and the others."""
     if not runs:
         return [], []
     usual = float(np.median([run.status.env_step for run in runs]))

@@ -1,4 +1,4 @@
-"""Does weighting help? The errors of the learners' models, on one buffer and on their own."""
+"""Whether weighting helps: the errors of learners' models on one buffer and on their own."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from app.theme import learner_label
 from tom.analysis.curves import curve_points
 
 MODELS = 8
-"""kept models at most that are laid over one buffer: the newest of each learner in turn"""
+"""maximum number of stored models to test on one buffer: the newest of each learner in turn"""
 BINS = 20
 PAIRS = {
     "One step": ("model/error_policy", "model/error_other"),
@@ -23,7 +23,7 @@ PAIRS = {
 
 
 def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
-    """The models that other runs of the task kept, each asked about the buffer of `run`."""
+    """The errors on the buffer of `run` of its own stored model and of other runs' models."""
     errors = []
     for other in in_turn(run, others):
         error = buffer_reader.errors_on(run, other)
@@ -48,7 +48,7 @@ def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
 
 
 def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:
-    """The run itself, then the first run of each learner, then each one's second, and so on."""
+    """The run itself, then the first run of each learner, then their second runs, and so on."""
     seen: Counter[str] = Counter()
     turns = []
     for other in others:
@@ -59,7 +59,7 @@ def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:
 
 
 def recorded(runs: Sequence[RunInfo]) -> None:
-    """The errors that the runs themselves measured at their last fits."""
+    """The errors that the runs have recorded at their last fits."""
     columns = st.columns(2)
     for column, (words, (policy, other)) in zip(columns, PAIRS.items(), strict=True):
         values = focus_values(runs, policy, other)
@@ -83,12 +83,12 @@ def focus_values(
     runs: Sequence[RunInfo], policy: str, other: str
 ) -> dict[str, list[tuple[str, float, float]]]:
     """(run, error on the policy's transitions, on the others) at the last fit, by learner."""
-    found: dict[str, list[tuple[str, float, float]]] = {}
+    by_learner: dict[str, list[tuple[str, float, float]]] = {}
     for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id)):
         frame = readers.metrics(run)
         pair = [curve_points(frame, metric)[1] for metric in (policy, other)]
         if all(len(values) for values in pair):
-            found.setdefault(run.learner, []).append(
+            by_learner.setdefault(run.learner, []).append(
                 (run.run_id, float(pair[0][-1]), float(pair[1][-1]))
             )
-    return found
+    return by_learner

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from app.data.exams import Exams, at_fit, exams_of, next_return, outcome
+from app.data.exams import Exams, at_fit, exams_of, next_return, ranking
 from tom.analysis import statistics
 
 NAN = float("nan")
@@ -53,21 +53,21 @@ def test_after_the_last_evaluation_there_is_no_return() -> None:
 def test_a_run_without_exams_has_none() -> None:
     found = exams_of("old", "mle", 0, "MLE", pd.DataFrame({"env_step": [1], "eval/return": [0.0]}))
     assert len(found.step) == 0
-    assert outcome([found]).ranked == ()
+    assert ranking([found]).ranked == ()
 
 
 @pytest.mark.parametrize("noise", [1.0, -1.5, NAN])
 def test_a_footprint_lost_in_its_noise_says_nothing(noise: float) -> None:
     run = replace(sat("TOM", 0, [1.0]), footprint=np.array([0.1]), noise=np.array([noise]))
     assert not run.telling.any()
-    [group] = outcome([run]).standings
+    [group] = ranking([run]).standings
     assert (group.telling, len(group.footprint)) == (0, 0)
 
 
 def test_nobody_is_ranked_under_five_seeds() -> None:
     tom = [sat("TOM", seed, [0.1]) for seed in range(5)]
     mle = [sat("MLE", seed, [0.2]) for seed in (0, 1, 2, 3, 3)]  # a seed twice is one seed
-    found = outcome([*tom, *mle])
+    found = ranking([*tom, *mle])
     assert found.ranked == ()
     assert [(one.name, one.seeds, len(one.error)) for one in found.standings] == [
         ("TOM", 5, 5),
@@ -78,7 +78,7 @@ def test_nobody_is_ranked_under_five_seeds() -> None:
 def test_who_errs_least_comes_first_by_the_medians_of_the_runs() -> None:
     tom = [sat("TOM", seed, [0.1 + 0.01 * seed, 9.0, 0.1 + 0.01 * seed]) for seed in range(5)]
     mle = [sat("MLE", seed, [0.2 + 0.01 * seed] * 3) for seed in range(5)]
-    found = outcome([*mle, *tom])
+    found = ranking([*mle, *tom])
     assert [one.name for one in found.ranked] == ["TOM", "MLE"]
     assert found.ranked[0].error == pytest.approx([0.1, 0.11, 0.12, 0.13, 0.14])
     assert found.ranked[0].typical == pytest.approx(0.12)
@@ -89,9 +89,9 @@ def test_who_errs_least_comes_first_by_the_medians_of_the_runs() -> None:
 def test_equal_learners_differ_by_no_more_than_noise() -> None:
     draws = np.random.default_rng(0).lognormal(size=(12, 20))
     runs = [sat("TOM" if i % 2 else "MLE", i, draws[i].tolist()) for i in range(12)]
-    beats = outcome(runs).first_beats_second
+    beats = ranking(runs).first_beats_second
     assert beats.low < 0.5 < beats.high
-    first, second = (-one.error[:, None] for one in outcome(runs).ranked)
+    first, second = (-one.error[:, None] for one in ranking(runs).ranked)
     again = statistics.probability_of_improvement(first, second, np.random.default_rng(0))
     assert beats == again
 
@@ -103,7 +103,7 @@ def test_groups_are_compared_over_the_steps_that_five_seeds_of_each_reach() -> N
         sat("MLE", seed, [0.5, 0.5, 0.5][:reach]) for seed, reach in enumerate((2, 2, 2, 2, 3))
     ]
     early = sat("MLE", 7, [0.01])
-    found = outcome([*long, *short, early])
+    found = ranking([*long, *short, early])
     assert found.until == 200
     assert [one.name for one in found.ranked] == ["MLE", "TOM"]
     assert [(len(one.error), one.fits) for one in found.ranked] == [(5, 10), (5, 10)]

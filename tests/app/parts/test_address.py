@@ -6,12 +6,12 @@ PAGE = """
 import streamlit as st
 from app.parts import address
 
-first = address.one(st.selectbox, "First", ["a", "b"], "first", "a", str.upper)
+first = address.choose_one(st.selectbox, "First", ["a", "b"], "first", "a", str.upper)
 if first == "b":
-    address.many("Then", ["x", "y", "z"], "then", usual=["x"])
+    address.choose_many("Then", ["x", "y", "z"], "then", usual=["x"])
 address.switch("On", "on", usual=True)
-address.words("Words", "words")
-st.session_state["seen"] = address.held("own", list)
+address.text_input("Words", "words")
+st.session_state["seen"] = address.value_of("own", list)
 address.keep("own", st.session_state["own"])
 address.write()
 """

@@ -41,7 +41,7 @@ def test_the_store_is_as_large_as_the_measurement_says(tmp_path: Path) -> None:
 
 def test_the_studies_have_figures_and_a_table(tmp_path: Path) -> None:
     make_studies(tmp_path)
-    found = studies.found(tmp_path)
+    found = studies.listing(tmp_path)
     assert [len(study.figures) for study in found] == [FIGURES] * STUDIES
     for study in found:
         assert study.report is not None

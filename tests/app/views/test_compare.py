@@ -217,13 +217,13 @@ def test_a_zoom_is_in_the_address_until_something_else_is_measured() -> None:
 @given(hypothesis.floats(-1e9, 1e9), hypothesis.floats(1e-6, 1e6), hypothesis.sampled_from("xy"))
 def test_a_zoom_is_read_as_it_was_written(low: float, width: float, axis: str) -> None:
     seen = View(**{axis: zoom.part([str(low), str(low + width)])})
-    word = zoom.word("gymnasium:Ant~v5", seen)
-    assert zoom.read([word]) == ({} if seen == View() else {"gymnasium:Ant~v5": seen})
+    word = zoom.to_word("gymnasium:Ant~v5", seen)
+    assert zoom.from_words([word]) == ({} if seen == View() else {"gymnasium:Ant~v5": seen})
 
 
 @pytest.mark.parametrize("word", ["", "ant", "ant~1~2", "ant~2~1~~", "ant~nan~1~~", "~~~~"])
 def test_what_is_no_zoom_zooms_nothing(word: str) -> None:
-    assert zoom.read([word]) == {}
+    assert zoom.from_words([word]) == {}
 
 
 def test_the_open_replay_is_in_the_address() -> None:

@@ -11,7 +11,7 @@ from studio_pages import array, draw, figures, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
-from app.data.exams import Exams, outcome
+from app.data.exams import Exams, ranking
 from app.links import Links
 from app.views.compare.measure import in_order
 from app.views.live import usual
@@ -172,19 +172,19 @@ def learners(errors: Mapping[str, list[float]]) -> list[Exams]:
 
 def test_the_verdict_names_who_errs_least_and_by_how_much() -> None:
     runs = learners({"MLE": [0.2] * 5, "TOM": [0.15] * 5, "PMAC": [0.01] * 4})
-    said = verdict(outcome(runs))
+    said = verdict(ranking(runs))
     assert said.startswith(
         "**Where its own policy goes, TOM errs least**: 0.15, 25 % less than MLE"
     )
     assert "with 0.2, up to step 100 (n: 5 runs, 5 fits; 5 runs, 5 fits). More than noise" in said
     assert "with probability 1.00 (95 % interval 1.00 to 1.00)" in said
-    shown = table(outcome(runs)).set_index("group")
+    shown = table(ranking(runs)).set_index("group")
     assert shown.loc["TOM", "one step"] == "0.15 [0.15, 0.15]"
     assert shown.loc["PMAC", "seeds"] == 4
 
 
 def test_the_verdict_ranks_nobody_within_the_noise() -> None:
     runs = learners({"MLE": [0.1, 0.2, 0.3, 0.4, 0.5], "TOM": [0.1, 0.2, 0.3, 0.4, 0.51]})
-    said = verdict(outcome(runs))
+    said = verdict(ranking(runs))
     assert said.startswith("**Where its own policy goes, nobody errs less beyond noise**")
     assert "errs least**" not in said

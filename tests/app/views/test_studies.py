@@ -43,7 +43,7 @@ def reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_studies_are_listed_with_their_files(reports: Path) -> None:
     (reports / "empty").mkdir()
     (reports / "focus" / "outside.png").symlink_to(reports / "road" / "errors.png")
-    road, focus = studies.found(studies.FOLDER)
+    road, focus = studies.listing(studies.FOLDER)
     assert (road.name, focus.name) == ("road", "focus")
     assert [path.name for path in focus.tables] == ["summary.csv", "few.csv", "errors.csv"]
     assert [path.name for path in focus.figures] == ["errors.png"]
@@ -99,7 +99,7 @@ def test_studies_that_came_with_the_store_are_shown_and_ones_own_before_them(
         write_report(Report(name, "shipped", ["found"]), shipped / name)
     for name, value in Links(store=str(shipped.parent), key="key").environment().items():
         monkeypatch.setenv(name, value)
-    found = {study.name: study for study in studies.found(*studies.folders(shipped.parent))}
+    found = {study.name: study for study in studies.listing(*studies.folders(shipped.parent))}
     assert list(found) == ["road", "focus", "tabular"]
     assert found["road"].claim == "a claim"
     assert found["tabular"].claim == "shipped"
@@ -123,7 +123,7 @@ def test_a_study_is_run_from_the_page(
     _running()["returns"].process.wait(120)
     app.run()
     assert not app.error
-    assert [study.name for study in studies.found(studies.FOLDER)] == ["returns"]
+    assert [study.name for study in studies.listing(studies.FOLDER)] == ["returns"]
     assert app.code[0].value.startswith("tom reproduce returns --store")
 
 
