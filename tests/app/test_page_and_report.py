@@ -12,6 +12,7 @@ from app.links import Links
 from tom.analysis.scores import BEST
 from tom.record import Store
 from tom.studies import returns as study
+from tom.studies import returns_tables as tables
 
 RUNS = Path(__file__).parents[2] / "runs"
 GALLERY = study.select(
@@ -42,7 +43,7 @@ def shown(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def reported(env: str) -> dict[str, dict]:
-    return {row["learner"]: row for row in study.summary(GALLERY) if row["env"] == env}
+    return {row["learner"]: row for row in tables.summary(GALLERY) if row["env"] == env}
 
 
 @pytest.mark.parametrize("env", ENVS)
