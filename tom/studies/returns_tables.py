@@ -73,9 +73,8 @@ def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
         rivals = [(name, of) for name, of in methods if name != (learner, preset)]
         for rival, of in rivals:
             pairs = _pairs(cells, (learner, preset), rival)
-            rows += [_wins(label, of, pairs, compared_at(cells), by) for by in (BEST, HEIGHT)] * (
-                len(pairs) > 0
-            )
+            if pairs:
+                rows += [_wins(label, of, pairs, compared_at(cells), by) for by in (BEST, HEIGHT)]
     return rows
 
 

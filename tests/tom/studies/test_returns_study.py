@@ -100,6 +100,12 @@ def test_wins_over_tasks_that_both_have(store: Store):
     assert area["wins"] == pytest.approx((1 + 0) / 2)
 
 
+def test_learners_without_a_common_task_are_not_compared(store: Store):
+    record(store, "ant", "pmac", 0, [1, 2])
+    cells, _ = study.select(store.runs(), "paper")
+    assert {row["against"] for row in tables.improvement(cells)} == {"MLE"}
+
+
 def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
     told = {0: [(0.5, 1.0, 4.0), (0.7, 3.0, 6.0), (0.9, 2.0, 8.0)], 1: [(0.1, 4.0, 2.0)]}
     for seed, fits in told.items():
