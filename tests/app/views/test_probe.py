@@ -16,10 +16,10 @@ from studio_runs import PENDULUM_TOM, info
 from app.data import buffer_reader, weighings
 from app.links import Links
 from app.parts import widgets
-from app.views.probe import FOREIGN
 from app.views.probe.answer import in_sample, sentence
 from app.views.probe.length import of_like_length
 from app.views.probe.model_error import focus_values, in_turn
+from app.views.probe.start import FOREIGN
 from tom import plugins
 from tom.analysis.progression import progression
 from tom.cli import main
