@@ -14,15 +14,14 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from tom.analysis.exact_weights import OccupancyProblem, solve
 from tom.analysis.tabular import (
     Array,
     Mdp,
-    OccupancyProblem,
     OneHotPolicy,
     sample_starts,
     sample_stream,
     sample_transitions,
-    solve,
     transition_occupancy,
 )
 from tom.data.transitions import Transitions

@@ -6,7 +6,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from tom.analysis.tabular import FlowName, solve
+from tom.analysis.exact_weights import solve
+from tom.analysis.tabular import FlowName
 from tom.studies.tabular_problems import Case, draw, ending_cases, problem_of, share_on
 
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tom.analysis.exact_weights import Name, OccupancyProblem
 from tom.analysis.tabular import (
     Array,
     FlowName,
     Mdp,
-    Name,
-    OccupancyProblem,
     random_mdp,
     random_policy,
     transition_occupancy,

@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tom.analysis.tabular import FlowName, occupancy, solve
+from tom.analysis.exact_weights import solve
+from tom.analysis.tabular import FlowName, occupancy
 from tom.config import TomConfig
 from tom.studies.tabular import Score, counted, estimate
 from tom.studies.tabular_flows import exact_flows
