@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import streamlit as st
-from studio_pages import draw
+from studio_pages import draw, set_links
 
 from app.links import Links
 from tom.analysis.scores import BEST
@@ -35,8 +35,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def shown(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    for name, value in Links(store=str(store), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(store), key="key"), monkeypatch)
     yield
     st.cache_data.clear()
     st.cache_resource.clear()
