@@ -45,7 +45,7 @@ def fenced(text: str, language: str) -> str:
 
 def cell(value: object) -> object:
     """A value for CSV: texts cannot become spreadsheet formulas, numbers stay numbers."""
-    if isinstance(value, str) and _FORMULA.match(value) and not _is_number(value):
+    if isinstance(value, str) and _FORMULA.match(value) and not is_number(value):
         return f"'{value}"
     return value
 
@@ -57,7 +57,8 @@ def as_csv(table: pd.DataFrame) -> str:
     return safe.rename(columns=cell).to_csv(index=False, lineterminator="\n")
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether Python reads the text as a number."""
     try:
         float(text)
     except ValueError:

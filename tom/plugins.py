@@ -25,7 +25,8 @@ import torch
 from tom.config import Config, RunConfig
 from tom.envs import ENV_NAMES, OTHERS, Task, Termination
 from tom.envs.ends import LEARNT, RULES
-from tom.envs.gymnasium_task import STEPS, import_named, look_at
+from tom.envs.gymnasium_task import STEPS, look_at
+from tom.envs.user_code import import_named
 from tom.errors import OF_USERS, UserError, reason
 from tom.harmless import terminal
 from tom.learners import LEARNERS, LearnerEntry

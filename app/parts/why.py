@@ -12,9 +12,9 @@ from app.data import why as reasons
 from app.data.buffer import Rows, dimension_names
 from app.data.readers import RunInfo
 from app.data.regions import Plane
-from app.data.trainings import Started
 from app.data.why import Source
 from app.figures.why import rollout_lines, waterfall
+from app.parts import weighing
 from app.parts.plot import Point, chart
 from app.theme import learner_label
 from tom.analysis.why import Sum
@@ -22,6 +22,8 @@ from tom.config import TomConfig
 from tom.learners import SUBJECT
 
 KEY = "row"
+STARTED = "why weighing"
+"""the process that this section started, in the session"""
 HEIGHT = 290
 FORMULA = {
     "chi2": "max(0, 1 + sum)",
@@ -192,22 +194,5 @@ def _offer(run: RunInfo, rows: Rows) -> None:
     if why := session.looks_on():
         st.caption(why)
     elif st.button(f"Weigh this buffer by {learner_label(SUBJECT)}", key="why weigh"):
-        st.session_state["why weighing"] = trainings.start(words)
-    _progress()
-
-
-@st.fragment(run_every=2)
-def _progress() -> None:
-    begun: Started | None = st.session_state.get("why weighing")
-    if begun is None:
-        return
-    if begun.process.poll() is None:
-        last = begun.tail().splitlines()[-1:] or ["begun"]
-        st.caption(f"Weighing: {text.markdown(last[0])}")
-        return
-    if begun.process.returncode:
-        st.error("The weighing ended without a result:", icon=":material/error:")
-        st.code(begun.tail(), language=None)
-        return
-    del st.session_state["why weighing"]
-    st.rerun()
+        st.session_state[STARTED] = trainings.start(words)
+    weighing.progress(STARTED)

@@ -10,6 +10,7 @@ import pytest
 import streamlit as st
 from streamlit.components.v2 import manifest_scanner
 from streamlit.runtime.context import ContextProxy
+from studio_pages import set_links
 from studio_runs import RUNS
 
 from app.guard import KEY
@@ -56,8 +57,7 @@ def pages_are_asked_for_with_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
 def studio(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Links]:
     """Pages of this process show the store to a browser with the key; no other server is there."""
     links = Links(store=str(store), key="key")
-    for name, value in links.environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(links, monkeypatch)
     yield links
     st.cache_data.clear()
     st.cache_resource.clear()

@@ -5,9 +5,18 @@ import json
 from typing import Any
 
 import numpy as np
+import pytest
 from streamlit.testing.v1 import AppTest
 
+from app.links import Links
+
 TIMEOUT_S = 60
+
+
+def set_links(links: Links, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages of this process are those of the studio at `links`."""
+    for name, value in links.environment().items():
+        monkeypatch.setenv(name, value)
 
 
 def draw(view: str, **query: str) -> AppTest:

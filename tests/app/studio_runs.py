@@ -1,5 +1,7 @@
 """The recorded runs that the studio's tests look at (conftest.py records them)."""
 
+import os
+import shutil
 from pathlib import Path
 
 from app.data import readers
@@ -20,3 +22,11 @@ RUNS = (
 def info(store: Path, run_id: str) -> RunInfo:
     """What the pages know of a run."""
     return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
+
+
+def with_weighing(store: Path, made: Path, folder: Path) -> Path:
+    """A copy of the store in `folder` that has the weighing `made`."""
+    path = folder / "store"
+    shutil.copytree(store, path, copy_function=os.link)
+    shutil.copytree(made, path / "weighings" / "made")
+    return path

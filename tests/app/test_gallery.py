@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import streamlit as st
-from studio_pages import array, draw, figures, trace
+from studio_pages import array, draw, figures, set_links, trace
 
 from app import text
 from app.data import studies
@@ -54,8 +54,7 @@ def gallery(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def shown(gallery: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    for name, value in Links(store=str(gallery), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(gallery), key="key"), monkeypatch)
     yield gallery
     st.cache_data.clear()
     st.cache_resource.clear()

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 import streamlit as st
-from studio_pages import draw
+from studio_pages import draw, set_links
 
 from app.links import Links
 from tom.analysis.scores import BEST
 from tom.record import Store
 from tom.studies import returns as study
+from tom.studies import returns_tables as tables
 
 RUNS = Path(__file__).parents[2] / "runs"
 GALLERY = study.select(
@@ -34,15 +35,14 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def shown(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    for name, value in Links(store=str(store), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(store), key="key"), monkeypatch)
     yield
     st.cache_data.clear()
     st.cache_resource.clear()
 
 
 def reported(env: str) -> dict[str, dict]:
-    return {row["learner"]: row for row in study.summary(GALLERY) if row["env"] == env}
+    return {row["learner"]: row for row in tables.summary(GALLERY) if row["env"] == env}
 
 
 @pytest.mark.parametrize("env", ENVS)

@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 import torch
 
@@ -55,26 +53,6 @@ def stopped(store: Store, step: int, run_id: str = "a", **changes: object) -> Ru
     stop, watchers = stopping_at(step)
     made = config(**changes)  # pyright: ignore[reportArgumentType]
     return train(made, store, run_id, rerun=False, watchers=watchers, stop=stop)
-
-
-def untimed(run: RunReader) -> pd.DataFrame:
-    """The metrics but for those of the clock."""
-    table = run.metrics()
-    return table.drop(columns=[name for name in table if name.startswith("time/")])
-
-
-def assert_same_record(first: RunReader, second: RunReader) -> None:
-    """Metrics, weights, buffer and episodes are the same to the last bit."""
-    pd.testing.assert_frame_equal(untimed(first), untimed(second), check_like=True)
-    np.testing.assert_array_equal(first.profiles().bins, second.profiles().bins)
-    (a, versions_a), (b, versions_b) = first.buffer(), second.buffer()
-    np.testing.assert_array_equal(a.obs, b.obs)
-    np.testing.assert_array_equal(versions_a, versions_b)
-    assert first.evaluation_steps() == second.evaluation_steps()
-    for step in first.evaluation_steps():
-        for x, y in zip(first.episodes(step), second.episodes(step), strict=True):
-            np.testing.assert_array_equal(x.obs, y.obs)
-    assert second.problems == []
 
 
 # Processes of their own

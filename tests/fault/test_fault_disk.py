@@ -7,7 +7,8 @@ from pathlib import Path
 from threading import Event as Flag
 
 import pytest
-from faults import assert_same_record, config, ended, one_line, stopped, tom, train_command
+from faults import config, ended, one_line, stopped, tom, train_command
+from same_records import assert_same_record
 
 from tom.errors import UserError
 from tom.events import Event, Tick

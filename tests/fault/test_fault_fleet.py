@@ -4,7 +4,8 @@ import signal
 from pathlib import Path
 
 import pytest
-from faults import SETTINGS, assert_same_record, ended, tom, train_command, wait_until
+from faults import SETTINGS, ended, tom, train_command, wait_until
+from same_records import assert_same_record
 
 from tom.config import OnlineConfig
 from tom.record import RunReader, Store, checkpoint

@@ -15,7 +15,8 @@ from threading import Event as Flag
 import numpy as np
 import pandas as pd
 import pytest
-from faults import assert_same_record, config, stopped
+from faults import config, stopped
+from same_records import assert_same_record
 
 from app.parts import shortlinks
 from tom.cli import main

@@ -9,16 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from faults import (
-    assert_same_record,
     config,
     ended,
     go_on,
     kill,
     tom,
     train_command,
-    untimed,
     wait_until,
 )
+from same_records import assert_same_record, untimed
 
 from tom.record import RunReader, Store, checkpoint
 from tom.training.resume import resume

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faults import (
-    assert_same_record,
     config,
     ended,
     one_line,
@@ -22,6 +21,7 @@ from faults import (
     wait_until,
 )
 from kernel import alive, descendants
+from same_records import assert_same_record
 
 from tom.errors import UserError
 from tom.events import Metrics, Tick

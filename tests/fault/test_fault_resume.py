@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 import torch
-from faults import assert_same_record, config, stopped
+from faults import config, stopped
+from same_records import assert_same_record
 
 from tom.cli import main
 from tom.errors import UserError

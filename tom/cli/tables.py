@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from tom.harmless import terminal, terminal_lines
+from tom.harmless import is_number, terminal, terminal_lines
 
 WIDTH = 160  # if the width of the output is unknown
 
@@ -16,7 +16,7 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     listed = [list(row) for row in rows]
     table = Table()
     for i, column in enumerate(columns):
-        numeric = bool(listed) and all(_is_number(row[i]) for row in listed)
+        numeric = bool(listed) and all(row[i] == "-" or is_number(row[i]) for row in listed)
         table.add_column(terminal(column), justify="right" if numeric else "left", overflow="fold")
     for row in listed:
         # Text objects, because Rich would read brackets in strings as markup.
@@ -25,16 +25,6 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     # The table's own title would be wrapped to the width of the table.
     console.print(Text(terminal(title), style="italic"))
     console.print(table)
-
-
-def _is_number(cell: str) -> bool:
-    if cell == "-":
-        return True
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def cell(value: object) -> str:

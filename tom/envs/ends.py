@@ -2,9 +2,10 @@
 
 from typing import cast
 
-from tom.envs.gymnasium_task import GymnasiumTask, import_named, in_own_units, tried
+from tom.envs.gymnasium_task import GymnasiumTask, in_own_units
 from tom.envs.task import Task, Termination
 from tom.envs.termination import never
+from tom.envs.user_code import import_named, tried
 from tom.errors import UserError, unknown
 
 NEVER = "never"

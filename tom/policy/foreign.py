@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.envs.gymnasium_task import import_named
+from tom.envs.user_code import import_named
 from tom.errors import OF_USERS, UserError, reason
 
 TORCHSCRIPT = (".pt", ".pth", ".ts", ".torchscript")

@@ -8,47 +8,24 @@ differ, the verdict says so. Runs are grouped and scored as on the Compare page
 (`tom/analysis/scores.py`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tom.analysis.curves import Curve, curve_points
 from tom.analysis.grouping import Kind, kinds
-from tom.analysis.scores import (
-    BEST,
-    FINAL,
-    HEIGHT,
-    beats,
-    begun,
-    common_step,
-    interval,
-    scores_of,
-    steps_to,
-)
-from tom.analysis.settings import unlike
-from tom.analysis.statistics import remark
-from tom.envs import ENVS, task
+from tom.analysis.scores import BEST, begun, common_step, scores_of
+from tom.envs import ENVS
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.record import RunReader
 
 Array = NDArray[np.float64]
 Recorded = tuple[RunReader, Curve]
-PAPER_SEEDS = 4
 PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
-RIVAL = "mle"
-
-
 METRIC = "eval/return"
-EXAMS = {
-    "exam/footprint": "footprint",
-    "exam/error": "error",
-    "exam/rollout_error": "error after 5 steps",
-}
-"""the reported numbers of a learner's exams, by metric"""
 
 
 @dataclass(frozen=True)
@@ -126,187 +103,16 @@ def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
     """For each environment the last step that all its runs reach."""
     return {
         env: common_step(curve for c in cells if c.env == env for curve in c.curves)
-        for env in _envs(cells)
+        for env in envs_of(cells)
     }
 
 
-def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """One row per environment and learner; scores are best returns up to the common step."""
-    at, rows = compared_at(cells), []
-    for cell in cells:
-        step = at[cell.env]
-        scores = cell.scores(step)
-        mean, iqm = interval(scores), interval(scores, "iqm")
-        area = interval(cell.scores(step, HEIGHT))
-        rival = _cell(cells, cell.env, RIVAL)
-        target = float(rival.scores(step).mean()) if rival else np.nan
-        steps = steps_to(cell.curves, target, step)
-        rows.append(
-            {
-                "env": cell.env,
-                "learner": cell.label,
-                "n": cell.n,
-                "seeds": " ".join(map(str, cell.seeds)),
-                "at step": int(step),
-                "mean": mean.value,
-                "low": mean.low,
-                "high": mean.high,
-                "median": interval(scores, "median").value,
-                "IQM": iqm.value,
-                "IQM low": iqm.low,
-                "IQM high": iqm.high,
-                "final": interval(cell.scores(step, FINAL)).value,
-                "area": area.value,
-                "area low": area.low,
-                "area high": area.high,
-                "steps to MLE's": float(np.median(steps)) if rival else np.nan,
-                "reach": int(cell.reach),
-                "paper's steps": task(cell.env).steps,
-                "remark": remark(cell.n),
-            }
-        )
-    return rows
+def envs_of(cells: Sequence[Cell]) -> list[str]:
+    return list(dict.fromkeys(cell.env for cell in cells))
 
 
-def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """How often a run of TOM beats a run of each other learner, over the tasks that both have.
-
-    For every preset of TOM, by the best return and by the area under the curve (its mean height).
-    """
-    methods = sorted({cell.method: cell.label for cell in cells}.items())
-    rows = []
-    for (learner, preset), label in methods:
-        if learner != "tom":
-            continue
-        rivals = [(name, of) for name, of in methods if name != (learner, preset)]
-        for rival, of in rivals:
-            pairs = _pairs(cells, (learner, preset), rival)
-            rows += [_wins(label, of, pairs, compared_at(cells), by) for by in (BEST, HEIGHT)] * (
-                len(pairs) > 0
-            )
-    return rows
-
-
-def _pairs(
-    cells: Sequence[Cell], ours: tuple[str, str], theirs: tuple[str, str]
-) -> dict[str, tuple[Cell, Cell]]:
-    """The scores of both by task, for tasks in which both have runs."""
-    both = {env: (_cell(cells, env, *ours), _cell(cells, env, *theirs)) for env in _envs(cells)}
-    return {env: (one, other) for env, (one, other) in both.items() if one and other}
-
-
-def _wins(
-    ours: str, theirs: str, pairs: Mapping[str, tuple[Cell, Cell]], at: Mapping[str, float], by: str
-) -> dict[str, Any]:
-    wins = beats(
-        [one.scores(at[env], by) for env, (one, _) in pairs.items()],
-        [other.scores(at[env], by) for env, (_, other) in pairs.items()],
-    )
-    return {
-        "TOM": ours,
-        "against": theirs,
-        "by": "best return" if by == BEST else "area under the curve",
-        "wins": wins.value,
-        "low": wins.low,
-        "high": wins.high,
-        "tasks": " ".join(pairs),
-        "remark": remark([min(one.n, other.n) for one, other in pairs.values()]),
-    }
-
-
-def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """One row per environment and learner whose runs have exams: the median fit of each run.
-
-    It has the mean over runs and its bootstrap interval (`tom.exams`).
-    """
-    rows = []
-    for cell in cells:
-        medians = [_exam_medians(run) for run in cell.runs]
-        whole = [one for one in medians if one is not None]
-        if not whole:
-            continue
-        row: dict[str, Any] = {"env": cell.env, "learner": cell.label, "n": len(whole)}
-        for name, values in zip(EXAMS.values(), np.array(whole).T, strict=True):
-            mean = interval(values)
-            row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
-        rows.append(row | {"remark": remark(len(whole))})
-    return rows
-
-
-def _exam_medians(run: RunReader) -> list[float] | None:
-    """For each of EXAMS the median over the run's fits; None for a run without exams."""
-    metrics = run.metrics()
-    if not set(EXAMS) <= set(metrics):
-        return None
-    return [float(np.nanmedian(metrics[name].to_numpy(np.float64))) for name in EXAMS]
-
-
-def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str]) -> list[dict]:
-    """The paper's seeds and steps that the store lacks, with the command that adds them."""
-    rows = []
-    for env in (env for env in envs if env in PAPER_ENVS):
-        for learner in learners:
-            cell, steps = _cell(cells, env, learner), task(env).steps
-            full = [c for c in cell.curves if c.step[-1] >= steps] if cell else []
-            if len(full) < PAPER_SEEDS:
-                rows.append(
-                    {
-                        "env": env,
-                        "learner": LEARNERS[learner].label,
-                        "runs of full length": f"{len(full)} of {PAPER_SEEDS}",
-                        "longest": int(cell.longest) if cell else 0,
-                        "of": steps,
-                        "command": f"tom sweep --env {env} --learner {learner} --seeds 4",
-                    }
-                )
-    return rows
-
-
-def verdict(cells: Sequence[Cell]) -> list[str]:
-    """In how many of the paper's environments TOM's mean is the highest, and the reservations."""
-    return [*_ranking(cells), *_unlike(cells)]
-
-
-def _unlike(cells: Sequence[Cell]) -> list[str]:
-    """One line per environment whose learners were trained with different settings."""
-    lines = []
-    for env in _envs(cells):
-        paths = unlike([run for c in cells if c.env == env for run in c.runs])
-        if paths:
-            lines.append(
-                f"{env}: the learners' runs differ in more than learner, seed and steps "
-                f"({', '.join(paths)}), so returns may differ by these settings."
-            )
-    return lines
-
-
-def _ranking(cells: Sequence[Cell]) -> list[str]:
-    at = compared_at(cells)
-    judged = {env: [c for c in cells if c.env == env] for env in at if env in PAPER_ENVS}
-    judged = {e: cs for e, cs in judged.items() if len(cs) > 1 and _cell(cs, e, "tom")}
-    if not judged:
-        return ["No environment of the paper has TOM beside another learner: nothing to compare."]
-    first = [env for env, group in judged.items() if _tom_is_first(group, at[env])]
-    named = f" ({', '.join(first)})" if first else ""
-    lines = [
-        f"TOM has the highest mean in {len(first)} of {len(judged)} of the paper's environments"
-        f"{named}; the paper says 4 of 5."
-    ]
-    few = min(c.n for cs in judged.values() for c in cs)
-    if remark(few):
-        lines.append(f"The smallest group: {remark(few)}.")
-    short = [
-        f"{env} {at[env]:.0f} of {task(env).steps}" for env in judged if at[env] < task(env).steps
-    ]
-    if short:
-        lines.append(f"Compared before the end of the paper's training: {'; '.join(short)} steps.")
-    return lines
-
-
-def _tom_is_first(cells: Sequence[Cell], step: float) -> bool:
-    means = {cell.method: float(cell.scores(step).mean()) for cell in cells}
-    tom = means.pop(("tom", ""))
-    return all(tom > mean for (learner, _), mean in means.items() if learner != "tom")
+def cell_of(cells: Sequence[Cell], env: str, learner: str, preset: str = "") -> Cell | None:
+    return next((c for c in cells if (c.env, *c.method) == (env, learner, preset)), None)
 
 
 def _curve(run: RunReader, kind: Kind) -> Curve:
@@ -326,11 +132,3 @@ def _largest(every: Sequence[Recorded]) -> list[Recorded]:
         groups.setdefault(curve.variant, {})[curve.seed] = run, curve
     chosen = max(groups.values(), key=lambda g: (len(g), max(c.step[-1] for _, c in g.values())))
     return [chosen[seed] for seed in sorted(chosen)]
-
-
-def _envs(cells: Sequence[Cell]) -> list[str]:
-    return list(dict.fromkeys(cell.env for cell in cells))
-
-
-def _cell(cells: Sequence[Cell], env: str, learner: str, preset: str = "") -> Cell | None:
-    return next((c for c in cells if (c.env, *c.method) == (env, learner, preset)), None)

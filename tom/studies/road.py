@@ -233,25 +233,29 @@ def controls(outcomes: Sequence[Outcome]) -> list[Check]:
         at_most("labels swapped: weight ratio, maximum", max(ratio), SWAPPED_RATIO_MAX),
         at_least(
             "mean-zero rocks: MLE's return (planner)",
-            float(np.median([o.planner_return for o in mean_zero])),
+            _median(mean_zero, "planner_return"),
             MEAN_ZERO_RETURN_MIN,
         ),
         at_least(
             "mean-zero rocks: MLE's return (sac)",
-            float(np.median([o.sac_return for o in mean_zero])),
+            _median(mean_zero, "sac_return"),
             MEAN_ZERO_RETURN_MIN,
         ),
         at_least(
             "PMAC, expert data stored last: success (planner)",
-            float(np.median([o.planner_success for o in last])),
+            _median(last, "planner_success"),
             TOM_SUCCESS_MIN,
         ),
         at_most(
             "PMAC, expert data stored first: success (planner)",
-            float(np.median([o.planner_success for o in first])),
+            _median(first, "planner_success"),
             MLE_SUCCESS_MAX,
         ),
     ]
+
+
+def _median(outcomes: Sequence[Outcome], quantity: str) -> float:
+    return float(np.median([getattr(o, quantity) for o in outcomes]))
 
 
 def _named(outcomes: Sequence[Outcome], name: str) -> list[Outcome]:

@@ -5,7 +5,11 @@ from statistics import median
 from typing import Any
 
 from tom.analysis.progression import DECILES, LATE
+from tom.analysis.settings import unlike
+from tom.analysis.statistics import remark
+from tom.envs import task
 from tom.studies.progression import RISE, Finding
+from tom.studies.returns import PAPER_ENVS, Cell, cell_of, compared_at, envs_of
 from tom.studies.road import TOM_SUCCESS_MIN, Outcome
 
 SIMPLER = ("expert-only", "footprint-only", "ratio", "pmac, expert last")
@@ -88,6 +92,11 @@ def tabular(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
+def returns(cells: Sequence[Cell]) -> list[str]:
+    """In how many of the paper's environments TOM's mean is the highest, and the reservations."""
+    return [*_ranking(cells), *_unlike(cells)]
+
+
 def _near(row: Mapping[str, Any]) -> str:
     return f"rank correlation {row['spearman']:.2f}, relative L1 error {row['l1']:.2f} (medians)"
 
@@ -110,3 +119,45 @@ def _median(outcomes: Mapping[int, Outcome], quantity: str) -> float:
 def _mle_arrives(sweep: Sequence[Outcome], turn: float) -> bool:
     of = [o.planner_success for o in sweep if (o.name, o.turn) == ("mle", turn)]
     return bool(of) and median(of) >= TOM_SUCCESS_MIN
+
+
+def _ranking(cells: Sequence[Cell]) -> list[str]:
+    at = compared_at(cells)
+    judged = {env: [c for c in cells if c.env == env] for env in at if env in PAPER_ENVS}
+    judged = {e: cs for e, cs in judged.items() if len(cs) > 1 and cell_of(cs, e, "tom")}
+    if not judged:
+        return ["No environment of the paper has TOM beside another learner: nothing to compare."]
+    first = [env for env, group in judged.items() if _tom_is_first(group, at[env])]
+    named = f" ({', '.join(first)})" if first else ""
+    lines = [
+        f"TOM has the highest mean in {len(first)} of {len(judged)} of the paper's environments"
+        f"{named}; the paper says 4 of 5."
+    ]
+    few = min(c.n for cs in judged.values() for c in cs)
+    if remark(few):
+        lines.append(f"The smallest group: {remark(few)}.")
+    short = [
+        f"{env} {at[env]:.0f} of {task(env).steps}" for env in judged if at[env] < task(env).steps
+    ]
+    if short:
+        lines.append(f"Compared before the end of the paper's training: {'; '.join(short)} steps.")
+    return lines
+
+
+def _tom_is_first(cells: Sequence[Cell], step: float) -> bool:
+    means = {cell.method: float(cell.scores(step).mean()) for cell in cells}
+    tom = means.pop(("tom", ""))
+    return all(tom > mean for (learner, _), mean in means.items() if learner != "tom")
+
+
+def _unlike(cells: Sequence[Cell]) -> list[str]:
+    """One line per environment whose learners were trained with different settings."""
+    lines = []
+    for env in envs_of(cells):
+        paths = unlike([run for c in cells if c.env == env for run in c.runs])
+        if paths:
+            lines.append(
+                f"{env}: the learners' runs differ in more than learner, seed and steps "
+                f"({', '.join(paths)}), so returns may differ by these settings."
+            )
+    return lines

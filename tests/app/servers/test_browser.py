@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, urlsplit
 
@@ -16,11 +15,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from studio_browser import studio_and_browser
 from studio_runs import PENDULUM_TOM, RUNS
 
 from app.links import Links
-from app.servers.browser import chromium
-from app.servers.launcher import Studio, servers
 from tom.record.reader import RunReader
 
 if TYPE_CHECKING:
@@ -79,8 +77,7 @@ def own(store: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def visit(own: Path) -> Iterator[Visit]:
-    with servers(Studio(store=own), Event()) as (links, running), chromium() as browser:
-        assert running
+    with studio_and_browser(own) as (links, browser):
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(1000 * DRAWN_S)
         yield Visit(page, links)

@@ -5,19 +5,17 @@ import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from PIL import Image
+from studio_browser import studio_and_browser
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 from test_browser import DRAWN_S, Visit, wait_until_drawn
 
 from app.data import trainings
 from app.links import Links
-from app.servers.browser import chromium
-from app.servers.launcher import Studio, servers
 from tom.record import manage
 from tom.record.store import Store
 
@@ -40,9 +38,8 @@ def own_store(tmp_path_factory: pytest.TempPathFactory, store: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def opened(own_store: Path) -> Iterator[tuple[Links, "Browser"]]:
-    with servers(Studio(store=own_store), Event()) as (links, running), chromium() as browser:
-        assert running
-        yield links, browser
+    with studio_and_browser(own_store) as opened:
+        yield opened
 
 
 @pytest.fixture

@@ -5,14 +5,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Event, Thread
+from threading import Thread
 from typing import TYPE_CHECKING
 
 import pytest
+from studio_browser import studio_and_browser
 
 from app.links import Links
-from app.servers.browser import chromium
-from app.servers.launcher import Studio, servers
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -65,9 +64,8 @@ def elsewhere() -> Iterator[tuple[int, list[str]]]:
 
 @pytest.fixture(scope="module")
 def opened(store: Path) -> Iterator[tuple[Links, "Browser"]]:
-    with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
-        assert running
-        yield links, browser
+    with studio_and_browser(store) as opened:
+        yield opened
 
 
 @pytest.fixture

@@ -1,14 +1,12 @@
 """The counterfactual brush: what the page shows is what `tom brush` measured."""
 
 import json
-import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import array, draw, figures
-from studio_runs import PENDULUM_TOM, info
+from studio_pages import array, draw, figures, set_links
+from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import brush, buffer_reader, weighings
 from app.links import Links
@@ -37,11 +35,8 @@ def brushed(
     studio: Links, store: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Path:
     """The studio shows a store with that brush."""
-    there = tmp_path / "store"
-    shutil.copytree(store, there, copy_function=os.link)
-    shutil.copytree(made, there / "weighings" / "made")
-    for name, value in Links(store=str(there), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    there = with_weighing(store, made, tmp_path)
+    set_links(Links(store=str(there), key="key"), monkeypatch)
     return there
 
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as hypothesis
 from streamlit.testing.v1 import AppTest
-from studio_pages import array, draw, figures, trace
+from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM
 
 from app.data.tables import default_level, reached
@@ -45,8 +45,7 @@ def recorded(store: Path, run_id: str, metric: str = "eval/return") -> tuple[lis
 def own(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the store that a page may write to."""
     path = shutil.copytree(store, tmp_path / "own")
-    for name, value in Links(store=str(path), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(path), key="key"), monkeypatch)
     return path
 
 
@@ -312,8 +311,7 @@ def test_play_all_starts_every_replay_of_the_page(
     listening = (str(control), lambda *words: told.put(words))
     threading.Thread(target=listen, args=listening, daemon=True).start()
     links = Links(store=str(store), viser_port=9, control=str(control))
-    for name, value in links.environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(links, monkeypatch)
     while not control.exists():
         time.sleep(0.01)
     app = draw("compare", show="Side by side", env="inverted-pendulum")

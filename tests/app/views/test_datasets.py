@@ -12,7 +12,7 @@ import pytest
 import streamlit as st
 import torch
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, array, draw, figures
+from studio_pages import TIMEOUT_S, array, draw, figures, set_links
 
 from app.data import datasets
 from app.links import Links
@@ -46,8 +46,7 @@ def weighed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def studio(weighed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    for name, value in Links(store=str(weighed), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(weighed), key="key"), monkeypatch)
     yield
     st.cache_data.clear()
 
@@ -89,8 +88,7 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
 def test_a_store_without_anything_says_how_own_data_comes_in(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    for name, value in Links(store=str(tmp_path), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
     app = draw("probe")
     assert any(code.value.startswith("tom weigh DATA --policy POLICY") for code in app.code)
     assert any(".npz or Parquet" in caption.value for caption in app.caption)
@@ -110,8 +108,7 @@ def test_weights_that_cannot_be_read_are_said(weighed: Path, tmp_path: Path, mon
     shutil.copytree(weighed, tmp_path / "store")
     for path in (tmp_path / "store").rglob("weights.parquet"):
         path.write_bytes(b"no parquet")
-    for name, value in Links(store=str(tmp_path / "store"), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(tmp_path / "store"), key="key"), monkeypatch)
     assert "cannot be read" in draw("regions").warning[0].value
     assert "cannot be read" in draw("probe").warning[0].value
 

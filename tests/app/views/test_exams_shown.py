@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import array, draw, figures, trace
+from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
@@ -41,8 +41,7 @@ def older(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ]
     rows.write_text("".join(json.dumps(row) + "\n" for row in kept))
     (there / PENDULUM_MLE / layout.METRICS_TABLE).unlink(missing_ok=True)
-    for name, value in Links(store=str(there)).environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(there)), monkeypatch)
     return there
 
 

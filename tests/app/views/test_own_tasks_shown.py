@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import array, draw, figures
+from studio_pages import array, draw, figures, set_links
 
 from app.data import readers, replays
 from app.data.readers import RunInfo
@@ -46,8 +46,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def shown(own: Path, studio: Links, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name, value in Links(store=str(own), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(own), key="key"), monkeypatch)
     return own
 
 

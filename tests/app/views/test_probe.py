@@ -1,7 +1,6 @@
 """Probe: stored weighings of a run's buffer, and what the learners' models err."""
 
 import json
-import os
 import shlex
 import shutil
 from dataclasses import replace
@@ -10,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import array, draw, figures, trace
-from studio_runs import PENDULUM_TOM, info
+from studio_pages import array, draw, figures, set_links, trace
+from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer_reader, weighings
 from app.links import Links
 from app.parts import widgets
-from app.views.probe import FOREIGN
 from app.views.probe.answer import in_sample, sentence
 from app.views.probe.length import of_like_length
 from app.views.probe.model_error import focus_values, in_turn
+from app.views.probe.start import FOREIGN
 from tom import plugins
 from tom.analysis.progression import progression
 from tom.cli import main
@@ -48,11 +47,8 @@ def weighed(
     studio: Links, store: Path, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Path:
     """The studio shows a store with that weighing."""
-    there = tmp_path / "store"
-    shutil.copytree(store, there, copy_function=os.link)
-    shutil.copytree(results, there / "weighings" / "made")
-    for name, value in Links(store=str(there), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    there = with_weighing(store, results, tmp_path)
+    set_links(Links(store=str(there), key="key"), monkeypatch)
     return there / "weighings" / "made"
 
 
@@ -222,8 +218,7 @@ def test_a_buffer_that_cannot_be_read_is_no_error(
     if torn == "the first of two":
         shutil.copy(segment, segment.with_name("000000400.npz"))
     segment.write_bytes(b"torn")
-    for name, value in Links(store=str(tmp_path / "store"), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(tmp_path / "store"), key="key"), monkeypatch)
     app = draw("probe", run="torn")
     assert bool(app.warning) == (torn == "every segment")
     shown = any("whose errors could be shown" in words.value for words in app.caption)
@@ -271,8 +266,7 @@ def test_the_page_says_which_runs_are_left_out(
     there = shutil.copytree(store, tmp_path / "other")
     status = there / "pendulum-tom-1" / "status.json"
     status.write_text(json.dumps(json.loads(status.read_text()) | {"env_step": 90}))
-    for name, value in Links(store=str(there), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(there), key="key"), monkeypatch)
     app = draw("probe", run=PENDULUM_TOM)
     assert any("seed 1 (90 steps)" in words.value.replace("\\", "") for words in app.caption)
     for figure in figures(app):

@@ -8,7 +8,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 import torch
-from studio_pages import array, draw, figures, trace
+from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.data import replays
@@ -164,10 +164,7 @@ def test_an_episode_can_be_had_for_rerun(store: Path) -> None:
 def test_the_page_shows_the_chosen_episode_in_rerun(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in (
-        Links(store=str(store), port=8600, rerun_port=9090, key="key").environment().items()
-    ):
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(store), port=8600, rerun_port=9090, key="key"), monkeypatch)
     app = draw("replays", run=PENDULUM_TOM, episode="2", ghost="10 steps", viewer="Rerun")
     [frame] = app.get("iframe")
     [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]

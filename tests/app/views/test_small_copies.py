@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import streamlit as st
 from streamlit.testing.v1 import AppTest
-from studio_pages import draw
+from studio_pages import draw, set_links
 from studio_runs import info
 
 from app.data import readers
@@ -32,8 +32,7 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr("tom.record.thin.SMALL", 100)
     for run in (ROAD, PENDULUM):
         export_small(run, tmp_path)
-    for name, value in Links(store=str(tmp_path), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
     yield tmp_path
     st.cache_data.clear()
     st.cache_resource.clear()

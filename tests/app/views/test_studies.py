@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
-from studio_pages import draw
+from studio_pages import draw, set_links
 from studio_runs import PENDULUM_TOM
 
 from app.data import readers, studies
@@ -97,8 +97,7 @@ def test_studies_that_came_with_the_store_are_shown_and_ones_own_before_them(
     for name in ("road", "tabular"):
         (shipped / name).mkdir(parents=True)
         write_report(Report(name, "shipped", ["found"]), shipped / name)
-    for name, value in Links(store=str(shipped.parent), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(shipped.parent), key="key"), monkeypatch)
     found = {study.name: study for study in studies.listing(*studies.folders(shipped.parent))}
     assert list(found) == ["road", "focus", "tabular"]
     assert found["road"].claim == "a claim"
@@ -114,8 +113,7 @@ def test_a_study_is_run_from_the_page(
     run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "runs" / "a")
     config = json.loads((run / "config.json").read_text())
     (run / "config.json").write_text(json.dumps(config | {"preset": "paper"}))
-    for name, value in Links(store=str(run.parent), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(run.parent), key="key"), monkeypatch)
     app = draw("studies")
     app.button(key="run returns").click().run()
     assert app.button(key="run returns").disabled

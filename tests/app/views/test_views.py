@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, array, draw, figures, trace
+from studio_pages import TIMEOUT_S, array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
 
 from app.data.called import names
@@ -88,8 +88,7 @@ def test_live_loads_rerun_for_a_run_that_is_asked_for(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     links = Links(store=str(store), port=8600, rerun_port=9090, key="key")
-    for name, value in links.environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(links, monkeypatch)
     app = draw("live")
     assert not app.get("iframe")
     app.selectbox(key="recording").select(PENDULUM_TOM).run()
@@ -103,8 +102,7 @@ def test_live_follows_a_run_in_training_in_rerun(
 ) -> None:
     run = explores(store, tmp_path)
     links = Links(store=str(tmp_path), port=8600, rerun_port=9090, key="key")
-    for name, value in links.environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(links, monkeypatch)
     [frame] = draw("live", recording=run.run_id).get("iframe")
     [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
     assert urlsplit(address).path == f"/live/{run.run_id}.rrd"
@@ -177,8 +175,7 @@ def test_live_changes_nothing_where_the_browser_did_not_give_the_key(
 
 def looks_on(links: Links, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
     """The form of a studio at these links is not drawn, and it says why."""
-    for name, value in links.environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(links, monkeypatch)
     app = draw("live")
     app.session_state[start.FOLD] = True
     app.run()
@@ -274,8 +271,7 @@ def test_weights_of_a_fit_that_kept_none_are_not_those_of_another(
     run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "store" / "run")
     first, *_, last = RunReader(run).profiles().env_step.tolist()
     (run / layout.snapshot(last)).unlink()
-    for name, value in Links(store=str(run.parent), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(run.parent), key="key"), monkeypatch)
     app = draw("weights", run="run", step=str(last))
     assert not any("go with" in words.value for words in app.markdown)
     choice = app.selectbox(key="kept fit")
@@ -292,8 +288,7 @@ def test_weights_says_where_a_fit_was_a_warm_up(
     first, *rest = record.read_text().splitlines()
     even = json.loads(first) | {"bins": [1.0] * 100, "ess": 1.0, "zeros": 0.0}
     record.write_text("\n".join([json.dumps(even), *rest]) + "\n")
-    for name, value in Links(store=str(run.parent), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(run.parent), key="key"), monkeypatch)
     step, last = even["env_step"], json.loads(rest[-1])["env_step"]
     said = [
         any("warm-up" in caption.value for caption in draw("weights", run="run", step=at).caption)
@@ -312,8 +307,7 @@ def test_weights_follows_the_last_fit_until_another_is_chosen(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = shutil.copytree(store / PENDULUM_TOM, tmp_path / "store" / "live")
-    for name, value in Links(store=str(run.parent), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(run.parent), key="key"), monkeypatch)
     record = run / "weights" / "profiles.jsonl"
     fit, steps = json.loads(record.read_text().splitlines()[-1]), (200, 400, 500, 600)
     lines = [json.dumps(fit | {"env_step": step}) + "\n" for step in steps]
@@ -333,8 +327,7 @@ def test_weights_names_a_run_whose_profiles_are_damaged(
 ) -> None:
     torn = shutil.copytree(store / PENDULUM_TOM, tmp_path / "torn")
     (torn / "weights" / "profiles.jsonl").write_text("torn\n")
-    for name, value in Links(store=str(tmp_path), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
     app = draw("weights", run="torn")
     assert not figures(app)
     assert any("line 1 is damaged" in warning.value for warning in app.warning)
@@ -369,8 +362,7 @@ def test_road_shows_the_chosen_step(store: Path) -> None:
 def test_the_pages_of_an_empty_store_say_what_to_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in Links(store=str(tmp_path / "new one"), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(tmp_path / "new one"), key="key"), monkeypatch)
     app = AppTest.from_string("from app.router import run\nrun()", default_timeout=TIMEOUT_S).run()
     assert not app.exception
     commands = [code.value for code in app.code]
@@ -392,8 +384,7 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
     (bad / "config.json").write_text(json.dumps(config))
     (bad / "status.json").write_text("nonsense")
     (bad / "weights" / "profiles.jsonl").write_text('{"env_step": 1}\n{"bins"')
-    for name, value in Links(store=str(tmp_path), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
     app = draw(view, **({"run": "bad"} if view in ("regions", "replays") else {}))
     assert figures(app)
     assert view in ("weights", "probe") or any("bad" in warning.value for warning in app.warning)

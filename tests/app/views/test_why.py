@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import streamlit as st
-from studio_pages import array, draw, figures, trace
+from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, info
 
 from app.data import buffer_reader, weighings, why
@@ -33,8 +33,7 @@ def weighed(studio: Links, store: Path, tmp_path: Path, monkeypatch: pytest.Monk
         "--seeds", "0", "--footprint", "100", "--store", str(there), "--matmul", "default",
     ]  # fmt: skip
     assert main(words) == 0
-    for name, value in Links(store=str(there), key="key").environment().items():
-        monkeypatch.setenv(name, value)
+    set_links(Links(store=str(there), key="key"), monkeypatch)
     return there
 
 

@@ -5,21 +5,18 @@ import pytest
 import torch
 from scipy.stats import chisquare
 
+from tom.analysis.exact_weights import OccupancyProblem, dual_value, primal_value, solve
 from tom.analysis.tabular import (
     Array,
     FlowName,
     Mdp,
-    OccupancyProblem,
     OneHotPolicy,
-    dual_value,
     occupancy,
-    primal_value,
     random_mdp,
     random_policy,
     sample_starts,
     sample_stream,
     sample_transitions,
-    solve,
     transition_occupancy,
     with_endings,
 )

@@ -3,18 +3,13 @@
 from pathlib import Path
 
 import pytest
-
-from tom.cli import main
+from commands import code_of
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke"]
 
 
 def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    try:
-        code = main(arguments)
-    except SystemExit as stop:
-        code = int(str(stop.code))
-    return code, capsys.readouterr().err
+    return code_of(arguments), capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from commands import code_of
 
 from tom.cli import main
 
@@ -137,10 +138,7 @@ def test_an_export_that_is_refused_leaves_nothing_behind(store: Path, capsys, tm
 )
 def test_bad_input(store: Path, capsys, words: list[str], named: str):
     capsys.readouterr()
-    try:
-        code = main(["runs", "--store", str(store), *words])
-    except SystemExit as stop:
-        code = int(str(stop.code))
+    code = code_of(["runs", "--store", str(store), *words])
     error = capsys.readouterr().err
     assert code == 2
     assert named in error

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from commands import code_of
 
 from tom.analysis import weighing
 from tom.analysis.ordered_data import after_random, load_data, of_run, to_unit_range
@@ -47,10 +48,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def weigh(store: Path, *arguments: str) -> int:
-    try:
-        return main(["weigh", *arguments, "--store", str(store), *QUICK])
-    except SystemExit as stop:
-        return int(str(stop.code))
+    return code_of(["weigh", *arguments, "--store", str(store), *QUICK])
 
 
 def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
@@ -362,10 +360,7 @@ def test_reproduce_knows_its_studies(capsys, tmp_path: Path):
         (["reproduce", "progression", "--preset", "exactly"], "did you mean 'exact'?"),
     ):
         out = ["--out", str(tmp_path / "out")] if len(arguments) > 2 else []
-        try:
-            code = main([*arguments, *out])
-        except SystemExit as stop:
-            code = int(str(stop.code))
+        code = code_of([*arguments, *out])
         message = capsys.readouterr().err
         assert code == 2
         assert named in message

@@ -6,14 +6,13 @@ import pytest
 import torch
 from made import ACTION, OBS, QUICK, context, generator, rows, uniform_policy
 
+from tom.analysis.exact_weights import OccupancyProblem, solve
 from tom.analysis.tabular import (
-    OccupancyProblem,
     OneHotPolicy,
     random_mdp,
     random_policy,
     sample_starts,
     sample_transitions,
-    solve,
     transition_occupancy,
 )
 from tom.config import TomConfig

@@ -18,7 +18,8 @@ from tom.studies.focus import Focus
 from tom.studies.outcomes import load, save
 from tom.studies.progression import Result
 from tom.studies.road import Outcome, Story
-from tom.studies.tabular import Case, Estimate, Score
+from tom.studies.tabular import Estimate, Score
+from tom.studies.tabular_problems import Case
 
 
 @dataclass(frozen=True)

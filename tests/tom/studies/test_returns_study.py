@@ -11,6 +11,8 @@ from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.studies import returns as study
+from tom.studies import returns_tables as tables
+from tom.studies import verdicts
 from tom.training.presets import resolve
 
 
@@ -60,7 +62,7 @@ def test_a_run_for_each_seed_of_the_largest_group_of_settings(store: Store):
 def test_learners_are_compared_at_a_step_that_all_reach(store: Store):
     cells, _ = study.select(store.runs(), "paper")
     assert study.compared_at(cells) == {"hopper": 3000, "walker2d": 2000}
-    rows = {(r["env"], r["learner"]): r for r in study.summary(cells)}
+    rows = {(r["env"], r["learner"]): r for r in tables.summary(cells)}
     tom = rows["hopper", "TOM"]
     assert tom["mean"] == (30 + 50) / 2  # of the running maximum, not of what came after
     assert tom["n"] == 2
@@ -78,7 +80,7 @@ def test_a_learner_that_was_first_evaluated_after_the_others_ended_is_left_out(s
         recorder.consume(Tick(9000, "evaluate"))
     cells, left_out = study.select(store.runs(), "paper")
     assert left_out == [run_id]
-    assert {row["env"]: row["at step"] for row in study.summary(cells)}["hopper"] == 3000
+    assert {row["env"]: row["at step"] for row in tables.summary(cells)}["hopper"] == 3000
 
 
 def test_settings_that_change_no_number_do_not_split_a_group(store: Store):
@@ -89,13 +91,19 @@ def test_settings_that_change_no_number_do_not_split_a_group(store: Store):
 
 def test_wins_over_tasks_that_both_have(store: Store):
     cells, _ = study.select(store.runs(), "paper")
-    best, area = study.improvement(cells)
+    best, area = tables.improvement(cells)
     # Hopper: 30 and 50 against 40: half; Walker2d: 2 against 3: none.
     assert best["wins"] == pytest.approx((0.5 + 0) / 2)
     assert best["tasks"] == "hopper walker2d"
     # Mean heights 22.5 and 40 against 17.5: both; 1.5 against 2.5: none.
     assert area["by"] == "area under the curve"
     assert area["wins"] == pytest.approx((1 + 0) / 2)
+
+
+def test_learners_without_a_common_task_are_not_compared(store: Store):
+    record(store, "ant", "pmac", 0, [1, 2])
+    cells, _ = study.select(store.runs(), "paper")
+    assert {row["against"] for row in tables.improvement(cells)} == {"MLE"}
 
 
 def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
@@ -108,7 +116,7 @@ def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
                 recorder.consume(Metrics(step, exam | {"exam/rollout_error": later}))
             recorder.consume(Metrics(1000, {"eval/return": 1.0}))
             recorder.consume(Tick(1000, "evaluate"))
-    (row,) = study.exams(study.select(store.runs(), "paper")[0])  # the others sat none
+    (row,) = tables.exams(study.select(store.runs(), "paper")[0])  # the others sat none
     assert (row["env"], row["learner"], row["n"]) == ("hopper", "PMAC", 2)
     assert row["footprint"] == pytest.approx((0.7 + 0.1) / 2)
     assert row["error"] == pytest.approx((2 + 4) / 2)
@@ -123,20 +131,20 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     assert not left_out
     of_hopper = [cell for cell in cells if cell.env == "hopper"]
     assert [(c.label, c.n) for c in of_hopper] == [("MLE", 1), ("TOM", 2), ("TOM, mended", 1)]
-    wins = {(r["TOM"], r["against"], r["by"]): r["wins"] for r in study.improvement(of_hopper)}
+    wins = {(r["TOM"], r["against"], r["by"]): r["wins"] for r in tables.improvement(of_hopper)}
     assert wins["TOM, mended", "TOM", "best return"] == 1
     assert wins["TOM", "TOM, mended", "best return"] == 0
     assert wins["TOM, mended", "MLE", "area under the curve"] == 1
-    assert "mended" not in study.verdict(of_hopper)[0]
+    assert "mended" not in verdicts.returns(of_hopper)[0]
 
 
 def test_what_is_said_is_what_was_found(store: Store):
     cells, _ = study.select(store.runs(), "paper")
-    first, few, short = study.verdict(cells)
+    first, few, short = verdicts.returns(cells)
     assert "0 of 2 of the paper's environments; the paper says 4 of 5" in first
     assert "1 seed" in few
     assert "hopper 3000 of 125000" in short
-    assert "nothing to compare" in study.verdict([c for c in cells if c.learner == "tom"])[0]
+    assert "nothing to compare" in verdicts.returns([c for c in cells if c.learner == "tom"])[0]
 
 
 def test_learners_with_different_settings_are_not_ranked_without_a_remark(store: Store):
@@ -145,18 +153,18 @@ def test_learners_with_different_settings_are_not_ranked_without_a_remark(store:
         record(store, "ant", learner, 0, [1, 2])
         record(store, "halfcheetah", learner, 0, [1, 2], updates_per_step=7)  # both alike
     cells, _ = study.select(store.runs(), "paper")
-    assert not [line for line in study.verdict(cells) if "differ" in line]
+    assert not [line for line in verdicts.returns(cells) if "differ" in line]
     record(store, "hopper", "mle", 0, [3, 3, 3, 3, 3], updates_per_step=7)
     record(store, "hopper", "mle", 1, [3, 3, 3, 3, 3], updates_per_step=7)
     cells, _ = study.select(store.runs(), "paper")
-    (line,) = [line for line in study.verdict(cells) if "differ" in line]
+    (line,) = [line for line in verdicts.returns(cells) if "differ" in line]
     assert line.startswith("hopper: ")
     assert "(updates_per_step)" in line
 
 
 def test_what_is_missing_is_named_with_its_command(store: Store):
     cells, _ = study.select(store.runs(), "paper")
-    rows = study.missing(cells, ["hopper", "ant"], ["tom"])
+    rows = tables.missing(cells, ["hopper", "ant"], ["tom"])
     assert [(r["env"], r["longest"], r["of"]) for r in rows] == [
         ("hopper", 4000, 125_000),
         ("ant", 0, 300_000),

@@ -3,27 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tom.analysis.tabular import FlowName, occupancy, solve
+from tom.analysis.exact_weights import solve
+from tom.analysis.tabular import FlowName, occupancy
 from tom.config import TomConfig
-from tom.studies.tabular import (
-    DENSE,
-    ENDING,
-    MENDED,
-    VARIANTS,
-    Case,
-    Score,
-    Variant,
-    acceptance,
-    cases,
-    counted,
-    dense_cases,
-    draw,
-    ending_cases,
-    estimate,
-    exact_flows,
-    problem_of,
-    summary,
-)
+from tom.studies.tabular import Score, counted, estimate
+from tom.studies.tabular_flows import exact_flows
+from tom.studies.tabular_problems import Case, cases, dense_cases, draw, ending_cases, problem_of
+from tom.studies.tabular_summary import acceptance, summary
+from tom.studies.tabular_variants import DENSE, ENDING, MENDED, VARIANTS, Variant
 from tom.training.presets import resolve
 
 QUICK = {

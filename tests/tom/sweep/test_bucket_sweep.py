@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from commands import code_of
 from sweeping import assert_same_runs, beyond_a_checkpoint, finish, plan, until
 
 from tom.cli import main
@@ -51,10 +52,7 @@ def test_a_sweep_into_an_object_store_and_its_runs_out_of_it(
     ],
 )
 def test_bad_input(words: tuple[str, ...], named: str, bucket_url: str, capsys):
-    try:
-        code = main(["sweep", *SMOKE, *words])
-    except SystemExit as stop:
-        code = stop.code
+    code = code_of(["sweep", *SMOKE, *words])
     said = capsys.readouterr()
     assert code == 2
     assert named in said.err

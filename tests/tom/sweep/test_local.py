@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+from commands import code_of
 from sweeping import until
 
-from tom.cli import main
 from tom.events import Metrics, Tick
 from tom.record import Store, checkpoint, lock
 from tom.record.export import export_small
@@ -26,10 +26,7 @@ PLAN = {"env": "inverted-pendulum", "learner": "mle", "preset": "smoke", "steps"
 
 def sweep(capsys, store: Path, *words: str) -> tuple[int, str, str]:
     capsys.readouterr()
-    try:
-        code = main(["sweep", *words, "--store", str(store)])
-    except SystemExit as stop:
-        code = int(str(stop.code))
+    code = code_of(["sweep", *words, "--store", str(store)])
     said = capsys.readouterr()
     return code, said.out, said.err
 

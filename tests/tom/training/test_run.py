@@ -4,9 +4,9 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
+from same_records import assert_same_record
 
 from tom.config import OnlineConfig
 from tom.errors import UserError
@@ -34,25 +34,6 @@ def stopping_at(step: int) -> tuple[Stop, tuple]:
             stop()
 
     return stop, (watch,)
-
-
-def untimed(run: RunReader) -> pd.DataFrame:
-    table = run.metrics()
-    return table.drop(columns=[name for name in table if name.startswith("time/")])
-
-
-def assert_same_record(first: RunReader, second: RunReader) -> None:
-    pd.testing.assert_frame_equal(untimed(first), untimed(second), check_like=True)
-    np.testing.assert_array_equal(first.profiles().bins, second.profiles().bins)
-    assert first.snapshot_steps() == second.snapshot_steps()
-    for step in first.snapshot_steps():
-        pd.testing.assert_frame_equal(first.snapshot(step), second.snapshot(step))
-    (a, versions_a), (b, versions_b) = first.buffer(), second.buffer()
-    np.testing.assert_array_equal(a.obs, b.obs)
-    np.testing.assert_array_equal(a.terminated, b.terminated)
-    np.testing.assert_array_equal(versions_a, versions_b)
-    assert first.evaluation_steps() == second.evaluation_steps()
-    assert second.problems == []
 
 
 @pytest.fixture(scope="module")

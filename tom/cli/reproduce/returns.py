@@ -21,6 +21,7 @@ from tom.reports.html import Report, write_report
 from tom.reports.origin import origin_of, seeds
 from tom.reports.style import save
 from tom.studies import returns as study
+from tom.studies import returns_tables, verdicts
 from tom.studies.returns_figure import return_figure
 
 CLAIM = (
@@ -67,11 +68,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _findings(cells: list[study.Cell], envs: list[str], learners: list[str]) -> dict[str, Any]:
     return {
-        "verdict": study.verdict(cells),
-        "summary": study.summary(cells),
-        "improvement": study.improvement(cells),
-        "exams": study.exams(cells),
-        "missing": study.missing(cells, envs, learners),
+        "verdict": verdicts.returns(cells),
+        "summary": returns_tables.summary(cells),
+        "improvement": returns_tables.improvement(cells),
+        "exams": returns_tables.exams(cells),
+        "missing": returns_tables.missing(cells, envs, learners),
     }
 
 
@@ -115,7 +116,7 @@ def _print(args: argparse.Namespace, findings: dict[str, Any]) -> None:
     rows = [[_cell(row[name]) for name in names] for row in findings["summary"]]
     show("Best return up to the step that all runs of an environment reach", names, rows)
     if findings["exams"]:
-        names = ("env", "learner", "n", *study.EXAMS.values())
+        names = ("env", "learner", "n", *returns_tables.EXAMS.values())
         rows = [
             [*(row[n] for n in names[:3]), *(_range(row, n) for n in names[3:])]
             for row in findings["exams"]

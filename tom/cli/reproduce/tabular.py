@@ -22,26 +22,12 @@ from tom.reports.style import save
 from tom.studies import verdicts
 from tom.studies.each import each
 from tom.studies.report import write_study
-from tom.studies.tabular import (
-    DENSE,
-    ENDING,
-    ENDING_PAPER,
-    MENDED,
-    VARIANTS,
-    Case,
-    Estimate,
-    Inputs,
-    Variant,
-    acceptance,
-    cases,
-    counted,
-    dense_cases,
-    ending_cases,
-    estimate,
-    exact_flows,
-    summary,
-)
+from tom.studies.tabular import Estimate, Inputs, counted, estimate
 from tom.studies.tabular_figure import estimate_figure, estimate_rows
+from tom.studies.tabular_flows import exact_flows
+from tom.studies.tabular_problems import Case, cases, dense_cases, ending_cases
+from tom.studies.tabular_summary import acceptance, summary
+from tom.studies.tabular_variants import DENSE, ENDING, ENDING_PAPER, MENDED, VARIANTS, Variant
 
 JUDGED = VARIANTS[0]
 CLAIM = (

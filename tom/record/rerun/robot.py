@@ -1,6 +1,9 @@
 """A robot and its floor in Rerun."""
 
+from typing import Any
+
 import rerun as rr
+from numpy.typing import NDArray
 
 from tom.envs import scene
 from tom.record.rerun.blueprint import GROUND
@@ -9,16 +12,29 @@ GREY = (150, 150, 150)
 GHOST = (230, 90, 90)
 
 Times = tuple[rr.TimeColumn, ...]
+Solids = tuple[rr.AsComponents, rr.ComponentColumnList]
+"""what stays the same over time, and the places and rotations over time"""
 
 
 def draw(
     stream: rr.RecordingStream, path: str, times: Times, drawn: scene.Geometry, *, ghost: bool
 ) -> None:
     """Draw the moving robot at `path`; a ghost is translucent and has one colour."""
-    _capsules(stream, f"{path}/capsules", times, drawn.capsules, ghost=ghost)
-    _ellipsoids(stream, f"{path}/ellipsoids", times, drawn.ellipsoids, ghost=ghost)
-    _cylinders(stream, f"{path}/cylinders", times, drawn.cylinders, ghost=ghost)
-    _boxes(stream, f"{path}/boxes", times, drawn.boxes, ghost=ghost)
+    for name, shape, solids in (
+        ("capsules", drawn.capsules, _capsules),
+        ("ellipsoids", drawn.ellipsoids, _ellipsoids),
+        ("cylinders", drawn.cylinders, _cylinders),
+        ("boxes", drawn.boxes, _boxes),
+    ):
+        frames, count = shape.center.shape[:2]
+        if count:
+            look = {
+                "colors": GHOST if ghost else shape.color,
+                "fill_mode": "transparentfillmajorwireframe" if ghost else "solid",
+            }
+            fixed, moving = solids(shape, look)
+            stream.log(f"{path}/{name}", fixed, static=True)
+            stream.send_columns(f"{path}/{name}", times, moving.partition([count] * frames))
 
 
 def floor(stream: rr.RecordingStream, height: float) -> None:
@@ -39,78 +55,34 @@ def floor(stream: rr.RecordingStream, height: float) -> None:
     stream.log(f"{GROUND}/lines", lines, static=True)
 
 
-def _capsules(
-    stream: rr.RecordingStream, path: str, times: Times, shape: scene.Shape, *, ghost: bool
-) -> None:
-    frames, count = shape.center.shape[:2]
-    if not count:
-        return
+def _capsules(shape: scene.Shape, look: dict[str, Any]) -> Solids:
     radius, half = shape.size.T
-    fixed = rr.Capsules3D.from_fields(
-        radii=radius,
-        lengths=2 * half,
-        colors=GHOST if ghost else shape.color,
-        fill_mode="transparentfillmajorwireframe" if ghost else "solid",
-    )
-    stream.log(path, fixed, static=True)
-    columns = rr.Capsules3D.columns(
-        translations=shape.capsule_end.reshape(-1, 3),
-        quaternions=shape.quaternion.reshape(-1, 4),
-    )
-    stream.send_columns(path, times, columns.partition([count] * frames))
+    fixed = rr.Capsules3D.from_fields(radii=radius, lengths=2 * half, **look)
+    ends = shape.capsule_end.reshape(-1, 3)
+    return fixed, rr.Capsules3D.columns(translations=ends, quaternions=_turns(shape))
 
 
-def _ellipsoids(
-    stream: rr.RecordingStream, path: str, times: Times, shape: scene.Shape, *, ghost: bool
-) -> None:
-    frames, count = shape.center.shape[:2]
-    if not count:
-        return
-    fixed = rr.Ellipsoids3D.from_fields(
-        half_sizes=shape.size,
-        colors=GHOST if ghost else shape.color,
-        fill_mode="transparentfillmajorwireframe" if ghost else "solid",
-    )
-    stream.log(path, fixed, static=True)
-    columns = rr.Ellipsoids3D.columns(
-        centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
-    )
-    stream.send_columns(path, times, columns.partition([count] * frames))
+def _ellipsoids(shape: scene.Shape, look: dict[str, Any]) -> Solids:
+    fixed = rr.Ellipsoids3D.from_fields(half_sizes=shape.size, **look)
+    return fixed, rr.Ellipsoids3D.columns(centers=_centers(shape), quaternions=_turns(shape))
 
 
-def _cylinders(
-    stream: rr.RecordingStream, path: str, times: Times, shape: scene.Shape, *, ghost: bool
-) -> None:
-    frames, count = shape.center.shape[:2]
-    if not count:
-        return
+def _cylinders(shape: scene.Shape, look: dict[str, Any]) -> Solids:
     radius, half = shape.size.T
-    fixed = rr.Cylinders3D.from_fields(
-        radii=radius,
-        lengths=2 * half,
-        colors=GHOST if ghost else shape.color,
-        fill_mode="transparentfillmajorwireframe" if ghost else "solid",
-    )
-    stream.log(path, fixed, static=True)
-    columns = rr.Cylinders3D.columns(
-        centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
-    )
-    stream.send_columns(path, times, columns.partition([count] * frames))
+    fixed = rr.Cylinders3D.from_fields(radii=radius, lengths=2 * half, **look)
+    return fixed, rr.Cylinders3D.columns(centers=_centers(shape), quaternions=_turns(shape))
 
 
-def _boxes(
-    stream: rr.RecordingStream, path: str, times: Times, shape: scene.Shape, *, ghost: bool
-) -> None:
-    frames, count = shape.center.shape[:2]
-    if not count:
-        return
-    fixed = rr.Boxes3D.from_fields(
-        half_sizes=shape.size,
-        colors=GHOST if ghost else shape.color,
-        fill_mode="transparentfillmajorwireframe" if ghost else "solid",
-    )
-    stream.log(path, fixed, static=True)
-    columns = rr.Boxes3D.columns(
-        centers=shape.center.reshape(-1, 3), quaternions=shape.quaternion.reshape(-1, 4)
-    )
-    stream.send_columns(path, times, columns.partition([count] * frames))
+def _boxes(shape: scene.Shape, look: dict[str, Any]) -> Solids:
+    fixed = rr.Boxes3D.from_fields(half_sizes=shape.size, **look)
+    return fixed, rr.Boxes3D.columns(centers=_centers(shape), quaternions=_turns(shape))
+
+
+def _centers(shape: scene.Shape) -> NDArray:
+    """The centre of every solid in every frame, (H G, 3)."""
+    return shape.center.reshape(-1, 3)
+
+
+def _turns(shape: scene.Shape) -> NDArray:
+    """The rotation of every solid in every frame, (H G, 4)."""
+    return shape.quaternion.reshape(-1, 4)

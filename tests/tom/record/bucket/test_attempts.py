@@ -6,6 +6,7 @@ from pathlib import Path
 from urllib.request import Request, urlopen
 
 import pytest
+from commands import code_of
 from recorded import events
 
 from tom.cli import main
@@ -168,10 +169,7 @@ def test_bad_places_are_refused_in_one_line(
     words: tuple[str, ...], named: str, bucket_url: str, tmp_path: Path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    try:
-        code = main(words)
-    except SystemExit as stop:
-        code = stop.code
+    code = code_of(words)
     error = capsys.readouterr().err
     assert code == 2
     assert named in error

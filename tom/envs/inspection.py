@@ -1,0 +1,110 @@
+"""What an environment shows of itself: its spaces, a first step, joints, seconds of a step."""
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from tom.envs.simulator import Simulator
+from tom.errors import OF_USERS, UserError, reason
+
+UNBOUNDED = 1e6
+"""larger bounds are taken as no bound"""
+LOOKED_AT = 20
+"""steps that test whether observations are joint positions and velocities"""
+
+
+def box_of(space: gym.Space | None, name: str, does: str) -> Box:
+    """`space` as a one-dimensional Box in double precision."""
+    if not isinstance(space, Box) or len(space.shape) != 1 or not space.shape[0]:
+        kind = type(space).__name__ if not isinstance(space, Box) else f"Box{space.shape}"
+        raise UserError(
+            f"task '{name}' {does} in a {kind} space, and only a Box of one axis can be used here: "
+            "name another task, or wrap it in one that has such a space"
+        )
+    return Box(space.low.astype(np.float64), space.high.astype(np.float64), dtype=np.float64)
+
+
+def actions_of(space: gym.Space | None, name: str) -> Box:
+    box = box_of(space, name, "acts")
+    if not bounded_dims(box).all():
+        raise UserError(
+            f"task '{name}' has actions without bounds: wrap it in gymnasium.wrappers."
+            "RescaleAction or give its Box finite bounds"
+        )
+    return box
+
+
+def bounded_dims(box: Box) -> NDArray[np.bool_]:
+    """Which dimensions have two finite bounds below `UNBOUNDED`."""
+    known = (np.abs(box.low) < UNBOUNDED) & (np.abs(box.high) < UNBOUNDED)
+    return known & (box.high > box.low)
+
+
+def take_a_step(name: str, env: gym.Env, obs: Box, action: Box) -> None:
+    """Raises UserError if an episode of the task does not match its spaces."""
+    try:
+        first, _ = env.reset(seed=0)
+        chosen = 0.5 * (action.low + action.high)
+        second, reward, _, _, _ = env.step(chosen.astype(np.float32))
+        seen = [np.asarray(part, np.float64) for part in (first, second)]
+        finite = np.isfinite(float(reward)) and all(np.isfinite(part).all() for part in seen)
+    except OF_USERS as error:
+        raise UserError(
+            f"task '{name}' fails at its first step, {type(error).__name__}: {reason(error)}: "
+            "its reset and step must be those of gymnasium.Env"
+        ) from error
+    if any(part.shape != obs.shape for part in seen):
+        shapes = " and ".join(str(part.shape) for part in seen)
+        raise UserError(
+            f"task '{name}' observes {shapes}, its observation space says {obs.shape}: mend one "
+            "of them"
+        )
+    if not finite:
+        raise UserError(
+            f"task '{name}' gives an observation or a reward at its first step that is no finite "
+            "number: mend its reset and step"
+        )
+
+
+def root_dims_of(env: gym.Env, simulator: Simulator) -> int | None:
+    """How many leading entries of qpos an observation leaves out; None if it is not qpos, qvel."""
+    model = simulator.model
+    rows, joints, speeds = [], [], []
+    obs, _ = env.reset(seed=0)
+    env.action_space.seed(0)
+    for _ in range(LOOKED_AT):
+        rows.append(obs)
+        joints.append(simulator.data.qpos.copy())
+        speeds.append(simulator.data.qvel.copy())
+        obs, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        if terminated or truncated:
+            obs, _ = env.reset()
+    left_out = int(model.nq + model.nv) - len(rows[0])
+    if not 0 <= left_out < model.nq or (model.nq != model.nv and left_out > 2):
+        return None
+    same = np.hstack([np.array(joints)[:, left_out:], np.array(speeds)])
+    return left_out if np.allclose(np.array(rows), same, atol=1e-6) else None
+
+
+def obs_names_of(dim: int, simulator: Simulator | None, root_dims: int | None) -> tuple[str, ...]:
+    if simulator is None or root_dims is None or simulator.model.nq != simulator.model.nv:
+        return tuple(f"observation {i + 1}" for i in range(dim))
+    joints = [
+        simulator.model.joint(i).name or f"joint {i + 1}" for i in range(simulator.model.njnt)
+    ]
+    if len(joints) != simulator.model.nq:
+        return tuple(f"observation {i + 1}" for i in range(dim))
+    return (*joints[root_dims:], *(f"{joint} velocity" for joint in joints))
+
+
+def seconds_of(env: gym.Env) -> float:
+    """The duration of a step: the task's `dt`, else that of a frame of its renderer."""
+    try:
+        seconds = float(env.get_wrapper_attr("dt"))
+    except (AttributeError, TypeError, ValueError):
+        seconds = 0.0
+    frames = env.metadata.get("render_fps")
+    if seconds > 0 and np.isfinite(seconds):
+        return seconds
+    return 1 / float(frames) if isinstance(frames, int | float) and frames > 0 else 1 / 30

@@ -1,0 +1,155 @@
+"""The tables of the returns study: scores, wins, exams, and what the store lacks."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tom.analysis.scores import BEST, FINAL, HEIGHT, beats, interval, steps_to
+from tom.analysis.statistics import remark
+from tom.envs import task
+from tom.learners import LEARNERS
+from tom.record import RunReader
+from tom.studies.returns import PAPER_ENVS, Cell, cell_of, compared_at, envs_of
+
+PAPER_SEEDS = 4
+RIVAL = "mle"
+EXAMS = {
+    "exam/footprint": "footprint",
+    "exam/error": "error",
+    "exam/rollout_error": "error after 5 steps",
+}
+"""the reported numbers of a learner's exams, by metric"""
+
+
+def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+    """One row per environment and learner; scores are best returns up to the common step."""
+    at, rows = compared_at(cells), []
+    for cell in cells:
+        step = at[cell.env]
+        scores = cell.scores(step)
+        mean, iqm = interval(scores), interval(scores, "iqm")
+        area = interval(cell.scores(step, HEIGHT))
+        rival = cell_of(cells, cell.env, RIVAL)
+        target = float(rival.scores(step).mean()) if rival else np.nan
+        steps = steps_to(cell.curves, target, step)
+        rows.append(
+            {
+                "env": cell.env,
+                "learner": cell.label,
+                "n": cell.n,
+                "seeds": " ".join(map(str, cell.seeds)),
+                "at step": int(step),
+                "mean": mean.value,
+                "low": mean.low,
+                "high": mean.high,
+                "median": interval(scores, "median").value,
+                "IQM": iqm.value,
+                "IQM low": iqm.low,
+                "IQM high": iqm.high,
+                "final": interval(cell.scores(step, FINAL)).value,
+                "area": area.value,
+                "area low": area.low,
+                "area high": area.high,
+                "steps to MLE's": float(np.median(steps)) if rival else np.nan,
+                "reach": int(cell.reach),
+                "paper's steps": task(cell.env).steps,
+                "remark": remark(cell.n),
+            }
+        )
+    return rows
+
+
+def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+    """How often a run of TOM beats a run of each other learner, over the tasks that both have.
+
+    For every preset of TOM, by the best return and by the area under the curve (its mean height).
+    """
+    methods = sorted({cell.method: cell.label for cell in cells}.items())
+    rows = []
+    for (learner, preset), label in methods:
+        if learner != "tom":
+            continue
+        rivals = [(name, of) for name, of in methods if name != (learner, preset)]
+        for rival, of in rivals:
+            pairs = _pairs(cells, (learner, preset), rival)
+            if pairs:
+                rows += [_wins(label, of, pairs, compared_at(cells), by) for by in (BEST, HEIGHT)]
+    return rows
+
+
+def _pairs(
+    cells: Sequence[Cell], ours: tuple[str, str], theirs: tuple[str, str]
+) -> dict[str, tuple[Cell, Cell]]:
+    """The scores of both by task, for tasks in which both have runs."""
+    both = {
+        env: (cell_of(cells, env, *ours), cell_of(cells, env, *theirs)) for env in envs_of(cells)
+    }
+    return {env: (one, other) for env, (one, other) in both.items() if one and other}
+
+
+def _wins(
+    ours: str, theirs: str, pairs: Mapping[str, tuple[Cell, Cell]], at: Mapping[str, float], by: str
+) -> dict[str, Any]:
+    wins = beats(
+        [one.scores(at[env], by) for env, (one, _) in pairs.items()],
+        [other.scores(at[env], by) for env, (_, other) in pairs.items()],
+    )
+    return {
+        "TOM": ours,
+        "against": theirs,
+        "by": "best return" if by == BEST else "area under the curve",
+        "wins": wins.value,
+        "low": wins.low,
+        "high": wins.high,
+        "tasks": " ".join(pairs),
+        "remark": remark([min(one.n, other.n) for one, other in pairs.values()]),
+    }
+
+
+def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+    """One row per environment and learner whose runs have exams: the median fit of each run.
+
+    It has the mean over runs and its bootstrap interval (`tom.exams`).
+    """
+    rows = []
+    for cell in cells:
+        medians = [_exam_medians(run) for run in cell.runs]
+        whole = [one for one in medians if one is not None]
+        if not whole:
+            continue
+        row: dict[str, Any] = {"env": cell.env, "learner": cell.label, "n": len(whole)}
+        for name, values in zip(EXAMS.values(), np.array(whole).T, strict=True):
+            mean = interval(values)
+            row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
+        rows.append(row | {"remark": remark(len(whole))})
+    return rows
+
+
+def _exam_medians(run: RunReader) -> list[float] | None:
+    """For each of EXAMS the median over the run's fits; None for a run without exams."""
+    metrics = run.metrics()
+    if not set(EXAMS) <= set(metrics):
+        return None
+    return [float(np.nanmedian(metrics[name].to_numpy(np.float64))) for name in EXAMS]
+
+
+def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str]) -> list[dict]:
+    """The paper's seeds and steps that the store lacks, with the command that adds them."""
+    rows = []
+    for env in (env for env in envs if env in PAPER_ENVS):
+        for learner in learners:
+            cell, steps = cell_of(cells, env, learner), task(env).steps
+            full = [c for c in cell.curves if c.step[-1] >= steps] if cell else []
+            if len(full) < PAPER_SEEDS:
+                rows.append(
+                    {
+                        "env": env,
+                        "learner": LEARNERS[learner].label,
+                        "runs of full length": f"{len(full)} of {PAPER_SEEDS}",
+                        "longest": int(cell.longest) if cell else 0,
+                        "of": steps,
+                        "command": f"tom sweep --env {env} --learner {learner} --seeds 4",
+                    }
+                )
+    return rows
