@@ -5,6 +5,8 @@ Weights for a shifted distribution help if a model is too small for the whole bu
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple
+from math import log, nan
 from statistics import median
 from typing import Any, Literal
 
@@ -12,6 +14,7 @@ import numpy as np
 
 from tom.studies.footprint import UNIFORM
 from tom.studies.frozen import Outcome
+from tom.studies.head_to_head import QUESTIONS, comparisons
 
 Ahead = Literal["error", "rollout_error"]
 AHEAD: Mapping[Ahead, str] = {"error": "one step", "rollout_error": "five steps"}
@@ -31,7 +34,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     rows = []
     values = {ahead: list(ratios(outcomes, ahead)) for ahead in AHEAD}
     for way in dict.fromkeys(one.way for one in outcomes if one.way != UNIFORM):
-        for model in dict.fromkeys(error.model for one in outcomes for error in one.errors):
+        for model in _models(outcomes):
             row: dict[str, Any] = {"way": way, "model": model}
             for ahead, name in AHEAD.items():
                 of = [r for one, m, r in values[ahead] if one.way == way and m == model]
@@ -43,6 +46,22 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
                 }
             rows.append(row | {"n": sum(one.way == way for one in outcomes)})
     return rows
+
+
+def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """One row per question of two ways and model: the ratio of their errors one step ahead.
+
+    The ratio is the exponential of the mean difference of logarithms, and so is its interval.
+    """
+    rows = []
+    for model in _models(outcomes):
+        for one in comparisons(outcomes, lambda outcome, model=model: _log_error(outcome, model)):
+            ratio, low, high = np.exp(astuple(one.difference))
+            pair = {"way": one.way, "against": one.against, "model": model}
+            rows.append(
+                pair | {"ratio": ratio, "low": low, "high": high, "less at": one.better, "n": one.n}
+            )
+    return sorted(rows, key=lambda row: list(QUESTIONS).index((row["way"], row["against"])))
 
 
 def verdict(outcomes: Sequence[Outcome]) -> list[str]:
@@ -59,7 +78,35 @@ def verdict(outcomes: Sequence[Outcome]) -> list[str]:
             f"{best['five steps']:.2f} five steps ahead; most under {most['way']}, "
             f"{most['one step']:.2f}."
         )
+    return said + _answers(head_to_head(outcomes))
+
+
+def _answers(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The answer to each question of two ways in words, all models in one sentence."""
+    said = []
+    for (way, against), question in QUESTIONS.items():
+        told = [
+            f"{row['model']} {row['ratio']:.2f}{_bounds(row)} "
+            f"(less at {row['less at']} of {row['n']})"
+            for row in rows
+            if (row["way"], row["against"]) == (way, against)
+        ]
+        if told:
+            said.append(f"{question} {way}'s error over {against}'s: {'; '.join(told)}.")
     return said
+
+
+def _bounds(row: dict[str, Any]) -> str:
+    return f" [{row['low']:.2f}, {row['high']:.2f}]" if np.isfinite(row["low"]) else ""
+
+
+def _models(outcomes: Sequence[Outcome]) -> list[str]:
+    return list(dict.fromkeys(error.model for one in outcomes for error in one.errors))
+
+
+def _log_error(outcome: Outcome, model: str) -> float:
+    """Logarithm of the model's error one step ahead; NaN if it was not fitted."""
+    return next((log(error.error) for error in outcome.errors if error.model == model), nan)
 
 
 def _errors(outcomes: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome, Key, float]]:

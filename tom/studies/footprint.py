@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from tom.analysis.statistics import Interval, interval, mean
 from tom.studies.frozen import Outcome
+from tom.studies.head_to_head import QUESTIONS, comparisons
+from tom.studies.recordings import over_recordings
 
 UNIFORM = "uniform"
 
@@ -23,7 +24,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
         of = [one for one in outcomes if one.way == way and np.isfinite(one.footprint)]
         if not of:
             continue
-        score = aggregate(of)
+        score = over_recordings((one.env, one.recording, one.footprint) for one in of)
         by_env = {
             env: median(one.footprint for one in of if one.env == env)
             for env in dict.fromkeys(one.env for one in of)
@@ -44,17 +45,20 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     return rows
 
 
-def aggregate(outcomes: Sequence[Outcome]) -> Interval:
-    """Mean over tasks of the recordings' median distances, with its interval."""
-    tasks = []
-    for env in dict.fromkeys(one.env for one in outcomes):
-        here = [one for one in outcomes if one.env == env]
-        names = dict.fromkeys(one.recording for one in here)
-        tasks.append([median(o.footprint for o in here if o.recording == name) for name in names])
-    scores = np.full((max(map(len, tasks)), len(tasks)), np.nan)
-    for column, values in enumerate(tasks):
-        scores[: len(values), column] = values
-    return interval(scores, mean, np.random.default_rng(0))
+def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """One row per question of two ways: the difference of their distances, with its interval."""
+    return [
+        {
+            "way": one.way,
+            "against": one.against,
+            "difference": one.difference.value,
+            "low": one.difference.low,
+            "high": one.difference.high,
+            "nearer at": one.better,
+            "n": one.n,
+        }
+        for one in comparisons(outcomes, lambda outcome: outcome.footprint)
+    ]
 
 
 def verdict(outcomes: Sequence[Outcome]) -> list[str]:
@@ -73,7 +77,17 @@ def verdict(outcomes: Sequence[Outcome]) -> list[str]:
     worse = [f"{row['way']} {row['distance']:.2f}" for row in rows if row["distance"] > 1]
     if worse:
         said.append(f"Further from the policy than no weights at all: {', '.join(worse)}.")
-    return said
+    return said + [_answer(row) for row in head_to_head(outcomes)]
+
+
+def _answer(row: dict[str, Any]) -> str:
+    """The answer to a question of two ways in words."""
+    way, against = row["way"], row["against"]
+    bounds = f" [{row['low']:+.2f}, {row['high']:+.2f}]" if np.isfinite(row["low"]) else ""
+    return (
+        f"{QUESTIONS[way, against]} {way} less {against}: {row['difference']:+.2f}{bounds}, "
+        f"nearer at {row['nearer at']} of {row['n']} moments."
+    )
 
 
 def _ends(outcomes: Sequence[Outcome]) -> float:

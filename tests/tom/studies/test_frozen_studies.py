@@ -110,6 +110,56 @@ def test_a_capacitys_summary_by_hand():
     assert "1.20" in second
 
 
+def test_two_ways_are_compared_moment_by_moment():
+    def moment(recording: str, env: str, step: int, mended: float, ratio: float) -> list[Outcome]:
+        at = replace(BASE, recording=recording, env=env, step=step)
+        return [
+            replace(at, way="tom-mended", footprint=mended),
+            replace(at, way="ratio", footprint=ratio),
+        ]
+
+    outcomes = [
+        BASE,
+        *moment("a", "hopper", 1, 0.5, 0.6),
+        *moment("a", "hopper", 2, 0.2, 0.5),  # a's median difference: -.2
+        *moment("b", "hopper", 1, 0.9, 0.5),
+        *moment("c", "walker2d", 1, 0.1, 0.3),
+        *moment("d", "walker2d", 1, 0.3, 0.9),
+        *moment("d", "walker2d", 2, np.nan, 0.1),
+        replace(BASE, way="tom-mended", recording="alone"),
+        replace(BASE, way="recency", recording="elsewhere"),
+    ]
+    (row,) = footprint.head_to_head(outcomes)  # nothing was weighed by recency where TOM was
+    assert (row["way"], row["against"]) == ("tom-mended", "ratio")
+    assert (row["nearer at"], row["n"]) == (4, 5)
+    assert row["difference"] == pytest.approx(((-0.2 + 0.4) / 2 + (-0.2 - 0.6) / 2) / 2)
+    assert row["low"] == pytest.approx((-0.2 - 0.6) / 2)  # b and c are not drawn
+    assert row["high"] == pytest.approx((0.4 - 0.2) / 2)
+    assert "on top of the discriminator?" in footprint.verdict(outcomes)[-1]
+
+
+def test_two_ways_are_compared_for_every_model():
+    def error(way: str, recording: str, linear: float, small: float) -> Outcome:
+        errors = ModelError("linear", linear, 9.0), ModelError("8 x 2", small, 9.0)
+        return replace(BASE, way=way, recording=recording, errors=errors)
+
+    outcomes = [
+        replace(BASE, errors=error("uniform", "a", 1.0, 1.0).errors),
+        error("half-tom-mended", "a", 1.0, 3.0),
+        error("half-recency", "a", 2.0, 2.0),
+        error("half-tom-mended", "b", 2.0, 2.0),
+        error("half-recency", "b", 1.0, 1.0),
+    ]
+    linear, small = capacity.head_to_head(outcomes)
+    assert (linear["model"], small["model"]) == ("linear", "8 x 2")
+    assert linear["ratio"] == pytest.approx(1.0)  # a half and twice
+    assert (linear["low"], linear["high"]) == pytest.approx((0.5, 2.0))
+    assert (linear["less at"], linear["n"]) == (1, 2)
+    assert small["ratio"] == pytest.approx(np.sqrt(3.0))
+    last = capacity.verdict(outcomes)[-1]
+    assert "linear 1.00 [0.50, 2.00] (less at 1 of 2); 8 x 2 1.73" in last
+
+
 def test_the_commands_write_their_reports(
     run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -122,7 +172,8 @@ def test_the_commands_write_their_reports(
         told = json.loads(capsys.readouterr().out)
         assert told["verdict"]
         assert {path.name for path in out.glob("*.*")} == {
-            "report.html", "report.json", "summary.csv", "moments.csv", f"{name}.png", f"{name}.svg"
+            "report.html", "report.json", "summary.csv", "moments.csv", "head-to-head.csv",
+            f"{name}.png", f"{name}.svg",
         }  # fmt: skip
         assert len(pd.read_csv(out / "moments.csv")) == 2 * 2
 

@@ -47,6 +47,7 @@ class FrozenStudy:
     models: tuple[str, ...]
     figure: Callable[[Sequence[Outcome]], Figure]
     summary: Callable[[Sequence[Outcome]], list[dict[str, Any]]]
+    head_to_head: Callable[[Sequence[Outcome]], list[dict[str, Any]]]
     verdict: Callable[[Sequence[Outcome]], list[str]]
 
 
@@ -63,6 +64,7 @@ FOOTPRINT = FrozenStudy(
     (),
     footprint_figure,
     footprint.summary,
+    footprint.head_to_head,
     footprint.verdict,
 )
 CAPACITY = FrozenStudy(
@@ -78,6 +80,7 @@ CAPACITY = FrozenStudy(
     tuple(MODELS),
     capacity_figure,
     capacity.summary,
+    capacity.head_to_head,
     capacity.verdict,
 )  # fmt: skip
 
@@ -150,11 +153,15 @@ def _write(
 ) -> None:
     rows = study.summary(outcomes)
     write_csv(out / "summary.csv", rows)
+    pairs = study.head_to_head(outcomes)
+    write_csv(out / "head-to-head.csv", pairs)
     write_csv(out / "moments.csv", [_flat(one) for one in outcomes])
     png, _ = save(study.figure(outcomes), out, study.name)
     n = f"{len({(one.recording, one.step) for one in outcomes})} moments of {len(runs)} runs"
     made = study_origin(n=n, seeds=in_short(seeds), runs=", ".join(run.run_id for run in runs))
     figures, tables = [(study.caption, png)], [("Every way", rows)]
+    if pairs:
+        tables.append(("Two ways at the same moments", pairs))
     report = Report(study.title, study.claim, study.verdict(outcomes), figures, tables, made)
     write_report(report, out)
 

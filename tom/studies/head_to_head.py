@@ -1,0 +1,61 @@
+"""Two ways of weighing at the same moments: which one is better, and by how much?
+
+Two ways share the buffer, the policy and its fresh episodes at a moment, and moments differ far
+more than ways do. The difference at each moment is therefore known much better than either way.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import isfinite, nan
+
+from tom.analysis.statistics import Interval
+from tom.studies.frozen import Outcome
+from tom.studies.recordings import Value, over_recordings
+
+QUESTIONS: dict[tuple[str, str], str] = {
+    ("tom-mended", "tom-discounted"): "Is the mended objective better than the printed one?",
+    ("tom-mended", "ratio"): "Does Q bring something on top of the discriminator?",
+    ("tom-mended", "recency"): "Is TOM better than recency, which trains no network?",
+    ("half-tom-mended", "half-recency"): "Is it, if half of either is uniform?",
+    ("tom-stationary-validated", "tom-stationary"): "Is it better to stop Q on held-out episodes?",
+    ("tom-stationary-validated", "tom-discounted-validated"): "Does the flow matter?",
+}
+"""what is asked of two ways: the first one, and the one that it has to beat"""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The difference of two ways over `n` moments; below zero the first one is better."""
+
+    way: str
+    against: str
+    difference: Interval
+    better: int  # moments
+    n: int
+
+    @property
+    def question(self) -> str:
+        return QUESTIONS[self.way, self.against]
+
+
+def comparisons(
+    outcomes: Sequence[Outcome], value: Callable[[Outcome], float]
+) -> Iterator[Comparison]:
+    """Each pair of `QUESTIONS` at the moments that both were examined at.
+
+    `value` is what is compared, lower is better; moments where it is NaN do not count.
+    """
+    at = {(one.way, *_moment(one)): value(one) for one in outcomes}
+    for way, against in QUESTIONS:
+        gaps: list[Value] = []
+        for one in outcomes:
+            gap = value(one) - at.get((against, *_moment(one)), nan)
+            if one.way == way and isfinite(gap):
+                gaps.append((one.env, one.recording, gap))
+        if gaps:
+            better = sum(gap < 0 for _, _, gap in gaps)
+            yield Comparison(way, against, over_recordings(gaps), better, len(gaps))
+
+
+def _moment(one: Outcome) -> tuple[str, int, int]:
+    return one.recording, one.step, one.seed
