@@ -46,7 +46,10 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """One row per question of two ways: the difference of their distances, with its interval."""
+    """One row per question of two ways: the difference of their distances, with its interval.
+
+    Without those about uniform weights, whose distance is 1: `summary` answers them.
+    """
     return [
         {
             "way": one.way,
@@ -58,6 +61,7 @@ def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             "n": one.n,
         }
         for one in comparisons(outcomes, lambda outcome: outcome.footprint)
+        if one.against != UNIFORM
     ]
 
 

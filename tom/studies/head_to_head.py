@@ -13,10 +13,14 @@ from tom.studies.frozen import Outcome
 from tom.studies.recordings import Value, over_recordings
 
 QUESTIONS: dict[tuple[str, str], str] = {
+    ("tom-discounted", "uniform"): "Is TOM as printed better than no weights?",
+    ("tom-mended", "uniform"): "Is the mended one?",
+    ("half-tom-mended", "uniform"): "Is it, if half of its weight is uniform?",
+    ("half-recency", "uniform"): "Is recency, if half of its weight is uniform?",
     ("tom-mended", "tom-discounted"): "Is the mended objective better than the printed one?",
     ("tom-mended", "ratio"): "Does Q bring something on top of the discriminator?",
     ("tom-mended", "recency"): "Is TOM better than recency, which trains no network?",
-    ("half-tom-mended", "half-recency"): "Is it, if half of either is uniform?",
+    ("half-tom-mended", "half-recency"): "Is it better than recency, if half of either is uniform?",
     ("tom-stationary-validated", "tom-stationary"): "Is it better to stop Q on held-out episodes?",
     ("tom-stationary-validated", "tom-discounted-validated"): "Does the flow matter?",
 }

@@ -119,7 +119,7 @@ def test_two_ways_are_compared_moment_by_moment():
         ]
 
     outcomes = [
-        BASE,
+        replace(BASE, recording="a", step=1),
         *moment("a", "hopper", 1, 0.5, 0.6),
         *moment("a", "hopper", 2, 0.2, 0.5),  # a's median difference: -.2
         *moment("b", "hopper", 1, 0.9, 0.5),
@@ -129,7 +129,7 @@ def test_two_ways_are_compared_moment_by_moment():
         replace(BASE, way="tom-mended", recording="alone"),
         replace(BASE, way="recency", recording="elsewhere"),
     ]
-    (row,) = footprint.head_to_head(outcomes)  # nothing was weighed by recency where TOM was
+    (row,) = footprint.head_to_head(outcomes)  # no moment was weighed by recency and by TOM
     assert (row["way"], row["against"]) == ("tom-mended", "ratio")
     assert (row["nearer at"], row["n"]) == (4, 5)
     assert row["difference"] == pytest.approx(((-0.2 + 0.4) / 2 + (-0.2 - 0.6) / 2) / 2)
@@ -150,7 +150,10 @@ def test_two_ways_are_compared_for_every_model():
         error("half-tom-mended", "b", 2.0, 2.0),
         error("half-recency", "b", 1.0, 1.0),
     ]
-    linear, small = capacity.head_to_head(outcomes)
+    rows = capacity.head_to_head(outcomes)
+    alone = [row["n"] for row in rows if row["against"] == "uniform"]
+    assert alone == [1] * 4  # two ways, two models; uniform weights are known for recording a
+    linear, small = (row for row in rows if row["against"] == "half-recency")
     assert (linear["model"], small["model"]) == ("linear", "8 x 2")
     assert linear["ratio"] == pytest.approx(1.0)  # a half and twice
     assert (linear["low"], linear["high"]) == pytest.approx((0.5, 2.0))
