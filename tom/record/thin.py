@@ -178,8 +178,13 @@ def _policy(reader: RunReader, to: Path) -> None:
 
 
 def _policies(reader: RunReader, to: Path) -> None:
-    """Write the policies of the fits whose single weights are kept."""
-    for step in sorted({*reader.policy_steps()} & {*RunReader(to).snapshot_steps()}):
+    """Write the policies of the fits whose single weights are kept.
+
+    A run without weights, as a recording of SAC, keeps as many, spread over its steps.
+    """
+    stored, beside = reader.policy_steps(), RunReader(to).snapshot_steps()
+    kept = [step for step in stored if step in beside] if beside else _spread(stored, SNAPSHOTS)
+    for step in kept:
         _arrays(reader, to, layout.policy(step))
 
 

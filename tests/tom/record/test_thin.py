@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recorded import FIT, STEPS, Config, episodes, events, transitions
 
-from tom.events import Collected, Evaluation, Field, Metrics, Tick, Weights
+from tom.events import Collected, Evaluation, Field, KeptPolicy, Metrics, Tick, Weights
 from tom.record import RunReader, Store, checkpoint, decode
 from tom.record.export import export_small
 from tom.record.integrity import verify
@@ -132,6 +132,15 @@ def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: P
     assert set(small.left_out) == lacking
     again = RunReader(export_small(small, tmp_path / "again"))
     assert again.left_out == small.left_out
+
+
+def test_policies_are_kept_of_a_run_that_weighs_nothing(record, tmp_path: Path):
+    """As a recording of SAC, which `tom reproduce footprint` weighs at the policies it kept."""
+    policy = {"weight_0": np.ones(9, np.float32)}
+    run = record(given=[KeptPolicy(100 * n, policy) for n in range(1, 6)])
+    small = RunReader(export_small(run, tmp_path))
+    assert small.policy_steps() == [100, 300, 500]
+    assert set(small.left_out) == {"other policies"}
 
 
 def test_what_a_link_leads_to_is_not_copied(record, tmp_path: Path):
