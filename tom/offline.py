@@ -224,6 +224,7 @@ class Offline:
             "weights": weighting.weights,
             "per_dim": weighting.per_dim,
             "log_ratio": weighting.log_ratio,
+            "ready": weighting.ready,
             "coefficients": self.model.coefficients,
             "sac_metrics": self._sac_metrics,
         }
@@ -235,7 +236,12 @@ class Offline:
         self.env_step = state["env_step"]
         for part in ("policy", "streams", "model_buffer"):
             getattr(self, part).load_state_dict(state[part])
-        self.weighting = Weighting(state["weights"], state["per_dim"], state["log_ratio"])
+        self.weighting = Weighting(
+            state["weights"],
+            state["per_dim"],
+            state["log_ratio"],
+            ready=state.get("ready", True),  # missing in checkpoints of earlier versions
+        )
         self.model = LinearModel(state["coefficients"])
         self._sac_metrics = state["sac_metrics"]
 

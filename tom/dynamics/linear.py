@@ -22,12 +22,18 @@ def least_squares(inputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
     `weights` is (N,), or (N, D) where each dimension of y has its own; their scale is free.
     """
     x, y = inputs.double(), targets.double()
-    share = weights.double() / weights.double().sum(0)
+    share = usable(weights).double()
+    share = share / share.sum(0)
     share = share[:, None].expand_as(y) if share.ndim == 1 else share  # (N, D)
     gram = torch.einsum("nd,ni,nj->dij", share, x, x)
     gram = gram + RIDGE * torch.eye(x.shape[1], dtype=torch.float64, device=x.device)
     moment = torch.einsum("nd,ni->di", share * y, x)
     return torch.linalg.solve(gram, moment)
+
+
+def usable(weights: Tensor) -> Tensor:
+    """Weights (N,) or (N, D); where a dimension has none at all, every row counts the same."""
+    return torch.where(weights.sum(0) > 0, weights, torch.ones_like(weights))
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,7 @@ class LinearDynamics:
         by_column = weights[:, None].expand_as(targets)
         if per_dim is not None:
             by_column = by_column * torch.cat([torch.ones_like(per_dim[:, :1]), per_dim], -1)
+        by_column = usable(by_column)
         self.coefficients = least_squares(inputs, targets, by_column).float()
         square = (targets - inputs @ self.coefficients.T).square()
         variance = (by_column * square).sum(0) / by_column.sum(0)

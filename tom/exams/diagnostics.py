@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from tom.data.sampling import ess, uniform_indices, zero_share
+from tom.data.scaling import MIN_STD
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import DynamicsModel
 from tom.learners.base import FitContext, Weighting
@@ -44,8 +45,12 @@ def one_step_error(model: DynamicsModel, rows: TensorTransitions, scale: Tensor)
 
 
 def step_scale(rows: TensorTransitions) -> Tensor:
-    """Standard deviation of a step's change in each dimension of the state, (O,)."""
-    return (rows.next_obs - rows.obs).std(0, correction=0).clamp(min=1e-6)
+    """Standard deviation of a step's change in each dimension of the state, (O,).
+
+    One where the change is constant, as in the model's targets and in exams (`Scaling`).
+    """
+    spread = (rows.next_obs - rows.obs).std(0, correction=0)
+    return torch.where(spread < MIN_STD, torch.ones_like(spread), spread)
 
 
 def row_errors(error: Tensor, scale: Tensor) -> Tensor:

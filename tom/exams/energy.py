@@ -49,7 +49,7 @@ def drawn_distance(x: Tensor, rows: Tensor) -> Tensor:
 
 def step_scaling(buffer: TensorTransitions) -> Scaling:
     """The scaling of z = (s, a, s' - s), 2 O + A columns, from `MOMENTS` rows at most."""
-    rows = _thinned(buffer, MOMENTS)
+    rows = buffer[_stride(len(buffer), MOMENTS)]
     return Scaling.of((rows.obs, rows.action), (rows.next_obs, rows.obs))
 
 
@@ -69,8 +69,9 @@ def footprint_match(
     Values that cannot be measured are left out: with too few rows, and ratios if
     `footprint_uniform` is not positive.
     """
-    met = _thinned(footprint, DRAWS)
-    z, first = _steps(met, scaling).double(), first_half(met)
+    every = _stride(len(footprint), DRAWS)
+    # The halves are those of all rows: few of the thinned ones end an episode.
+    z, first = _steps(footprint[every], scaling).double(), first_half(footprint)[every]
     u = torch.rand(DRAWS, dtype=torch.float64, generator=generator, device=generator.device)
     u = (torch.arange(DRAWS, device=u.device) // 2 + u) / (DRAWS // 2)  # `drawn_distance`
     apart, kept = torch.cdist(z, z), _selections(len(z), z.device)
@@ -131,6 +132,6 @@ def _steps(rows: TensorTransitions, scaling: Scaling) -> Tensor:
     return scaling(torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), 1))
 
 
-def _thinned(rows: TensorTransitions, most: int) -> TensorTransitions:
-    """Every k-th row, so that at most `most` remain."""
-    return rows[:: max(-(-len(rows) // most), 1)]
+def _stride(n: int, most: int) -> slice:
+    """Every k-th of n rows, so that at most `most` remain."""
+    return slice(None, None, max(-(-n // most), 1))

@@ -38,6 +38,24 @@ def test_each_dimension_may_have_its_own_weights():
         torch.testing.assert_close(model.coefficients[d], alone.coefficients[d])
 
 
+def test_a_dimension_without_any_weight_counts_every_row_the_same():
+    """VaGram gives none to a dimension that never changes (Reacher's goal)."""
+    data, generator = rows(60), torch.Generator()
+    none = torch.rand(60, 2, generator=torch.Generator().manual_seed(1)) * torch.tensor([1.0, 0.0])
+    assert torch.equal(
+        LinearModel.fit(data, none).coefficients[1],
+        LinearModel.fit(data, torch.ones(60)).coefficients[1],
+    )
+    models = [LinearDynamics(2, 3, ModelConfig(), generator) for _ in range(2)]
+    same = torch.stack((none[:, 0], torch.ones(60)), 1)
+    reports = [
+        model.fit(data, torch.ones(60), per_dim, generator)
+        for model, per_dim in zip(models, (none, same), strict=True)
+    ]
+    assert torch.equal(models[0].std, models[1].std)
+    assert reports[0] == reports[1]
+
+
 def test_a_true_linear_system_is_found_and_predicted():
     data = rows(50)
     true = torch.tensor([[1.0, 0, 0.04, 0, 0, 0.1], [0.2, 0.9, 0, 0.04, 0.3, 0]])

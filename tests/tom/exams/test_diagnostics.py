@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -7,9 +9,11 @@ from tom.exams.diagnostics import (
     ending_metrics,
     one_step_error,
     rollout_error,
+    step_scale,
     unbroken,
     weight_metrics,
 )
+from tom.exams.energy import step_scaling
 
 
 def line(n: int, ended: list[int] | None = None) -> TensorTransitions:
@@ -39,6 +43,17 @@ def test_errors_are_in_units_of_the_scale_and_add_up_over_a_rollout():
     assert one_step_error(model, rows, scale) == pytest.approx(0.5)  # type: ignore[arg-type]
     error = rollout_error(model, rows, unbroken(rows), scale)  # type: ignore[arg-type]
     assert error == pytest.approx(0.5 * HORIZON)
+
+
+def test_a_dimension_that_never_changes_is_in_its_own_units_as_in_the_model():
+    """A goal that stays where it is for an episode (Reacher) has no change to compare with."""
+    rows = line(20)
+    still = torch.full((20, 1), 3.0)
+    obs, next_obs = (torch.cat((x, still), 1) for x in (rows.obs, rows.next_obs))
+    both = replace(rows, obs=obs, next_obs=next_obs)
+    scale = step_scale(both)
+    assert scale.tolist() == pytest.approx([float(rows.action.std(correction=0)), 1.0])
+    assert torch.equal(scale, step_scaling(both).std[-2:]), "as in an exam"
 
 
 def test_a_rollout_may_end_with_an_episode_but_not_cross_its_end():

@@ -210,6 +210,17 @@ def test_halves_are_whole_episodes_of_about_even_length_or_halves_in_time():
     assert halves(9, [1, 6]) == [0, 0, 1, 1, 1, 1, 1, 0, 0]
 
 
+def test_halves_of_a_thinned_footprint_are_whole_episodes_too():
+    """Of 6 000 rows every third is compared, seldom the one that ends an episode."""
+    buffer = torch.randn(400, generator=generator())
+    noise = []
+    for first in (1500, 1501, 1502):  # rows of the first of two episodes, each a slow drift
+        x = torch.cat([torch.linspace(0, 5, n) for n in (first, 6000 - first)])
+        found = match(buffer, torch.ones(400), line(x, [first - 1, 5999]))
+        noise.append(found["footprint_noise"])
+    assert noise == pytest.approx([0, 0, 0], abs=0.01)
+
+
 def test_thinning_keeps_the_scaling_of_a_long_buffer():
     x = torch.randn(50_001, generator=generator()) * 3 + 5
     scaling = step_scaling(line(x))

@@ -174,6 +174,11 @@ def test_road_and_rocks_resumed_equals_uninterrupted(learner: str):
     check(road(learner, 250), 123, in_episode=False)
 
 
+def test_road_and_rocks_goes_on_before_its_learner_has_weights():
+    """Until VaGram follows a value function, start states are drawn without weights."""
+    check(road("vagram", 110), 37, in_episode=False)
+
+
 def road(learner: str, steps: int) -> AnyConfig:
     quick = {"q_steps": 50, "discriminator_steps": 50}
     given = {"steps": steps, "fit_every": 100, "random_transitions": 2000, "tom": quick}
