@@ -110,11 +110,12 @@ def _wins(
 def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     """One row per environment and learner whose runs have exams: the median fit of each run.
 
-    It has the mean over runs and its bootstrap interval (`tom.exams`).
+    It has the mean over runs and its bootstrap interval (`tom.exams`). Only the fits up to the step
+    that all runs of the environment reach count, as for the scores.
     """
-    rows = []
+    at, rows = compared_at(cells), []
     for cell in cells:
-        medians = [_exam_medians(run) for run in cell.runs]
+        medians = [_exam_medians(run, at[cell.env]) for run in cell.runs]
         whole = [one for one in medians if one is not None]
         if not whole:
             continue
@@ -126,12 +127,16 @@ def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     return rows
 
 
-def _exam_medians(run: RunReader) -> list[float] | None:
-    """For each of EXAMS the median over the run's fits; None for a run without exams."""
+def _exam_medians(run: RunReader, until: float) -> list[float] | None:
+    """For each of EXAMS the median over the fits up to step `until`; None without exams there."""
     metrics = run.metrics()
     if not set(EXAMS) <= set(metrics):
         return None
-    return [float(np.nanmedian(metrics[name].to_numpy(np.float64))) for name in EXAMS]
+    here = np.asarray(metrics["env_step"]) <= until
+    values = [np.asarray(metrics[name], np.float64)[here] for name in EXAMS]
+    if not np.isfinite(values).any():
+        return None
+    return [float(np.nanmedian(of_fits)) for of_fits in values]
 
 
 def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str]) -> list[dict]:

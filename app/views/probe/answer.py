@@ -15,9 +15,7 @@ from app.data.called import names
 from app.data.readers import RunInfo
 from app.theme import learner_label
 from app.views.probe import exams, model_error
-
-ERRORS = 2.0
-"""a difference of more standard errors than this is more than noise"""
+from tom.analysis.statistics import means_differ
 
 
 def draw(runs: Sequence[RunInfo], left_out: Sequence[RunInfo]) -> None:
@@ -66,11 +64,11 @@ def sentence(errors: Mapping[str, Floats]) -> str:
 
 
 def beyond_noise(least: Floats, more: Floats) -> str:
-    """A sentence on whether the gap of two means is larger than their standard errors explain."""
+    """A sentence on whether the gap of two means is larger than chance explains."""
     if min(len(least), len(more)) < 2:
         return "Whether that is more than noise one run cannot tell."
     gap = float(more.mean() - least.mean())
     error = float(np.sqrt(least.var(ddof=1) / len(least) + more.var(ddof=1) / len(more)))
-    said = "More than noise" if gap > ERRORS * error else "No more than noise"
+    said = "More than noise" if means_differ(least, more) else "No more than noise"
     few = ", though of few runs" if min(len(least), len(more)) < exams.RANKED else ""
     return f"{said}{few}: the gap is {gap:.2g}, its standard error {error:.2g}."

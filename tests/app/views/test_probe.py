@@ -274,6 +274,10 @@ def test_the_page_says_which_runs_are_left_out(
     assert any("Where its own policy goes" in words.value for words in app.markdown)
 
 
+APART = {"tom": 1.0, "mle": 1.42}
+"""means three standard errors apart if two runs lie 0.1 around them: by chance in 10 of 100"""
+
+
 def test_an_answer_says_by_how_much_and_whether_beyond_noise() -> None:
     near = {
         "mle": [("a", 1.0, 0.0), ("b", 1.2, 0.0)],
@@ -287,6 +291,10 @@ def test_an_answer_says_by_how_much_and_whether_beyond_noise() -> None:
     assert "No more than noise, though of few runs: the gap is 0.1" in said
     error = np.sqrt(0.02 / 2 + 0.02 / 2)
     assert f"its standard error {error:.2g}" in said
+    three_errors = {name: [("", m - 0.1, 0.0), ("", m + 0.1, 0.0)] for name, m in APART.items()}
+    assert "No more than noise, though of few runs: the gap is 0.42" in sentence(
+        in_sample(three_errors)
+    )
     far = {"tom": [("a", 1.0, 0.0)] * 5, "mle": [("b", 2.0, 0.0)] * 5}
     assert "More than noise: the gap is 1" in sentence(in_sample(far))
     assert "one run cannot tell" in sentence(in_sample({"tom": far["tom"][:1], "mle": far["mle"]}))

@@ -138,6 +138,21 @@ def test_improvement_by_hand_with_other_numbers_of_runs():
     assert np.isnan(st.probability_of_improvement([[1.0]], [[2.0], [0.0]], rng()).low)
 
 
+@pytest.mark.parametrize(("n", "m"), [(2, 2), (3, 2), (5, 5), (12, 7)])
+def test_means_of_one_distribution_seldom_differ(n: int, m: int):
+    draws = rng()
+    pairs = [(draws.normal(size=n), draws.normal(size=m)) for _ in range(2000)]
+    differ = [st.means_differ(x, y) for x, y in pairs]
+    assert np.mean(differ) < 0.065
+    p = [np.asarray(stats.ttest_ind(x, y, equal_var=False))[1] for x, y in pairs]
+    assert differ == [value < 0.05 for value in p]
+
+
+def test_means_of_runs_that_are_all_alike_differ_if_they_are_not_equal():
+    assert st.means_differ([1.0, 1.0], [2.0, 2.0, 2.0])
+    assert not st.means_differ([1.0, 1.0], [1.0, 1.0])
+
+
 def test_sample_efficiency():
     step, value = [0, 10, 20, 30], [1.0, 5.0, 3.0, 9.0]
     assert st.steps_to_reach(step, value, 5.0) == 10

@@ -124,6 +124,19 @@ def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
     assert row["footprint low"] == pytest.approx(0.1)
 
 
+def test_exams_after_the_step_that_all_runs_reach_do_not_count(store: Store):
+    """A longer run would have its later fits, of more data, in its median."""
+    for seed, last in ((0, 1000), (1, 3000)):
+        config = resolve("hopper", "pmac", "paper", {"seed": seed})
+        with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
+            for step in range(500, last + 1, 500):
+                exam = dict.fromkeys(tables.EXAMS, float(step))
+                recorder.consume(Metrics(step, exam | {"eval/return": 1.0}))
+                recorder.consume(Tick(step, "evaluate"))
+    (row,) = tables.exams(study.select(store.runs(), "paper")[0])
+    assert (row["n"], row["error"]) == (2, 750)  # of 500 and 1000, in both runs
+
+
 def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     record(store, "hopper", "tom", 0, [60, 70, 80], preset="mended")
     record(store, "hopper", "tom", 0, [99, 99, 99], preset="smoke")
