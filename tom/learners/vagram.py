@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tom.config import VagramConfig
 from tom.data.sampling import normalise
-from tom.data.scaling import column_moments
+from tom.data.scaling import Scaling
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
 from tom.nn.mlp import rows_at_once
 
@@ -57,7 +57,7 @@ class VagramLearner:
         replay = context.replay
         if context.value_gradient is None or context.on_policy_steps == 0:
             return uniform(replay, ready=False)
-        scale, _ = column_moments(replay.next_obs, minus=replay.obs)
+        scale = Scaling.of((), (replay.next_obs, replay.obs)).std  # as the model's targets
         raw = value_gradient_weights(replay.next_obs, scale, context.value_gradient)
         per_dim, degenerate = normalise(clip_rows(raw, self.config.clip_quantile).flatten())
         per_dim = per_dim.view_as(raw)

@@ -95,3 +95,16 @@ def test_a_flat_value_function_falls_back_to_uniform_and_says_so():
         assert (found.weights == 1).all()
         assert found.metrics["weights/degenerate"] == fits
         assert found.notices[0][0] == "degenerate-weights"
+
+
+def test_a_dimension_whose_change_is_constant_is_fitted_too():
+    """Its unit is one, as in the model's targets: without weight the model would drift there."""
+    replay = rows(500)
+    replay.next_obs[:, 1] = replay.obs[:, 1]
+    weighting = VagramLearner(VagramConfig(clip_quantile=1.0)).weigh(
+        context(replay, value_gradient=linear_heads)
+    )
+    assert weighting.per_dim is not None
+    first, still = weighting.per_dim.mean(0)[:2]
+    variance = (replay.next_obs - replay.obs)[:, 0].var(correction=0)
+    torch.testing.assert_close(still / first, 10 / variance)
