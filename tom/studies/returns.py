@@ -83,7 +83,7 @@ def select(runs: Sequence[RunReader], *presets: str) -> tuple[list[Cell], list[s
     kind_of = kinds(mine)
     recorded = [(run, _curve(run, kind_of[run.run_id])) for run in mine]
     usable = sorted(((r, c) for r, c in recorded if len(c.step)), key=_key)
-    cells, left_out = [], []
+    cells, left_out = [], [run.run_id for run, curve in recorded if not len(curve.step)]
     for (env, learner, preset), group in groupby(usable, _key):
         every = list(group)
         chosen = _largest(every)

@@ -59,6 +59,13 @@ def test_a_run_for_each_seed_of_the_largest_group_of_settings(store: Store):
     assert len(left_out) == 2
 
 
+def test_a_run_that_was_never_evaluated_is_named(store: Store):
+    record(store, "hopper", "tom", 7, [])
+    cells, left_out = study.select(store.runs(), "paper")
+    assert [run_id for run_id in left_out if "-s7-" in run_id] == left_out != []
+    assert [cell.seeds for cell in cells if cell.env == "hopper"] == [[0], [0, 1]]
+
+
 def test_learners_are_compared_at_a_step_that_all_reach(store: Store):
     cells, _ = study.select(store.runs(), "paper")
     assert study.compared_at(cells) == {"hopper": 3000, "walker2d": 2000}
