@@ -92,8 +92,8 @@ def _write(
     png, _ = save(return_figure(cells), out, "returns")
     runs = [run for cell in cells for run in cell.runs]
     aside = [
-        "Left out, for other settings, a longer run of the seed, no evaluation, or a first one after "
-        f"the others' end: {', '.join(left_out)}."
+        "Left out, for other settings, a longer run of the seed, no evaluation, or a first one "
+        f"after the others' end: {', '.join(left_out)}."
     ]
     tables = [
         ("At the step that all runs of an environment reach", findings["summary"]),
