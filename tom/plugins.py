@@ -31,6 +31,7 @@ from tom.errors import OF_USERS, UserError, reason
 from tom.harmless import terminal
 from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
+from tom.learners.own import OwnLearner
 from tom.metrics import FATAL, METRICS
 
 GROUP = "tom_studio"
@@ -90,8 +91,12 @@ class Registry:
             raise UserError(f"plug-in {self.plugin}: '{group}' is the name of our own settings")
         if colour is not None and not COLOUR.fullmatch(colour):
             raise UserError(f"plug-in {self.plugin}: colour '{colour}' is not written #rrggbb")
+
+        def build(config: RunConfig, obs_dim: int, action_dim: int, generator: torch.Generator):
+            return OwnLearner(name, lambda: make(config, obs_dim, action_dim, generator))
+
         LEARNERS[name] = LearnerEntry(
-            title, make, colour, group, uniform, follows_value, own=settings
+            title, build, colour, group, uniform, follows_value, own=settings
         )
 
     def task(
