@@ -106,13 +106,11 @@ class Strict(Flat):
 
 
 gym.register("Strict-v0", Strict)  # pyright: ignore[reportArgumentType]
-gym.register(
-    "Whole-v0", type("Odd", (Flat,), {"action_space": gym.spaces.Box(0, 4, (2,), np.int64)})
-)  # pyright: ignore[reportArgumentType]
-gym.register(
-    "Still-v0",
-    type("Odd", (Flat,), {"action_space": gym.spaces.Box(np.zeros(2), np.arange(2.0))}),  # pyright: ignore[reportArgumentType]
-)
+for name, space in {
+    "Whole-v0": gym.spaces.Box(0, 4, (2,), np.int64),
+    "Still-v0": gym.spaces.Box(np.zeros(2), np.arange(2.0)),
+}.items():
+    gym.register(name, type("Odd", (Flat,), {"action_space": space}))  # pyright: ignore[reportArgumentType]
 
 
 class Broken(Arm):
