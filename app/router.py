@@ -7,6 +7,8 @@ from typing import Protocol
 import numpy as np
 import streamlit as st
 from PIL import Image
+from streamlit.errors import StreamlitAPIException
+from streamlit.navigation.page import StreamlitPage
 
 from app import session
 from app.data import datasets, readers
@@ -30,6 +32,8 @@ class Page(Protocol):
     @property
     def page(self) -> Callable[[], None]: ...
 
+
+PLAIN_ICON = ":material/extension:"
 
 VIEWS: tuple[ModuleType, ...] = (
     live,
@@ -74,13 +78,20 @@ def run() -> None:
     """Draw the page in the address, or the empty store's page if there are no runs."""
     st.set_page_config(page_title="TOM Studio", page_icon=icon(), layout="wide")
     st.logo(LOGO, size="medium")
-    pages = [
-        st.Page(view.page, title=view.TITLE, icon=view.ICON, url_path=view.PATH, default=i == 0)
-        for i, view in enumerate(views())
-    ]
+    pages = [_listed(view, view.ICON, first=i == 0) for i, view in enumerate(views())]
     chosen = st.navigation(pages, position="top")
     address.visit(chosen.url_path)
     draw(chosen.run)
+
+
+def _listed(view: Page | ModuleType, icon: str, first: bool) -> StreamlitPage:
+    """The page as Streamlit lists it. A plug-in's icon that is none must not stop the others."""
+    try:
+        return st.Page(view.page, title=view.TITLE, icon=icon, url_path=view.PATH, default=first)
+    except StreamlitAPIException:
+        if icon == PLAIN_ICON:
+            raise
+        return _listed(view, PLAIN_ICON, first)
 
 
 def draw(page: Callable[[], None]) -> None:

@@ -11,6 +11,10 @@ class UserError(Exception):
     """Bad input. The command line prints its one line and exits with code 2."""
 
 
+class OwnCodeError(UserError):
+    """Code of the user's failed while it ran: a task, a learner, a rule of termination."""
+
+
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     """The error for a name that is not one of `known`; suggests the nearest.
 

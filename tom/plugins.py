@@ -21,6 +21,7 @@ from types import ModuleType
 from typing import Any
 
 import torch
+from pydantic import ValidationError
 
 from tom.config import Config, RunConfig
 from tom.envs import ENV_NAMES, OTHERS, Task, Termination
@@ -31,6 +32,7 @@ from tom.errors import OF_USERS, UserError, reason
 from tom.harmless import terminal
 from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
+from tom.learners.own import OwnLearner
 from tom.metrics import FATAL, METRICS
 
 GROUP = "tom_studio"
@@ -90,8 +92,16 @@ class Registry:
             raise UserError(f"plug-in {self.plugin}: '{group}' is the name of our own settings")
         if colour is not None and not COLOUR.fullmatch(colour):
             raise UserError(f"plug-in {self.plugin}: colour '{colour}' is not written #rrggbb")
+        if not callable(make):
+            raise UserError(f"plug-in {self.plugin}: make of the learner '{name}' is no function")
+        if settings is not None:
+            self._check_settings(name, settings)
+
+        def build(config: RunConfig, obs_dim: int, action_dim: int, generator: torch.Generator):
+            return OwnLearner(name, lambda: make(config, obs_dim, action_dim, generator))
+
         LEARNERS[name] = LearnerEntry(
-            title, make, colour, group, uniform, follows_value, own=settings
+            title, build, colour, group, uniform, follows_value, own=settings
         )
 
     def task(
@@ -147,6 +157,22 @@ class Registry:
         address = f"own-{path}"  # none of our addresses begins with this
         self._own("page", path, [known.PATH.removeprefix("own-") for known in PAGES])
         PAGES.append(Page(title, icon, address, page))
+
+    def _check_settings(self, name: str, settings: type[Config]) -> None:
+        """Raises UserError unless the settings have defaults: other runs' options list them too."""
+        if not (isinstance(settings, type) and issubclass(settings, Config)):
+            raise UserError(
+                f"plug-in {self.plugin}: the settings of the learner '{name}' must be a subclass "
+                "of tom.config.Config"
+            )
+        try:
+            settings()
+        except ValidationError as error:
+            wrong = ".".join(str(part) for part in error.errors()[0]["loc"])
+            raise UserError(
+                f"plug-in {self.plugin}: the setting '{wrong}' of the learner '{name}' needs a "
+                "default that it accepts"
+            ) from error
 
     def _own(self, kind: str, name: str, taken: Sequence[str] | Mapping[str, Any]) -> None:
         if not NAME.fullmatch(name):

@@ -21,6 +21,11 @@ from tom import plugins
 plugins.load(["surprise.py", "reward.py", "tasks.py"])
 from app.router import views
 assert [view.PATH for view in views()][-1] == "own-pace"
+plugins.Registry("test").page("No icon", "no-icon", print, icon="x")
+every = AppTest.from_string("from app.router import run\\nrun()", default_timeout=60)
+every.run()
+assert not every.exception, every.exception[0].message
+plugins.PAGES.pop()
 app = AppTest.from_string("from app.router import views\\nviews()[-1].page()", default_timeout=60)
 app.run()
 assert not app.exception, app.exception[0].message
@@ -44,6 +49,12 @@ assert [name for name, groups in shown.items() if "surprise" in groups] == ["sur
 assert {s.path: s.default for s in shown["tom"]["sac"]}["sac.discount"] == "0.995"
 from tom.studies.returns import PAPER_ENVS
 assert len(PAPER_ENVS) == 5 and "swimmer" not in PAPER_ENVS
+"""
+SETTINGS = """
+from tom.config import Config
+class Own(Config):
+    {}
+def register(r): r.learner("a", "T", print, settings=Own)
 """
 WITHOUT = """
 import os, sys
@@ -177,6 +188,12 @@ def test_an_installed_package_is_loaded_and_a_broken_one_left_out(home: Path):
         ("def register(r): r.learner('tom', 'T', None)", "a learner 'tom' already"),
         ("def register(r): r.learner('A b', 'T', None)", "small letters"),
         ("def register(r): r.learner('a', 'T', None, 'red')", "not written #rrggbb"),
+        ("def register(r): r.learner('a', 'T', None)", "make of the learner 'a' is no function"),
+        (SETTINGS.format("n: int"), "the setting 'n' of the learner 'a' needs a default"),
+        (
+            "def register(r): r.learner('a', 'T', print, None, dict)",
+            "subclass of tom.config.Config",
+        ),
         ("def register(r): r.task('hopper', 'Hopper-v5')", "a task 'hopper' already"),
         ("def register(r): r.metric('eval/return', '')", "a metric 'eval/return' already"),
         ("def register(r): r.termination('never', None)", "a termination 'never' already"),

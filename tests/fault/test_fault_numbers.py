@@ -76,7 +76,9 @@ def test_a_dual_loss_that_is_nan__ends_the_training_at_that_fit_and_says_what_to
 ):
     run = ends(tmp_path, "tom", tom={"q_lr": 1e20, "warmup": 1})
     assert run.status.reason.startswith("step 80: dual/loss is nan: try a lower --tom.q-lr")
-    assert "uniform weights" in warned(run, "every weight is zero or some weight is not finite")
+    assert "uniform weights" in warned(
+        run, "every weight is zero, or some weight is negative or not finite"
+    )
 
 
 def test_a_discriminator_that_explodes__ends_the_training_and_says_what_to_try(tmp_path: Path):

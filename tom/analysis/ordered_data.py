@@ -15,6 +15,9 @@ from tom.envs import ENVS, ROAD, GymnasiumTask, Task, task
 from tom.errors import UserError
 from tom.record import RunReader, Store, layout
 
+SLACK = 1e-3
+"""share of an action's range by which rounding may carry it beyond its bounds"""
+
 
 @dataclass(frozen=True)
 class OrderedData:
@@ -66,6 +69,7 @@ def load_data(
     known = task(env)
     rows = read_dataset(name)
     _check_dims(name, rows, known)
+    _check_bounds(name, np.asarray(rows.action), known)
     rows = replace(rows, action=to_unit_range(np.asarray(rows.action), known))
     if isinstance(known, GymnasiumTask):
         rows = replace(
@@ -153,6 +157,8 @@ def to_unit_range(action: NDArray, known: Task) -> NDArray[np.float32]:
 
 def action_bounds(known: Task) -> tuple[NDArray, NDArray]:
     """The least and the largest action of a task, (A,) each, in its own units."""
+    if isinstance(known, GymnasiumTask):  # its wrappers may have changed the innermost bounds
+        return np.array(known.action_low, np.float32), np.array(known.action_high, np.float32)
     space = known.make().unwrapped.action_space
     assert isinstance(space, Box)
     return space.low, space.high
@@ -189,4 +195,19 @@ def _check_dims(name: str, rows: Transitions, known: Task) -> None:
         raise UserError(
             f"{name} has {dims[0]} observations and {dims[1]} actions, {known.name} has "
             f"{known.obs_dim} and {known.action_dim}: is it data of another task or version?"
+        )
+
+
+def _check_bounds(name: str, action: NDArray, known: Task) -> None:
+    """Raises UserError if an action (N, A) lies outside the task's bounds."""
+    low, high = action_bounds(known)
+    slack = SLACK * (high - low)
+    outside = (action < low - slack) | (action > high + slack)
+    if outside.any():
+        row, dim = np.argwhere(outside)[0]
+        raise UserError(
+            f"{name}: {int(outside.any(1).sum())} of {len(action)} rows have an action outside "
+            f"{known.name}'s bounds, first in row {row}: dimension {dim} is {action[row, dim]:g}, "
+            f"its bounds are {low[dim]:g} and {high[dim]:g}: give actions in the task's own units, "
+            "cut at its bounds where the task cut them (numpy.clip)"
         )

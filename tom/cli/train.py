@@ -19,7 +19,7 @@ from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
 from tom.envs import ANY, ENV_NAMES, ROAD
-from tom.errors import DivergedError, UserError
+from tom.errors import DivergedError, OwnCodeError, UserError
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import out_of_memory, ran_out
@@ -32,7 +32,8 @@ from tom.training.presets import PRESETS, config_type, resolve
 from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import AnyConfig, Stop, train
 
-OWN_OPTIONS = {"env", "learner", "preset"}
+OWN_OPTIONS = ("env", "learner", "preset")
+PRESET = "paper"
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -64,9 +65,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         help="several trainings: processes, one a core [on a CPU], or a fleet, all in one process "
         "with their networks stacked [on a GPU]. The same command goes on where they were stopped",
     )
-    parser.add_argument(
-        "--preset", default="paper", metavar="PRESET", help=", ".join(PRESETS) + " [paper]"
-    )
+    parser.add_argument("--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [{PRESET}]")
     parser.add_argument(
         "--model", dest=DEST + "model.kind", metavar="KIND", help="short for --model.kind"
     )
@@ -81,7 +80,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         add_termination(parser)
     add_run_options(parser)
     settings = config_type(_given(arguments, "--env"), *LEARNERS)
-    add_config_options(parser, settings, leave_out=OWN_OPTIONS)
+    add_config_options(parser, settings, leave_out=set(OWN_OPTIONS))
     parser.set_defaults(run=run)
 
 
@@ -90,6 +89,7 @@ def run(args: argparse.Namespace) -> int:
     if args.resume and args.resume != "auto":
         _refuse_others(args)
         return _resume(args, args.resume, _steps(_without_rule(given, args.resume, args.store)))
+    args.preset = args.preset or PRESET
     if not (args.env and args.learner):
         raise UserError("--resume auto needs the --env and --learner of the run")
     if len(args.learner) > 1 or args.seeds or args.engine or given.get("device", "cpu") != "cpu":
@@ -155,7 +155,7 @@ def _watched(
         except KeyboardInterrupt:
             print(f"{label}: stopped at once, without a checkpoint", file=sys.stderr)
             return 1
-        except (DivergedError, OSError) as error:
+        except (DivergedError, OwnCodeError, OSError) as error:
             print(f"{label}: failed: {error}", file=sys.stderr)
             return 1
         except (MemoryError, RuntimeError, ValueError) as error:
@@ -181,6 +181,15 @@ def _refuse_others(args: argparse.Namespace) -> None:
             name = option.replace("_", "-")
             raise UserError(
                 f"--resume {args.resume} goes on with that run alone: leave out --{name}"
+            )
+    recorded = Store(args.store).run(args.resume).config
+    for option in OWN_OPTIONS:
+        given, own = getattr(args, option), recorded.get(option)
+        if given not in (None, own, [own]):
+            given = " ".join(given) if isinstance(given, list) else given
+            raise UserError(
+                f"--{option} {given}: run '{args.resume}' was made with {own} and goes on with it: "
+                f"leave out --{option}"
             )
 
 

@@ -23,6 +23,11 @@ def read_d4rl(path: str | Path) -> Transitions:
     parts = [a for a in (obs, action, reward, terminated, next_obs, timeouts) if a is not None]
     if len({len(a) for a in parts}) > 1 or len(obs) == 0:
         raise UserError(f"{path}: arrays of {[len(a) for a in parts]} rows: fetch the file again")
+    if next_obs is not None and next_obs.shape != obs.shape:
+        raise UserError(
+            f"{path}: 'next_observations' has {next_obs.shape[1]} dimensions, 'observations' has "
+            f"{obs.shape[1]}: fetch the file again"
+        )
     if next_obs is None and timeouts is None:
         raise UserError(
             f"{path} has neither 'next_observations' nor 'timeouts', so its episodes cannot be "

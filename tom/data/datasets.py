@@ -20,6 +20,16 @@ def read_dataset(path: str | Path) -> Transitions:
     path = Path(path)
     if not path.exists():
         raise UserError(f"no data at {path}: give {FORMATS}")
+    rows = _read(path)
+    if not len(rows):
+        raise UserError(
+            f"{path} has no 'next_obs', and every row of it is the last one of an episode, which "
+            "has no successor then: record 'next_obs' too, or longer episodes"
+        )
+    return rows
+
+
+def _read(path: Path) -> Transitions:
     if path.is_dir():
         return read_minari(path)
     if path.suffix in SUFFIXES:

@@ -27,7 +27,11 @@ def column(group: h5py.Group, name: str, axes: int) -> np.ndarray:
     stored = group.get(name)
     where = f"'{name}' in {group.file.filename}:{group.name}"
     if not isinstance(stored, h5py.Dataset):
-        raise UserError(f"no array {where}: only data with flat observations and actions is read")
+        held = ", ".join(group) or "nothing"
+        raise UserError(
+            f"no array {where} (it has {held}): only data with flat observations and actions is "
+            "read, under the names of docs/your-own.md"
+        )
     if stored.external:  # external storage could read any file on this machine
         raise UserError(f"{where} lies in another file: only data within the file is read")
     values = np.asarray(stored[()])

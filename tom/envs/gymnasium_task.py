@@ -59,7 +59,8 @@ class GymnasiumTask(Task):
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
         action = np.array(self.action_low), np.array(self.action_high)
         obs = np.array(self.obs_offset), np.array(self.obs_scale)
-        env = Unit(_limited(_made(self.gym_id, self.name), self.max_episode_steps), action, obs)
+        limited = _limited(_made(self.gym_id, self.name), self.max_episode_steps)
+        env = Unit(limited, action, obs, self.name)
         if seed is not None:
             env.reset(seed=seed)
         return env

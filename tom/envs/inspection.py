@@ -28,9 +28,16 @@ def box_of(space: gym.Space | None, name: str, does: str) -> Box:
 def actions_of(space: gym.Space | None, name: str) -> Box:
     box = box_of(space, name, "acts")
     if not bounded_dims(box).all():
+        wrong = int(np.flatnonzero(~bounded_dims(box))[0])
         raise UserError(
-            f"task '{name}' has actions without bounds: wrap it in gymnasium.wrappers."
-            "RescaleAction or give its Box finite bounds"
+            f"task '{name}' has actions without bounds that can be used: those of dimension "
+            f"{wrong} are {box.low[wrong]:g} and {box.high[wrong]:g}: give its Box two different "
+            f"ones within {UNBOUNDED:g}"
+        )
+    if not np.issubdtype(getattr(space, "dtype", np.float32), np.floating):
+        raise UserError(
+            f"task '{name}' acts in whole numbers ({getattr(space, 'dtype', None)}), and only "
+            "continuous actions can be used here: give its Box a floating type, and round in step"
         )
     return box
 
@@ -46,7 +53,8 @@ def take_a_step(name: str, env: gym.Env, obs: Box, action: Box) -> None:
     try:
         first, _ = env.reset(seed=0)
         chosen = 0.5 * (action.low + action.high)
-        second, reward, _, _, _ = env.step(chosen.astype(np.float32))
+        given = chosen.astype(getattr(env.action_space, "dtype", np.float32))
+        second, reward, _, _, _ = env.step(given)
         seen = [np.asarray(part, np.float64) for part in (first, second)]
         finite = np.isfinite(float(reward)) and all(np.isfinite(part).all() for part in seen)
     except OF_USERS as error:

@@ -7,7 +7,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from tom.errors import UserError
+from tom.envs.user_code import running
+from tom.errors import OwnCodeError, UserError
+
+LARGEST = float(np.finfo(np.float32).max)
 
 
 class Unit(gym.Wrapper):
@@ -19,10 +22,18 @@ class Unit(gym.Wrapper):
     """
 
     def __init__(
-        self, env: gym.Env, action: tuple[NDArray, NDArray], obs: tuple[NDArray, NDArray]
+        self,
+        env: gym.Env,
+        action: tuple[NDArray, NDArray],
+        obs: tuple[NDArray, NDArray],
+        name: str,
     ) -> None:
-        """`action` is the lower and upper bounds (A,), `obs` the offset and scale (O,)."""
+        """`action` is the lower and upper bounds (A,), `obs` the offset and scale (O,).
+
+        Errors call the task `name`.
+        """
         super().__init__(env)
+        self._name = name
         self._low, self._high = action
         self._offset, self._scale = obs
         self._seeds = np.random.default_rng()
@@ -36,16 +47,25 @@ class Unit(gym.Wrapper):
             self._seeds = np.random.default_rng(seed)
         self._seed = int(self._seeds.integers(2**31)) if seed is None else seed
         self._actions = []
-        obs, info = self.env.reset(seed=self._seed, options=options)
-        return self._seen(obs), info
+        with running(f"{self._step()} of the task '{self._name}'"):
+            obs, info = self.env.reset(seed=self._seed, options=options)
+            return self._seen(obs), info
 
     def step(self, action: NDArray):
-        """One step with an action (A,) in [-1, 1]."""
+        """One step with an action (A,) in [-1, 1].
+
+        Raises OwnCodeError if the task fails, or returns a number that is not finite.
+        """
         taken = np.clip(np.asarray(action, np.float32), -1, 1)
         self._actions.append(taken.copy())
         own = self._low + 0.5 * (taken.astype(np.float64) + 1) * (self._high - self._low)
-        obs, reward, terminated, truncated, info = self.env.step(own.astype(np.float32))
-        return self._seen(obs), float(reward), bool(terminated), bool(truncated), info
+        with running(f"{self._step()} of the task '{self._name}'"):
+            # In the space's own type: rounded to another, a bound may lie outside of it.
+            given = own.astype(self.env.action_space.dtype)
+            obs, reward, terminated, truncated, info = self.env.step(given)
+            if not abs(float(reward)) <= LARGEST:
+                raise self._unusable(f"a reward of {float(reward)}")
+            return self._seen(obs), float(reward), bool(terminated), bool(truncated), info
 
     def capture(self) -> dict[str, Any]:
         """The state for `restore`, as tensors and primitives."""
@@ -74,5 +94,22 @@ class Unit(gym.Wrapper):
             )
 
     def _seen(self, obs: NDArray) -> NDArray[np.float32]:
-        self._obs = ((np.asarray(obs, np.float64) - self._offset) / self._scale).astype(np.float32)
+        own = np.asarray(obs, np.float64)
+        if own.shape != self._offset.shape:
+            raise self._unusable(f"an observation of shape {own.shape}, not {self._offset.shape}")
+        with np.errstate(over="ignore"):  # overflow gives infinity, which is reported
+            self._obs = ((own - self._offset) / self._scale).astype(np.float32)
+        if not np.isfinite(self._obs).all():
+            wrong = int(np.flatnonzero(~np.isfinite(self._obs))[0])
+            raise self._unusable(f"an observation whose dimension {wrong} is {own[wrong]:g}")
         return self._obs
+
+    def _step(self) -> str:
+        step = f"step {len(self._actions)}" if self._actions else "the reset"
+        return f"{step} of the episode of seed {self._seed}"
+
+    def _unusable(self, what: str) -> OwnCodeError:
+        return OwnCodeError(
+            f"the task '{self._name}' gives {what} at {self._step()}: numbers must be finite in "
+            "single precision, and of one shape: mend its reset and step"
+        )

@@ -1,7 +1,10 @@
-"""Code that the user named: its import, and a test call of a rule of termination."""
+"""Code that the user named: its import, its errors, and a test call of a rule of termination."""
 
 import importlib
 import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 
@@ -9,7 +12,36 @@ import torch
 from torch import Tensor
 
 from tom.envs.task import Task, Termination
-from tom.errors import OF_USERS, UserError, reason
+from tom.errors import OF_USERS, DivergedError, OwnCodeError, UserError, reason
+from tom.machine.memory import ran_out
+
+_NOT_THE_USERS = ("site-packages", str(Path(__file__).parents[1]))
+"""parts of the paths of libraries and of this package"""
+
+
+@contextmanager
+def running(what: str) -> Iterator[None]:
+    """The block runs code of the user's, which `what` names.
+
+    Raises OwnCodeError, with the place of the error, for whatever it raises, except for lack of
+    memory and for errors that explain themselves.
+    """
+    try:
+        yield
+    except (UserError, DivergedError):
+        raise
+    except OF_USERS as error:
+        if ran_out(error):
+            raise
+        said = f"{what} fails: {type(error).__name__}: {reason(error)}{_place(error)}"
+        raise OwnCodeError(said) from error
+
+
+def _place(error: BaseException) -> str:
+    """The file and line of the user's that an error comes from, in brackets; empty if unknown."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if not any(part in f.filename for part in _NOT_THE_USERS)]
+    return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
 
 
 def import_named(module: str, option: str) -> ModuleType:
@@ -35,17 +67,21 @@ def import_named(module: str, option: str) -> ModuleType:
 
 
 def tried(given: Termination, known: Task, name: str) -> Termination:
-    """`given`, after a test call. Raises UserError if its answer is not a valid one."""
-    try:
-        answer = given(torch.zeros(3, known.obs_dim))
-    except OF_USERS as error:  # the user's own code
-        raise UserError(
-            f"termination {name} fails for next observations (3, {known.obs_dim}): "
-            f"{type(error).__name__}: {reason(error)}"
-        ) from error
-    if not isinstance(answer, Tensor) or answer.shape != (3,) or answer.dtype != torch.bool:
-        raise UserError(
-            f"termination {name} must map next observations (B, {known.obs_dim}), a tensor, to a "
-            "bool tensor (B,)"
-        )
-    return given
+    """`given`, whose answers are checked, after a test call.
+
+    It raises OwnCodeError where it fails or its answer is not a valid one.
+    """
+
+    def checked(next_obs: Tensor) -> Tensor:
+        with running(f"termination {name} for next observations {tuple(next_obs.shape)}"):
+            answer = given(next_obs)
+        rows = next_obs.shape[:-1]
+        if not isinstance(answer, Tensor) or answer.shape != rows or answer.dtype != torch.bool:
+            raise OwnCodeError(
+                f"termination {name} must map next observations (B, {known.obs_dim}), a tensor, to "
+                "a bool tensor (B,)"
+            )
+        return answer
+
+    checked(torch.zeros(3, known.obs_dim))
+    return checked

@@ -148,7 +148,7 @@ def uniform(replay: TensorTransitions, ready: bool) -> Weighting:
 
 DEGENERATE = (
     "degenerate-weights",
-    "every weight is zero or some weight is not finite: this fit uses uniform weights",
+    "every weight is zero, or some weight is negative or not finite: this fit uses uniform weights",
 )
 """kind of the notice about unusable weights"""
 

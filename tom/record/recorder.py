@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from tom.errors import DivergedError
+from tom.errors import DivergedError, OwnCodeError
 from tom.events import (
     Collected,
     Evaluation,
@@ -173,6 +173,8 @@ class Recorder:
         step = self._heartbeat.status.env_step
         if isinstance(error, DivergedError):
             return str(error)
+        if isinstance(error, OwnCodeError):
+            return f"step {step}: {error}"
         if isinstance(error, OSError) and error.errno in DISK_FULL:
             return f"step {step}: {error}: free some space, then {self._again()}"
         if ran_out(error):

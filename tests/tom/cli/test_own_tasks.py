@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[3]
@@ -16,6 +17,21 @@ import gymnasium as gym
 from gymnasium.envs.classic_control import PendulumEnv
 
 gym.register("Own-v0", PendulumEnv, max_episode_steps=60)
+
+
+class Falling(PendulumEnv):
+    # The program ends in its fourth episode.
+
+    episodes = 0
+
+    def reset(self, **options):
+        self.episodes += 1
+        if self.episodes > 3:
+            raise SystemExit
+        return super().reset(**options)
+
+
+gym.register("Falling-v0", Falling, max_episode_steps=20)
 IMPORTED = open("imported", "a").write("x")
 
 
@@ -88,6 +104,45 @@ def test_a_task_and_a_rule_of_ones_own(home: Path):
     code, said = tom(f"weigh whole --policy whole --store runs {quick}", home)
     assert code == 0, said
     assert len(json.loads(said)["results"]) == 2
+
+
+def test_a_task_that_fails_ends_its_training_and_is_named(home: Path):
+    words = TRAIN.replace("Own-v0", "Falling-v0")
+    code, said = tom(f"{words} --steps 300 --run-id fails", home)
+    assert code == 1
+    line = said.splitlines()[-1]
+    assert "failed: the reset of the episode of seed" in line
+    assert "'own_tasks:Falling-v0' fails: SystemExit" in line
+    assert "(own_tasks.py, line" in line
+    status = json.loads((home / "runs/fails/status.json").read_text())
+    assert status["state"] == "failed"
+    assert status["reason"].startswith("step ")
+    assert "own_tasks:Falling-v0" in status["reason"]
+
+    rows = {name: np.zeros((9, 3)) for name in ("obs", "next_obs")}
+    rows |= {name: np.zeros(9) for name in ("reward", "terminated", "truncated")}
+    np.savez(home / "mine.npz", allow_pickle=False, action=np.zeros((9, 1)), **rows)
+    words = "--env own_tasks:Falling-v0 --learner mle --store runs"
+    code, said = tom(f"weigh mine.npz --policy random {words}", home)
+    assert code == 2
+    assert "'own_tasks:Falling-v0' fails" in said
+    assert not (home / "runs/weighings").exists()
+
+
+def test_a_run_goes_on_with_its_own_learner_task_and_preset_alone(home: Path):
+    assert tom(f"{TRAIN} --steps 210 --run-id begun --checkpoint-every 105", home)[0] == 0
+    status = (home / "runs/begun/status.json").read_bytes()
+    own = "--env own_tasks:Own-v0"
+    for given, named in (
+        (f"{own} --learner mle", "--learner mle: run 'begun' was made with tom"),
+        ("--env hopper", "--env hopper: run 'begun' was made with own_tasks:Own-v0"),
+        (f"{own} --preset paper", "--preset paper: run 'begun' was made with smoke"),
+    ):
+        code, said = tom(f"train --resume begun --steps 220 --store runs {given}", home)
+        assert (code, named in said) == (2, True), said
+    assert (home / "runs/begun/status.json").read_bytes() == status
+    words = f"train --resume begun --steps 220 --store runs --no-rerun {own}"
+    assert tom(f"{words} --learner tom --preset smoke", home)[0] == 0
 
 
 def test_a_sweep_names_its_task_to_its_trainings(home: Path):

@@ -4,11 +4,15 @@ import json
 from dataclasses import fields
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from gymnasium.envs.classic_control import PendulumEnv
+from gymnasium.wrappers import RescaleAction
 
+from tom.analysis.ordered_data import action_bounds, to_unit_range
 from tom.cli import main
 from tom.data.transitions import Transitions
 from tom.envs import task
@@ -117,3 +121,28 @@ def test_bad_input_is_one_line_and_nothing_is_made(
     assert named in message
     assert message.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.npz", "policy.pt"]
+
+
+@pytest.mark.parametrize(
+    ("factor", "code", "named"),
+    [(1.0005, 0, ""), (1.5, 2, "row 7: dimension 0 is 4.5, its bounds are -3 and 3")],
+)
+def test_actions_outside_the_bounds_are_refused(
+    factor: float, code: int, named: str, data: str, tmp_path: Path, capsys
+):
+    columns = dict(np.load(data))
+    columns["action"][7] = BOUND * factor
+    np.savez(tmp_path / "far.npz", allow_pickle=False, **columns)
+    far, words = str(tmp_path / "far.npz"), ("--policy", "random", "--env", ENV, "--learner", "mle")
+    assert weigh(tmp_path / "store", far, *words) == code
+    assert named in capsys.readouterr().err
+    assert (tmp_path / "store").exists() == (code == 0)
+
+
+def test_bounds_are_those_of_the_task_as_it_is_registered():
+    made = "Rescaled-Pendulum-v0"
+    gym.register(made, lambda **_: RescaleAction(PendulumEnv(), np.float32(-1), np.float32(1)))
+    known = task(f"gymnasium:{made}")  # the innermost Pendulum's bounds are -2 and 2
+    action = np.array([[-1.0], [0.0], [0.5]], np.float32)
+    np.testing.assert_array_equal(to_unit_range(action, known), action)
+    assert [bound.tolist() for bound in action_bounds(known)] == [[-1.0], [1.0]]

@@ -167,3 +167,10 @@ def test_another_kind_of_file_is_named_so(tmp_path: Path):
     (tmp_path / "rows.csv").write_text("obs,action")
     with pytest.raises(UserError, match=r"rows.csv is of no kind that can be read here: give an "):
         read_dataset(tmp_path / "rows.csv")
+
+
+def test_episodes_of_one_row_without_successors_are_one_line(tmp_path: Path, columns):
+    columns["terminated"] = np.ones(N, bool)
+    del columns["next_obs"]
+    with pytest.raises(UserError, match="has no 'next_obs', and every row of it is the last"):
+        read_dataset(npz(tmp_path / "a.npz", columns))

@@ -106,6 +106,7 @@ def test_flags_and_rewards_of_other_types_and_shapes(tmp_path, arrays):
         ({"next_observations": None, "timeouts": None}, "cannot be told apart"),
         ({"rewards": None}, "no array 'rewards'"),
         ({"actions": np.zeros((N - 1, 3))}, "rows: fetch"),
+        ({"next_observations": np.zeros((N, 1))}, "'next_observations' has 1 dimensions"),
         ({"observations": np.zeros((N, 4, 4, 3))}, "not numbers on 2 axes"),
         ({"actions": np.array([[b"x"]] * N)}, "not numbers on 2 axes"),
     ],

@@ -11,7 +11,7 @@ from tom.envs import ENVS, bring, scene, skeleton, task
 from tom.envs.ends import NEVER, RULES, bring_rule, rule
 from tom.envs.gymnasium_task import GymnasiumTask, describe
 from tom.envs.state import capture, restore
-from tom.errors import UserError
+from tom.errors import OwnCodeError, UserError
 
 MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
 OTHERS = ("Pendulum-v1", "MountainCarContinuous-v0")
@@ -66,6 +66,51 @@ for name, parts in {
     "Old-v0": {"second": (np.zeros(2), 0.0, False, {})},
 }.items():
     gym.register(name, type("Odd", (Flat,), parts))  # pyright: ignore[reportArgumentType]
+
+
+class Failing(Flat):
+    """Goes wrong at its third step."""
+
+    after: tuple | BaseException = (np.full(2, np.inf), 0.0, False, False, {})
+    steps = 0
+
+    def step(self, action):
+        self.steps += 1
+        if self.steps < 3:
+            return self.second
+        if isinstance(self.after, BaseException):
+            raise self.after
+        return self.after
+
+
+LATE = {
+    "LateInf-v0": ("dimension 0 is inf", (np.full(2, np.inf), 0.0, False, False, {})),
+    "LateHuge-v0": (r"dimension 1 is 1e\+300", (np.array([0, 1e300]), 0.0, False, False, {})),
+    "LateNaN-v0": ("reward of nan", (np.zeros(2), np.nan, False, False, {})),
+    "LateWide-v0": (r"shape \(1,\), not \(2,\)", (np.zeros(1), 0.0, False, False, {})),
+    "LateError-v0": (r"ValueError: stuck \(test_gymnasium_task", ValueError("stuck\nand more")),
+    "LateExit-v0": ("SystemExit: SystemExit", SystemExit()),
+}
+for name, (_, after) in LATE.items():
+    gym.register(name, type("Late", (Failing,), {"after": after}))  # pyright: ignore[reportArgumentType]
+
+
+class Strict(Flat):
+    """Takes nothing beyond its bounds, which single precision cannot hold."""
+
+    action_space = gym.spaces.Box(-0.1, 0.1, (2,), np.float64)
+
+    def step(self, action):
+        assert self.action_space.contains(action)
+        return self.second
+
+
+gym.register("Strict-v0", Strict)  # pyright: ignore[reportArgumentType]
+for name, space in {
+    "Whole-v0": gym.spaces.Box(0, 4, (2,), np.int64),
+    "Still-v0": gym.spaces.Box(np.zeros(2), np.arange(2.0)),
+}.items():
+    gym.register(name, type("Odd", (Flat,), {"action_space": space}))  # pyright: ignore[reportArgumentType]
 
 
 class Broken(Arm):
@@ -212,7 +257,9 @@ def test_joints_are_found_in_observations_where_they_are():
         ("gymnasium:dm_contrl/arm-reach-v0", "dm_contrl not found"),
         ("gymnasium:Pictures-v0", r"Box\(8, 8, 3\)"),
         ("gymnasium:Named-v0", "Dict"),
-        ("gymnasium:Endless-v0", "without bounds"),
+        ("gymnasium:Endless-v0", "without bounds.*dimension 0 are -inf and inf"),
+        ("gymnasium:Still-v0", "dimension 0 are 0 and 0: give its Box two different ones"),
+        ("gymnasium:Whole-v0", "acts in whole numbers"),
         ("gymnasium:NoSpace-v0", "NoneType space"),
         ("gymnasium:Wide-v0", r"observes \(3,\) and \(2,\), its observation space says \(2,\)"),
         ("gymnasium:NaN-v0", "no finite number"),
@@ -227,6 +274,26 @@ def test_what_cannot_be_used_is_one_line(name: str, words: str):
     with pytest.raises(UserError, match=words) as error:
         describe(name)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("gym_id", LATE)
+def test_a_task_that_goes_wrong_later_is_one_line_that_names_the_step(gym_id: str):
+    env = named(gym_id).make(seed=4)
+    env.reset(seed=4)
+    env.step(np.zeros(2))
+    env.step(np.zeros(2))
+    with pytest.raises(OwnCodeError, match=LATE[gym_id][0]) as error:
+        env.step(np.zeros(2))
+    said = str(error.value)
+    assert "\n" not in said
+    assert "step 3 of the episode of seed 4" in said
+    assert gym_id in said
+
+
+def test_the_bounds_of_actions_are_taken_in_double_precision():
+    env = named("Strict-v0").make(seed=0)
+    for bound in (-1, 1):
+        env.step(np.full(2, bound))
 
 
 def test_a_module_is_imported_where_the_user_names_it_alone(
@@ -268,5 +335,9 @@ def test_a_rule_is_asked_in_the_tasks_units_and_tried_first():
     RULES["test that fails"] = lambda obs: obs[:, 7]
     with pytest.raises(UserError, match="IndexError"):
         rule(known, "test that fails")
+    RULES["test that fails later"] = lambda obs: obs[:3, 0] > 0
+    later = rule(known, "test that fails later")
+    with pytest.raises(OwnCodeError, match="bool tensor"):
+        later(torch.zeros(4, 2))
     with pytest.raises(UserError, match="unknown termination"):
         rule(known, "nevr")

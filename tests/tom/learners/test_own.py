@@ -1,0 +1,121 @@
+"""A plug-in's learner: its answers are checked, and weights that cannot be used are uniform."""
+
+from typing import Any
+
+import pytest
+import torch
+from made import OBS, context, generator, rows
+
+from tom.data.sampling import normalise
+from tom.errors import DivergedError, OwnCodeError
+from tom.learners.base import Weighting
+from tom.learners.own import OwnLearner
+
+N = 50
+
+
+class Answering:
+    """Answers with what it was given, or raises it."""
+
+    def __init__(self, answer: Any) -> None:
+        self.answer = answer
+        self.state = {"mine": 1}
+
+    def weigh(self, context: Any) -> Any:
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        return self.answer
+
+    def state_dict(self) -> dict[str, Any]:
+        return self.state
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.state = state
+
+
+def own(answer: Any) -> OwnLearner:
+    return OwnLearner("mine", lambda: Answering(answer))
+
+
+def weights(**changed: float) -> torch.Tensor:
+    """Random ones of mean 1, with the first ones replaced."""
+    drawn = normalise(torch.rand(N, generator=generator()))[0]
+    for row, value in enumerate(changed.values()):
+        drawn[row] = value
+    return drawn
+
+
+def test_a_right_answer_is_left_as_it_is():
+    given = Weighting(weights(), weights()[:, None].expand(N, OBS), weights(), metrics={"a": 2.0})
+    found = own(given).weigh(context(rows(N)))
+    for name in ("weights", "per_dim", "log_ratio"):
+        assert torch.equal(getattr(found, name), getattr(given, name))
+    assert (found.metrics, found.notices, found.ready) == ({"a": 2.0}, (), True)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        Weighting(weights(a=float("nan"))),
+        Weighting(weights(a=float("inf"))),
+        Weighting(weights(a=-0.5)),
+        Weighting(torch.zeros(N)),
+        Weighting(weights(), per_dim=torch.full((N, OBS), float("nan"))),
+    ],
+)
+def test_weights_that_cannot_be_used_are_uniform_and_counted(given: Weighting):
+    learner = own(given)
+    learner.weigh(context(rows(N)))
+    found = learner.weigh(context(rows(N)))
+    assert torch.equal(found.weights, torch.ones(N))
+    assert (found.per_dim, found.ready) == (None, False)
+    assert found.metrics["weights/degenerate"] == 2
+    assert found.notices[0][0] == "degenerate-weights"
+    again = own(given)
+    again.load_state_dict(learner.state_dict())
+    assert again.weigh(context(rows(N))).metrics["weights/degenerate"] == 3
+    assert "mine" in again.state_dict()
+
+
+def test_weights_of_another_type_or_mean_are_brought_to_ours():
+    wanted = weights()
+    grown = wanted.double().mul(7).requires_grad_()
+    found = own(Weighting(grown, metrics={"a": torch.tensor(2)})).weigh(  # pyright: ignore[reportArgumentType]
+        context(rows(N))
+    )
+    torch.testing.assert_close(found.weights, wanted)
+    assert (found.weights.dtype, found.weights.requires_grad) == (torch.float32, False)
+    assert found.metrics == {"a": 2.0}
+    assert "mean 7" in dict(found.notices)["weights-scaled"]
+
+
+@pytest.mark.parametrize(
+    ("answer", "named"),
+    [
+        (None, "answers with a NoneType: weigh must return a Weighting"),
+        (weights(), "answers with a Tensor"),
+        (Weighting(weights()[:-3]), r"weights must be a tensor of shape \(50,\), not \(47,\)"),
+        (Weighting(weights()[:, None]), r"not \(50, 1\)"),
+        (Weighting([1.0] * N), "not list"),  # pyright: ignore[reportArgumentType]
+        (Weighting(weights(), per_dim=torch.ones(N)), r"per_dim must be a tensor of shape \(50, 3"),
+        (Weighting(weights(), metrics={"a": "b"}), "metric 'a' is 'b' and must be one number"),  # pyright: ignore[reportArgumentType]
+        (KeyError("nope"), r"learner 'mine' fails: KeyError: 'nope' \(test_own.py, line"),
+        (SystemExit(0), "learner 'mine' fails: SystemExit"),
+    ],
+)
+def test_another_answer_is_one_line_that_names_the_learner(answer: Any, named: str):
+    with pytest.raises(OwnCodeError, match=named):
+        own(answer).weigh(context(rows(N)))
+
+
+def test_errors_that_explain_themselves_stay():
+    for error in (DivergedError("step 3: a loss"), MemoryError(), KeyboardInterrupt()):
+        with pytest.raises(type(error)):
+            own(error).weigh(context(rows(N)))
+
+
+def test_what_is_no_learner_is_one_line():
+    with pytest.raises(OwnCodeError, match="is a int without weigh, state_dict"):
+        OwnLearner("mine", lambda: 3)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(OwnCodeError, match="'mine' fails: ZeroDivisionError"):
+        OwnLearner("mine", lambda: 1 / 0)  # pyright: ignore[reportArgumentType]

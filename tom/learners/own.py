@@ -1,0 +1,111 @@
+"""Learners of plug-ins, whose answers are checked before a model is fitted with them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from tom.data.sampling import normalise
+from tom.data.transitions import TensorTransitions
+from tom.envs.user_code import running
+from tom.errors import OwnCodeError
+from tom.learners.base import DEGENERATE, FitContext, Learner, Weighting, uniform
+
+METHODS = ("weigh", "state_dict", "load_state_dict")
+UNIT_MEAN = 1e-3
+"""weights whose mean differs from 1 by more are divided by it"""
+COUNT = "weights/degenerate"
+"""the metric of that name, and its place in a learner's state"""
+
+
+class OwnLearner:
+    """A plug-in's learner. Weights that cannot be used become uniform, as those of our learners."""
+
+    def __init__(self, name: str, make: Callable[[], Learner]) -> None:
+        """Raises OwnCodeError if `make` fails or makes no learner."""
+        self._what = f"learner '{name}'"
+        with running(self._what):
+            self._learner = make()
+        lacking = [m for m in METHODS if not callable(getattr(self._learner, m, None))]
+        if lacking:
+            raise OwnCodeError(
+                f"{self._what} is a {type(self._learner).__name__} without {', '.join(lacking)}: "
+                "make must return a learner (docs/extend.md)"
+            )
+        self._degenerate = 0
+
+    def weigh(self, context: FitContext) -> Weighting:
+        """Raises OwnCodeError if the learner fails or its answer is of another form."""
+        with running(self._what):
+            given = self._learner.weigh(context)
+        answer = self._formed(given, context.replay)
+        if not _usable(answer):
+            self._degenerate += 1
+            plain = uniform(context.replay, ready=False)
+            answer = replace(plain, metrics=answer.metrics, notices=(*answer.notices, DEGENERATE))
+        if self._degenerate:
+            answer = replace(answer, metrics={**answer.metrics, COUNT: float(self._degenerate)})
+        return self._of_mean_one(answer)
+
+    def state_dict(self) -> dict[str, Any]:
+        with running(self._what):
+            state = self._learner.state_dict()
+        return {**state, COUNT: self._degenerate} if self._degenerate else state
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self._degenerate = int(state.get(COUNT, 0))
+        with running(self._what):
+            self._learner.load_state_dict({k: v for k, v in state.items() if k != COUNT})
+
+    def _formed(self, given: object, replay: TensorTransitions) -> Weighting:
+        """`given` with arrays of the right form, type and device, and metrics that are numbers."""
+        if not isinstance(given, Weighting):
+            raise OwnCodeError(
+                f"{self._what} answers with a {type(given).__name__}: weigh must return a Weighting"
+            )
+        rows, dims = replay.obs.shape
+        return replace(
+            given,
+            weights=self._array("weights", given.weights, (rows,), replay.obs),
+            per_dim=self._array("per_dim", given.per_dim, (rows, dims), replay.obs),
+            log_ratio=self._array("log_ratio", given.log_ratio, (rows,), replay.obs),
+            metrics={name: self._number(name, value) for name, value in given.metrics.items()},
+        )
+
+    def _array(self, name: str, given: Any, shape: tuple[int, ...], like: Tensor) -> Any:
+        if given is None and name != "weights":
+            return None
+        if not isinstance(given, Tensor) or tuple(given.shape) != shape:
+            has = tuple(given.shape) if isinstance(given, Tensor) else type(given).__name__
+            raise OwnCodeError(f"{self._what}: {name} must be a tensor of shape {shape}, not {has}")
+        return given.detach().to(like)
+
+    def _number(self, name: str, value: Any) -> float:
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            said = f"{self._what}: its metric '{name}' is {value!r:.40} and must be one number"
+            raise OwnCodeError(said) from None
+
+    def _of_mean_one(self, answer: Weighting) -> Weighting:
+        mean = float(answer.weights.mean(dtype=torch.float64))
+        if abs(mean - 1) <= UNIT_MEAN:
+            return answer
+        scale = 1 / mean
+        said = f"the weights of {self._what} have mean {mean:.3g}: they are divided by it"
+        return replace(
+            answer,
+            weights=normalise(answer.weights)[0],
+            per_dim=None if answer.per_dim is None else answer.per_dim * scale,
+            notices=(*answer.notices, ("weights-scaled", said)),
+        )
+
+
+def _usable(answer: Weighting) -> bool:
+    """Whether all weights are finite and at least zero, and some are above."""
+    parts = [part for part in (answer.weights, answer.per_dim) if part is not None]
+    return all(
+        bool(part.isfinite().all() and (part >= 0).all() and part.sum() > 0) for part in parts
+    )
