@@ -147,6 +147,7 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
     low, high = np.where(bounded, obs.low, -1.0), np.where(bounded, obs.high, 1.0)
     simulator = simulated(env)
     root_dims = None if simulator is None else root_dims_of(env, simulator)
+    seen_as_they_are = root_dims if not bounded.any() else None  # joints, in their own units
     limit = None if env.spec is None else env.spec.max_episode_steps
     return GymnasiumTask(
         name=name,
@@ -159,8 +160,8 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
         or obs_names_of(len(obs.low), simulator, root_dims),
         max_episode_steps=limit or TIME_LIMIT,
         nq=0 if simulator is None else int(simulator.model.nq),
-        root_dims=root_dims,
-        keeps_states=simulator is not None and root_dims is None,
+        root_dims=seen_as_they_are,
+        keeps_states=simulator is not None and seen_as_they_are is None,
         action_low=_floats(action.low),
         action_high=_floats(action.high),
         obs_offset=_floats(0.5 * (high + low)),

@@ -246,6 +246,25 @@ def test_joints_are_found_in_observations_where_they_are():
     assert named("HalfCheetah-v5").qpos_from_obs(np.ones((2, 17)))[:, 0] == pytest.approx(0)
 
 
+def test_rescaled_joints_are_no_joint_positions():
+    """Robots are drawn from the simulator's states then, and not from numbers of another unit."""
+
+    class Bounded(gym.ObservationWrapper):
+        def __init__(self, **given) -> None:
+            super().__init__(gym.make("InvertedPendulum-v5", **given))
+            self.observation_space = gym.spaces.Box(-20.0, 20.0, (4,), np.float64)
+
+        def observation(self, observation):
+            return observation
+
+    gym.register("Bounded-v0", Bounded)  # pyright: ignore[reportArgumentType]
+    known = named("Bounded-v0")
+    assert known.obs_scale == (20.0,) * 4
+    assert known.root_dims is None
+    assert known.keeps_states
+    assert known.obs_names == named("InvertedPendulum-v5").obs_names
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [
