@@ -1,5 +1,6 @@
 """Properties of small copies (written by `thin`): `thinned` in `config.json`, and the status."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -8,6 +9,8 @@ from tom.record.status import Status
 
 KEY = "thinned"
 NAME = "a small copy"
+PLACES = ("--store", "--out")
+"""options whose values are folders of the machine that made the run"""
 
 
 def is_one(config: Mapping[str, Any]) -> bool:
@@ -32,3 +35,33 @@ def status_of(running: Status, env_step: int) -> Status:
     why = "while it was training" if running.alive else "after its process ended without a word"
     reason = f"copied at step {env_step} {why}"
     return replace(running, state="stopped", phase="", env_step=env_step, reason=reason, eta_s=None)
+
+
+def described(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The configuration of a run without the folders of its machine: a copy is made to share."""
+    told = _placeless(config)
+    if config.get("resumes"):
+        told["resumes"] = [_placeless(resume) for resume in config["resumes"]]
+    return told
+
+
+def _placeless(made: Mapping[str, Any]) -> dict[str, Any]:
+    command = {"command": _without_places(str(made["command"]))} if "command" in made else {}
+    return {**made, **command}
+
+
+def _without_places(command: str) -> str:
+    try:
+        words = shlex.split(command)
+    except ValueError:  # an unclosed quote: not a shell command
+        return command
+    kept, place = [], False
+    for word in words:
+        name, given, _ = word.partition("=")
+        if name in PLACES:
+            place = not given  # else the value is the next word
+        elif place:
+            place = False
+        else:
+            kept.append(word)
+    return shlex.join(kept)

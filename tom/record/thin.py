@@ -103,7 +103,7 @@ def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]
         "episodes_of_an_evaluation": 1,
         "left_out": list(left_out),
     }
-    return {**reader.config, small_copy.KEY: note}
+    return {**small_copy.described(reader.config), small_copy.KEY: note}
 
 
 def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:

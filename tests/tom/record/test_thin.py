@@ -143,6 +143,23 @@ def test_policies_are_kept_of_a_run_that_weighs_nothing(record, tmp_path: Path):
     assert set(small.left_out) == {"other policies"}
 
 
+def test_a_copy_does_not_tell_where_its_run_lay(record, tmp_path: Path):
+    run = record()
+    content = {
+        **run.config,
+        "command": "tom train --env hopper --store '/home/me/my runs' --seed=3 --out=/home/me/out",
+        "resumes": [
+            {"at": "noon", "command": "tom train --resume=run --store=/home/me --headless"}
+        ],
+    }
+    (run.path / "config.json").write_text(json.dumps(content))
+    small = RunReader(export_small(RunReader(run.path), tmp_path))
+    assert small.config["command"] == "tom train --env hopper --seed=3"
+    assert small.config["resumes"] == [
+        {"at": "noon", "command": "tom train --resume=run --headless"}
+    ]
+
+
 def test_what_a_link_leads_to_is_not_copied(record, tmp_path: Path):
     run, secret = record(), tmp_path / "secret"
     secret.write_text('{"name": "mine"}')
