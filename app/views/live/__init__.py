@@ -16,6 +16,7 @@ from app.parts.cards import cards
 from app.parts.plot import chart
 from app.theme import learner_label
 from app.views.live import now, start
+from tom.config import SAC_ALONE
 from tom.metrics import describe
 from tom.plugins import CHARTS
 
@@ -67,11 +68,15 @@ def page() -> None:
 
 
 def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
-    """The chosen runs; else the training ones; else each learner's newest run of one task."""
+    """The chosen runs; else the training ones; else each learner's newest run of one task.
+
+    It is the task of the newest run, of a recording of SAC only if no run has weights to show.
+    """
     picked = [run for run in runs if run.run_id in chosen]
     picked = picked or [run for run in runs if run.status.alive or _just_died(run)]
     if not picked and runs:
-        newest = {run.learner: run for run in reversed(runs) if run.env == runs[0].env}
+        last = next((run for run in runs if run.learner != SAC_ALONE), runs[0])
+        newest = {run.learner: run for run in reversed(runs) if run.env == last.env}
         picked = list(newest.values())
     return sorted(picked, key=lambda run: (run.env, run.learner, run.seed, run.run_id))
 

@@ -19,7 +19,7 @@ from app.data.readers import RunInfo
 from app.links import Links
 from app.parts import replay_link
 from app.parts.cards import figures as figures_of
-from app.views.live import start, usual
+from app.views.live import start, usual, watched
 from tom.record import layout
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
@@ -57,6 +57,13 @@ def test_live_refreshes_without_losing_the_zoom() -> None:
 def test_live_without_a_training_shows_each_learners_newest_run() -> None:
     names = [line["meta"] for line in figures(draw("live"))[0]["data"]]
     assert names == [ROAD_MLE, ROAD_TOM]
+
+
+def test_live_without_a_training_prefers_runs_with_weights_to_a_recording(store: Path) -> None:
+    trained = info(store, PENDULUM_TOM)
+    recording = replace(trained, run_id="recorded", env="hopper", learner="sac")
+    assert watched([recording, trained], []) == [trained]
+    assert watched([recording], []) == [recording]
 
 
 def test_live_shows_chosen_curves(store: Path) -> None:
