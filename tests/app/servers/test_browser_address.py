@@ -8,12 +8,13 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from studio_runs import PENDULUM_TOM
-from test_browser import (  # noqa: F401 (the last two are fixtures)
+from test_browser import (  # noqa: F401 (own and visit are fixtures)
     LOCAL,
     Visit,
     own,
     shown_steps,
     visit,
+    wait_until_steady,
     zoom_in,
 )
 
@@ -132,6 +133,9 @@ def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:  # no
     page.get_by_text("1000 resamples").wait_for()
     assert page.get_by_role("radio", name="Curves").is_checked()
     visit.open("Weights", "weights")
+    shown, busy = page.get_by_text("Every fit"), page.get_by_test_id("stStatusWidget")
+    # At rest: a picture asked for after its page was left is gone, which the console would tell.
+    wait_until_steady(page, lambda: shown.count() > 0 and not busy.count(), 1)
     page.go_back()
     page.get_by_text("1000 resamples").wait_for()
     assert asked(page) == {"env": ["inverted-pendulum"]}
