@@ -144,8 +144,13 @@ def test_means_of_one_distribution_seldom_differ(n: int, m: int):
     pairs = [(draws.normal(size=n), draws.normal(size=m)) for _ in range(2000)]
     differ = [st.means_differ(x, y) for x, y in pairs]
     assert np.mean(differ) < 0.065
-    p = [np.asarray(stats.ttest_ind(x, y, equal_var=False))[1] for x, y in pairs]
-    assert differ == [value < 0.05 for value in p]
+
+
+def test_means_differ_by_welchs_t():
+    # Two groups of two with variance 1/2: the standard error is 1/sqrt(2), t has 2 degrees of
+    # freedom and must exceed 4.30.
+    assert not st.means_differ([0.0, 1.0], [3.0, 4.0])  # t = 4.24, more than two standard errors
+    assert st.means_differ([0.0, 1.0], [3.1, 4.1])  # t = 4.38
 
 
 def test_means_of_runs_that_are_all_alike_differ_if_they_are_not_equal():
