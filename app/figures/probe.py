@@ -1,6 +1,7 @@
 """Several learners on one buffer: their weight profiles, and their models' errors along it."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import plotly.graph_objects as go
@@ -13,6 +14,18 @@ from app.figures.weights import bin_centres, on_log_axis
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 
 AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
+
+
+@dataclass(frozen=True)
+class RunErrors:
+    """The errors of a run's model, in standard deviations of a step's change."""
+
+    run_id: str
+    learner: str
+    policy: float
+    """on the policy's newest transitions"""
+    other: float
+    """on the rest of the buffer"""
 
 
 def probe_profiles(
@@ -93,26 +106,24 @@ def errors_by_age(errors: Sequence[tuple[str, str, Floats]], bins: int, height: 
     return figure
 
 
-def focus(
-    values: Mapping[str, Sequence[tuple[str, float, float]]], height: int, keep: str
-) -> go.Figure:
-    """For each learner the errors of its runs on the policy's transitions and on the others.
+def focus(groups: Mapping[str, Sequence[RunErrors]], height: int, keep: str) -> go.Figure:
+    """For each group, by name, its runs' errors on the policy's transitions and on the others.
 
-    `values` are (run, policy, other) by learner; a line joins a run's two errors.
+    A line joins a run's two errors.
     """
     figure = go.Figure()
     ticks = []
-    for i, (learner, runs) in enumerate(values.items()):
-        colour = learner_colour(learner)
-        ticks.append(text.plotly(learner_label(learner)))
-        for k, (name, policy, other) in enumerate(runs):
+    for i, (name, runs) in enumerate(groups.items()):
+        ticks.append(text.plotly(name))
+        for k, run in enumerate(runs):
+            colour, run_id = learner_colour(run.learner), text.plotly(run.run_id)
             nudge = 0.12 * (k - (len(runs) - 1) / 2)
             figure.add_trace(
                 go.Scatter(
                     x=[i - 0.15 + nudge, i + 0.15 + nudge],
-                    y=[policy, other],
+                    y=[run.policy, run.other],
                     customdata=["the policy's transitions", "the other transitions"],
-                    meta=text.plotly(name),
+                    meta=run_id,
                     mode="lines+markers",
                     line={"color": faded(colour, 0.5), "width": 1.5},
                     marker={
@@ -122,8 +133,7 @@ def focus(
                         "symbol": "circle",
                     },
                     showlegend=False,
-                    hovertemplate=f"{text.plotly(name)}<br>%{{customdata}}"
-                    "<br>error %{y:.3g}<extra></extra>",
+                    hovertemplate=f"{run_id}<br>%{{customdata}}<br>error %{{y:.3g}}<extra></extra>",
                 )
             )
     styled(figure, "", height, keep=keep)

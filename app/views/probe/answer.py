@@ -1,4 +1,4 @@
-"""The answer on top of the page: which learner errs least on its own policy's transitions.
+"""The answer on top of the page: which group of runs errs least on its own policy's transitions.
 
 It also says whether the difference is more than noise. It is out of sample if runs have exams; else
 it uses the errors on the policy's newest transitions, to which the models were fitted.
@@ -13,7 +13,7 @@ from app import text
 from app.data.buffer import Floats
 from app.data.called import names
 from app.data.readers import RunInfo
-from app.theme import learner_label
+from app.figures.probe import RunErrors
 from app.views.probe import exams, model_error
 from tom.analysis.statistics import means_differ
 
@@ -36,12 +36,9 @@ def draw(runs: Sequence[RunInfo], left_out: Sequence[RunInfo]) -> None:
         st.caption(f"Left out, of another length: {text.markdown('; '.join(said))}.")
 
 
-def in_sample(values: Mapping[str, Sequence[tuple[str, float, float]]]) -> dict[str, Floats]:
-    """Errors (n,) on the policy's newest transitions; `values` as `focus_values` gives them."""
-    return {
-        learner_label(learner): np.array([policy for _, policy, _ in runs])
-        for learner, runs in values.items()
-    }
+def in_sample(groups: Mapping[str, Sequence[RunErrors]]) -> dict[str, Floats]:
+    """Each group's errors (n,) on the policy's newest transitions."""
+    return {name: np.array([run.policy for run in runs]) for name, runs in groups.items()}
 
 
 def sentence(errors: Mapping[str, Floats]) -> str:

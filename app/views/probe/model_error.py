@@ -7,14 +7,14 @@ import streamlit as st
 
 from app.data import buffer_reader, readers
 from app.data.readers import RunInfo
-from app.figures.probe import errors_by_age, focus
+from app.figures.probe import RunErrors, errors_by_age, focus
 from app.parts import empty
 from app.parts.plot import chart
-from app.theme import learner_label
+from app.views.probe.exams import group_names
 from tom.analysis.curves import curve_points
 
 MODELS = 8
-"""maximum number of stored models to test on one buffer: the newest of each learner in turn"""
+"""maximum number of stored models to test on one buffer: the newest of each group in turn"""
 BINS = 20
 PAIRS = {
     "One step": ("model/error_policy", "model/error_other"),
@@ -24,14 +24,12 @@ PAIRS = {
 
 def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
     """The errors on the buffer of `run` of its own stored model and of other runs' models."""
-    errors = []
+    errors, names = [], group_names(others)
     for other in in_turn(run, others):
         error = buffer_reader.errors_on(run, other)
         if error is not None:
             own = " (its own)" if other.run_id == run.run_id else ""
-            errors.append(
-                (f"{learner_label(other.learner)} s{other.seed}{own}", other.learner, error)
-            )
+            errors.append((f"{names[other.run_id]} s{other.seed}{own}", other.learner, error))
         if len(errors) == MODELS:
             break
     if not errors:
@@ -48,12 +46,12 @@ def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
 
 
 def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:
-    """The run itself, then the first run of each learner, then their second runs, and so on."""
-    seen: Counter[str] = Counter()
+    """The run itself, then the first run of each group, then their second runs, and so on."""
+    seen, names = Counter[str](), group_names(others)
     turns = []
     for other in others:
-        turns.append((other.run_id != run.run_id, seen[other.learner]))
-        seen[other.learner] += 1
+        turns.append((other.run_id != run.run_id, seen[names[other.run_id]]))
+        seen[names[other.run_id]] += 1
     order = sorted(range(len(others)), key=lambda i: turns[i])
     return [others[i] for i in order]
 
@@ -62,14 +60,14 @@ def recorded(runs: Sequence[RunInfo]) -> None:
     """The errors that the runs have recorded at their last fits."""
     columns = st.columns(2)
     for column, (words, (policy, other)) in zip(columns, PAIRS.items(), strict=True):
-        values = focus_values(runs, policy, other)
+        groups = focus_values(runs, policy, other)
         with column, st.container(border=True):
             st.markdown(
                 f"**{words}**: full, the policy's newest transitions; hollow, the rest",
                 help="at each run's last fit, on its own buffer: rows the model was just fitted to",
             )
-            if values:
-                chart(focus(values, 280, policy), f"focus {words}", "model error by learner")
+            if groups:
+                chart(focus(groups, 280, policy), f"focus {words}", "model error by group")
             else:
                 st.caption("No run of this task has measured it.")
     st.caption(
@@ -79,16 +77,13 @@ def recorded(runs: Sequence[RunInfo]) -> None:
     )
 
 
-def focus_values(
-    runs: Sequence[RunInfo], policy: str, other: str
-) -> dict[str, list[tuple[str, float, float]]]:
-    """(run, error on the policy's transitions, on the others) at the last fit, by learner."""
-    by_learner: dict[str, list[tuple[str, float, float]]] = {}
-    for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id)):
+def focus_values(runs: Sequence[RunInfo], policy: str, other: str) -> dict[str, list[RunErrors]]:
+    """The errors of each run at its last fit, by the name of its group: `policy` and `other`."""
+    groups, names = dict[str, list[RunErrors]](), group_names(runs)
+    for run in sorted(runs, key=lambda run: (run.learner, names[run.run_id], run.seed, run.run_id)):
         frame = readers.metrics(run)
         pair = [curve_points(frame, metric)[1] for metric in (policy, other)]
         if all(len(values) for values in pair):
-            by_learner.setdefault(run.learner, []).append(
-                (run.run_id, float(pair[0][-1]), float(pair[1][-1]))
-            )
-    return by_learner
+            errors = RunErrors(run.run_id, run.learner, *(float(values[-1]) for values in pair))
+            groups.setdefault(names[run.run_id], []).append(errors)
+    return groups

@@ -13,6 +13,7 @@ from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import buffer_reader, weighings
+from app.figures.probe import RunErrors
 from app.links import Links
 from app.parts import widgets
 from app.views.probe.answer import in_sample, sentence
@@ -236,12 +237,25 @@ def test_models_of_all_learners_come_before_a_learners_second_one(store: Path) -
 def test_does_it_help_shows_what_the_runs_measured(store: Path) -> None:
     runs = [info(store, name) for name in (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")]
     found = focus_values(runs, "model/error_policy", "model/error_other")
-    assert {name: len(values) for name, values in found.items()} == {"tom": 2, "mle": 1}
+    assert {name: len(values) for name, values in found.items()} == {"TOM": 2, "MLE": 1}
     recorded = RunReader(store / "pendulum-mle-0").metrics()["model/error_policy"].dropna()
-    assert found["mle"][0][1] == recorded.iloc[-1]
+    [mle] = found["MLE"]
+    assert mle.policy == recorded.iloc[-1]
     one_step = figures(draw("probe", run=PENDULUM_TOM))[3]
     line = trace(one_step, meta="pendulum-mle-0")
-    assert array(line["y"]).tolist() == list(found["mle"][0][1:])
+    assert array(line["y"]).tolist() == [mle.policy, mle.other]
+
+
+def test_two_presets_of_a_learner_are_two_groups(store: Path) -> None:
+    runs = [info(store, name) for name in (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")]
+    runs[1] = replace(runs[1], preset="mended")
+    found = focus_values(runs, "model/error_policy", "model/error_other")
+    presets = {f"TOM, {run.preset}": [run.run_id] for run in runs[:2]}
+    assert {name: [run.run_id for run in of] for name, of in found.items() if "TOM" in name} == (
+        presets
+    )
+    turns = [run.run_id for run in in_turn(runs[0], runs)]
+    assert turns == [PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0"]
 
 
 def test_regions_can_show_a_weighings_weights(weighed: Path) -> None:
@@ -274,16 +288,16 @@ def test_the_page_says_which_runs_are_left_out(
     assert any("Where its own policy goes" in words.value for words in app.markdown)
 
 
-APART = {"tom": 1.0, "mle": 1.42}
+APART = {"TOM": 1.0, "MLE": 1.42}
 """means three standard errors apart if two runs lie 0.1 around them: by chance in 10 of 100"""
 
 
+def errors_of(name: str, *policy: float) -> dict[str, list[RunErrors]]:
+    return {name: [RunErrors(f"{name} {i}", "tom", value, 0.0) for i, value in enumerate(policy)]}
+
+
 def test_an_answer_says_by_how_much_and_whether_beyond_noise() -> None:
-    near = {
-        "mle": [("a", 1.0, 0.0), ("b", 1.2, 0.0)],
-        "tom": [("c", 0.9, 0.0), ("d", 1.1, 0.0)],
-        "pmac": [("e", np.nan, 0.0)],
-    }
+    near = errors_of("MLE", 1.0, 1.2) | errors_of("TOM", 0.9, 1.1) | errors_of("PMAC", np.nan)
     said = sentence(in_sample(near))
     assert "TOM errs least" in said
     assert "9 % less than MLE" in said
@@ -291,11 +305,12 @@ def test_an_answer_says_by_how_much_and_whether_beyond_noise() -> None:
     assert "No more than noise, though of few runs: the gap is 0.1" in said
     error = np.sqrt(0.02 / 2 + 0.02 / 2)
     assert f"its standard error {error:.2g}" in said
-    three_errors = {name: [("", m - 0.1, 0.0), ("", m + 0.1, 0.0)] for name, m in APART.items()}
+    three_errors = [errors_of(name, m - 0.1, m + 0.1) for name, m in APART.items()]
     assert "No more than noise, though of few runs: the gap is 0.42" in sentence(
-        in_sample(three_errors)
+        in_sample(three_errors[0] | three_errors[1])
     )
-    far = {"tom": [("a", 1.0, 0.0)] * 5, "mle": [("b", 2.0, 0.0)] * 5}
+    far = errors_of("TOM", *[1.0] * 5) | errors_of("MLE", *[2.0] * 5)
     assert "More than noise: the gap is 1" in sentence(in_sample(far))
-    assert "one run cannot tell" in sentence(in_sample({"tom": far["tom"][:1], "mle": far["mle"]}))
+    one = errors_of("TOM", 1.0) | errors_of("MLE", *[2.0] * 5)
+    assert "one run cannot tell" in sentence(in_sample(one))
     assert "No run of this task" in sentence({})
