@@ -2,6 +2,7 @@
 
 import importlib
 import sys
+import sysconfig
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,8 +16,13 @@ from tom.envs.task import Task, Termination
 from tom.errors import OF_USERS, DivergedError, OwnCodeError, UserError, reason
 from tom.machine.memory import ran_out
 
-_NOT_THE_USERS = ("site-packages", str(Path(__file__).parents[1]))
-"""parts of the paths of libraries and of this package"""
+_NOT_THE_USERS = (
+    "site-packages",
+    "<frozen",
+    sysconfig.get_path("stdlib"),
+    str(Path(__file__).parents[1]),
+)
+"""parts of the paths of libraries, of Python itself and of this package"""
 
 
 @contextmanager
@@ -33,11 +39,11 @@ def running(what: str) -> Iterator[None]:
     except OF_USERS as error:
         if ran_out(error):
             raise
-        said = f"{what} fails: {type(error).__name__}: {reason(error)}{_place(error)}"
+        said = f"{what} fails: {type(error).__name__}: {reason(error)}{place(error)}"
         raise OwnCodeError(said) from error
 
 
-def _place(error: BaseException) -> str:
+def place(error: BaseException) -> str:
     """The file and line of the user's that an error comes from, in brackets; empty if unknown."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if not any(part in f.filename for part in _NOT_THE_USERS)]
@@ -60,7 +66,7 @@ def import_named(module: str, option: str) -> ModuleType:
     except OF_USERS as error:  # errors of the user's code
         raise UserError(
             f"{option}: module '{module}' cannot be imported: "
-            f"{type(error).__name__}: {reason(error)}"
+            f"{type(error).__name__}: {reason(error)}{place(error)}"
         ) from error
     finally:
         sys.path.remove(here)

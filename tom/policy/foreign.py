@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.envs.user_code import import_named
+from tom.envs.user_code import import_named, place
 from tom.errors import OF_USERS, UserError, reason
 
 TORCHSCRIPT = (".pt", ".pth", ".ts", ".torchscript")
@@ -78,7 +78,7 @@ class ForeignPolicy:
         except OF_USERS as error:
             raise UserError(
                 f"policy {self.name} fails on observations {tuple(obs.shape)}, any number of which "
-                f"it must take: {_why(error)}"
+                f"it must take: {_why(error)}{place(error)}"
             ) from error
         shape = len(obs), self.action_dim
         if len(answer) not in (1, 2) or any(part.shape != shape for part in answer):

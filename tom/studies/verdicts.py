@@ -16,6 +16,8 @@ SIMPLER = ("expert-only", "footprint-only", "ratio", "pmac, expert last")
 """simple weightings of road-and-rocks, without a dual"""
 PAPER = "paper, 1 sampled a'"
 """the variants with the paper's networks and steps"""
+NAMED = 3
+"""runs named at most in a sentence"""
 
 
 def road(outcomes: Sequence[Outcome], sweep: Sequence[Outcome]) -> list[str]:
@@ -94,7 +96,7 @@ def tabular(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def returns(cells: Sequence[Cell]) -> list[str]:
     """In how many of the paper's environments TOM's mean is the highest, and the reservations."""
-    return [*_ranking(cells), *_unlike(cells)]
+    return [*_ranking(cells), *_cut_short(cells), *_unlike(cells)]
 
 
 def _near(row: Mapping[str, Any]) -> str:
@@ -148,6 +150,27 @@ def _tom_is_first(cells: Sequence[Cell], step: float) -> bool:
     means = {cell.method: float(cell.scores(step).mean()) for cell in cells}
     tom = means.pop(("tom", ""))
     return all(tom > mean for (learner, _), mean in means.items() if learner != "tom")
+
+
+def _cut_short(cells: Sequence[Cell]) -> list[str]:
+    """One line per environment in which some runs go on after others ended, the shortest named."""
+    lines = []
+    for env, step in compared_at(cells).items():
+        here = [c for c in cells if c.env == env]
+        longest = max(cell.longest for cell in here)
+        if longest > step:
+            ended = [
+                f"{run.run_id} ({run.status.shown})"
+                for cell in here
+                for run, curve in zip(cell.runs, cell.curves, strict=True)
+                if curve.step[-1] == step
+            ]
+            more = f" and {len(ended) - NAMED} more" if len(ended) > NAMED else ""
+            lines.append(
+                f"{env}: compared at step {step:.0f} of {longest:.0f}, the last evaluation of "
+                f"{', '.join(ended[:NAMED])}{more}."
+            )
+    return lines
 
 
 def _unlike(cells: Sequence[Cell]) -> list[str]:

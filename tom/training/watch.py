@@ -82,8 +82,8 @@ class Watch:
         named = ", ".join(map(str, still[:NAMED])) + (", ..." if len(still) > NAMED else "")
         return (
             f"{len(still)} of {len(self._low)} observation dimensions ({named}) have never "
-            "changed: they are predicted to stay as they are; leave them out of the observation "
-            "if they carry nothing"
+            "changed: nothing can be learnt of them; leave them out of the observation if they "
+            "carry nothing"
         )
 
     def _small(self) -> str:

@@ -187,13 +187,18 @@ def test_a_sweep_in_a_task_of_ones_own_goes_on_where_it_was_stopped(home: Path):
         ("--env own_tasks:Own-v0 --termination own_tasks:numbers", "bool tensor"),
         ("--env own_tasks:Own-v0 --termination nevr", "unknown termination 'nevr'"),
         ("--env hoper", "hopper"),
-        ("--env odd:Ends-v0", "cannot be imported: SystemExit"),
+        ("--env odd:Ends-v0", "cannot be imported: SystemExit: 0 (odd.py, line 2)"),
+        (
+            "--env torn:Ends-v0",
+            "cannot be imported: SyntaxError: '(' was never closed (torn.py, line 2)",
+        ),
         ("--env gymnasium:Pendulum-v1 --termination odd:x", "cannot be imported: SystemExit"),
         ("--env gymnasium:Pendulum-v1 --plugin odd.py", "fails: SystemExit"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(home: Path, words: str, named: str):
     (home / "odd.py").write_text("import sys\nsys.exit(0)\n")
+    (home / "torn.py").write_text("import sys\nsys.exit(\n")
     code, said = tom(f"train {words} --learner tom --preset smoke --store runs", home)
     assert code == 2
     assert named in said

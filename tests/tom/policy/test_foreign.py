@@ -115,6 +115,7 @@ def bad(obs): return obs[:, :2] * np.nan
 def one(obs): return obs[0, :2]
 def ends(obs): raise SystemExit(0)
 def fails(obs): raise KeyError("nothing here")
+def reads(obs): return __import__("json").loads("no JSON")
 number = 3
 """
 
@@ -129,7 +130,8 @@ def test_a_function_of_numpy_arrays(tmp_path: Path, monkeypatch):
         "many": r"to \(2, 3\), \(2, 3\), \(2, 3\)",
         "one": r"to \(2,\)",
         "bad": "no finite number",
-        "fails": "policy my_policy:fails fails on observations .2, 3., .*nothing here",
+        "fails": "my_policy:fails fails on obs.* .2, 3., .*nothing here.*my_policy.py, line 11",
+        "reads": "my_policy.py, line 12",
         "ends": "policy my_policy:ends fails on observations",
         "none": "module 'my_policy' has no function 'none'",
         "number": "module 'my_policy' has no function 'number'",

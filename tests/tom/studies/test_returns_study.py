@@ -160,10 +160,14 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
 
 def test_what_is_said_is_what_was_found(store: Store):
     cells, _ = study.select(store.runs(), "paper")
-    first, few, short = verdicts.returns(cells)
+    first, few, short, of_hopper = verdicts.returns(cells)
     assert "0 of 2 of the paper's environments; the paper says 4 of 5" in first
     assert "1 seed" in few
     assert "hopper 3000 of 125000" in short
+    assert of_hopper.startswith("hopper: compared at step 3000 of 4000, the last evaluation of ")
+    shortest = [run.run_id for c in cells for run in c.runs if "s0" not in run.run_id]
+    assert f"{shortest[0]} (finished)" in of_hopper
+    assert of_hopper.count("-s0-") + of_hopper.count("-s1-") == 2  # MLE's run and TOM's seed 1
     assert "nothing to compare" in verdicts.returns([c for c in cells if c.learner == "tom"])[0]
 
 
