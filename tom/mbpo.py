@@ -15,7 +15,6 @@ from torch import Tensor
 
 from tom.config import OnlineConfig
 from tom.data.replay import ReplayBuffer
-from tom.data.sampling import uniform_indices
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics import make_model
 from tom.dynamics.ending import EndingHead
@@ -41,7 +40,7 @@ from tom.nn.lockstep import call, do
 from tom.policy.evaluate import Evaluator
 from tom.policy.rollout import roll_out, start_states
 from tom.policy.sac import Sac
-from tom.policy.sac_work import Act, SacUpdates
+from tom.policy.sac_work import Act, SacUpdates, mixed_batches
 from tom.policy.stored import policy_arrays
 from tom.rng import Streams
 
@@ -193,15 +192,15 @@ class Mbpo:
     def optimise_policy(self) -> None:
         """Lines 26-28: G gradient steps of SAC on model and a few real transitions."""
         config = self.config
-        size = config.sac.batch_size
-        real = int(config.real_ratio * size)
-        generator, updates = self.streams.torch("batches"), config.updates_per_step
-        real_rows = uniform_indices(len(self.replay), updates * real, generator)
-        model_rows = uniform_indices(len(self.model_buffer), updates * (size - real), generator)
-        real_part = self.replay.packed(real_rows).unflatten(0, (updates, real))
-        model_part = self.model_buffer.packed(model_rows).unflatten(0, (updates, size - real))
-        work = SacUpdates(self.sac, torch.cat([real_part, model_part], 1))
-        self._sac_metrics = do(work).metrics
+        batches = mixed_batches(
+            self.replay,
+            self.model_buffer,
+            config.updates_per_step,
+            config.sac.batch_size,
+            config.real_ratio,
+            self.streams.torch("batches"),
+        )
+        self._sac_metrics = do(SacUpdates(self.sac, batches)).metrics
         if self.streams.device.type == "cpu":  # on a GPU this check would force a wait
             self._sac_losses()
         self.policy_version += 1

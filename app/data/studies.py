@@ -26,6 +26,7 @@ QUESTIONS = {
     "focus": "Is the model better where the policy goes, and at what price elsewhere?",
     "footprint": "How near does each way of weighing bring a buffer to what the policy does?",
     "capacity": "For which models does weighting pay: small ones, or large ones too?",
+    "improvement": "Does the policy gain by weights, in the model or in the rollouts' starts?",
     "online": "Which parts of the buffer count at which step of a training?",
     "returns": "Who learns fastest, and who ends highest?",
     "tabular": "Are the estimated weights the exact ones of small MDPs?",
@@ -33,7 +34,7 @@ QUESTIONS = {
 """the question of every study of `tom reproduce`, in the order of listing"""
 
 
-ABOUT_RUNS = {"footprint": "RUN ...", "capacity": "RUN ..."}
+ABOUT_RUNS = {"footprint": "RUN ...", "capacity": "RUN ...", "improvement": "RUN ..."}
 """arguments of a study's command that the user must supply"""
 
 

@@ -7,6 +7,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from tom.data.replay import ReplayBuffer
+from tom.data.sampling import uniform_indices
 from tom.nn.graphs import captured_step
 from tom.nn.lockstep import Rank, Work
 from tom.policy.sac import Sac
@@ -53,3 +55,20 @@ class SacUpdates(Work):
         metrics = subject.updates(batches, captured_step(subject))
         for m, work in enumerate(works):
             work.metrics = {name: value[m : m + 1] for name, value in metrics.items()}
+
+
+def mixed_batches(
+    real: ReplayBuffer,
+    modelled: ReplayBuffer,
+    updates: int,
+    size: int,
+    real_ratio: float,
+    generator: torch.Generator,
+) -> Tensor:
+    """Packed minibatches (G, B, R), drawn uniformly: a share of real rows, then modelled ones."""
+    n = int(real_ratio * size)
+    real_rows = uniform_indices(len(real), updates * n, generator)
+    modelled_rows = uniform_indices(len(modelled), updates * (size - n), generator)
+    real_part = real.packed(real_rows).unflatten(0, (updates, n))
+    modelled_part = modelled.packed(modelled_rows).unflatten(0, (updates, size - n))
+    return torch.cat([real_part, modelled_part], 1)

@@ -9,6 +9,7 @@ Q(s, a); files of earlier versions have none.
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
+from math import log
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import relu
 
+from tom.config import SacConfig
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import UserError, reason
 from tom.nn.mlp import StackedMLP
@@ -68,6 +70,23 @@ class StoredPolicy(GaussianPolicy):
         if (sizes[0], sizes[-1]) != (self.obs_dim + self.action_dim, 1):
             raise ValueError("its critics do not fit its actor")
         return MemberPolicy(actor, critic, 0).value_gradient
+
+
+def resumed_sac(
+    arrays: Arrays, config: SacConfig, temperature: float, generator: torch.Generator
+) -> Sac:
+    """SAC that goes on with the file's actor and critics.
+
+    Its target critics equal its critics and its optimisers are new: the file holds neither. Raises
+    ValueError if there are no critics, RuntimeError if `config` has other layers.
+    """
+    actor, sizes = _network({name: a[None] for name, a in _layers(arrays).items()}, members=1)
+    critic, _ = _network(_layers(arrays, CRITIC), members=TWINS)
+    sac = Sac(sizes[0], sizes[-1] // 2, config, [generator])
+    for net, stored in ((sac.actor, actor), (sac.critic, critic), (sac.target_critic, critic)):
+        net.load_state_dict(stored.state_dict())
+    sac.log_temperature.fill_(log(temperature))
+    return sac
 
 
 class UniformPolicy:

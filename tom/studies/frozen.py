@@ -19,7 +19,7 @@ from tom.config import OnlineConfig
 from tom.data.datasets import initial_obs
 from tom.data.sampling import ess
 from tom.data.transitions import TensorTransitions
-from tom.dynamics import make_model
+from tom.dynamics import DynamicsModel, make_model
 from tom.envs import task
 from tom.exams.diagnostics import one_step_error, rollout_error, step_scale, unbroken
 from tom.exams.energy import footprint_match, step_scaling
@@ -154,9 +154,9 @@ def cases(
 def examined(case: Case) -> Outcome:
     """Weigh the moment's buffer, and test the weights and the models fitted with them."""
     run, way = RunReader(case.run), WAYS[case.way]
-    data, policy = _buffer(run, case.step), read_policy(case.run / layout.policy(case.step))
-    config = _config(run, way, case.seed)
-    weighting = _weighting(data, policy, config, newest=way.learner is None)
+    data, policy = buffer_at(run, case.step), read_policy(case.run / layout.policy(case.step))
+    config = config_of(run, way, case.seed)
+    weighting = weighting_of(data, policy, config, newest=way.learner is None)
     rows, streams = data.transitions, Streams(case.seed)
     start, generator = streams.integer("test env"), streams.torch("test")
     anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
@@ -178,7 +178,7 @@ def examined(case: Case) -> Outcome:
     )
 
 
-def _buffer(run: RunReader, step: int) -> OrderedData:
+def buffer_at(run: RunReader, step: int) -> OrderedData:
     """The replay buffer of a training at `step`, or its counterpart in a recording of SAC."""
     if run.fits_model:
         return of_run(run, step)
@@ -194,16 +194,16 @@ def _buffer(run: RunReader, step: int) -> OrderedData:
     )
 
 
-def _config(run: RunReader, way: Way, seed: int) -> OnlineConfig:
+def config_of(run: RunReader, way: Way, seed: int) -> OnlineConfig:
     config = resolve(run.env, way.learner or "mle", way.preset, {**way.settings, "seed": seed})
     assert isinstance(config, OnlineConfig)
     return config
 
 
-def _weighting(
+def weighting_of(
     data: OrderedData, policy: StoredPolicy, config: OnlineConfig, newest: bool
 ) -> Weighting:
-    """The weights of an online fit, with newly initialised networks."""
+    """The weights of an online fit, with newly initialised networks; `newest`: way `newest`."""
     rows, streams = data.transitions, Streams(config.seed)
     if newest:
         weights = torch.zeros(len(rows))
@@ -225,6 +225,16 @@ def _weighting(
     )
 
 
+def fitted(
+    name: str, rows: TensorTransitions, weighting: Weighting, config: OnlineConfig
+) -> DynamicsModel:
+    """The model `name` of MODELS, fitted to the rows with these weights."""
+    streams, settings = Streams(config.seed), config.model.but(**MODELS[name])
+    model = make_model(rows.obs.shape[1], rows.action.shape[1], settings, streams.torch("model"))
+    model.fit(rows, *weighting.for_fit(settings), streams.torch("fit"))
+    return model
+
+
 def _error(
     name: str,
     rows: TensorTransitions,
@@ -232,10 +242,7 @@ def _error(
     anew: TensorTransitions,
     config: OnlineConfig,
 ) -> ModelError:
-    streams, settings = Streams(config.seed), config.model.but(**MODELS[name])
-    model = make_model(rows.obs.shape[1], rows.action.shape[1], settings, streams.torch("model"))
-    model.fit(rows, *weighting.for_fit(settings), streams.torch("fit"))
-    scale = step_scale(rows)
+    model, scale = fitted(name, rows, weighting, config), step_scale(rows)
     return ModelError(
         name,
         one_step_error(model, anew, scale),

@@ -1,12 +1,22 @@
 """`tom reproduce`: compute a claim of the paper again and test it against its acceptance."""
 
-from tom.cli.reproduce import focus, frozen, online, progression, returns, road, tabular
+from tom.cli.reproduce import (
+    focus,
+    frozen,
+    improvement,
+    online,
+    progression,
+    returns,
+    road,
+    tabular,
+)
 
 STUDIES = (
     road,
     progression,
     focus,
     frozen,
+    improvement,
     online,
     returns,
     tabular,

@@ -1,4 +1,7 @@
-"""`tom reproduce footprint` and `capacity`: all ways of weighing on the same frozen buffers."""
+"""`tom reproduce footprint` and `capacity`: all ways of weighing on the same frozen buffers.
+
+The options of moments are also those of `tom reproduce improvement`.
+"""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -95,39 +98,43 @@ def add_parser(subparsers, arguments: list[str]) -> None:
             f"episodes that the policy of that step makes anew: {study.help}. Runs must be whole, "
             "or small copies made with --keep buffer policies.",
         )
-        parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
-        parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
-        parser.add_argument("--moments", type=int, default=8, help="of each run at most [8]")
-        parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="[0]")
-        parser.add_argument(
-            "--ways", nargs="+", default=list(study.ways), metavar="WAY", help=", ".join(WAYS)
-        )
+        add_moments(parser, study.ways)
         parser.add_argument("--rows", type=int, default=6000, help="new transitions [6000]")
         if study.models:
             known = ", ".join(f"'{name}'" for name in MODELS)
             parser.add_argument("--models", nargs="+", default=study.models, help=f"[{known}]")
-        add_store(parser)
-        add_jobs(parser)
         add_output(parser, study.name)
         parser.set_defaults(run=stoppable(_command(study)))
+
+
+def add_moments(parser: argparse.ArgumentParser, ways: Sequence[str]) -> None:
+    """Add the options that choose runs, their moments, and ways of weighing."""
+    parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
+    parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
+    parser.add_argument("--moments", type=int, default=8, help="of each run at most [8]")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="[0]")
+    parser.add_argument(
+        "--ways", nargs="+", default=list(ways), metavar="WAY", help=", ".join(WAYS)
+    )
+    add_store(parser)
+    add_jobs(parser)
 
 
 def _command(study: FrozenStudy) -> Callable[[argparse.Namespace], int]:
     def run(args: argparse.Namespace) -> int:
         models = getattr(args, "models", study.models)
         for name in models:
-            if name not in MODELS:
-                raise unknown("model", name, MODELS)
-        return _run(replace(study, ways=tuple(_ways(args.ways)), models=tuple(models)), args)
+            check_model(name)
+        return _run(replace(study, ways=tuple(chosen_ways(args)), models=tuple(models)), args)
 
     return run
 
 
 def _run(study: FrozenStudy, args: argparse.Namespace) -> int:
     check_seeds(args.jobs, args.seeds)
-    if args.moments < 1 or args.rows < 100:
-        raise UserError("--moments must be at least 1 and --rows at least 100")
-    runs = _runs(args)
+    if args.rows < 100:
+        raise UserError("--rows must be at least 100")
+    runs = chosen_runs(args)
     out_folder(args.out)
     outcomes: list[Outcome] = []
     asked = cases(runs, study.ways, args.seeds, args.moments, study.models, args.rows)
@@ -175,16 +182,27 @@ def _flat(one: Outcome) -> dict[str, Any]:
     return row
 
 
-def _ways(names: Sequence[str]) -> list[str]:
-    """The requested ways of weighing, uniform weights first, the baseline of all."""
-    for name in names:
+def check_model(name: str) -> None:
+    """Raises UserError for a model that is none of MODELS."""
+    if name not in MODELS:
+        raise unknown("model", name, MODELS)
+
+
+def chosen_ways(args: argparse.Namespace) -> list[str]:
+    """The requested ways of weighing, uniform weights first, the baseline of all.
+
+    Raises UserError for an unknown one.
+    """
+    for name in args.ways:
         if name not in WAYS:
             raise unknown("way of weighing", name, WAYS)
-    return list(dict.fromkeys(("uniform", *names)))
+    return list(dict.fromkeys(("uniform", *args.ways)))
 
 
-def _runs(args: argparse.Namespace) -> list[RunReader]:
+def chosen_runs(args: argparse.Namespace) -> list[RunReader]:
     """The runs with moments. Raises UserError if there are none, or a named run has none."""
+    if args.moments < 1:
+        raise UserError("--moments must be at least 1")
     store, envs = Store(args.store), {task(env).name for env in args.env}
     named = [store.run(name) for name in args.runs]
     for run in named:
