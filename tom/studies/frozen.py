@@ -49,7 +49,7 @@ def _tom(**settings: Any) -> Way:
 
 
 VALIDATED: Mapping[str, Any] = {"q_holdout": 0.2, "q_steps": 2000, "q_check_every": 25}
-HALF: Mapping[str, Any] = {"model": {"uniform_share": 0.5}}
+HALF: Mapping[str, Any] = {"model": {"uniform_share": 0.5}, "rollout": {"uniform_share": 0.5}}
 
 WAYS: dict[str, Way] = {
     "uniform": Way("mle"),
@@ -123,14 +123,18 @@ class Outcome:
 
 def moments(run: RunReader, most: int) -> list[int]:
     """At most `most` fits, evenly spread, whose policy was stored, after the policy was in use."""
-    settings = run.config["config"]
-    first = int(settings["exploration_steps"]) + NEWEST
-    if not run.fits_model:
-        first += int(settings["steps"])
+    first = sac_begins(run) + NEWEST
     steps = [step for step in run.policy_steps() if step >= first]
     if len(steps) <= most:
         return steps
     return [steps[round(i)] for i in np.linspace(0, len(steps) - 1, most)]
+
+
+def sac_begins(run: RunReader) -> int:
+    """The step from which on SAC's policy acts: after exploration, in a recording of SAC after as
+    many random steps as it has of SAC, too."""
+    settings = run.config["config"]
+    return int(settings["exploration_steps"]) + (0 if run.fits_model else int(settings["steps"]))
 
 
 def cases(
@@ -146,7 +150,7 @@ def cases(
         Case(run.path, step, way, seed, tuple(models), rows, run.created)
         for run in runs
         for step in moments(run, most)
-        for seed in seeds
+        for seed in dict.fromkeys(seeds)
         for way in ways
     ]
 

@@ -1,30 +1,35 @@
 """Does weighting make better policies? What one model does for the policy, moment by moment.
 
 At a moment of a frozen buffer (`tom.studies.frozen`) soft actor-critic goes on from the stored
-policy and critics, on rollouts in a model that was fitted to this buffer. A learner's weights act
-in two places (Algorithm 2, lines 18 and 23): the fit of the model and the start states of its
-rollouts. So every way of weighing acts in the model alone, in the starts alone, and in both, with
-the same random numbers each time. Whole runs differ in data as well, and take hours.
+policy and critics, on rollouts in a model fitted to this buffer. A learner's weights act in two
+places (Algorithm 2, lines 18 and 23): the fit of the model and the start states of its rollouts. So
+every way of weighing acts in the model alone, in the starts alone, and in both, with the same
+random numbers each time. Whole runs differ in data as well, and take hours.
+
+It differs from a training: the networks of the model are new, so are SAC's optimisers and target
+critics, all modelled rows come from this one model (a training keeps those of four fits), and
+settings other than SAC's are those of the `paper` preset, as for the other studies of moments.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import isfinite, nan
-from statistics import mean, median
+from statistics import mean
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.analysis.curves import curve_points
 from tom.config import OnlineConfig, SacConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.transitions import TensorTransitions
-from tom.data.unpack import read_arrays
+from tom.data.unpack import DAMAGE, read_arrays
 from tom.dynamics import DynamicsModel
 from tom.envs import task
 from tom.envs.ends import rule
+from tom.errors import UserError, reason
 from tom.learners.base import Weighting
 from tom.nn.lockstep import do
 from tom.policy.evaluate import Evaluator
@@ -35,14 +40,19 @@ from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
 from tom.record import RunReader, layout
 from tom.rng import Streams
 from tom.studies.footprint import UNIFORM
-from tom.studies.frozen import WAYS, Case, buffer_at, config_of, fitted, weighting_of
-from tom.studies.recordings import Value, over_recordings
+from tom.studies.frozen import (
+    WAYS,
+    Case,
+    buffer_at,
+    config_of,
+    fitted,
+    sac_begins,
+    weighting_of,
+)
 
 PARTS = 5
 """evaluations of the policy, evenly spread over its updates"""
 TEMPERATURE = "temperature/value"
-PLACES = ("model", "starts", "both")
-"""where the weights act"""
 
 
 @dataclass(frozen=True)
@@ -50,15 +60,16 @@ class Trial:
     """A case with one model, the number of SAC updates, and the episodes of an evaluation."""
 
     case: Case
-    updates: int = 2500
+    updates: int = 1250  # those between two fits of the paper's preset
     episodes: int = 5
 
 
 @dataclass(frozen=True)
 class Improvement:
-    """Mean-action returns: before the updates, and after them, mean over `PARTS` evaluations.
+    """Mean-action returns: before the updates, and during them, mean over `PARTS` evaluations.
 
-    `model`, `starts` and `both` say where the weights acted; with uniform weights all are equal.
+    `model`, `starts` and `both` say where the weights acted; with uniform weights they are the same
+    trial. NaN: SAC diverged.
     """
 
     recording: str
@@ -73,52 +84,91 @@ class Improvement:
 
 
 def goes_on(run: RunReader) -> bool:
-    """Whether SAC can go on from the run's policies: those of earlier versions have no critics."""
-    policies = (read_arrays(run.path / layout.policy(step)) for step in run.policy_steps())
-    return all(f"{CRITIC}weight_0" in arrays for arrays in policies)
+    """Whether SAC can go on from the run's policies: those of earlier versions have no critics.
+
+    Raises UserError if a policy is damaged.
+    """
+    return all(f"{CRITIC}weight_0" in _arrays(run, step) for step in run.policy_steps())
 
 
 def improved(trial: Trial) -> Improvement:
     """Update the policy of a moment in models and from starts with these weights, or without."""
-    case = trial.case
-    run, way, path = RunReader(case.run), WAYS[case.way], case.run / layout.policy(case.step)
-    data, arrays = buffer_at(run, case.step), read_arrays(path)
-    policy, config = StoredPolicy(arrays), config_of(run, way, case.seed)
-    rows, (model,) = data.transitions, case.models
+    case, way = trial.case, WAYS[trial.case.way]
+    run = RunReader(case.run)
+    # Ways share random numbers, moments do not.
+    seed = Streams(case.seed).integer(f"{run.run_id} at {case.step}")
+    config = config_of(run, way, seed)
+    data, arrays = buffer_at(run, case.step), _arrays(run, case.step)
+    rows, (model,), policy = data.transitions, case.models, StoredPolicy(arrays)
     weighting = weighting_of(data, policy, config, newest=way.learner is None)
-    fit = fitted(model, rows, weighting, config)
-    sac_config = SacConfig.model_validate(run.config["config"]["sac"])
-    temperature = _temperature(run, case.step, sac_config.initial_temperature)
+    # Weights of 1 rather than none: without any, starts are drawn with other random numbers.
+    even = torch.ones(len(rows))
+    starts = weighting.for_starts(config.rollout)
+    starts = even if starts is None else starts
+    sac = _resumed(run, case.step, arrays)
 
-    def after(weighted: DynamicsModel, starts: Tensor | None) -> float:
-        generator = Streams(case.seed).torch("sac")
-        sac = resumed_sac(arrays, sac_config, temperature, generator)
-        return _return_after(sac, weighted, rows, starts, config, trial)
+    def during(fit: DynamicsModel, weights: Tensor) -> float:
+        return _return_during(sac(config), fit, rows, weights, config, trial)
 
-    both = after(fit, weighting.for_starts(config.rollout))
-    alone = both, both
+    weighted = fitted(model, rows, weighting, config)
+    both = during(weighted, starts)
+    in_model = in_starts = both
     if case.way != UNIFORM:
-        plain = fitted(model, rows, Weighting(torch.ones(len(rows))), config)
-        alone = after(fit, None), after(plain, weighting.for_starts(config.rollout))
-    before = _evaluate(Evaluator(task(run.env), trial.episodes), policy.mean, case.seed)
-    return Improvement(run.run_id, run.env, case.step, case.way, case.seed, before, *alone, both)
+        plain = fitted(model, rows, Weighting(even), config)
+        in_model, in_starts = during(weighted, even), during(plain, starts)
+    return Improvement(
+        recording=run.run_id,
+        env=run.env,
+        step=case.step,
+        way=case.way,
+        seed=case.seed,
+        before=_evaluate(Evaluator(task(run.env), trial.episodes), policy.mean, seed),
+        model=in_model,
+        starts=in_starts,
+        both=both,
+    )
 
 
-def _temperature(run: RunReader, step: int, initial: float) -> float:
-    """SAC's temperature where it was recorded nearest to `step`."""
+def _arrays(run: RunReader, step: int) -> Mapping[str, NDArray[Any]]:
+    path = run.path / layout.policy(step)
+    try:
+        return read_arrays(path)
+    except DAMAGE as error:
+        raise UserError(f"{path} is no stored policy ({reason(error)}): name another run") from None
+
+
+def _resumed(
+    run: RunReader, step: int, arrays: Mapping[str, NDArray[Any]]
+) -> Callable[[OnlineConfig], Sac]:
+    """Makes the SAC that goes on from a stored policy, with the run's settings of SAC."""
+    settings = SacConfig.model_validate(run.config["config"]["sac"])
     steps, values = curve_points(run.metrics(), TEMPERATURE)
-    return float(values[np.abs(steps - step).argmin()]) if len(steps) else initial
+    temperature = temperature_at(
+        step,
+        np.append(sac_begins(run), steps),
+        np.append(settings.initial_temperature, values),
+    )
+
+    def make(config: OnlineConfig) -> Sac:
+        return resumed_sac(arrays, settings, temperature, Streams(config.seed).torch("sac"))
+
+    return make
 
 
-def _return_after(
+def temperature_at(step: int, steps: NDArray[Any], values: NDArray[Any]) -> float:
+    """SAC's temperature between two records of it (S,), which its optimiser moves in logarithms."""
+    return float(np.exp(np.interp(step, steps, np.log(values))))
+
+
+def _return_during(
     sac: Sac,
     model: DynamicsModel,
     rows: TensorTransitions,
-    weights: Tensor | None,
+    weights: Tensor,
     config: OnlineConfig,
     trial: Trial,
 ) -> float:
-    """The mean of `PARTS` evaluations during the updates on rollouts in the model (lines 22-28)."""
+    """Mean of `PARTS` evaluations during the updates on rollouts in the model (lines 22-28)."""
     streams, known = Streams(config.seed), task(config.env)
     dims, rollout = (known.obs_dim, known.action_dim), config.rollout
     replay = ReplayBuffer(len(rows), *dims)
@@ -126,19 +176,16 @@ def _return_after(
     modelled = ReplayBuffer(rollout.starts * rollout.length, *dims)
     generator, policy = streams.torch("rollout"), sac.member(0)
     starts = start_states(rows, weights, rollout.starts, generator)
-    terminated = rule(known, config.model.termination)
-    roll_out(model, policy, terminated, starts, rollout.length, rollout, modelled, generator)
-    evaluator, returns = Evaluator(known, trial.episodes), []
+    ends = rule(known, config.model.termination)
+    roll_out(model, policy, ends, starts, rollout.length, rollout, modelled, generator)
+    evaluator, returns, generator = Evaluator(known, trial.episodes), [], streams.torch("batches")
+    size, real = sac.config.batch_size, config.real_ratio
     for _ in range(PARTS):
-        batches = mixed_batches(
-            replay,
-            modelled,
-            trial.updates // PARTS,
-            sac.config.batch_size,
-            config.real_ratio,
-            streams.torch("batches"),
-        )
-        do(SacUpdates(sac, batches))
+        updates = trial.updates // PARTS
+        batches = mixed_batches(replay, modelled, updates, size, real, generator)
+        metrics = do(SacUpdates(sac, batches)).metrics
+        if not all(bool(value.isfinite().all()) for value in metrics.values()):
+            return float("nan")
         returns.append(_evaluate(evaluator, policy.mean, config.seed))
     return mean(returns)
 
@@ -147,79 +194,3 @@ def _evaluate(evaluator: Evaluator, mean_action: Callable[[Tensor], Tensor], see
     """Mean return of the mean policy; the same start states each time."""
     episodes = evaluator.run(mean_action, Streams(seed).integer("evaluation"))
     return mean(float(episode.reward.sum()) for episode in episodes)
-
-
-# What came of it
-
-
-def gain(value: float, base: float) -> float:
-    """2 (value - base) / (|value| + |base|): .1 is about a tenth more; in [-2, 2], 0 for 0."""
-    size = abs(value) + abs(base)
-    return 2 * (value - base) / size if size else 0.0
-
-
-def gains(found: Sequence[Improvement], way: str, place: str) -> list[Value]:
-    """The gain over uniform weights at every moment that was tried with both."""
-    base = {_moment(one): one.both for one in found if one.way == UNIFORM}
-    values = [
-        (one.env, one.recording, gain(getattr(one, place), base.get(_moment(one), nan)))
-        for one in found
-        if one.way == way
-    ]
-    return [value for value in values if isfinite(value[2])]
-
-
-def own_gains(found: Sequence[Improvement]) -> list[Value]:
-    """The gain of the updates under uniform weights over the policy before them."""
-    return [(o.env, o.recording, gain(o.both, o.before)) for o in found if o.way == UNIFORM]
-
-
-def summary(found: Sequence[Improvement]) -> list[dict[str, Any]]:
-    """One row for uniform weights, and one for each other way and each place where they act."""
-    rows = [_row(UNIFORM, "over the policy before", own_gains(found))]
-    for way in dict.fromkeys(one.way for one in found if one.way != UNIFORM):
-        rows += [_row(way, place, gains(found, way, place)) for place in PLACES]
-    return [row for row in rows if row["n"]]
-
-
-def _row(way: str, weights: str, values: Sequence[Value]) -> dict[str, Any]:
-    row: dict[str, Any] = {"way": way, "weights in": weights}
-    if values:
-        score = over_recordings(values)
-        row |= {"gain": score.value, "low": score.low, "high": score.high}
-        for env in dict.fromkeys(env for env, _, _ in values):
-            row[env] = median(value for of, _, value in values if of == env)
-    better = sum(value > 0 for _, _, value in values)
-    return row | {"better at": better, "n": len(values)}
-
-
-def verdict(found: Sequence[Improvement]) -> list[str]:
-    """The table in words: each way against uniform weights, and whether its interval leaves 0."""
-    first, *rows = summary(found)
-    moments = {_moment(one) for one in found}
-    said = [
-        f"{len(moments)} moments of {len({one.recording for one in found})} runs in "
-        f"{len({one.env for one in found})} tasks. Updates in the model without weights change "
-        f"the policy's return by {_words(first)}."
-    ]
-    for row in rows:
-        where = "both" if row["weights in"] == "both" else f"the {row['weights in']} alone"
-        said.append(f"{row['way']}, weights in {where}: {_words(row)}. {_beyond(row)}")
-    return said
-
-
-def _words(row: dict[str, Any]) -> str:
-    bounds = f" [{row['low']:+.2f}, {row['high']:+.2f}]" if isfinite(row["low"]) else ""
-    return f"{row['gain']:+.2f}{bounds}, better at {row['better at']} of {row['n']}"
-
-
-def _beyond(row: dict[str, Any]) -> str:
-    if not isfinite(row["low"]):
-        return "One recording a task: no interval."
-    if row["low"] > 0:
-        return "A gain beyond the interval."
-    return "A loss beyond the interval." if row["high"] < 0 else "No difference beyond it."
-
-
-def _moment(one: Improvement) -> tuple[str, int, int]:
-    return one.recording, one.step, one.seed

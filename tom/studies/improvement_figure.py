@@ -1,4 +1,4 @@
-"""The gain of each way of weighing over uniform weights, one point per moment and seed."""
+"""What each way of weighing does to the return: its difference to uniform weights, by task."""
 
 from collections.abc import Sequence
 from statistics import median
@@ -10,7 +10,8 @@ from tom.reports.colours import NEUTRAL, TEXT, learner_colour
 from tom.reports.style import STYLE, new_figure
 from tom.studies.footprint import UNIFORM
 from tom.studies.frozen import WAYS
-from tom.studies.improvement import PLACES, Improvement, gains
+from tom.studies.improvement import Improvement
+from tom.studies.improvement_summary import PLACES, gaps
 
 
 def improvement_figure(found: Sequence[Improvement]) -> Figure:
@@ -24,13 +25,14 @@ def improvement_figure(found: Sequence[Improvement]) -> Figure:
         for ax, env in zip(axes, envs, strict=True):
             ax.axvline(0.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
             for row, (way, place) in enumerate(rows):
-                of = [value for e, _, value in gains(found, way, place) if e == env]
+                every = gaps(found, way, place).values()
+                of = [gap for one in every for task, gap in one if task == env]
                 colour = learner_colour(WAYS[way].learner or "")
                 ax.scatter(of, [row] * len(of), s=14, color=colour, alpha=0.55, linewidths=0)
                 if of:
                     ax.plot([median(of)] * 2, [row - 0.35, row + 0.35], color=TEXT, linewidth=1.6)
-            ax.set_xlim(-2.05, 2.05)
+            ax.set_xscale("symlog", linthresh=100)
             ax.set_title(env)
         axes[0].set_yticks(range(len(rows)), [f"{way}, {place}" for way, place in rows])
-        figure.supxlabel("gain in return over uniform weights", size=9)
+        figure.supxlabel("return less that with uniform weights", size=9)
     return figure

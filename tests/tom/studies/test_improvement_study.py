@@ -16,8 +16,9 @@ from tom.data.unpack import read_arrays
 from tom.policy.stored import StoredPolicy, policy_arrays, resumed_sac
 from tom.record import RunReader, Store, layout
 from tom.studies import improvement as study
-from tom.studies.frozen import Case, moments
-from tom.studies.improvement import Improvement, Trial, gain, improved
+from tom.studies import improvement_summary as results
+from tom.studies.frozen import WAYS, Case, Way, moments
+from tom.studies.improvement import Improvement, Trial, improved
 from tom.training.presets import resolve
 from tom.training.run import train
 
@@ -63,8 +64,8 @@ def test_a_file_without_critics_or_with_other_layers_is_refused(run: RunReader):
         resumed_sac(arrays, config.model_copy(update={"hidden": 8}), 1.0, generator)
 
 
-def trial(run: RunReader, way: str, updates: int = 20) -> Trial:
-    case = Case(run.path, moments(run, 1)[0], way, models=("linear",))
+def trial(run: RunReader, way: str, updates: int = 20, step: int | None = None) -> Trial:
+    case = Case(run.path, step or moments(run, 1)[0], way, models=("linear",))
     return Trial(case, updates, episodes=2)
 
 
@@ -77,47 +78,76 @@ def test_weights_act_in_the_model_in_the_starts_or_in_both(run: RunReader):
     assert improved(trial(run, "newest")) == newest
 
 
+def test_weights_of_one_change_nothing_anywhere(run: RunReader, monkeypatch: pytest.MonkeyPatch):
+    one = {"uniform_share": 1.0}
+    monkeypatch.setitem(WAYS, "even", Way("ratio", {"model": one, "rollout": one}))
+    plain, even = improved(trial(run, "uniform")), improved(trial(run, "even"))
+    assert even == replace(plain, way="even")
+
+
+def test_moments_share_no_random_numbers(run: RunReader):
+    first, second = (improved(trial(run, "uniform", 5, step)) for step in moments(run, 2))
+    assert first.before != second.before
+
+
 def test_the_policy_before_is_the_stored_one(run: RunReader):
     """With so few updates the return has hardly moved."""
     few = improved(trial(run, "uniform", updates=study.PARTS))
     assert few.both == pytest.approx(few.before, rel=0.2)
 
 
-def test_a_gain_by_hand():
-    assert gain(110, 90) == pytest.approx(0.2)
-    assert gain(90, 110) == pytest.approx(-0.2)
-    assert gain(-90, -110) == pytest.approx(0.2)
-    assert gain(0, 0) == 0
+def test_the_temperature_between_two_records_is_interpolated_in_logarithms():
+    steps, values = np.array([1000, 3000, 4000]), np.array([1.0, 0.25, 0.1])
+    assert study.temperature_at(2000, steps, values) == pytest.approx(0.5)
+    assert study.temperature_at(4000, steps, values) == pytest.approx(0.1)
+    assert study.temperature_at(9000, steps, values) == pytest.approx(0.1)
 
 
 BASE = Improvement("a", "hopper", 100, "uniform", 0, 90, 110, 110, 110)
 
 
-def found() -> list[Improvement]:
-    way = replace(BASE, way="ratio", model=90, starts=110, both=330)
-    return [
-        BASE,
-        way,
-        replace(BASE, recording="b", before=110),
-        replace(way, recording="b", model=110),
-        replace(way, recording="c"),  # without uniform weights to compare with
-    ]
+def recorded(recording: str, env: str, *gains: float) -> list[Improvement]:
+    """Trials of one recording with uniform weights and with a way that gains so much in both."""
+    found = []
+    for seed, gain in enumerate(gains):
+        plain = replace(BASE, recording=recording, env=env, seed=seed)
+        way = replace(plain, way="ratio", model=60, starts=110, both=110 + gain)
+        found += [plain, way]
+    return found
 
 
 def test_a_summary_by_hand():
-    uniform, model, starts, both = study.summary(found())
-    assert uniform["gain"] == pytest.approx((0.2 + 0) / 2)
-    assert (uniform["better at"], uniform["n"]) == (1, 2)
-    assert model["gain"] == pytest.approx((-0.2 + 0) / 2)
-    assert (model["low"], model["high"]) == pytest.approx((-0.2, 0))
-    assert (starts["gain"], starts["better at"]) == (0, 0)
-    assert (both["gain"], both["better at"], both["n"]) == (1, 2, 2)
-    assert both["hopper"] == 1
-    said = study.verdict(found())
-    assert "+0.10 [+0.00, +0.20], better at 1 of 2" in said[0]
-    assert said[1].startswith("ratio, weights in the model alone: -0.10")
-    assert said[1].endswith("No difference beyond it.")
-    assert said[3].endswith("A gain beyond the interval.")
+    alone = replace(BASE, recording="e", way="ratio")  # nothing to compare with
+    found = [
+        *recorded("a", "hopper", 10, 20, -30),
+        *recorded("b", "hopper", 5, np.nan),
+        *recorded("c", "walker2d", -1, -1, 8),
+        *recorded("d", "walker2d", 7, -7),
+        alone,
+    ]
+    before, uniform, model, starts, both = results.summary(found)
+    assert (before["hopper"], uniform["hopper"]) == (90, 110)
+    assert (model["hopper"], model["walker2d"]) == (-50, -50)
+    assert (model["better in trials"], model["n"]) == (0, 10)
+    assert (model["better on"], model["recordings"], model["p"]) == (0, 4, 0.125)
+    assert (starts["better on"], starts["recordings"], starts["p"]) == (0, 0, 1)  # all are ties
+    assert (both["hopper"], both["walker2d"]) == (7.5, -1)
+    assert (both["better in trials"], both["n"]) == (5, 9)
+    # On a and b better in most trials, on c worse, on d in as many; four equal signs in 8 cases.
+    assert (both["better on"], both["recordings"], both["p"]) == (2, 3, 1)
+    said = results.verdict(found)
+    assert said[0].startswith("5 moments of 5 runs, 11 trials of each way.")
+    assert said[0].endswith("(median): hopper 0, walker2d 0.")
+    assert said[1] == "SAC diverged in 1 trials, which are left out."
+    assert said[2].startswith("ratio, weights in the model alone: better in 0 of 10 trials; ")
+    assert said[2].endswith("worse on 4 (sign test p = 0.12): undecided.")
+
+
+def test_a_difference_on_enough_recordings_is_called_one():
+    found = [one for i in range(6) for one in recorded(f"{i}", "hopper", 3)]
+    *_, both = results.verdict(found)
+    assert both.endswith("worse on 0 (sign test p = 0.03): better than uniform weights.")
+    assert "One seed" in results.verdict(found)[0]
 
 
 def test_the_command_writes_its_report(
@@ -129,7 +159,7 @@ def test_the_command_writes_its_report(
     words += ["--store", str(run.path.parent), "--out", str(out)]
     assert main(words) == 0
     told = json.loads(capsys.readouterr().out)
-    assert [row["weights in"] for row in told["summary"][1:]] == ["model", "starts", "both"]
+    assert [row["way"] for row in told["summary"]] == ["none", "uniform", *["newest"] * 3]
     assert {path.name for path in out.glob("*.*")} == {
         "report.html", "report.json", "summary.csv", "moments.csv", "improvement.png",
         "improvement.svg",
@@ -156,15 +186,37 @@ def test_bad_input_is_one_line(
     assert not out.exists()
 
 
-def test_policies_without_critics_are_refused(
+def copied(run: RunReader, to: Path) -> list[Path]:
+    """A copy of the run in folder `to`; the files of its policies."""
+    to.parent.mkdir(exist_ok=True)
+    shutil.copytree(run.path, to)
+    return sorted((to / "policies").iterdir())
+
+
+def test_runs_without_critics_are_left_out_and_refused_by_name(
     run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    older = Store(tmp_path / "store").path / "older"
-    older.parent.mkdir()
-    shutil.copytree(run.path, older)
-    for path in (older / "policies").iterdir():
+    store = tmp_path / "store"
+    for path in copied(run, store / "older"):
         kept = {n: a for n, a in read_arrays(path).items() if not n.startswith("critic_")}
         np.savez(path, allow_pickle=False, **kept)
-    words = ["reproduce", "improvement", "--store", str(older.parent), "--out", str(tmp_path / "o")]
+    words = ["reproduce", "improvement", "--store", str(store), "--out", str(tmp_path / "o")]
+    words += ["--model", "linear", "--updates", "5", "--episodes", "1", "--moments", "1"]
+    words += ["--jobs", "1", "--ways", "uniform", "--json"]
     assert main(words) == 2
     assert "run older kept no critics" in capsys.readouterr().err
+    copied(run, store / "newer")
+    assert main([*words, "newer", "older"]) == 2
+    capsys.readouterr()
+    assert main(words) == 0
+    assert "of 1 runs" in json.loads(capsys.readouterr().out)["verdict"][0]
+
+
+def test_a_damaged_policy_is_one_line(
+    run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    copied(run, tmp_path / "store" / "torn")[0].write_bytes(b"torn")
+    words = ["reproduce", "improvement", "--store", str(tmp_path / "store")]
+    assert main([*words, "--out", str(tmp_path / "o")]) == 2
+    assert "is no stored policy" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()

@@ -204,7 +204,7 @@ def chosen_runs(args: argparse.Namespace) -> list[RunReader]:
     if args.moments < 1:
         raise UserError("--moments must be at least 1")
     store, envs = Store(args.store), {task(env).name for env in args.env}
-    named = [store.run(name) for name in args.runs]
+    named = [store.run(name) for name in dict.fromkeys(args.runs)]
     for run in named:
         if not _usable(run):
             raise UserError(
