@@ -59,7 +59,9 @@ def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             ratio, low, high = np.exp(astuple(one.difference))
             pair = {"way": one.way, "against": one.against, "model": model}
             rows.append(
-                pair | {"ratio": ratio, "low": low, "high": high, "less at": one.better, "n": one.n}
+                pair
+                | {"ratio": ratio, "low": low, "high": high, "less at": one.better, "n": one.n}
+                | one.by_recording
             )
     return sorted(rows, key=lambda row: list(QUESTIONS).index((row["way"], row["against"])))
 
@@ -87,7 +89,7 @@ def _answers(rows: Sequence[dict[str, Any]]) -> list[str]:
     for (way, against), question in QUESTIONS.items():
         told = [
             f"{row['model']} {row['ratio']:.2f}{_bounds(row)} "
-            f"(less at {row['less at']} of {row['n']})"
+            f"(less at {row['less at']} of {row['n']}, p = {row['p']:.2f})"
             for row in rows
             if (row["way"], row["against"]) == (way, against)
         ]

@@ -59,6 +59,7 @@ def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             "high": one.difference.high,
             "nearer at": one.better,
             "n": one.n,
+            **one.by_recording,
         }
         for one in comparisons(outcomes, lambda outcome: outcome.footprint)
         if one.against != UNIFORM
@@ -90,7 +91,8 @@ def _answer(row: dict[str, Any]) -> str:
     bounds = f" [{row['low']:+.2f}, {row['high']:+.2f}]" if np.isfinite(row["low"]) else ""
     return (
         f"{QUESTIONS[way, against]} {way} less {against}: {row['difference']:+.2f}{bounds}, "
-        f"nearer at {row['nearer at']} of {row['n']} moments."
+        f"nearer at {row['nearer at']} of {row['n']} moments, in most of them on "
+        f"{row['better on']} of {row['recordings']} recordings (sign test p = {row['p']:.2f})."
     )
 
 

@@ -10,7 +10,7 @@ from math import isfinite, nan
 
 from tom.analysis.statistics import Interval
 from tom.studies.frozen import Outcome
-from tom.studies.recordings import Value, over_recordings
+from tom.studies.recordings import Signs, Value, over_recordings, sign_test
 
 QUESTIONS: dict[tuple[str, str], str] = {
     ("tom-discounted", "uniform"): "Is TOM as printed better than no weights?",
@@ -36,10 +36,17 @@ class Comparison:
     difference: Interval
     better: int  # moments
     n: int
+    recordings: Signs
 
     @property
     def question(self) -> str:
         return QUESTIONS[self.way, self.against]
+
+    @property
+    def by_recording(self) -> dict[str, float]:
+        """The columns of a table: on how many recordings the first is better, and the sign test."""
+        of = self.recordings
+        return {"better on": of.below, "recordings": of.n, "p": of.p}
 
 
 def comparisons(
@@ -58,7 +65,8 @@ def comparisons(
                 gaps.append((one.env, one.recording, gap))
         if gaps:
             better = sum(gap < 0 for _, _, gap in gaps)
-            yield Comparison(way, against, over_recordings(gaps), better, len(gaps))
+            difference, signs = over_recordings(gaps), sign_test(gaps)
+            yield Comparison(way, against, difference, better, len(gaps), signs)
 
 
 def _moment(one: Outcome) -> tuple[str, int, int]:

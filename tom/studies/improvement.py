@@ -2,9 +2,9 @@
 
 At a moment of a frozen buffer (`tom.studies.frozen`) soft actor-critic goes on from the stored
 policy and critics, on rollouts in a model fitted to this buffer. A learner's weights act in two
-places (Algorithm 2, lines 18 and 23): the fit of the model and the start states of its rollouts. So
-every way of weighing acts in the model alone, in the starts alone, and in both, with the same
-random numbers each time. Whole runs differ in data as well, and take hours.
+places: the fit of the model (Algorithm 2, lines 3-19) and the start states of its rollouts (lines
+22-25). So every way of weighing acts in the model alone, in the starts alone, and in both, with
+the same random numbers each time. Whole runs differ in data as well, and take hours.
 
 It differs from a training: the networks of the model are new, so are SAC's optimisers and target
 critics, all modelled rows come from this one model (a training keeps those of four fits), and

@@ -25,8 +25,7 @@ def improvement_figure(found: Sequence[Improvement]) -> Figure:
         for ax, env in zip(axes, envs, strict=True):
             ax.axvline(0.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
             for row, (way, place) in enumerate(rows):
-                every = gaps(found, way, place).values()
-                of = [gap for one in every for task, gap in one if task == env]
+                of = [gap for task, _, gap in gaps(found, way, place) if task == env]
                 colour = learner_colour(WAYS[way].learner or "")
                 ax.scatter(of, [row] * len(of), s=14, color=colour, alpha=0.55, linewidths=0)
                 if of:

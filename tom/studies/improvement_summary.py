@@ -8,31 +8,26 @@ test); differences of returns are given task by task.
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from math import isfinite
-from statistics import mean, median
+from statistics import median
 from typing import Any
-
-from scipy.stats import binomtest
 
 from tom.studies.footprint import UNIFORM
 from tom.studies.improvement import Improvement
+from tom.studies.recordings import Value, sign_test
 
 PLACES = ("model", "starts", "both")
 """where the weights act"""
-Gaps = Mapping[str, Sequence[tuple[str, float]]]
-"""by recording: the task and the difference of returns, one for each of its trials"""
 
 
-def gaps(found: Sequence[Improvement], way: str, place: str) -> Gaps:
-    """Return with the way's weights at `place` less that with uniform weights, same moment and
-    seed."""
+def gaps(found: Sequence[Improvement], way: str, place: str) -> list[Value]:
+    """Return with the way's weights at `place` less that with uniform weights, trial by trial."""
     base = {_trial(one): one.both for one in found if one.way == UNIFORM}
-    of: dict[str, list[tuple[str, float]]] = {}
-    for one in found:
-        if one.way == way and _trial(one) in base:
-            gap = getattr(one, place) - base[_trial(one)]
-            if isfinite(gap):
-                of.setdefault(one.recording, []).append((one.env, gap))
-    return of
+    every = [
+        (one.env, one.recording, getattr(one, place) - base[_trial(one)])
+        for one in found
+        if one.way == way and _trial(one) in base
+    ]
+    return [value for value in every if isfinite(value[2])]
 
 
 def summary(found: Sequence[Improvement]) -> list[dict[str, Any]]:
@@ -46,8 +41,8 @@ def summary(found: Sequence[Improvement]) -> list[dict[str, Any]]:
     for way in dict.fromkeys(one.way for one in found if one.way != UNIFORM):
         for place in PLACES:
             of = gaps(found, way, place)
-            every = [gap for one in of.values() for gap in one]
-            row = _row(way, f"difference, weights in {_where(place)}", plain, every)
+            told = [(env, gap) for env, _, gap in of]
+            row = _row(way, f"difference, weights in {_where(place)}", plain, told)
             rows.append(row | _wins(of))
     return rows
 
@@ -76,18 +71,10 @@ def _row(
                   "p": ""}  # fmt: skip
 
 
-def _wins(of: Gaps) -> dict[str, Any]:
-    """How many trials and recordings are better; the recordings' exact two-sided sign test."""
-    every = [gap for one in of.values() for _, gap in one]
-    signs = [_sign(mean(_sign(gap) for _, gap in one)) for one in of.values()]
-    better, told = signs.count(1), len(signs) - signs.count(0)
-    return {
-        "better in trials": sum(gap > 0 for gap in every),
-        "n": len(every),
-        "better on": better,
-        "recordings": told,
-        "p": float(binomtest(better, told).pvalue) if told else 1.0,
-    }
+def _wins(of: Sequence[Value]) -> dict[str, Any]:
+    signs, better = sign_test(of), sum(gap > 0 for _, _, gap in of)
+    numbers = {"better on": signs.above, "recordings": signs.n, "p": signs.p}
+    return {"better in trials": better, "n": len(of), **numbers}
 
 
 def _sentence(row: Mapping[str, Any]) -> str:
@@ -119,10 +106,6 @@ def _noise(found: Sequence[Improvement]) -> str:
 
 def _where(place: str) -> str:
     return "both" if place == "both" else f"the {place} alone"
-
-
-def _sign(value: float) -> int:
-    return (value > 0) - (value < 0)
 
 
 def _trial(one: Improvement) -> tuple[str, int, int]:

@@ -13,6 +13,7 @@ from tom.config import SacRecordingConfig
 from tom.record import RunReader, Store
 from tom.studies import capacity, footprint
 from tom.studies.frozen import WAYS, Case, ModelError, Outcome, cases, examined, moments
+from tom.studies.recordings import sign_test
 from tom.training.presets import resolve
 from tom.training.run import train
 
@@ -135,7 +136,25 @@ def test_two_ways_are_compared_moment_by_moment():
     assert row["difference"] == pytest.approx(((-0.2 + 0.4) / 2 + (-0.2 - 0.6) / 2) / 2)
     assert row["low"] == pytest.approx((-0.2 - 0.6) / 2)  # b and c are not drawn
     assert row["high"] == pytest.approx((0.4 - 0.2) / 2)
+    # Nearer in most moments on a, c and d, further on b: as uneven by chance 10 times in 16.
+    assert (row["better on"], row["recordings"], row["p"]) == (3, 4, 0.625)
     assert "on top of the discriminator?" in footprint.verdict(outcomes)[-1]
+
+
+def test_a_sign_test_counts_recordings_by_hand():
+    differences = [
+        ("hopper", "a", 3.0),
+        ("hopper", "a", 1.0),
+        ("hopper", "a", -90.0),  # most of a's moments are above
+        ("hopper", "b", 1.0),
+        ("hopper", "b", -1.0),  # as many above as below
+        *((env, "c", 1.0) for env in ("hopper", "walker2d", "ant", "humanoid")),
+        ("halfcheetah", "c", 0.0),
+    ]
+    signs = sign_test(differences)
+    assert (signs.above, signs.below, signs.n) == (5, 0, 5)
+    assert signs.p == pytest.approx(2 / 2**5)
+    assert sign_test([]).p == 1
 
 
 def test_two_ways_are_compared_for_every_model():
@@ -160,7 +179,8 @@ def test_two_ways_are_compared_for_every_model():
     assert (linear["less at"], linear["n"]) == (1, 2)
     assert small["ratio"] == pytest.approx(np.sqrt(3.0))
     last = capacity.verdict(outcomes)[-1]
-    assert "linear 1.00 [0.50, 2.00] (less at 1 of 2); 8 x 2 1.73" in last
+    assert "linear 1.00 [0.50, 2.00] (less at 1 of 2, p = 1.00); 8 x 2 1.73" in last
+    assert (small["better on"], small["recordings"], small["p"]) == (0, 2, 0.5)
 
 
 def test_the_commands_write_their_reports(
