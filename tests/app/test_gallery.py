@@ -96,8 +96,9 @@ def test_it_is_small() -> None:
     assert sum(size_of(path) for path in [*(run.path for run in COPIES), *WEIGHINGS]) < BYTES
 
 
-def test_its_footprint_can_be_measured_again() -> None:
-    (study,) = [one for one in studies.listing(RUNS / STUDIES) if one.name == "footprint"]
+@pytest.mark.parametrize("name", ["footprint", "capacity"])
+def test_its_studies_of_frozen_buffers_can_be_made_again(name: str) -> None:
+    (study,) = [one for one in studies.listing(RUNS / STUDIES) if one.name == name]
     measured = [run for run in COPIES if run.run_id in study.origin["runs"].split(", ")]
     assert study.origin["n"].endswith(f"of {len(measured)} runs")
     assert study.origin["n"].startswith(f"{sum(len(moments(run, 8)) for run in measured)} moments")
