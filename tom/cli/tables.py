@@ -8,7 +8,7 @@ from rich.text import Text
 
 from tom.harmless import is_number, terminal, terminal_lines
 
-WIDTH = 160  # if the width of the output is unknown
+WIDTH = 1000  # in a file or a pipe, where a row is one line
 
 
 def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
