@@ -88,7 +88,7 @@ def learner_colour(learner: str) -> str:
 def learner_symbol(learner: str) -> str:
     """The marker of a learner, a second cue besides its colour."""
     names = list(LEARNER_COLOURS)
-    return SYMBOLS[names.index(learner)] if learner in names else "x"
+    return SYMBOLS[names.index(learner) % len(SYMBOLS)] if learner in names else "x"
 
 
 def learner_label(learner: str) -> str:

@@ -48,7 +48,7 @@ def base(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> str | None:
 
     None if no file has them.
     """
-    for table, column, (_, made) in candidates(readers.reader(run), rows, weighings):
+    for table, column, (_, made) in candidates(readers.reader(run), weighings):
         if len(table[column]) == len(rows) and np.array_equal(table[column], rows.weight):
             return "" if made is None else f"{made.path}:{column}"
     return None

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.data.pictures import ENV as ROAD
 from tom.data.transitions import Transitions
 from tom.envs import ENVS
 
@@ -57,7 +58,7 @@ def rows_at(
 
 def episodes(rows: Transitions) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
     """For each row (N,): the number of its episode, its place in it, and the episode's return."""
-    ended = (np.asarray(rows.terminated) != 0) | (np.asarray(rows.truncated) != 0)
+    ended = rows.ended()
     number = np.concatenate([[0], np.cumsum(ended)[:-1]]).astype(np.int64)[: len(rows)]
     starts = np.searchsorted(number, np.arange(number[-1] + 1)) if len(number) else number
     totals = np.bincount(number, np.asarray(rows.reward, np.float64)).astype(np.float64)
@@ -72,7 +73,7 @@ def dimension_names(
     `described` are the names that a run has recorded for a task that is not ours.
     """
     o, a = np.shape(rows.obs)[1], np.shape(rows.action)[1]
-    named = ENVS[env].obs_names if env in ENVS else tuple(described) or ("x", "y")
+    named = ("x", "y") if env == ROAD else ENVS[env].obs_names if env in ENVS else described
     names = list(named) if len(named) == o else [f"observation {i + 1}" for i in range(o)]
     return names, [f"action {i + 1}" for i in range(a)]
 

@@ -62,8 +62,7 @@ def drawn(run: RunInfo) -> bool:
 def moments(run: RunInfo, rows: Sequence[int]) -> Floats:
     """Observations (R, 2 WINDOW + 1, O) around the recorded rows with these numbers."""
     recorded = _recorded(run).rows.numpy()
-    ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
-    return np.asarray(recorded.obs, np.float64)[windows(ended, rows)]
+    return np.asarray(recorded.obs, np.float64)[windows(recorded.ended(), rows)]
 
 
 def weighed_rows(run: RunInfo, weight: NDArray, end: int) -> Rows | None:

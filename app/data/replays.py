@@ -27,6 +27,8 @@ from tom.record.task_record import scene_of, seconds, task_of
 ROAD_DT = 0.1
 """seconds of a step of road-and-rocks on the screen; the task itself has no clock"""
 HORIZONS = (1, 5, 10, 25, 50, 100, 1000)
+DEFAULT_HORIZON = 25
+"""steps after which a ghost restarts from the real state"""
 """choices of steps after which the ghost restarts from the real state; the last is an episode"""
 ALIKE = 1e-6
 """standard deviation of a dimension's change per step up to which the change is constant"""

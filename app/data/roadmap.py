@@ -44,19 +44,17 @@ def on_road(points: NDArray, road: RoadShape) -> NDArray[np.bool_]:
     return distance_to_road(points, road.centre_line) <= road.half_width
 
 
-def weight_grid(
-    obs: NDArray, weight: NDArray, cells: int = CELLS
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Mean weight and number of the transitions that start in each cell of the unit square.
+def weight_grid(obs: NDArray, weight: NDArray, cells: int = CELLS) -> NDArray[np.float64]:
+    """Mean weight of the transitions that start in each cell of the unit square.
 
-    (N, 2), (N,) -> two (cells, cells), row 0 at the lowest y; the mean of an empty cell is NaN.
+    (N, 2), (N,) -> (cells, cells), row 0 at the lowest y; NaN in an empty cell.
     """
     cell = np.clip((np.asarray(obs) * cells).astype(int), 0, cells - 1)
     flat = cell[:, 1] * cells + cell[:, 0]
     count = np.bincount(flat, minlength=cells * cells)
     total = np.bincount(flat, weights=np.asarray(weight, np.float64), minlength=cells * cells)
     mean = np.divide(total, count, out=np.full(cells * cells, np.nan), where=count > 0)
-    return mean.reshape(cells, cells), count.reshape(cells, cells)
+    return mean.reshape(cells, cells)
 
 
 def cell_centres(cells: int = CELLS) -> NDArray[np.float64]:
@@ -64,20 +62,11 @@ def cell_centres(cells: int = CELLS) -> NDArray[np.float64]:
     return (np.arange(cells) + 0.5) / cells
 
 
-def road_share(obs: NDArray, weight: NDArray, road: RoadShape) -> tuple[float, float]:
-    """Share of the weight on the road, and mean weight on the road over mean weight on rocks.
-
-    Over all transitions including the expert's; the ratio is NaN if rocks have no weight.
-    """
+def road_share(obs: NDArray, weight: NDArray, road: RoadShape) -> float:
+    """Share of the weight of all transitions, the expert's too, on the road; NaN without weight."""
     weight = np.asarray(weight, np.float64)
-    inside = on_road(obs, road)
-    if not weight.sum() or inside.all() or not inside.any():
-        return float("nan"), float("nan")
-    off = weight[~inside].mean()
-    return (
-        float(weight[inside].sum() / weight.sum()),
-        float(weight[inside].mean() / off) if off > 0 else float("nan"),
-    )
+    total = weight.sum()
+    return float(weight[on_road(obs, road)].sum() / total) if total else float("nan")
 
 
 def outline(road: RoadShape) -> list[NDArray[np.float64]]:

@@ -34,10 +34,6 @@ QUESTIONS = {
 """the question of every study of `tom reproduce`, in the order of listing"""
 
 
-ABOUT_RUNS = {"footprint": "RUN ...", "capacity": "RUN ...", "improvement": "RUN ..."}
-"""arguments of a study's command that the user must supply"""
-
-
 @dataclass(frozen=True)
 class Study:
     """The files of one study, and the text of its report."""

@@ -102,7 +102,7 @@ def recorded_after(rows: Rows, row: int) -> NDArray[np.float32]:
     """The recorded observations (T + 1, O) from a row on, T at most STEPS."""
     last = row
     whole = rows.rows
-    ended = (np.asarray(whole.terminated) != 0) | (np.asarray(whole.truncated) != 0)
+    ended = whole.ended()
     while last - row + 1 < STEPS and last + 1 < len(rows) and not ended[last]:
         last += 1
     obs, following = np.asarray(whole.obs), np.asarray(whole.next_obs)
@@ -117,7 +117,7 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
     reader = readers.reader(run)
     whose_sum = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
     without = f"none of its weights are {whose_sum}"
-    for table, weight, named in candidates(reader, rows, weighings):
+    for table, weight, named in candidates(reader, weighings):
         if len(table[weight]) != len(rows) or not np.array_equal(table[weight], rows.weight):
             continue
         learner, made = named
@@ -138,7 +138,7 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
 
 
 def candidates(
-    reader: RunReader, rows: Rows, weighings: list[WeighingInfo]
+    reader: RunReader, weighings: list[WeighingInfo]
 ) -> Iterator[tuple[dict[str, NDArray], str, tuple[str, WeighingInfo | None]]]:
     """Columns, the name of the weights' column, and their source."""
     for step in reader.snapshot_steps():
@@ -179,8 +179,8 @@ def _between(replay: TensorTransitions, lately: TensorTransitions, half: int) ->
     if not half:
         return float("nan")
     joined = TensorTransitions.join([replay, lately[:half]])
-    moments = why.usual_distance  # in the scale of the buffer, which few rows hardly change
-    return moments(joined, lately[half:], torch.arange(len(replay), len(joined)))
+    # In the scale of the buffer, which few rows hardly change.
+    return why.usual_distance(joined, lately[half:], torch.arange(len(replay), len(joined)))
 
 
 def _rollout_settings(run: RunInfo) -> RolloutConfig | None:
@@ -194,7 +194,7 @@ def _rollouts(
     run: RunInfo, reader: RunReader, rows: Rows, row: int, step: int | None
 ) -> tuple[Floats, int] | str:
     if run.env not in ENVS:
-        return "road-and-rocks is planned, not rolled out"
+        return f"they are drawn for the built-in tasks, and {run.env} is none of them"
     try:
         known, kept = task(run.env), stored_model(reader)
         policy_step = step if step in reader.policy_steps() else None

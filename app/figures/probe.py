@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from app import text
 from app.data.buffer import Floats
 from app.figures.base import DASHES, across, styled, upright
-from app.figures.weights import bin_centres, on_log_axis
+from app.figures.weights import AGES, bin_centres, on_log_axis
 from app.theme import faded, learner_colour, learner_label, learner_symbol
-
-AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, steps_in_words
 from app.figures.curves import POINTS
 from app.figures.scales import octaves, relative_scale
 from app.figures.thinning import decimate
-from app.figures.weights import bin_centres, shown_fits
+from app.figures.weights import AGES, bin_centres, shown_fits
 from app.theme import Mode, learner_colour, learner_symbol
 from tom.analysis.curves import Curve
 from tom.record.profiles import Profiles
@@ -93,9 +93,7 @@ def _link_axes(figure: go.Figure, columns: int, x: str) -> None:
     figure.update_xaxes(ticks="", showticklabels=False, row=1)
     figure.update_yaxes(title_text="return", row=1, col=1)
     figure.update_yaxes(
-        tickvals=[0, 50, 100],
-        ticktext=["oldest", "middle", "newest"],
-        range=[0, 100.2],
+        **AGES,
         ticks="",  # else Plotly draws ticks without labels beside a map
         row=2,
     )

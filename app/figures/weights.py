@@ -18,6 +18,8 @@ FLOOR = 0.01
 """the smallest weight on a log axis, a hundredth of uniform; lower ones are drawn there"""
 MAP_COLUMNS = 400
 """maximum number of fits on a map; the figure says if fits were left out"""
+AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
+"""the axis of positions in the buffer"""
 
 
 def weight_map(
@@ -53,9 +55,7 @@ def weight_map(
     )
     marks = [upright(int(profiles.env_step[chosen]), 2)]
     styled(figure, x, height, keep="weight-map", marks=marks)
-    figure.update_yaxes(
-        range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
-    )
+    figure.update_yaxes(**AGES)
     if len(fits) < len(profiles.env_step):
         note(figure, f"{len(fits)} of {len(profiles.env_step)} fits")
     return figure
@@ -198,8 +198,6 @@ def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
 
 def _finish_profile(figure: go.Figure, height: int) -> go.Figure:
     styled(figure, "position in the buffer", height, keep="profile", marks=[across(1, 1.5, "dash")])
-    figure.update_xaxes(
-        range=[0, 100.2], tickvals=[0, 50, 100], ticktext=["oldest", "middle", "newest"]
-    )
+    figure.update_xaxes(**AGES)
     figure.update_yaxes(type="linear", rangemode="tozero")
     return figure

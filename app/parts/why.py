@@ -135,7 +135,7 @@ def in_words(config: TomConfig, parts: Sum, whose: str) -> str:
 def _neighbours(run: RunInfo, rows: Rows, source: Source, row: int) -> None:
     near = reasons.neighbours(rows, source, row)
     st.markdown("**Its nearest of the policy's own transitions**")
-    names, actions = dimension_names(run.env, rows.rows)
+    names, actions = dimension_names(run.env, rows.rows, buffer_reader.described(run))
     obs, action = np.asarray(near.rows.obs), np.asarray(near.rows.action)
     own = np.concatenate([np.asarray(rows.rows.obs)[row], np.asarray(rows.rows.action)[row]])
     table = pd.DataFrame({"": [*names, *actions], "this one": own})
@@ -168,7 +168,7 @@ def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
         st.caption(f"No rollouts: {text.markdown(rollouts)}.")
         return
     paths, at = rollouts
-    names, _ = dimension_names(run.env, rows.rows)
+    names, _ = dimension_names(run.env, rows.rows, buffer_reader.described(run))
     moved = paths[:, 1].std(0) / np.maximum(np.asarray(rows.rows.obs).std(0), 1e-9)
     first = int(np.nan_to_num(moved).argmax())
     name = st.selectbox("Dimension", names, index=first, key="why dimension")

@@ -78,7 +78,7 @@ class StatesFrame(Frame):
         env, known, model = run.env, task_of(run), scene_of(run)
         if model is None:
             raise UserError(f"there is nothing to draw of {env}: its states are curves on the page")
-        ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
+        ended = recorded.ended()
         if max((*choice.heavy, *choice.light), default=0) >= len(ended):
             raise UserError("these transitions are no longer in the run's record")
         groups, height = [], 0.0

@@ -135,8 +135,8 @@ def video(
     return mp4(samples, description, (WIDTH, HEIGHT), RATE)
 
 
-def moving_picture(tab: "Page", seconds: float, limit: int = LIMIT_BYTES) -> bytes:
-    """The film in SHORT_S seconds as a WebP. Raises UserError if it exceeds `limit` bytes."""
+def moving_picture(tab: "Page", seconds: float) -> bytes:
+    """The film in SHORT_S seconds as a WebP. Raises UserError if it exceeds LIMIT_BYTES."""
     count = SHORT_S * SHORT_RATE
     height = round(SHORT_WIDTH * HEIGHT / WIDTH)
     frames = []
@@ -152,9 +152,11 @@ def moving_picture(tab: "Page", seconds: float, limit: int = LIMIT_BYTES) -> byt
             duration=[1000 // SHORT_RATE] * (count - 1) + [2500], method=4,
         )  # fmt: skip
         size = len(content.getvalue())
-        if size <= limit:
+        if size <= LIMIT_BYTES:
             return content.getvalue()
-    raise UserError(f"the moving picture would take {size / 1e6:.1f} MB, more than {limit / 1e6:g}")
+    raise UserError(
+        f"the moving picture would take {size / 1e6:.1f} MB, more than {LIMIT_BYTES / 1e6:g}"
+    )
 
 
 def most_telling(store: Path) -> str:

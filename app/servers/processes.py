@@ -1,5 +1,6 @@
 """Servers as child processes: free ports, health checks, and an end without orphans."""
 
+import errno
 import http.client
 import os
 import signal
@@ -111,10 +112,7 @@ def is_free(host: str, port: int) -> bool:
         try:
             probe.bind((host, port))
         except OSError as error:
-            if error.errno in _TAKEN:
+            if error.errno in (errno.EADDRINUSE, errno.EACCES):  # a privileged port
                 return False
             raise
         return True
-
-
-_TAKEN = (98, 48, 13)  # EADDRINUSE (Linux, macOS), EACCES (a privileged port)

@@ -19,9 +19,8 @@ from tom.errors import UserError
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-FRAMES = 16
-FEWEST = 3
-"""maximum number of fits in an animation"""
+FEWEST, FRAMES = 3, 16
+"""minimum and maximum number of fits in an animation"""
 FRAME_MS, LAST_MS = 600, 2400
 WIDTH, HEIGHT = 1280, 800
 SHOWN_WIDTHS = (960, 720, 480)

@@ -6,7 +6,7 @@ import streamlit as st
 from app import session, text
 from app.data import readers, replays
 from app.data.readers import RunInfo
-from app.data.replays import HORIZONS, Replay
+from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
 from app.figures.observations import observed_curves
 from app.figures.replay import error_curve, return_curve, reward_curve
 from app.parts import empty, player, rerun, widgets
@@ -25,7 +25,6 @@ CURVE_HEIGHT = 150
 """of one dimension's curves"""
 TICK_S = 0.5
 CHOSEN = "another episode was chosen"
-DEFAULT_HORIZON = 25
 
 
 def page() -> None:

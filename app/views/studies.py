@@ -113,15 +113,11 @@ def _missing(computed: set[str]) -> None:
 
 def _offer(name: str, *, may_run: bool) -> None:
     st.markdown(QUESTIONS[name])
-    asked = studies.ABOUT_RUNS.get(name)
     words = command(name, session.links().store)
-    shown = f"tom reproduce {name} {asked}" if asked else form.shown(words)
     left, right = st.columns([5, 1], vertical_alignment="center")
-    left.code(shown, language="bash")
+    left.code(form.shown(words), language="bash")
     running = name in _running() and _running()[name].process.poll() is None
-    if asked:
-        right.caption("in a terminal, with the runs that it is about")
-    elif right.button("Run", key=f"run {name}", disabled=running or not may_run, width="stretch"):
+    if right.button("Run", key=f"run {name}", disabled=running or not may_run, width="stretch"):
         _running()[name] = trainings.start(words)
         st.rerun()
 

@@ -19,7 +19,7 @@ def set_links(links: Links, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
-def draw(view: str, **query: str) -> AppTest:
+def draw(view: str, **query: str | list[str]) -> AppTest:
     """The page of `app.views.<view>` with these query parameters, after its first run."""
     script = f"from app.views import {view}\n{view}.page()\n"
     app = AppTest.from_string(script, default_timeout=TIMEOUT_S)

@@ -143,6 +143,22 @@ def alike(run: RunReader, other: RunReader, preset: str) -> bool:
     return (run.env, run.learner, run.preset) == (other.env, other.learner, preset)
 
 
+@pytest.mark.usefixtures("shown")
+def test_two_presets_of_a_learner_have_names_of_their_own_side_by_side_and_live() -> None:
+    both = [r for r in COPIES if (r.env, r.learner, r.seed) == ("inverted-pendulum", "tom", 0)]
+    assert sorted(run.preset for run in both) == ["mended", "paper"]
+    named = {f"TOM {run.preset} s0" for run in both}
+    app = draw("compare", show="Side by side", env="inverted-pendulum")
+    app.multiselect(key="side").set_value([run.run_id for run in both]).run()
+    beside = {
+        words.value.partition(", step")[0] for words in app.caption if ", step" in words.value
+    }
+    assert beside == named
+    live = figures(draw("live", runs=[run.run_id for run in both]))
+    profiles = next(f for f in live if "last fit" in str(f) or "position" in str(f["layout"]))
+    assert {line["name"].partition(", step")[0] for line in profiles["data"]} >= named
+
+
 @pytest.mark.parametrize("run", EACH)
 @pytest.mark.usefixtures("shown")
 def test_weights_draws_its_last_fit(run: RunReader) -> None:

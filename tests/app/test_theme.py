@@ -13,9 +13,11 @@ from app.theme import (
     LEARNER_COLOURS,
     NEUTRAL,
     QUALITATIVE,
+    SYMBOLS,
     Mode,
     learner_colour,
     learner_label,
+    learner_symbol,
     ramp,
 )
 from tom.learners import LEARNERS
@@ -51,6 +53,13 @@ def lab(intensity: np.ndarray) -> np.ndarray:
     share = np.cbrt(np.maximum(TO_XYZ @ np.clip(intensity, 0, 1) / white, 0.008856))
     x, y, z = share
     return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def test_more_learners_than_markers_share_markers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plug-in's learner may be registered before this module is imported."""
+    for i in range(len(SYMBOLS) + 2):
+        monkeypatch.setitem(LEARNER_COLOURS, f"own {i}", "#000000")
+    assert {learner_symbol(name) for name in LEARNER_COLOURS} == set(SYMBOLS)
 
 
 def test_every_learner_of_the_registry_has_its_own_colour() -> None:

@@ -50,6 +50,5 @@ def initial_obs(transitions: Transitions) -> np.ndarray:
     An episode starts at the first row and after every terminated or truncated one.
     """
     t = transitions.numpy()
-    ended = (np.asarray(t.terminated) != 0) | (np.asarray(t.truncated) != 0)
-    starts = np.append(True, ended[:-1])
+    starts = np.append(True, t.ended()[:-1])
     return np.asarray(t.obs)[starts]

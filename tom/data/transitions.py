@@ -41,6 +41,11 @@ class Transitions:
         parts = (getattr(self, f.name) for f in fields(self))
         return Transitions(*(np.asarray(p.cpu() if isinstance(p, Tensor) else p) for p in parts))
 
+    def ended(self) -> np.ndarray:
+        """Which rows are the last of their episode, terminated or truncated: (N,) bool."""
+        t = self.numpy()
+        return (np.asarray(t.terminated) != 0) | (np.asarray(t.truncated) != 0)
+
     @staticmethod
     def concatenate(parts: Sequence[Transitions]) -> Transitions:
         """The rows of all parts, in order, as numpy arrays."""

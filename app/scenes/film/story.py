@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from app.data import buffer_reader, pictures, readers
 from app.data.buffer import WINDOW, windows
+from app.data.called import names
 from app.data.readers import RunInfo
 from app.data.regions import principal_plane
 from app.scenes.film.robots import body, packed
 from app.scenes.states import poses
-from app.theme import learner_label
 from tom.analysis.curves import curve_points
 from tom.data.transitions import Transitions
 from tom.envs import Task
@@ -49,8 +49,7 @@ def story(run: RunInfo) -> dict[str, Any]:
     end = min(int(profiles.env_step[-1]), len(recorded))
     rows = recorded[:end]
     return {
-        "title": _title(run),
-        "run": run.run_id,
+        "title": names([run])[run.run_id],
         "steps": profiles.env_step[fits].tolist(),
         "count": profiles.count[fits].tolist(),
         "ess": np.round(profiles.ess[fits], 4).tolist(),
@@ -62,11 +61,6 @@ def story(run: RunInfo) -> dict[str, Any]:
         "policy": _policy(known, model, reader),
         "dt": model.dt,
     }
-
-
-def _title(run: RunInfo) -> str:
-    env = run.env.replace("-", " ").capitalize()
-    return f"{env} · {learner_label(run.learner)} · seed {run.seed}"
 
 
 def may_be_told(run: RunInfo) -> bool:
@@ -102,10 +96,9 @@ def _cloud(rows: Transitions) -> dict[str, Any]:
 
 def _crowd(known: Task, model: Model, reader: RunReader, rows: Transitions) -> dict[str, Any]:
     """Robots in evenly chosen states of the buffer, each moving through its window of steps."""
-    ended = (np.asarray(rows.terminated) != 0) | (np.asarray(rows.truncated) != 0)
     index = np.linspace(0, len(rows) - 1, min(ROBOTS, len(rows)) + 1).astype(np.int64)[:-1]
     state = {name: of[: len(rows)] for name, of in reader.buffer_state().items()}
-    qpos = poses(known, rows, state, windows(ended, index.tolist()))[:, ::EVERY]
+    qpos = poses(known, rows, state, windows(rows.ended(), index.tolist()))[:, ::EVERY]
     robots = body(model, qpos.reshape(-1, qpos.shape[-1]))
     return {
         "row": index.tolist(),

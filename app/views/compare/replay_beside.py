@@ -10,6 +10,7 @@ from app import text
 from app.data import readers
 from app.data.called import names
 from app.data.readers import RunInfo
+from app.data.replays import DEFAULT_HORIZON
 from app.parts import address, replay_link
 from app.parts.plot import Point
 from app.parts.stage import stage
@@ -20,8 +21,6 @@ HEIGHT = 400
 REPLAY = "replay"
 """in the address: `replay=hopper-tom-s0~20000`"""
 NOTHING = ("", 0)
-HORIZON = 25
-"""steps after which the ghost restarts from the real state"""
 
 
 def remember(curves: Sequence[Curve], point: Point) -> None:
@@ -74,7 +73,12 @@ def show(run: RunInfo, clicked: int, step: int) -> None:
     head, close = st.columns([6, 1], vertical_alignment="center")
     head.markdown(f"[Replay of {called}, step {step:,}]({address}){asked}")
     close.button("", icon=":material/close:", key="close replay", help="close", on_click=_forget)
-    stage(ReplayChoice(run.run_id, step, 0, 0, HORIZON, played=1), HEIGHT, "compare", compact=True)
+    stage(
+        ReplayChoice(run.run_id, step, 0, 0, DEFAULT_HORIZON, played=1),
+        HEIGHT,
+        "compare",
+        compact=True,
+    )
 
 
 def _forget() -> None:

@@ -1,25 +1,24 @@
 """Two to four runs side by side: returns and weights on linked axes, replays at one step."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import streamlit as st
 
 from app import session, text
 from app.data import readers
+from app.data.called import told_apart
 from app.data.readers import RunInfo
+from app.data.replays import DEFAULT_HORIZON
 from app.figures.side import side_by_side
 from app.parts import address, asked
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
-from app.theme import learner_label
 from app.views.compare import measure
 from app.views.compare.choice import names_with_ids
 from app.views.compare.comparison import Comparison
 
 MOST = 4
-HORIZON = 25
-"""steps after which a ghost restarts from the real state"""
 STAGE_HEIGHT = 480
 
 
@@ -36,9 +35,10 @@ def draw(comparison: Comparison) -> None:
     if len(chosen) < 2:
         st.info("Pick two runs or more.", icon=":material/splitscreen_vertical_add:")
         return
+    called = told_apart(chosen)
     parts = [
         (
-            f"{learner_label(run.learner)} seed {run.seed}",
+            called[run.run_id],
             measure.curve(run, "eval/return"),
             readers.profiles(run),
         )
@@ -51,7 +51,7 @@ def draw(comparison: Comparison) -> None:
         )
         figure = side_by_side(parts, session.mode(), 620)
         chart(figure, "side by side", "return and weights of the runs, on linked axes")
-    _replays(chosen)
+    _replays(chosen, called)
 
 
 def default_runs(runs: Sequence[RunInfo]) -> list[str]:
@@ -63,7 +63,7 @@ def default_runs(runs: Sequence[RunInfo]) -> list[str]:
     return first if len(first) > 1 else [run.run_id for run in runs if run.env == runs[0].env][:2]
 
 
-def _replays(chosen: Sequence[RunInfo]) -> None:
+def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
     evaluated = {run.run_id: readers.evaluation_steps(run) for run in chosen}
     steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:
@@ -85,8 +85,7 @@ def _replays(chosen: Sequence[RunInfo]) -> None:
         before = [at for at in evaluated[run.run_id] if at <= step]
         with columns[i % 2]:
             words = f"step {before[-1]:,}" if before else "not evaluated yet"
-            name = f"{learner_label(run.learner)} seed {run.seed}"
-            st.caption(f"{text.markdown(name)}, {words}")
+            st.caption(f"{text.markdown(called[run.run_id])}, {words}")
             if before:
-                choice = ReplayChoice(run.run_id, before[-1], 0, 0, HORIZON, played)
+                choice = ReplayChoice(run.run_id, before[-1], 0, 0, DEFAULT_HORIZON, played)
                 stage(choice, STAGE_HEIGHT, f"side{i}", compact=True)

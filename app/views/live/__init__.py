@@ -7,14 +7,13 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.called import names
+from app.data.called import names, told_apart
 from app.data.readers import RunInfo
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
 from app.parts import pick, replay_link, rerun, widgets
 from app.parts.cards import cards
 from app.parts.plot import chart
-from app.theme import learner_label
 from app.views.live import now, start
 from tom.config import SAC_ALONE
 from tom.metrics import describe
@@ -156,11 +155,11 @@ def _headline(alive: int, shown: Sequence[RunInfo]) -> str:
 
 
 def _last_profiles(runs: Sequence[RunInfo]) -> None:
-    lines = []
+    lines, called = [], told_apart(runs)
     for run in runs:
         profiles = readers.profiles(run)
         if len(profiles.env_step):
-            name = f"{learner_label(run.learner)} s{run.seed}, step {profiles.env_step[-1]:,}"
+            name = f"{called[run.run_id]}, step {profiles.env_step[-1]:,}"
             lines.append((name, run.learner, profiles.bins[-1]))
     head = st.columns([3, 1], vertical_alignment="center")
     head[0].markdown("**Weights of the last fit**: dashed: uniform")

@@ -50,24 +50,21 @@ def test_the_outline_is_the_roads_edge(road_map: RoadShape) -> None:
 def test_cells_hold_the_mean_of_their_transitions() -> None:
     draw = np.random.default_rng(0)
     obs, weight = draw.random((500, 2)), draw.random(500)
-    mean, count = weight_grid(obs, weight, cells=7)
     row, column = 2, 5
     inside = ((obs * 7).astype(int) == [column, row]).all(1)
-    assert count[row, column] == inside.sum() > 0
+    assert inside.any()
+    mean = weight_grid(obs, weight, cells=7)
     assert mean[row, column] == pytest.approx(weight[inside].mean())
-    assert count.sum() == 500
 
 
 def test_an_empty_cell_has_no_mean_and_the_edge_belongs_to_the_last_cell() -> None:
-    mean, count = weight_grid(np.array([[1.0, 1.0]]), np.array([2.0]), cells=3)
+    mean = weight_grid(np.array([[1.0, 1.0]]), np.array([2.0]), cells=3)
     assert mean[2, 2] == 2
     assert np.isnan(mean).sum() == 8
-    assert count[2, 2] == 1
 
 
 def test_no_weight_has_no_share(road_map: RoadShape) -> None:
-    share, ratio = road_share(np.array([[0.1, 0.12], [0.5, 0.5]]), np.zeros(2), road_map)
-    assert np.isnan([share, ratio]).all()
+    assert np.isnan(road_share(np.array([[0.1, 0.12], [0.5, 0.5]]), np.zeros(2), road_map))
 
 
 def test_a_picture_says_what_the_run_recorded(store: Path) -> None:
@@ -78,9 +75,7 @@ def test_a_picture_says_what_the_run_recorded(store: Path) -> None:
     assert picture.share == pytest.approx(recorded[0], abs=1e-4)
     obs = np.asarray(run.buffer()[0].obs)
     weight = run.snapshot(picture.step)["weight"].to_numpy()
-    mean, count = weight_grid(obs, weight)
-    assert np.array_equal(picture.grid, mean, equal_nan=True)
-    assert np.nansum(mean * count) == pytest.approx(weight.sum(), rel=1e-4)
+    assert np.array_equal(picture.grid, weight_grid(obs, weight), equal_nan=True)
     assert len(picture.expert) == 10
     assert len(picture.learnt) == 5
     assert picture.true.shape == picture.modelled.shape == picture.points.shape == (441, 2)

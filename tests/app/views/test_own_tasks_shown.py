@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from studio_pages import array, draw, figures, set_links
 
-from app.data import readers, replays
+from app.data import readers, replays, why
 from app.data.readers import RunInfo
 from app.links import Links
 from app.scenes import states
 from app.scenes.control import ReplayChoice, StatesChoice
+from app.scenes.film.story import story
 from app.scenes.replay import track
 from app.views.regions import buffer_reader
 from tom.record import Store, layout
@@ -108,6 +109,15 @@ def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id
     assert len(moments) >= 3 * 10
     assert len(array(moments[0]["y"])) == 25
     assert "absent_module" not in sys.modules
+
+
+def test_the_film_and_the_rollouts_name_the_task_as_it_is(shown: Path):
+    run = info(shown, "Swimmer-v5")
+    assert story(run)["title"] == "gymnasium:Swimmer-v5 · MLE · seed 0"
+    rows = buffer_reader.rows(run, RunReader(shown / "Swimmer-v5").snapshot_steps()[-1])
+    assert rows is not None
+    said = why.rollouts(run, rows, 0, None)
+    assert said == "they are drawn for the built-in tasks, and gymnasium:Swimmer-v5 is none of them"
 
 
 def test_choices_of_scenes_travel(shown: Path):

@@ -97,6 +97,15 @@ def test_what_sets_a_region_apart_is_named(rows: Rows) -> None:
     assert gap > 1
 
 
+def test_only_dimensions_of_road_and_rocks_are_called_x_and_y() -> None:
+    two, one = np.zeros((3, 2)), np.zeros(3)
+    plane = Transitions(two, two, one, two, one, one)
+    assert dimension_names("road-and-rocks", plane)[0] == ["x", "y"]
+    others = "gymnasium:MountainCarContinuous-v0"
+    assert dimension_names(others, plane)[0] == ["observation 1", "observation 2"]
+    assert dimension_names(others, plane, ("position", "velocity"))[0] == ["position", "velocity"]
+
+
 def test_picks_keep_their_distance(rows: Rows) -> None:
     everything = np.ones(len(rows), bool)
     heavy, light = regions.heavy_and_light(rows, everything, 5, 10)

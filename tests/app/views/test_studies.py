@@ -65,8 +65,9 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path)
         f"tom reproduce {rest}"
         for rest in (
             f"progression --store {store}",
-            "footprint RUN ...",
-            "capacity RUN ...",
+            f"footprint --store {store}",
+            f"capacity --store {store}",
+            f"improvement --store {store}",
             f"online --store {store}",
             f"returns --store {store}",
             "tabular",
