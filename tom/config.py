@@ -93,7 +93,7 @@ class RolloutConfig(Config):
     length: Count = 1
     """steps of a rollout at the start of training"""
     final_length: Count = 1
-    """steps of a rollout at the end of the schedule"""
+    """steps of a rollout at the end of the schedule, where it is longer than at the start"""
     schedule_start: Whole = 20
     """epoch (1 000 env steps after exploration) where the length begins to grow"""
     schedule_end: Whole = 150
@@ -109,7 +109,7 @@ class RolloutConfig(Config):
 
     def length_at(self, step: int) -> int:
         """Rollout length `step` env steps after exploration, by Janner's schedule over epochs."""
-        if self.final_length == self.length:
+        if self.final_length <= self.length:
             return self.length
         span = max(self.schedule_end - self.schedule_start, 1)
         share = (step / 1000 - self.schedule_start) / span

@@ -107,7 +107,8 @@ def describe(path: str) -> str:
     return METRICS.get(path, path)
 
 
-POLICY = "try a lower --sac.lr, and a shorter --rollout.length if the rollouts exploded before"
+SHORTER = "shorter rollouts (--rollout.length, --rollout.final-length)"
+POLICY = f"try a lower --sac.lr, and {SHORTER} if the rollouts exploded before"
 MODEL = "try a lower --model.lr"
 DUAL = "try a lower --tom.q-lr or --tom.discriminator-lr"
 FATAL: dict[str, str] = {

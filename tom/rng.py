@@ -64,11 +64,6 @@ def normal(generators: Generators, shape: Sequence[int]) -> Tensor:
     return torch.stack([torch.randn(*shape, generator=g, device=g.device) for g in generators])
 
 
-def uniform(generators: Generators, shape: Sequence[int]) -> Tensor:
-    """Uniform draws on [0, 1), (M, *shape): member m from its own generator."""
-    return torch.stack([torch.rand(*shape, generator=g, device=g.device) for g in generators])
-
-
 def fork(generator: torch.Generator) -> torch.Generator:
     """A new generator with a seed drawn from `generator`; its draws do not affect `generator`."""
     seed = torch.randint(2**62, (), generator=generator, device=generator.device)

@@ -117,7 +117,7 @@ def test_modelled_rollouts_that_explode__goes_on_and_says_so(tmp_path: Path):
     # A model that has seen one transition near the origin knows nothing of any scale.
     run = goes_on(tmp_path, config(steps=30, exploration_steps=1, fit_every=5))
     text = warned(run, "lead far outside the data")
-    assert "try a lower --model.lr or a shorter --rollout.length" in text
+    assert "try a lower --model.lr or shorter rollouts (--rollout.length" in text
     assert np.nanmax(run.metrics()["rollout/exploded"].to_numpy(float)) > 0.5
 
 

@@ -39,6 +39,11 @@ def test_rollout_length_follows_janners_schedule():
     assert RolloutConfig().length_at(200_000) == 1
 
 
+def test_a_rollout_length_alone_is_that_of_the_whole_training():
+    assert [RolloutConfig(length=5).length_at(step) for step in (0, 500_000)] == [5, 5]
+    assert RolloutConfig(length=5).kept_at(0, 250) == 5 * RolloutConfig().kept_at(0, 250)
+
+
 @pytest.mark.parametrize("env", ["hopper", "walker2d", "halfcheetah", "ant", "humanoid"])
 def test_the_papers_entropy_is_that_of_actions_in_the_tasks_own_range(env: str):
     """The released code: -dim A there; of actions in [-1, 1] the half range's logs are more."""

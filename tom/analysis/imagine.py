@@ -60,8 +60,7 @@ def stored_model(run: RunReader) -> StoredModel:
     """The model in the newest checkpoint or in a small copy. Raises UserError if there is none."""
     if not run.fits_model:
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
-    checkpoints = (checkpoint.load(run.path / folder) for folder in checkpoint.MODEL_PLACES)
-    held = next((one for one in checkpoints if one is not None), None)
+    held = checkpoint.load_model(run.path)
     if held is None:
         small = "model" in run.left_out
         why = "left out of this small copy" if small else "it has no checkpoint that is whole"

@@ -118,8 +118,8 @@ def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
         print(json.dumps(result))
         return 0
     title = f"CPU ms, one thread; {gflops:.0f} GFLOP/s in 256^3 products ({backend})"
-    _print(title, rows, as_json)
-    _print("TOM on one core, hours at most", hours, as_json)
+    _table(title, rows)
+    _table("TOM on one core, hours at most", hours)
     print("not measured:", *missing, sep="\n  ")
     return 0
 
@@ -151,7 +151,7 @@ def _fleet(device: str, members: int, repeats: int, as_json: bool) -> int:
     if as_json:
         print(json.dumps({"device": device, "parts": [asdict(r) for r in rows], "minutes": took}))
         return 0
-    _print(f"wall ms on {device}, all members at once", [asdict(row) for row in rows], as_json)
+    _table(f"wall ms on {device}, all members at once", [asdict(row) for row in rows])
     print(
         f"Hopper, {members} members of TOM, preset paper: about {took:.0f} minutes at most "
         "(without evaluation, recording and the drawing of minibatches)"
@@ -186,9 +186,9 @@ def _record(as_json: bool) -> int:
         measured = {"recording": costs, "checkpoints": checkpoints, "listing": lists}
         print(json.dumps(measured))
         return 0
-    _print(title, costs, as_json)
-    _print("checkpoints, one every 2000 steps", checkpoints, as_json)
-    _print("tom runs list, once tom is loaded", lists, as_json)
+    _table(title, costs)
+    _table("checkpoints, one every 2000 steps", checkpoints)
+    _table("tom runs list, once tom is loaded", lists)
     return 0
 
 
@@ -258,7 +258,11 @@ def studio_words(args: argparse.Namespace) -> list[str]:
 def _print(title: str, rows: list[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         print(json.dumps(rows))
-        return
+    else:
+        _table(title, rows)
+
+
+def _table(title: str, rows: list[dict[str, Any]]) -> None:
     show(title, list(rows[0]), [[_cell(value) for value in row.values()] for row in rows])
 
 

@@ -39,6 +39,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "weighing, with the errors in report.json and the ghosts of an episode in ghosts.npz.",
     )
     parser.add_argument("run_name", metavar="RUN", help="a run (id or folder)")
+    parser.add_argument("--env", help="the run's task, if it is of a module of yours: MODULE:ID")
     parser.add_argument("--rows", type=Path, required=True, help="a text file: row numbers, from 0")
     parser.add_argument("--step", type=count, required=True, metavar="N", help="a kept model fit")
     parser.add_argument(
@@ -165,10 +166,10 @@ def _ghosts(reader: RunReader, fitted: list[BrushedFit], step: int) -> dict[str,
     """Joint positions (H + 1, nq) of a recorded episode and of its prediction by each model.
 
     The models are the first seed's; the episode is from the last evaluation at or before `step`.
-    Empty if no episode was recorded.
+    Empty if no episode was recorded, or observations do not hold the joints.
     """
-    kept = reader.evaluation_steps()
-    if not kept:
+    known, kept = task(reader.env), reader.evaluation_steps()
+    if not kept or known.root_dims is None:
         return {}
     episodes = reader.episodes(at_or_before(kept, step))
     longest = max(episodes, key=lambda e: e.length, default=None)
@@ -177,7 +178,7 @@ def _ghosts(reader: RunReader, fitted: list[BrushedFit], step: int) -> dict[str,
     first = fitted[0].seed
     models = {f.factor: f.model for f in fitted if f.seed == first}
     dt = scene.model(reader.env).dt
-    made = ghosts(task(reader.env), longest, models, dt, HORIZON)
+    made = ghosts(known, longest, models, dt, HORIZON)
     named = {f"x{factor:g}": qpos for factor, qpos in made.items()}
     return {"real": np.asarray(longest.qpos, np.float32), "dt": np.array(dt), **named}
 

@@ -42,10 +42,6 @@ class GaussianEnsemble(_Ensemble):
         high, low = zip(*parts, strict=True)
         self.max_log_var, self.min_log_var = (share(x).requires_grad_() for x in (high, low))
 
-    def _split_output(self, output: Tensor) -> tuple[Tensor, Tensor]:
-        mean, raw = output.chunk(2, -1)
-        return mean, raw
-
     def _log_var(self, raw: Tensor) -> Tensor:
         low, high = self.min_log_var, self.max_log_var
         if len(raw) != self.ensemble:  # the elites alone
@@ -54,7 +50,7 @@ class GaussianEnsemble(_Ensemble):
 
     def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
         """Gaussian negative log-likelihood without its constant, as Janner's."""
-        mean, raw = self._split_output(output)
+        mean, raw = output.chunk(2, -1)
         log_var = self._log_var(raw)
         return (target - mean).square() * (-log_var).exp() + log_var
 
@@ -62,10 +58,10 @@ class GaussianEnsemble(_Ensemble):
         return BOUND_PENALTY * (self.max_log_var.sum() - self.min_log_var.sum())
 
     def mean(self, output: Tensor) -> Tensor:
-        return self._split_output(output)[0]
+        return output.chunk(2, -1)[0]
 
     def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
-        mean, raw = self._split_output(output)
+        mean, raw = output.chunk(2, -1)
         std = (0.5 * self._log_var(raw)).exp()
         return mean + std * torch.randn(*mean.shape, generator=generator, device=mean.device)
 

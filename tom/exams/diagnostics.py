@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from tom.data.sampling import ess, uniform_indices, zero_share
-from tom.data.scaling import MIN_STD
+from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import DynamicsModel
 from tom.learners.base import FitContext, Weighting
@@ -47,10 +47,9 @@ def one_step_error(model: DynamicsModel, rows: TensorTransitions, scale: Tensor)
 def step_scale(rows: TensorTransitions) -> Tensor:
     """Standard deviation of a step's change in each dimension of the state, (O,).
 
-    One where the change is constant, as in the model's targets and in exams (`Scaling`).
+    One where the change is constant, as in the model's targets and in exams.
     """
-    spread = (rows.next_obs - rows.obs).std(0, correction=0)
-    return torch.where(spread < MIN_STD, torch.ones_like(spread), spread)
+    return Scaling.of((), (rows.next_obs, rows.obs)).std
 
 
 def row_errors(error: Tensor, scale: Tensor) -> Tensor:

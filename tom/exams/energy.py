@@ -10,6 +10,7 @@ from math import isfinite
 import torch
 from torch import Tensor
 
+from tom.data.episodes import episode_numbers
 from tom.data.sampling import WeightedSampler
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
@@ -115,16 +116,17 @@ def first_half(rows: TensorTransitions) -> Tensor:
     The longest episode goes into the first half and each next one into the smaller half, so that
     they are about equal. A single episode is split in the middle.
     """
-    ended = ((rows.terminated + rows.truncated) > 0).long()
-    lengths = (ended.cumsum(0) - ended).unique(return_counts=True)[1].tolist()
+    lengths = torch.bincount(episode_numbers(rows)).tolist()
     if len(lengths) < 2:
         return torch.arange(len(rows), device=rows.obs.device) < len(rows) // 2
     first, sizes = [False] * len(lengths), [0, 0]
     for episode in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
         first[episode] = sizes[0] <= sizes[1]
         sizes[not first[episode]] += lengths[episode]
-    of = torch.tensor(lengths, device=ended.device)
-    return torch.tensor(first, device=ended.device).repeat_interleave(of)
+    device = rows.obs.device
+    return torch.tensor(first, device=device).repeat_interleave(
+        torch.tensor(lengths, device=device)
+    )
 
 
 def _steps(rows: TensorTransitions, scaling: Scaling) -> Tensor:

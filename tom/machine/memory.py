@@ -44,21 +44,21 @@ def out_of_memory(error: BaseException) -> str:
     )
 
 
-def keep_freed_memory() -> bool:
-    """Keep freed memory in this process instead of returning it; returns whether that worked.
+def keep_freed_memory() -> None:
+    """Keep freed memory in this process instead of returning it, where glibc can.
 
     By default glibc returns blocks of some hundred kilobytes to the system and gets them back page
     by page, which made network evaluations of some sizes a third slower.
     """
     if sys.platform != "linux":
-        return False
+        return
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is None:  # another C library
-        return False
+        return
     settings = {
         _MMAP_THRESHOLD: 32 * MEBIBYTE,  # the largest value that it accepts
         _TRIM_THRESHOLD: 512 * MEBIBYTE,
         _TOP_PAD: 16 * MEBIBYTE,
     }
-    taken = [mallopt(name, value) == 1 for name, value in settings.items()]  # set all of them
-    return all(taken)
+    for name, value in settings.items():
+        mallopt(name, value)

@@ -1,12 +1,15 @@
-"""Read files of arrays and tables, and the errors that a damaged one raises."""
+"""Read files of arrays and tables, and the errors that a damaged one raises; write tables."""
 
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from tom.data.unpack import DAMAGE, MOST, open_file, read_arrays, read_columns
 
-__all__ = ["DAMAGE", "read_arrays", "read_table"]
+__all__ = ["DAMAGE", "read_arrays", "read_table", "write_table"]
 
 
 def read_table(path: Path, most: int = MOST) -> pd.DataFrame:
@@ -16,3 +19,12 @@ def read_table(path: Path, most: int = MOST) -> pd.DataFrame:
     with open_file(path) as file:
         read = read_columns(file, most)
     return pd.DataFrame({name: read[name].to_numpy() for name in read.column_names})
+
+
+def write_table(where: Path | BinaryIO, table: pa.Table, **more: Any) -> None:
+    """Write a Parquet file, compressed, with checksums by which a reader finds a changed bit."""
+    pq.write_table(table, where, compression="zstd", write_page_checksum=True, **more)
+
+
+NUMBERS = {"use_dictionary": False, "use_byte_stream_split": True}
+"""how columns of floating-point numbers are written; other types are refused with it"""

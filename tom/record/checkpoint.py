@@ -89,6 +89,12 @@ def load(folder: Path) -> Checkpoint | None:
     return None
 
 
+def load_model(run: Path) -> Checkpoint | None:
+    """The newest undamaged checkpoint that has the run's model; a small copy has it alone."""
+    checkpoints = (load(run / place) for place in MODEL_PLACES)
+    return next((one for one in checkpoints if one is not None), None)
+
+
 def newest(folder: Path) -> int | None:
     """The step of the newest checkpoint, damaged or not, or None."""
     checkpoints = folders(folder)

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from tom.errors import UserError
 from tom.harmless import as_csv
+from tom.record.array_files import write_table
 from tom.record.files import replace, replace_json, whole_folder
 from tom.record.reader import RunReader
 from tom.record.thin import thin
@@ -67,7 +67,7 @@ def _csv(reader: RunReader, path: Path) -> None:
 
 def _parquet(reader: RunReader, path: Path) -> None:
     table = pa.Table.from_pandas(reader.metrics(), preserve_index=False)
-    replace(path, lambda file: pq.write_table(table, file, compression="zstd"), sync=False)
+    replace(path, lambda file: write_table(file, table), sync=False)
 
 
 def _json(reader: RunReader, path: Path) -> None:

@@ -10,11 +10,10 @@ from datetime import datetime
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from tom.errors import reason
 from tom.record import checkpoint, digests, layout
-from tom.record.array_files import DAMAGE, read_arrays, read_table
+from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
 from tom.record.files import modified, parse_json_line, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import unwritten
@@ -189,7 +188,7 @@ def _mend_table(reader: RunReader) -> str | None:
     if modified(table) >= modified(rows):
         return None
     content = pa.Table.from_pandas(reader.metrics(), preserve_index=False)
-    replace_file(table, lambda file: pq.write_table(content, file, compression="zstd"), sync=True)
+    replace_file(table, lambda file: write_table(file, content), sync=True)
     return f"{layout.METRICS_TABLE}: made again"
 
 

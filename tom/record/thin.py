@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.record import checkpoint, decode, digests, layout, small_copy
+from tom.record.array_files import NUMBERS, write_table
 from tom.record.files import plain, replace_json, size_of, whole_folder
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader, at_or_before
@@ -138,15 +138,8 @@ def _snapshot(reader: RunReader, step: int, to: Path) -> None:
 
 def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:
     """Write columns of weights as a Parquet file, rounded and strongly compressed."""
-    pq.write_table(
-        pa.table({name: coarse(array) for name, array in columns.items()}),
-        path,
-        compression="zstd",
-        compression_level=19,
-        use_dictionary=False,
-        use_byte_stream_split=True,
-        write_page_checksum=True,
-    )
+    table = pa.table({name: coarse(array) for name, array in columns.items()})
+    write_table(path, table, compression_level=19, **NUMBERS)
 
 
 def _buffer(reader: RunReader, to: Path) -> None:
@@ -158,8 +151,7 @@ def _buffer(reader: RunReader, to: Path) -> None:
 
 def _model(reader: RunReader, to: Path) -> None:
     """Write the model for predictions: networks in half precision, no optimiser."""
-    checkpoints = (checkpoint.load(reader.path / at) for at in (checkpoint.FOLDER, layout.MODEL))
-    held = next((one for one in checkpoints if one is not None), None)
+    held = checkpoint.load_model(reader.path)
     training = held.state.get("training", {}) if held else {}
     if held and "coefficients" in training:
         state = {"coefficients": training["coefficients"]}

@@ -9,7 +9,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.config import RunConfig
@@ -17,7 +16,7 @@ from tom.data.sampling import bin_means, ess, zero_share
 from tom.data.transitions import Transitions
 from tom.events import Episode, Weights
 from tom.record import decode, digests, layout, lock, opening
-from tom.record.array_files import read_arrays
+from tom.record.array_files import NUMBERS, read_arrays, write_table
 from tom.record.creating import make_folder
 from tom.record.files import JsonLines, read_json, replace, replace_json, sync
 from tom.record.reader import RunReader
@@ -247,14 +246,7 @@ class RunWriter:
 
     def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
         def write(file: BinaryIO) -> None:
-            pq.write_table(
-                table,
-                file,
-                compression="zstd",
-                use_dictionary=False,
-                use_byte_stream_split=True,
-                write_page_checksum=True,
-            )
+            write_table(file, table, **NUMBERS)
 
         self._lock.check()
         replace(self.path / name, write, sync=sync)

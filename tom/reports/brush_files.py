@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.analysis.brush import AS_IT_IS, BrushedFit
 from tom.analysis.progression import progression
+from tom.record.array_files import write_table
 from tom.record.files import replace_json
 from tom.reports.weighing_files import REPORT, WEIGHTS, whole_weighing
 
@@ -47,7 +47,7 @@ def write(
     ]
     with whole_weighing(out) as unfinished:
         table = pa.table({**columns, REGION: region})
-        pq.write_table(table, unfinished / WEIGHTS, compression="zstd")
+        write_table(unfinished / WEIGHTS, table)
         if ghosts:
             np.savez_compressed(unfinished / GHOSTS, allow_pickle=False, **dict(ghosts))
         replace_json(unfinished / REPORT, {**report, "results": results}, sync=False)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tom.analysis.ordered_data import OrderedData
@@ -25,7 +24,7 @@ from tom.data.sampling import bin_means
 from tom.errors import UserError
 from tom.learners import LEARNERS
 from tom.record import decode, layout
-from tom.record.array_files import DAMAGE, read_table
+from tom.record.array_files import DAMAGE, NUMBERS, read_table, write_table
 from tom.record.files import read_json, replace_json, whole_folder
 from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
@@ -244,10 +243,7 @@ def write_weights(path: Path, weighed: Sequence[Weighed]) -> None:
             columns[f"{one.learner}-s{one.seed}{LOG_RATIO}"] = one.log_ratio
         for name, term in one.terms.items():
             columns[f"{one.learner}-s{one.seed}-{name}"] = term
-    pq.write_table(
-        pa.table(columns), path, compression="zstd", use_dictionary=False,
-        use_byte_stream_split=True,
-    )  # fmt: skip
+    write_table(path, pa.table(columns), **NUMBERS)
 
 
 def write_profiles(path: Path, weighed: Sequence[Weighed], bins: int) -> None:

@@ -39,10 +39,6 @@ class Comparison:
     recordings: Signs
 
     @property
-    def question(self) -> str:
-        return QUESTIONS[self.way, self.against]
-
-    @property
     def by_recording(self) -> dict[str, float]:
         """The columns of a table: on how many recordings the first is better, and the sign test."""
         of = self.recordings

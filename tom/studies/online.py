@@ -33,8 +33,7 @@ class RunProfiles:
     @property
     def share_newest(self) -> NDArray[np.float64]:
         """Share of all weight on the newest tenth of the buffer, (F,)."""
-        newest = round(self.bins.shape[1] * NEWEST)
-        return np.nansum(self.bins[:, -newest:], 1) / np.nansum(self.bins, 1)
+        return np.nansum(self.bins[:, self._newest], 1) / np.nansum(self.bins, 1)
 
     @property
     def excess(self) -> NDArray[np.float64]:
@@ -45,8 +44,12 @@ class RunProfiles:
     def excess_newest(self) -> NDArray[np.float64]:
         """The share of the excess on the newest tenth, (F,); 0 without excess."""
         above = self._above()
-        newest = above[:, -round(above.shape[1] * NEWEST) :].sum(1)
-        return newest / np.maximum(above.sum(1), np.finfo(float).tiny)
+        return above[:, self._newest].sum(1) / np.maximum(above.sum(1), np.finfo(float).tiny)
+
+    @property
+    def _newest(self) -> slice:
+        """The newest tenth of the bins, one at the least."""
+        return slice(-max(round(self.bins.shape[1] * NEWEST), 1), None)
 
     def _above(self) -> NDArray[np.float64]:
         """The weight of each bin above its even share, (F, bins)."""

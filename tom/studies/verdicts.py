@@ -15,7 +15,7 @@ from tom.studies.road import TOM_SUCCESS_MIN, Outcome
 SIMPLER = ("expert-only", "footprint-only", "ratio", "pmac, expert last")
 """simple weightings of road-and-rocks, without a dual"""
 PAPER = "paper, 1 sampled a'"
-"""the variants with the paper's networks and steps"""
+"""the variant with the paper's networks and steps"""
 NAMED = 3
 """runs named at most in a sentence"""
 

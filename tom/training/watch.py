@@ -13,7 +13,7 @@ from torch import Tensor
 from tom.config import OnlineConfig, RunConfig, SacRecordingConfig
 from tom.errors import DivergedError
 from tom.events import Collected, Event, Metrics, Notice, Weights
-from tom.metrics import MODEL, require_finite
+from tom.metrics import MODEL, SHORTER, require_finite
 
 EXPLODED_SHARE = 1e-3
 """share of modelled steps far outside the data from which a notice is given"""
@@ -134,7 +134,7 @@ def _rollouts(env_step: int, values: Mapping[str, float]) -> Iterator[Notice]:
             env_step,
             "rollout-diverged",
             f"{diverged:.2%} of the modelled steps were not finite and were left out: "
-            f"{MODEL} or a shorter --rollout.length",
+            f"{MODEL} or {SHORTER}",
         )
     exploded = values.get("rollout/exploded", 0.0)
     if exploded > EXPLODED_SHARE:
@@ -142,7 +142,7 @@ def _rollouts(env_step: int, values: Mapping[str, float]) -> Iterator[Notice]:
             env_step,
             "rollout-exploded",
             f"{exploded:.2%} of the modelled steps lead far outside the data (100 times its "
-            f"largest observation): {MODEL} or a shorter --rollout.length",
+            f"largest observation): {MODEL} or {SHORTER}",
         )
 
 

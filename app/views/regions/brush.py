@@ -17,6 +17,7 @@ from app.figures.brush import NAMES, change, error_bars, factor_in_words
 from app.parts.plot import chart
 from app.scenes.film.ghosts import ghosts
 from tom.analysis.brush import FACTORS
+from tom.envs import is_code
 from tom.record.task_record import scene_of, task_of
 
 HEIGHT = 380
@@ -63,7 +64,7 @@ def _start(run: RunInfo, rows: Rows, mask: Mask, of: str | None) -> None:
         "Its weight is multiplied by", list(FACTORS), default=list(FACTORS), key="factors",
         selection_mode="multi", format_func=factor_in_words,
     )  # fmt: skip
-    if why := _why_not(count, len(rows), of):
+    if why := _why_not(run, count, len(rows), of):
         st.caption(why)
         return
     if columns[1].button(
@@ -77,9 +78,12 @@ def _start(run: RunInfo, rows: Rows, mask: Mask, of: str | None) -> None:
         st.session_state[BEGUN] = trainings.start(words)
 
 
-def _why_not(count: int, of: int, base: str | None) -> str:
+def _why_not(run: RunInfo, count: int, of: int, base: str | None) -> str:
     if why := session.looks_on():
         return why
+    if is_code(run.env):
+        words = text.markdown(f"tom brush {run.run_id} --env {run.env} --rows FILE --step N")
+        return f"It runs code of yours, so it is started in a terminal: {words}"
     if not 0 < count < of:
         return "Draw a region that holds some of the buffer, not all of it."
     return "" if base is not None else "The file that these weights come from has changed."

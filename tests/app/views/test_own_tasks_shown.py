@@ -130,4 +130,8 @@ def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):
     assert "--env absent_module:Swimmer-v5" in typed
     assert "weigh" not in [button.key for button in app.button]
     assert "weigh" in [button.key for button in draw("probe", run="Swimmer-v5").button]
+    regions = draw("regions", run="absent-Swimmer-v5")
+    assert any("tom brush absent" in said.value for said in regions.caption)
+    assert "brush it" not in [button.key for button in regions.button]
+    assert "brush it" in [button.key for button in draw("regions", run="Swimmer-v5").button]
     assert "absent_module" not in sys.modules

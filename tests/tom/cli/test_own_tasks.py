@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tom.record.reader import RunReader
+
 ROOT = Path(__file__).parents[3]
 MODULE = """
 import gymnasium as gym
@@ -104,6 +106,24 @@ def test_a_task_and_a_rule_of_ones_own(home: Path):
     code, said = tom(f"weigh whole --policy whole --store runs {quick}", home)
     assert code == 0, said
     assert len(json.loads(said)["results"]) == 2
+
+
+@pytest.mark.parametrize("env", ["own_tasks:Own-v0", "gymnasium:Reacher-v5"])
+def test_a_buffer_of_another_task_is_brushed(home: Path, env: str):
+    """Reacher's robot has joints that its observations do not hold: there are no ghosts."""
+    small = "--learner mle --preset smoke --steps 300 --no-rerun --evaluation.every 150"
+    assert tom(f"train --env {env} {small} --run-id brushed --store runs", home)[0] == 0
+    step = RunReader(home / "runs/brushed").snapshot_steps()[-1]
+    (home / "rows.txt").write_text("1\n2\n3\n")
+    words = f"brush brushed --rows rows.txt --step {step} --seeds 0 --factors 4 --store runs"
+    if env.startswith("own_tasks"):
+        code, said = tom(words, home)
+        assert (code, f"add --env {env}" in said) == (2, True), said
+    code, said = tom(f"{words} --env {env} --json --out brush", home)
+    assert code == 0, said
+    report = json.loads((home / "brush/report.json").read_text())
+    assert {result["factor"] for result in report["results"]} == {1, 4}
+    assert not (home / "brush/ghosts.npz").exists()
 
 
 def test_a_task_that_fails_ends_its_training_and_is_named(home: Path):

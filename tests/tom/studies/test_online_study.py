@@ -49,6 +49,18 @@ def test_where_the_weight_lies(tmp_path: Path):
     assert [row["step"] for row in study.rows([panel])] == [500, 750, 1000]
 
 
+def test_of_few_bins_the_newest_is_the_newest_tenth(tmp_path: Path):
+    store = Store(tmp_path)
+    config = resolve("hopper", "tom", "paper", {"snapshots": 0, "bins": 4})
+    with Recorder(RunWriter.create(store, "few", config)) as recorder:
+        recorder.consume(Weights(250, on(0, 250).astype(np.float32)))
+        recorder.consume(Tick(250, "fit"))
+    (panel,) = study.panels(store.runs(), "paper")
+    assert panel.bins.shape == (1, 4)
+    assert panel.share_newest == pytest.approx([0])
+    assert panel.excess_newest == pytest.approx([0])
+
+
 @pytest.mark.parametrize(
     ("weight", "says"),
     [

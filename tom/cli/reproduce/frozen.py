@@ -6,7 +6,6 @@ The options of moments are also those of `tom reproduce improvement`.
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -141,8 +140,7 @@ def _run(study: FrozenStudy, args: argparse.Namespace) -> int:
     for one in each(examined, asked, args.jobs, args.out):
         outcomes.append(one)
         say(f"{len(outcomes)} of {len(asked)}: {one.recording} at {one.step}: {one.way}")
-    rows, said = study.summary(outcomes), study.verdict(outcomes)
-    _write(study, args.out, outcomes, runs, args.seeds)
+    rows, said = _write(study, args, outcomes, runs)
     if args.json:
         print_json({"summary": rows, "verdict": said, "out": str(args.out)})
         return 0
@@ -152,25 +150,22 @@ def _run(study: FrozenStudy, args: argparse.Namespace) -> int:
 
 
 def _write(
-    study: FrozenStudy,
-    out: Path,
-    outcomes: list[Outcome],
-    runs: Sequence[RunReader],
-    seeds: Sequence[int],
-) -> None:
-    rows = study.summary(outcomes)
-    write_csv(out / "summary.csv", rows)
-    pairs = study.head_to_head(outcomes)
-    write_csv(out / "head-to-head.csv", pairs)
-    write_csv(out / "moments.csv", [_flat(one) for one in outcomes])
-    png, _ = save(study.figure(outcomes), out, study.name)
+    study: FrozenStudy, args: argparse.Namespace, outcomes: list[Outcome], runs: list[RunReader]
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Write the report; returns its table and its verdict."""
+    rows, pairs, said = (of(outcomes) for of in (study.summary, study.head_to_head, study.verdict))
+    write_csv(args.out / "summary.csv", rows)
+    write_csv(args.out / "head-to-head.csv", pairs)
+    write_csv(args.out / "moments.csv", [_flat(one) for one in outcomes])
+    png, _ = save(study.figure(outcomes), args.out, study.name)
     n = f"{len({(one.recording, one.step) for one in outcomes})} moments of {len(runs)} runs"
-    made = study_origin(n=n, seeds=in_short(seeds), runs=", ".join(run.run_id for run in runs))
-    figures, tables = [(study.caption, png)], [("Every way", rows)]
+    made = study_origin(n=n, seeds=in_short(args.seeds), runs=", ".join(r.run_id for r in runs))
+    tables = [("Every way", rows)]
     if pairs:
         tables.append(("Two ways at the same moments", pairs))
-    report = Report(study.title, study.claim, study.verdict(outcomes), figures, tables, made)
-    write_report(report, out)
+    figures = [(study.caption, png)]
+    write_report(Report(study.title, study.claim, said, figures, tables, made), args.out)
+    return rows, said
 
 
 def _flat(one: Outcome) -> dict[str, Any]:

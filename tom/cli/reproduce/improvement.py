@@ -1,9 +1,8 @@
 """`tom reproduce improvement`: what weights do for the policy, on the same frozen buffers."""
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
+from typing import Any
 
 from tom.cli.reproduce.frozen import add_moments, check_model, chosen_runs, chosen_ways
 from tom.cli.reproduce.study import (
@@ -77,8 +76,7 @@ def run(args: argparse.Namespace) -> int:
     for one in each(study.improved, trials, args.jobs, args.out):
         found.append(one)
         say(f"{len(found)} of {len(trials)}: {one.recording} at {one.step}: {one.way}")
-    _write(args.out, found, runs, args.seeds)
-    rows, said = results.summary(found), results.verdict(found)
+    rows, said = _write(args, found, runs)
     if args.json:
         print_json({"summary": rows, "verdict": said, "out": str(args.out)})
         return 0
@@ -98,14 +96,15 @@ def _runs(args: argparse.Namespace) -> list[RunReader]:
 
 
 def _write(
-    out: Path, found: list[study.Improvement], runs: Sequence[RunReader], seeds: Sequence[int]
-) -> None:
-    rows = results.summary(found)
-    write_csv(out / "summary.csv", rows)
-    write_csv(out / "moments.csv", [asdict(one) for one in found])
-    png, _ = save(improvement_figure(found), out, "improvement")
+    args: argparse.Namespace, found: list[study.Improvement], runs: list[RunReader]
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Write the report; returns its table and its verdict."""
+    rows, said = results.summary(found), results.verdict(found)
+    write_csv(args.out / "summary.csv", rows)
+    write_csv(args.out / "moments.csv", [asdict(one) for one in found])
+    png, _ = save(improvement_figure(found), args.out, "improvement")
     n = f"{len({(one.recording, one.step) for one in found})} moments of {len(runs)} runs"
-    made = study_origin(n=n, seeds=in_short(seeds), runs=", ".join(run.run_id for run in runs))
+    made = study_origin(n=n, seeds=in_short(args.seeds), runs=", ".join(r.run_id for r in runs))
     tables = [("Against uniform weights", rows)]
-    report = Report(TITLE, CLAIM, results.verdict(found), [(CAPTION, png)], tables, made)
-    write_report(report, out)
+    write_report(Report(TITLE, CLAIM, said, [(CAPTION, png)], tables, made), args.out)
+    return rows, said
