@@ -66,6 +66,13 @@ class Links:
         fragment = f"#key={self.key}" if self.local_only else ""
         return f"{self.address}/{path}{fragment}"
 
+    @property
+    def tunnels(self) -> str:
+        """ssh's options that bring the pages and both viewers to another machine, same ports."""
+        ports = (self.port, self.rerun_port, self.viser_port)
+        host = in_url(self.local_host)
+        return " ".join(f"-L {port}:{host}:{port}" for port in ports)
+
     def rerun_live(self, host: str, run_id: str, mode: Mode) -> str:
         """The web viewer's address for a live run."""
         source = hub.live_url(host, self.rerun_port, run_id)

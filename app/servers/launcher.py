@@ -54,6 +54,8 @@ def run(studio: Studio, *, browser: bool) -> int:
         if running is None:
             return 1
         print(f"tom studio: {links.opened()}  (store {studio.store}; Ctrl-C stops it)", flush=True)
+        if links.local_only:
+            print(f"            over SSH: ssh {links.tunnels} THIS-MACHINE", flush=True)
         if browser and _has_display():
             webbrowser.open(_leading_to(links).as_uri())
         return watch(running, stopping, time.monotonic)

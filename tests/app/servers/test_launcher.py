@@ -1,6 +1,7 @@
 """The launcher: one address, errors in one line, and an end without orphans."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -32,6 +33,7 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
     try:
         assert studio.stdout is not None
         line = studio.stdout.readline()
+        tunnels = re.findall(r"-L (\d+):127\.0\.0\.1:(\d+)", studio.stdout.readline())
         assert f"http://127.0.0.1:{port}" in line, line
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/health", timeout=10) as answer:
             assert str(store) in answer.read().decode()
@@ -42,7 +44,9 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
         children = descendants(studio.pid)
         assert len(children) >= 3  # Streamlit, viser and the hub
         assert {address for address, _ in listening(children)} <= LOOPBACK
-        assert len({port for _, port in listening(children)}) == 3
+        ports = {port for _, port in listening(children)}
+        assert {(str(port), str(port)) for port in ports} == set(tunnels)
+        assert len(tunnels) == 3
     finally:
         studio.send_signal(signal.SIGTERM)
         assert studio.wait(30) == 0

@@ -153,7 +153,8 @@ def _write(
     study: FrozenStudy, args: argparse.Namespace, outcomes: list[Outcome], runs: list[RunReader]
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """Write the report; returns its table and its verdict."""
-    rows, pairs, said = (of(outcomes) for of in (study.summary, study.head_to_head, study.verdict))
+    rows, pairs = study.summary(outcomes), study.head_to_head(outcomes)
+    said = study.verdict(outcomes)
     write_csv(args.out / "summary.csv", rows)
     write_csv(args.out / "head-to-head.csv", pairs)
     write_csv(args.out / "moments.csv", [_flat(one) for one in outcomes])
