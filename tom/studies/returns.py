@@ -3,8 +3,9 @@
 A run belongs to its environment, learner, preset and seed; a learner with another than the first
 requested preset counts as a separate learner ("TOM, mended"). If runs differ in other settings, the
 largest group of each learner is used, and in it the longest run of each seed. The learners of an
-environment are compared at a step that all their runs reach; if the settings of their groups
-differ, the verdict says so. Runs are grouped and scored as on the Compare page
+environment are compared at a step that all their runs reach, or at one that the user fixed before
+he looked, without the runs that end earlier; if the settings of their groups differ, the verdict
+says so. Runs are grouped and scored as on the Compare page
 (`tom/analysis/scores.py`).
 """
 
@@ -70,10 +71,14 @@ class Cell:
         return scores_of(self.curves, score, step)
 
 
-def select(runs: Sequence[RunReader], *presets: str) -> tuple[list[Cell], list[str]]:
+def select(
+    runs: Sequence[RunReader], *presets: str, at: int | None = None
+) -> tuple[list[Cell], list[str]]:
     """The cells of the runs of `presets`, and the ids of runs that were left out.
 
-    All runs of a learner are left out if one was first evaluated after the step of the comparison.
+    With `at`, curves end at that env step, and runs without an evaluation there or later are left
+    out. All runs of a learner are left out if one was first evaluated after the step of the
+    comparison.
     """
     mine = [
         run
@@ -82,8 +87,9 @@ def select(runs: Sequence[RunReader], *presets: str) -> tuple[list[Cell], list[s
     ]
     kind_of = kinds(mine)
     recorded = [(run, _curve(run, kind_of[run.run_id])) for run in mine]
-    usable = sorted(((r, c) for r, c in recorded if len(c.step)), key=_key)
-    cells, left_out = [], [run.run_id for run, curve in recorded if not len(curve.step)]
+    reaching = [(run, _until(curve, at)) for run, curve in recorded]
+    usable = sorted(((r, c) for r, c in reaching if len(c.step)), key=_key)
+    cells, left_out = [], [run.run_id for run, curve in reaching if not len(curve.step)]
     for (env, learner, preset), group in groupby(usable, _key):
         every = list(group)
         chosen = _largest(every)
@@ -91,8 +97,8 @@ def select(runs: Sequence[RunReader], *presets: str) -> tuple[list[Cell], list[s
         cells.append(Cell(env, learner, *zip(*chosen, strict=True), preset=shown))
         used = {run.run_id for run, _ in chosen}
         left_out += [run.run_id for run, _ in every if run.run_id not in used]
-    at = compared_at(cells)
-    late = [cell for cell in cells if not begun(cell.curves, at[cell.env])]
+    common = compared_at(cells)
+    late = [cell for cell in cells if not begun(cell.curves, common[cell.env])]
     left_out += [run.run_id for cell in late for run in cell.runs]
     order = {name: i for i, name in enumerate((*ENVS, *LEARNER_NAMES))}
     kept = [cell for cell in cells if cell not in late]
@@ -118,6 +124,14 @@ def cell_of(cells: Sequence[Cell], env: str, learner: str, preset: str = "") -> 
 def _curve(run: RunReader, kind: Kind) -> Curve:
     step, value = curve_points(run.metrics(), METRIC)
     return Curve(run.run_id, run.env, *kind[:2], run.seed, step, value, kind.variant)
+
+
+def _until(curve: Curve, at: int | None) -> Curve:
+    """The curve up to step `at`; without points if it does not reach that step."""
+    if at is None:
+        return curve
+    reached = len(curve.step) and curve.step[-1] >= at
+    return curve.until(at if reached else -1)
 
 
 def _key(recorded: Recorded) -> tuple[str, str, str]:

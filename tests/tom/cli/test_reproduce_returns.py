@@ -35,6 +35,12 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     assert "tom sweep --env hopper --learner tom --seeds 4" in report
     assert main(words) == 0
     assert "missing or short" in capsys.readouterr().out
+    assert main([*words, "--at", "250"]) == 0
+    assert "Best return up to step 250" in (out / "report.html").read_text()
+    capsys.readouterr()
+    assert main([*words, "--at", "251", "--out", str(tmp_path / "none")]) == 2
+    assert "the longest ends at 250" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
     (out / "returns.csv").unlink()
     (out / "returns.csv").mkdir()
     assert main(words) == 1
@@ -48,6 +54,7 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
         (("--env", "hoper"), "did you mean 'hopper'"),
         (("--learner", "tomm"), "did you mean 'tom'"),
         (("--preset", "papr"), "did you mean 'paper'"),
+        (("--at", "0"), "--at must be at least 1"),
     ],
 )
 def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys):

@@ -79,6 +79,26 @@ def test_learners_are_compared_at_a_step_that_all_reach(store: Store):
     assert np.isnan(rows["hopper", "MLE"]["low"])
 
 
+def test_at_a_step_fixed_beforehand_shorter_runs_are_left_out_and_longer_ones_cut(store: Store):
+    cells, left_out = study.select(store.runs(), "paper", at=3000)
+    assert study.compared_at(cells) == {"hopper": 3000}  # Walker2d's runs end at 2000
+    assert len([run_id for run_id in left_out if run_id.startswith("walker2d")]) == 2
+    assert max(cell.longest for cell in cells) == 3000
+    assert {row["learner"]: row["mean"] for row in tables.summary(cells)} == {"MLE": 40, "TOM": 40}
+    (alone,), short = study.select(store.runs(), "paper", at=3001)
+    assert (alone.learner, alone.seeds, len(short)) == ("tom", [0], 4)
+    assert study.select(store.runs(), "paper", at=4001)[0] == []
+
+
+def test_of_one_seed_the_run_that_reaches_the_step_is_used(store: Store):
+    record(store, "hopper", "mle", 0, [7] * 4, updates_per_step=7)
+    cells, _ = study.select(store.runs(), "paper", at=4000)
+    assert [(cell.learner, list(cell.scores(4000))) for cell in cells] == [
+        ("mle", [7.0]),
+        ("tom", [90.0]),
+    ]
+
+
 def test_a_learner_that_was_first_evaluated_after_the_others_ended_is_left_out(store: Store):
     config = resolve("hopper", "pmac", "paper", {"seed": 0})
     run_id = store.new_run_id("hopper", "pmac", 0)

@@ -37,11 +37,16 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "returns",
         help="return curves of all environments and learners, with the runs that there are",
         description="Draw the return curves of every environment and learner from the runs that "
-        "the store has, compare learners at a step that all runs of an environment reach, and "
-        "list what is missing. Nothing is trained: `tom sweep` makes the runs.",
+        "the store has, compare learners at a step that all runs of an environment reach or at "
+        "one fixed beforehand, and list what is missing. Nothing is trained: `tom sweep` makes the "
+        "runs.",
     )
     add_stored(parser, "+")
     parser.add_argument("--learner", nargs="+", default=list(LEARNER_NAMES), metavar="LEARNER")
+    parser.add_argument(
+        "--at", type=int, metavar="STEP",
+        help="compare at this env step, without the runs that end earlier [what all runs reach]",
+    )  # fmt: skip
     add_output(parser, "returns")
     parser.set_defaults(run=run)
 
@@ -52,33 +57,44 @@ def run(args: argparse.Namespace) -> int:
     for learner in args.learner:
         if learner not in LEARNER_NAMES:
             raise unknown("learner", learner, LEARNER_NAMES)
-    cells, left_out = study.select(Store(args.store).runs(), *args.preset)
-    cells = [cell for cell in cells if cell.env in envs and cell.learner in args.learner]
-    if not cells:
+    if args.at is not None and args.at < 1:
+        raise UserError("--at must be at least 1")
+    runs = [
+        run for run in Store(args.store).runs() if run.env in envs and run.learner in args.learner
+    ]
+    whole, _ = study.select(runs, *args.preset)
+    if not whole:
         raise UserError(
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
             f"--learner {' '.join(args.learner)} --seeds 4 makes them"
         )
+    cells, left_out = study.select(runs, *args.preset, at=args.at)
+    if not cells:
+        raise UserError(
+            f"--at {args.at}: no such run was evaluated there or later; the longest ends at "
+            f"{max(cell.longest for cell in whole):.0f}"
+        )
     out_folder(args.out)
-    findings = _findings(cells, envs, args.learner)
-    _write(args.out, cells, left_out, findings)
+    findings = _findings(cells)
+    findings["missing"] = returns_tables.missing(whole, envs, args.learner)
+    _write(args, cells, left_out, findings)
     _print(args, findings)
     return 0
 
 
-def _findings(cells: list[study.Cell], envs: list[str], learners: list[str]) -> dict[str, Any]:
+def _findings(cells: list[study.Cell]) -> dict[str, Any]:
     return {
         "verdict": verdicts.returns(cells),
         "summary": returns_tables.summary(cells),
         "improvement": returns_tables.improvement(cells),
         "exams": returns_tables.exams(cells),
-        "missing": returns_tables.missing(cells, envs, learners),
     }
 
 
 def _write(
-    out: Path, cells: list[study.Cell], left_out: list[str], findings: dict[str, Any]
+    args: argparse.Namespace, cells: list[study.Cell], left_out: list[str], findings: dict[str, Any]
 ) -> None:
+    out: Path = args.out
     curves = (
         {"env": c.env, "learner": c.label, "seed": curve.seed, "run": curve.run_id,
          "step": int(step), "return": value, "best": best}
@@ -92,11 +108,11 @@ def _write(
     png, _ = save(return_figure(cells), out, "returns")
     runs = [run for cell in cells for run in cell.runs]
     aside = [
-        "Left out, for other settings, a longer run of the seed, no evaluation, or a first one "
-        f"after the others' end: {', '.join(left_out)}."
+        "Left out, for other settings, a longer run of the seed, no evaluation, a first one "
+        f"after the others' end, or an end before --at: {', '.join(left_out)}."
     ]
     tables = [
-        ("At the step that all runs of an environment reach", findings["summary"]),
+        (f"Best return up to {_step(args.at)}", findings["summary"]),
         ("How often a run of TOM beats one of another learner", findings["improvement"]),
         ("Exams: the median fit of each run, on new steps of its own policy", findings["exams"]),
         ("What is missing for the paper's figure", findings["missing"]),
@@ -114,7 +130,7 @@ def _print(args: argparse.Namespace, findings: dict[str, Any]) -> None:
         return
     names = ("env", "learner", "n", "at step", "mean", "low", "high", "IQM", "remark")
     rows = [[_cell(row[name]) for name in names] for row in findings["summary"]]
-    show("Best return up to the step that all runs of an environment reach", names, rows)
+    show(f"Best return up to {_step(args.at)}", names, rows)
     if findings["exams"]:
         names = ("env", "learner", "n", *returns_tables.EXAMS.values())
         rows = [
@@ -125,6 +141,11 @@ def _print(args: argparse.Namespace, findings: dict[str, Any]) -> None:
     for line in findings["verdict"]:
         print(line)
     print(f"{len(findings['missing'])} of the paper's curves are missing or short: {args.out}")
+
+
+def _step(at: int | None) -> str:
+    """The step of the comparison in words."""
+    return f"step {at}" if at else "the step that all runs of an environment reach"
 
 
 def _cell(value: Any) -> str:
