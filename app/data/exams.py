@@ -119,7 +119,7 @@ class Ranking:
 
     standings: tuple[Standing, ...]
     until: float
-    """the last step whose fits count; infinity if fewer than two groups have enough seeds"""
+    """the last step whose fits count; infinity if no error was measured"""
     ranked: tuple[Standing, ...]
     """by ascending error; empty if fewer than two groups have enough seeds"""
 
@@ -133,13 +133,15 @@ class Ranking:
 def ranking(exams: Sequence[Exams]) -> Ranking:
     """Rank the groups with at least `RANKED` seeds, over the steps that so many of each reach.
 
-    Runs that end earlier are left out, because their fits saw less data.
+    Runs that end earlier are left out, because their fits saw less data. If fewer than two groups
+    have enough seeds, the steps are those that every run reaches.
     """
     groups: dict[str, list[Exams]] = {}
     for one in exams:
         groups.setdefault(one.group, []).append(one)
     reach = {name: reached for name, of in groups.items() if np.isfinite(reached := reach_of(of))}
-    until = min(reach.values()) if len(reach) > 1 else np.inf
+    lasts = [one.last for one in exams if np.isfinite(one.error).any()]
+    until = min(reach.values() if len(reach) > 1 else lasts, default=np.inf)
     standings = {name: standing(name, of, until) for name, of in groups.items()}
     ranked = [standings[name] for name in reach] if len(reach) > 1 else []
     ranked.sort(key=lambda one: one.typical)

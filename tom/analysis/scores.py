@@ -20,23 +20,32 @@ def common_step(curves: Iterable[Curve]) -> float:
     return min(float(curve.step[-1]) for curve in curves)
 
 
+def common_start(curves: Iterable[Curve]) -> float:
+    """The first step from which on all curves have points; every curve has at least one."""
+    return max(float(curve.step[0]) for curve in curves)
+
+
 def begun(curves: Iterable[Curve], until: float) -> bool:
     """Whether every curve has a point up to step `until`, so that all runs have a score."""
     return all(curve.step[0] <= until for curve in curves)
 
 
-def scores_of(curves: Sequence[Curve], score: str, until: float) -> Floats:
-    """The score of each run (n,) up to step `until`; NaN for a run without a point up to there."""
-    return np.array([_score(curve, score, until) for curve in curves], np.float64)
+def scores_of(curves: Sequence[Curve], score: str, until: float, since: float = -np.inf) -> Floats:
+    """The score of each run (n,) up to step `until`; NaN for a run without a point up to there.
+
+    A mean height is that from step `since` on: returns grow, so that who was first evaluated later
+    would stand higher.
+    """
+    return np.array([_score(curve, score, until, since) for curve in curves], np.float64)
 
 
-def _score(curve: Curve, score: str, until: float) -> float:
+def _score(curve: Curve, score: str, until: float, since: float) -> float:
     cut = curve.until(until)
     if score == FINAL:
         return cut.final
     if score == BEST:
         return cut.best
-    height = statistics.area_under_curve(curve.step, curve.value, until)
+    height = statistics.area_under_curve(curve.step, curve.value, until, since)
     # A single point has no area: its value is the mean height.
     return height if np.isfinite(height) else cut.final
 

@@ -162,18 +162,20 @@ def steps_to_reach(step: ArrayLike, value: ArrayLike, level: float) -> float:
     return float(reached[0]) if len(reached) else np.inf
 
 
-def area_under_curve(step: ArrayLike, value: ArrayLike, until: float) -> float:
-    """Mean height of a curve from its first step to step `until`, by the trapezoid rule.
+def area_under_curve(
+    step: ArrayLike, value: ArrayLike, until: float, since: float = -np.inf
+) -> float:
+    """Mean height of a curve from step `since` to step `until`, by the trapezoid rule.
 
-    NaN for a curve that ends before `until`: curves are never extrapolated.
+    It begins at the curve's first step if that is later. NaN for a curve that ends before `until`:
+    curves are never extrapolated.
     """
     steps, values = np.asarray(step, np.float64), np.asarray(value, np.float64)
-    if not len(steps) or steps[-1] < until or until <= steps[0]:
+    if not len(steps) or steps[-1] < until or until <= max(since, steps[0]):
         return np.nan
-    inside = steps < until
-    x = np.append(steps[inside], until)
-    y = np.append(values[inside], np.interp(until, steps, values))
-    return float(np.trapezoid(y, x) / (until - steps[0]))
+    first = max(since, steps[0])
+    x = np.concatenate([[first], steps[(steps > first) & (steps < until)], [until]])
+    return float(np.trapezoid(np.interp(x, steps, values), x) / (until - first))
 
 
 def running_maximum(value: ArrayLike) -> Array:

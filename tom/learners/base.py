@@ -97,7 +97,8 @@ class Weighting:
     def for_fit(self, config: ModelConfig) -> tuple[Tensor, Tensor | None]:
         """The rows' weights (N,) and the dimensions' (N, O) for a fit of the model.
 
-        Clipped if `clipped`, then mixed with the uniform share.
+        Clipped if `clipped`, then mixed with the uniform share. Clipped weights have a mean m below
+        1, so that of the draws c / (c + (1 - c) m) are uniform for a share c, more than c.
         """
         rows, share = self.row_weights, config.uniform_share
         rows = rows.clamp(max=config.weight_clip) if self.clipped else rows

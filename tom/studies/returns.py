@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tom.analysis.curves import Curve, curve_points
 from tom.analysis.grouping import Kind, kinds
-from tom.analysis.scores import BEST, begun, common_step, scores_of
+from tom.analysis.scores import BEST, begun, common_start, common_step, scores_of
 from tom.envs import ENVS
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.record import RunReader
@@ -66,9 +66,9 @@ class Cell:
     def seeds(self) -> list[int]:
         return [curve.seed for curve in self.curves]
 
-    def scores(self, step: float, score: str = BEST) -> Array:
+    def scores(self, step: float, score: str = BEST, since: float = -np.inf) -> Array:
         """The best return of each seed up to `step`, or another score of SCORES, (n,)."""
-        return scores_of(self.curves, score, step)
+        return scores_of(self.curves, score, step, since)
 
 
 def select(
@@ -109,6 +109,14 @@ def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
     """For each environment the last step that all its runs reach."""
     return {
         env: common_step(curve for c in cells if c.env == env for curve in c.curves)
+        for env in envs_of(cells)
+    }
+
+
+def compared_from(cells: Sequence[Cell]) -> dict[str, float]:
+    """For each environment the first step from which on all its runs have returns."""
+    return {
+        env: common_start(curve for c in cells if c.env == env for curve in c.curves)
         for env in envs_of(cells)
     }
 

@@ -10,7 +10,15 @@ from tom.analysis.statistics import remark
 from tom.envs import task
 from tom.learners import LEARNERS
 from tom.record import RunReader
-from tom.studies.returns import PAPER_ENVS, Cell, cell_of, compared_at, envs_of
+from tom.studies.returns import (
+    PAPER_ENVS,
+    Array,
+    Cell,
+    cell_of,
+    compared_at,
+    compared_from,
+    envs_of,
+)
 
 PAPER_SEEDS = 4
 RIVAL = "mle"
@@ -23,13 +31,16 @@ EXAMS = {
 
 
 def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """One row per environment and learner; scores are best returns up to the common step."""
-    at, rows = compared_at(cells), []
+    """One row per environment and learner; scores are best returns up to the common step.
+
+    Areas begin at the first step from which on all runs of the environment have returns.
+    """
+    at, since, rows = compared_at(cells), compared_from(cells), []
     for cell in cells:
         step = at[cell.env]
         scores = cell.scores(step)
         mean, iqm = interval(scores), interval(scores, "iqm")
-        area = interval(cell.scores(step, HEIGHT))
+        area = interval(cell.scores(step, HEIGHT, since[cell.env]))
         rival = cell_of(cells, cell.env, RIVAL)
         target = float(rival.scores(step).mean()) if rival else np.nan
         steps = steps_to(cell.curves, target, step)
@@ -66,7 +77,8 @@ def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     For every preset of TOM, by the best return and by the area under the curve (its mean height).
     """
     methods = sorted({cell.method: cell.label for cell in cells}.items())
-    rows = []
+    at, since, rows = compared_at(cells), compared_from(cells), []
+    spans = {env: (at[env], since[env]) for env in at}
     for (learner, preset), label in methods:
         if learner != "tom":
             continue
@@ -74,7 +86,7 @@ def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
         for rival, of in rivals:
             pairs = _pairs(cells, (learner, preset), rival)
             if pairs:
-                rows += [_wins(label, of, pairs, compared_at(cells), by) for by in (BEST, HEIGHT)]
+                rows += [_wins(label, of, pairs, spans, by) for by in (BEST, HEIGHT)]
     return rows
 
 
@@ -89,11 +101,20 @@ def _pairs(
 
 
 def _wins(
-    ours: str, theirs: str, pairs: Mapping[str, tuple[Cell, Cell]], at: Mapping[str, float], by: str
+    ours: str,
+    theirs: str,
+    pairs: Mapping[str, tuple[Cell, Cell]],
+    spans: Mapping[str, tuple[float, float]],
+    by: str,
 ) -> dict[str, Any]:
+    """One row; `spans` are the last and the first step of the comparison in each task."""
+
+    def scores(cell: Cell) -> Array:
+        until, since = spans[cell.env]
+        return cell.scores(until, by, since)
+
     wins = beats(
-        [one.scores(at[env], by) for env, (one, _) in pairs.items()],
-        [other.scores(at[env], by) for env, (_, other) in pairs.items()],
+        [scores(one) for one, _ in pairs.values()], [scores(other) for _, other in pairs.values()]
     )
     return {
         "TOM": ours,

@@ -126,7 +126,11 @@ def _mle_arrives(sweep: Sequence[Outcome], turn: float) -> bool:
 def _ranking(cells: Sequence[Cell]) -> list[str]:
     at = compared_at(cells)
     judged = {env: [c for c in cells if c.env == env] for env in at if env in PAPER_ENVS}
-    judged = {e: cs for e, cs in judged.items() if len(cs) > 1 and cell_of(cs, e, "tom")}
+    judged = {
+        e: cs
+        for e, cs in judged.items()
+        if cell_of(cs, e, "tom") and any(c.learner != "tom" for c in cs)
+    }
     if not judged:
         return ["No environment of the paper has TOM beside another learner: nothing to compare."]
     first = [env for env, group in judged.items() if _tom_is_first(group, at[env])]

@@ -19,9 +19,12 @@ from app.views.compare.comparison import Comparison, hide, switched, toggled
 from app.views.compare.measure import Measure
 from tom.analysis import statistics
 from tom.analysis.curves import Curve, Group
+from tom.analysis.scores import common_step
 from tom.harmless import as_csv
 
 Files = Mapping[str, tuple[Callable[[], pd.DataFrame], str]]
+ALIKE = 0.9
+"""rows whose last steps differ by less have ended at about the same step"""
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
 
@@ -161,6 +164,8 @@ def _remarks(
         words.append("Dotted: not all n runs reach these steps.")
     if any(group.interpolated for group in grouped):
         words.append("Runs that were recorded at other steps are interpolated between theirs.")
+    if unlike_ends(grouped):
+        words.append("Rows of the table end at different steps: Statistics compares at one.")
     if comparison.only_seeds_differ and any(group.variant for group in grouped):
         words.append("Settings that set runs of one learner apart are named.")
     if comparison.only_seeds_differ and any(len({c.seed for c in g.curves}) < g.n for g in grouped):
@@ -169,6 +174,14 @@ def _remarks(
         have = "1 run has" if empty == 1 else f"{empty} runs have"
         words.append(f"{have} recorded nothing of this yet.")
     st.caption(" ".join(words))
+
+
+def unlike_ends(grouped: Sequence[Group]) -> bool:
+    """Whether the rows of an environment's table end at clearly different steps."""
+    ends: dict[str, list[float]] = {}
+    for group in grouped:
+        ends.setdefault(group.env, []).append(common_step(group.curves))
+    return any(min(of) < ALIKE * max(of) for of in ends.values())
 
 
 def best_as_highest(table: pd.DataFrame, metric: str) -> pd.DataFrame:

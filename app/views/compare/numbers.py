@@ -21,7 +21,16 @@ from app.views.compare.comparison import Comparison
 from app.views.compare.curves import downloads
 from tom.analysis import statistics
 from tom.analysis.curves import Group
-from tom.analysis.scores import SCORES, beats, begun, common_step, interval, scores_of
+from tom.analysis.scores import (
+    HEIGHT,
+    SCORES,
+    beats,
+    begun,
+    common_start,
+    common_step,
+    interval,
+    scores_of,
+)
 
 THRESHOLDS = 61
 
@@ -43,7 +52,8 @@ def draw(comparison: Comparison) -> None:
     if not grouped:
         st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
         return
-    scores = [scores_of(group.curves, score, until) for group in grouped]
+    since = common_start(curve for group in grouped for curve in group.curves)
+    scores = [scores_of(group.curves, score, until, since) for group in grouped]
     everything = np.concatenate(scores)
     level = row[3].number_input(
         "Steps to reach", value=default_level(everything), step=None, format="%.6g",
@@ -55,6 +65,7 @@ def draw(comparison: Comparison) -> None:
     st.caption(
         f"{text.markdown(statistics.remark([group.n for group in grouped]) or 'Ten seeds or more')}"
         f". Scores are those up to step {until:,.0f}, which every run reaches."
+        + (f" Heights are those from step {since:,.0f}, which every run has." * (score == HEIGHT))
         + (f" Left out, as nothing was recorded until then: {', '.join(late)}." if late else "")
     )
     _profiles(drawn, scores, score)
@@ -83,7 +94,8 @@ def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str, 
     score = address.choose_one(
         row[2].selectbox, "Score of a run", SCORES, "score", SCORES[0],
         help="all of them up to the step that every run reaches, so that a longer run has no "
-        "advantage; mean height: area under the curve over its length",
+        "advantage; mean height: area under the curve over its length, from the first step that "
+        "every run has",
     )  # fmt: skip
     return env, measure.METRICS[metric], score
 

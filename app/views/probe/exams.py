@@ -95,7 +95,7 @@ def verdict(result: Ranking) -> str:
         )
         return (
             f"**n too few to rank** (two learners with {RANKED} seeds each are needed). "
-            f"Where the policy goes, one step ahead: {counts}."
+            f"Where the policy goes, one step ahead in the exams{up_to(result)}: {counts}."
         )
     first, second = result.ranked[:2]
     beats = result.first_beats_second
@@ -118,6 +118,11 @@ def verdict(result: Ranking) -> str:
         f"**Where its own policy goes, nobody errs less beyond noise**: least is {one} with "
         f"{errors}, but {chance}."
     )
+
+
+def up_to(result: Ranking) -> str:
+    """The last step whose fits count, in words; empty if there is none."""
+    return f" up to step {result.until:,.0f}" if np.isfinite(result.until) else ""
 
 
 def _runs(one: Standing) -> str:

@@ -57,14 +57,15 @@ def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:
 
 
 def recorded(runs: Sequence[RunInfo]) -> None:
-    """The errors that the runs have recorded at their last fits."""
+    """The errors that the runs have recorded at their last fits of like step."""
     columns = st.columns(2)
     for column, (words, (policy, other)) in zip(columns, PAIRS.items(), strict=True):
         groups = focus_values(runs, policy, other)
         with column, st.container(border=True):
             st.markdown(
                 f"**{words}**: full, the policy's newest transitions; hollow, the rest",
-                help="at each run's last fit, on its own buffer: rows the model was just fitted to",
+                help="at each run's last fit up to the step that every run reaches, on its own "
+                "buffer: rows the model was just fitted to",
             )
             if groups:
                 chart(focus(groups, 280, policy), f"focus {words}", "model error by group")
@@ -78,12 +79,21 @@ def recorded(runs: Sequence[RunInfo]) -> None:
 
 
 def focus_values(runs: Sequence[RunInfo], policy: str, other: str) -> dict[str, list[RunErrors]]:
-    """The errors of each run at its last fit, by the name of its group: `policy` and `other`."""
+    """The errors of each run, by the name of its group: `policy` and `other`.
+
+    Those of its last fit up to the step that every run reaches: errors fall as data come.
+    """
     groups, names = dict[str, list[RunErrors]](), group_names(runs)
+    measured = []
     for run in sorted(runs, key=lambda run: (run.learner, names[run.run_id], run.seed, run.run_id)):
         frame = readers.metrics(run)
-        pair = [curve_points(frame, metric)[1] for metric in (policy, other)]
-        if all(len(values) for values in pair):
-            errors = RunErrors(run.run_id, run.learner, *(float(values[-1]) for values in pair))
+        pair = [curve_points(frame, metric) for metric in (policy, other)]
+        if all(len(step) for step, _ in pair):
+            measured.append((run, pair))
+    until = min((step[-1] for _, pair in measured for step, _ in pair), default=0)
+    for run, pair in measured:
+        values = [value[step <= until] for step, value in pair]
+        if all(len(value) for value in values):
+            errors = RunErrors(run.run_id, run.learner, *(float(value[-1]) for value in values))
             groups.setdefault(names[run.run_id], []).append(errors)
     return groups

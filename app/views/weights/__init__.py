@@ -17,6 +17,7 @@ from app.parts import empty, why, widgets
 from app.parts.plot import Point, chart
 from app.theme import learner_label
 from app.views.weights import exam, play, same_buffer
+from tom.data.sampling import bin_means
 from tom.learners import LEARNERS
 from tom.record.profiles import Profiles
 from tom.record.reader import at_or_before
@@ -164,10 +165,15 @@ def _choose(steps: list[int], point: Point) -> None:
     st.session_state["step"] = at_or_before(steps, int(point.x))
 
 
+def newest_fifth(bins: Floats) -> float:
+    """The share of the weight on the newest fifth of the buffer, for any number of bins."""
+    fifths = bin_means(bins, 5)
+    return float(fifths[-1] / fifths.sum()) if fifths.sum() > 0 else float("nan")
+
+
 def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     bins = profiles.bins[chosen]
-    fifth = max(len(bins) // 5, 1)
-    share = bins[-fifth:].sum() / bins.sum() if bins.sum() > 0 else float("nan")
+    share = newest_fifth(bins)
     columns = st.columns(5)
     columns[0].metric("learner", text.markdown(learner_label(run.learner)))
     if profiles.ess[chosen] > EVEN and not (

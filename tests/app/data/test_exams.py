@@ -96,6 +96,17 @@ def test_equal_learners_differ_by_no_more_than_noise() -> None:
     assert beats == again
 
 
+def test_few_seeds_are_compared_over_the_steps_that_every_run_reaches() -> None:
+    # The same errors at the same steps: the longer runs must not be called better.
+    errors = [0.9, 0.8, 0.4, 0.1, 0.1]
+    long = [sat("TOM", seed, errors) for seed in range(2)]
+    short = [sat("MLE", seed, errors[:3]) for seed in range(2)]
+    found = ranking([*long, *short])
+    assert (found.until, found.ranked) == (300, ())
+    assert [one.error.tolist() for one in found.standings] == [[0.8, 0.8], [0.8, 0.8]]
+    assert [one.fits for one in found.standings] == [6, 6]
+
+
 def test_groups_are_compared_over_the_steps_that_five_seeds_of_each_reach() -> None:
     # Errors fall as data come: who trained for longer must not win by that.
     long = [sat("TOM", seed, [0.9, 0.8, 0.1, 0.1, 0.1]) for seed in range(5)]

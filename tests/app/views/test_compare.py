@@ -24,8 +24,9 @@ from app.servers.pages import routes
 from app.theme import learner_colour
 from app.views.compare import zoom
 from app.views.compare.comparison import HIDE, switched, toggled
+from app.views.compare.curves import unlike_ends
 from app.views.compare.replay_beside import nearest
-from tom.analysis.curves import Curve, aggregate
+from tom.analysis.curves import Curve, Group, aggregate
 from tom.analysis.scores import BEST, FINAL, HEIGHT, scores_of
 from tom.errors import UserError
 from tom.record import manage
@@ -269,6 +270,16 @@ def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
     assert scores_of(group, BEST, 100).tolist() == [1]
     assert scores_of(group, HEIGHT, 200).tolist() == [3]
     assert scores_of(group, HEIGHT, 100).tolist() == [1]
+
+
+def test_rows_that_end_at_different_steps_are_told() -> None:
+    def group(learner: str, last: int, env: str = "ant") -> Group:
+        step = np.arange(100, last + 1, 100)
+        return aggregate([Curve(learner, env, learner, "paper", 0, step, np.ones(len(step)))])
+
+    assert unlike_ends([group("tom", 4000), group("mle", 2000)])
+    assert not unlike_ends([group("tom", 4000), group("mle", 3900)])
+    assert not unlike_ends([group("tom", 4000), group("mle", 2000, "hopper")])
 
 
 def test_the_steps_to_a_value_are_those_up_to_the_step_that_every_run_reaches() -> None:

@@ -12,7 +12,8 @@ import pytest
 from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
-from app.data import buffer_reader, weighings
+from app.data import buffer_reader, readers, weighings
+from app.data.readers import RunInfo
 from app.figures.probe import RunErrors
 from app.links import Links
 from app.parts import widgets
@@ -244,6 +245,24 @@ def test_does_it_help_shows_what_the_runs_measured(store: Path) -> None:
     one_step = figures(draw("probe", run=PENDULUM_TOM))[3]
     line = trace(one_step, meta="pendulum-mle-0")
     assert array(line["y"]).tolist() == [mle.policy, mle.other]
+
+
+def test_errors_in_sample_are_of_the_last_fits_that_every_run_reaches(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors fall as data come: who trained for longer must not win by that."""
+    last = {"pendulum-tom-1": 400, "pendulum-mle-0": 250}
+
+    def metrics(run: RunInfo) -> pd.DataFrame:
+        step = np.arange(100, last[run.run_id] + 1, 50)
+        return pd.DataFrame({"env_step": step, "one": 1 / step, "other": 2 / step})
+
+    monkeypatch.setattr(readers, "metrics", metrics)
+    found = focus_values([info(store, name) for name in last], "one", "other")
+    assert {name: (of[0].policy, of[0].other) for name, of in found.items()} == {
+        "TOM": (1 / 250, 2 / 250),
+        "MLE": (1 / 250, 2 / 250),
+    }
 
 
 def test_two_presets_of_a_learner_are_two_groups(store: Path) -> None:

@@ -20,6 +20,7 @@ from app.links import Links
 from app.parts import replay_link
 from app.parts.cards import figures as figures_of
 from app.views.live import start, usual, watched
+from app.views.weights import newest_fifth
 from tom.record import layout
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
@@ -400,3 +401,10 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
         assert not re.search(r"(?<!\\)!\[|(?<!\\)<img", element.value)
     for block in app.get("html"):
         assert "<img" not in block.proto.body
+
+
+@pytest.mark.parametrize("bins", [3, 7, 64, 100])
+def test_the_newest_fifth_is_a_fifth_for_any_number_of_bins(bins: int) -> None:
+    assert newest_fifth(np.ones(bins)) == pytest.approx(0.2)
+    assert newest_fifth(np.arange(bins) >= bins - 1.0) == pytest.approx(min(1, 0.2 * bins))
+    assert np.isnan(newest_fifth(np.zeros(bins)))

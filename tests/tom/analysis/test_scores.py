@@ -5,7 +5,16 @@ import pytest
 
 from tom.analysis import statistics
 from tom.analysis.curves import Curve
-from tom.analysis.scores import beats, begun, common_step, interval, steps_to
+from tom.analysis.scores import (
+    HEIGHT,
+    beats,
+    begun,
+    common_start,
+    common_step,
+    interval,
+    scores_of,
+    steps_to,
+)
 
 
 def curve(step: list[int], value: list[float]) -> Curve:
@@ -17,6 +26,15 @@ def test_the_common_step_is_where_the_first_run_ends() -> None:
     assert common_step([short, long]) == 5
     assert begun([short], 5)
     assert not begun([short, long], 5)
+
+
+def test_mean_heights_begin_where_every_run_has_begun() -> None:
+    """Else the run that was first evaluated later stands higher, for the same returns."""
+    often, seldom = curve([1, 2, 3, 4], [1, 2, 3, 4]), curve([2, 4], [2, 4])
+    assert common_start([often, seldom]) == 2
+    assert scores_of([often, seldom], HEIGHT, 4).tolist() == [2.5, 3]
+    assert scores_of([often, seldom], HEIGHT, 4, since=2).tolist() == [3, 3]
+    assert scores_of([often, seldom], HEIGHT, 2, since=2).tolist() == [2, 2]  # a single point
 
 
 def test_a_run_that_gets_there_later_does_not_get_there() -> None:

@@ -171,6 +171,10 @@ def test_area_under_curve_is_a_mean_height():
     assert st.area_under_curve([0, 20], [0.0, 2.0], until=10) == pytest.approx(0.5)
     assert np.isnan(st.area_under_curve([0, 10], [0.0, 1.0], until=11))
     assert np.isnan(st.area_under_curve([], [], until=5))
+    # From a step on: between two points, and before the first one, where the curve begins.
+    assert st.area_under_curve([0, 20], [0.0, 2.0], until=20, since=10) == pytest.approx(1.5)
+    assert st.area_under_curve([5, 15], [1.0, 3.0], until=15, since=0) == pytest.approx(2)
+    assert np.isnan(st.area_under_curve([0, 10], [0.0, 1.0], until=10, since=10))
 
 
 def test_running_maximum():

@@ -6,7 +6,12 @@ from pathlib import Path
 import pytest
 
 from tom.cli import main
+from tom.events import Metrics, Tick
 from tom.learners import LEARNER_NAMES
+from tom.record import Store
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
+from tom.training.presets import resolve
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
 
@@ -45,6 +50,25 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     (out / "returns.csv").mkdir()
     assert main(words) == 1
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_who_is_left_out_is_named_where_the_table_is(tmp_path: Path, capsys):
+    """Whoever ended early may have diverged: without it the table is of the survivors."""
+    store = Store(tmp_path / "store")
+    for run_id, last in (("whole", 200), ("short", 100)):
+        config = resolve("inverted-pendulum", "mle", "smoke", {"seed": int(last == 100)})
+        with Recorder(RunWriter.create(store, run_id, config)) as recorder:
+            for step in range(100, last + 1, 100):
+                recorder.consume(Metrics(step, {"eval/return": 1.0}))
+                recorder.consume(Tick(step, "evaluate"))
+    words = ["reproduce", "returns", "--store", str(store.path), "--preset", "smoke"]
+    words += ["--out", str(tmp_path / "out")]
+    assert main([*words, "--at", "200"]) == 0
+    assert "Left out: short" in capsys.readouterr().out
+    assert main([*words, "--at", "200", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["left out"] == ["short"]
+    assert main(words) == 0
+    assert "Left out" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,23 @@ def test_wins_over_tasks_that_both_have(store: Store):
     assert area["wins"] == pytest.approx((1 + 0) / 2)
 
 
+def test_areas_begin_where_all_runs_have_returns(store: Store):
+    """The same returns, evaluated half as often, are not a larger area."""
+    config = resolve("walker2d", "pmac", "paper", {"seed": 0})
+    run_id = store.new_run_id("walker2d", "pmac", 0)
+    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
+        for step, value in ((2000, 2.0), (4000, 4.0)):
+            recorder.consume(Metrics(step, {"eval/return": value}))
+            recorder.consume(Tick(step, "evaluate"))
+    record(store, "walker2d", "tom", 0, [1, 2, 3, 4])  # in the place of the shorter one
+    record(store, "walker2d", "mle", 0, [1, 2, 3, 4])
+    cells = [cell for cell in study.select(store.runs(), "paper")[0] if cell.env == "walker2d"]
+    assert study.compared_from(cells) == {"walker2d": 2000}
+    assert [row["area"] for row in tables.summary(cells)] == [3, 3, 3]
+    areas = [row for row in tables.improvement(cells) if row["by"] == "area under the curve"]
+    assert [(row["against"], row["wins"]) for row in areas] == [("MLE", 0.5), ("PMAC", 0.5)]
+
+
 def test_learners_without_a_common_task_are_not_compared(store: Store):
     record(store, "ant", "pmac", 0, [1, 2])
     cells, _ = study.select(store.runs(), "paper")
@@ -176,6 +193,8 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     assert wins["TOM", "TOM, mended", "best return"] == 0
     assert wins["TOM, mended", "MLE", "area under the curve"] == 1
     assert "mended" not in verdicts.returns(of_hopper)[0]
+    toms = [cell for cell in of_hopper if cell.learner == "tom"]
+    assert "nothing to compare" in verdicts.returns(toms)[0]  # two presets of TOM are no rivals
 
 
 def test_what_is_said_is_what_was_found(store: Store):

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     findings = _findings(cells)
     findings["missing"] = returns_tables.missing(whole, envs, args.learner)
     _write(args, cells, left_out, findings)
-    _print(args, findings)
+    _print(args, findings, left_out)
     return 0
 
 
@@ -124,9 +124,9 @@ def _write(
     )
 
 
-def _print(args: argparse.Namespace, findings: dict[str, Any]) -> None:
+def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[str]) -> None:
     if args.json:
-        print_json({**findings, "out": str(args.out)})
+        print_json({**findings, "left out": left_out, "out": str(args.out)})
         return
     names = ("env", "learner", "n", "at step", "mean", "low", "high", "IQM", "remark")
     rows = [[_cell(row[name]) for name in names] for row in findings["summary"]]
@@ -140,6 +140,8 @@ def _print(args: argparse.Namespace, findings: dict[str, Any]) -> None:
         show("Exams: the median fit of each run, mean over runs", names, rows)
     for line in findings["verdict"]:
         print(line)
+    if left_out:
+        print(f"Left out: {', '.join(left_out)} (the report says for what).")
     print(f"{len(findings['missing'])} of the paper's curves are missing or short: {args.out}")
 
 
