@@ -30,11 +30,14 @@ def shown(status: Status, small: bool) -> str:
     return f"{status.shown} ({NAME})" if small else status.shown
 
 
-def status_of(running: Status, env_step: int) -> Status:
-    """The status of a copy at `env_step` of a running run: the copy itself does not train."""
-    why = "while it was training" if running.alive else "after its process ended without a word"
+def status_of(run: Status, env_step: int) -> Status:
+    """The status of a copy at `env_step` of a run that has not ended: the copy cannot go on."""
+    if run.state == "stopped":
+        why = "where it was stopped"
+    else:
+        why = "while it was training" if run.alive else "after its process ended without a word"
     reason = f"copied at step {env_step} {why}"
-    return replace(running, state="stopped", phase="", env_step=env_step, reason=reason, eta_s=None)
+    return replace(run, state="stopped", phase="", env_step=env_step, reason=reason, eta_s=None)
 
 
 def described(config: Mapping[str, Any]) -> dict[str, Any]:

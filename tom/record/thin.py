@@ -49,13 +49,13 @@ def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
         lacks += [part for part, lost in lost_parts.items() if lost]
         left_out = dict.fromkeys([*reader.left_out, *lacks])  # or lacked before
         replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
-        if status.state == "running":
+        if status.state in ("running", "stopped") and not reader.small_copy:
             _settle(status, unfinished)
         digests.write(unfinished)
 
 
 def _settle(status: Status, copy: Path) -> None:
-    """Write the copy's status, for a run that was running with `status`."""
+    """Write the copy's status, for a run that had not ended with `status`."""
     rows = RunReader(copy).metrics()["env_step"].to_numpy()  # may be later than the status
     settled = small_copy.status_of(status, int(rows.max(initial=status.env_step)))
     replace_json(copy / layout.STATUS, asdict(settled), sync=False)

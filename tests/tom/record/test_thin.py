@@ -110,6 +110,17 @@ def test_a_copy_of_a_run_that_died_says_so(record, tmp_path: Path):
     assert small.status.reason == f"copied at step {STEPS} after its process ended without a word"
 
 
+def test_a_copy_of_a_stopped_run_does_not_say_that_it_can_go_on(record, tmp_path: Path):
+    run = record()
+    content = asdict(run.status) | {"state": "stopped", "reason": "tom train --resume run goes on"}
+    (run.path / "status.json").write_text(json.dumps(content))
+    small = RunReader(export_small(run, tmp_path))
+    assert small.status.reason == f"copied at step {STEPS} where it was stopped"
+    assert small.shown == "stopped (a small copy)"
+    assert RunReader(export_small(small, tmp_path / "again")).status == small.status
+    assert verify(small) == []
+
+
 def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: Path):
     rows, version = transitions(0, 9), np.zeros(9, np.int64)
     weight, dims = np.ones(9, np.float32), np.ones((9, 11), np.float32)
