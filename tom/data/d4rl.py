@@ -17,9 +17,9 @@ def read_d4rl(path: str | Path) -> Transitions:
     with open_hdf5(Path(path)) as file:
         obs, action = column(file, "observations", 2), column(file, "actions", 2)
         reward = column(file, "rewards", 1)
-        terminated = column(file, "terminals", 1) != 0
+        terminated = column(file, "terminals", 1)
         next_obs = column(file, "next_observations", 2) if "next_observations" in file else None
-        timeouts = column(file, "timeouts", 1) != 0 if "timeouts" in file else None
+        timeouts = column(file, "timeouts", 1) if "timeouts" in file else None
     parts = [a for a in (obs, action, reward, terminated, next_obs, timeouts) if a is not None]
     if len({len(a) for a in parts}) > 1 or len(obs) == 0:
         raise UserError(f"{path}: arrays of {[len(a) for a in parts]} rows: fetch the file again")
@@ -33,8 +33,6 @@ def read_d4rl(path: str | Path) -> Transitions:
             f"{path} has neither 'next_observations' nor 'timeouts', so its episodes cannot be "
             "told apart: use a version of the data that has one of them"
         )
-    check_finite(
-        path,
-        {"observations": obs, "actions": action, "rewards": reward, "next_observations": next_obs},
-    )
+    numbers = {"observations": obs, "actions": action, "rewards": reward, "terminals": terminated}
+    check_finite(path, {**numbers, "next_observations": next_obs, "timeouts": timeouts})
     return assemble(obs, action, reward, terminated, next_obs, timeouts)

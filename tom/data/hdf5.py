@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 
 from tom.errors import UserError
+from tom.machine.memory import available
 
 
 @contextmanager
@@ -34,6 +35,8 @@ def column(group: h5py.Group, name: str, axes: int) -> np.ndarray:
         )
     if stored.external:  # external storage could read any file on this machine
         raise UserError(f"{where} lies in another file: only data within the file is read")
+    if stored.shape is not None and stored.nbytes > available():
+        raise UserError(f"{where} has {stored.nbytes / 1e9:.0f} GB, more than the free memory")
     values = np.asarray(stored[()])
     if axes == 1 and values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]

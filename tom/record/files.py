@@ -171,7 +171,7 @@ def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
     rows: list[dict[str, Any]] = []
     problems: list[str] = []
     for number, line in enumerate(lines, start=1):
-        if not line:
+        if not line.strip():  # blank in place of a damaged line (`integrity.repair`)
             continue
         if number == len(lines):
             problems.append(f"{path.name}: the last line is half written and was skipped")

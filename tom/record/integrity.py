@@ -63,7 +63,7 @@ def repair(reader: RunReader) -> list[str]:
 
     Raises UserError while the run is being written, and if a part of it is a link.
 
-    Damaged lines are cut out, damaged arrays are set aside, the state of a dead run becomes
+    Damaged lines become blank, damaged arrays are set aside, the state of a dead run becomes
     `stopped`, the Parquet copy is made again, and temporary files of an interrupted write are
     removed.
     """
@@ -141,10 +141,15 @@ def _mend_lines(reader: RunReader, name: str) -> str | None:
     if not problems:
         return None
     lines = path.read_bytes().split(b"\n")[:-1]
-    good = b"".join(line + b"\n" for line in lines if parse_json_line(line) is not None)
+    # Blanks take the place of a damaged line, because checkpoints hold the length of the file.
+    good = b"".join(
+        (b" " * len(line) if parse_json_line(line) is None else line) + b"\n" for line in lines
+    )
     aside = _set_aside(reader, path)
     replace_file(path, lambda file: file.write(good), sync=True)
-    return f"{name}: {len(problems)} damaged lines cut out of {len(rows) + len(problems)}; {aside}"
+    return (
+        f"{name}: {len(problems)} damaged lines blanked out of {len(rows) + len(problems)}; {aside}"
+    )
 
 
 def _set_aside(reader: RunReader, path: Path) -> str:

@@ -25,6 +25,7 @@ from tom.events import (
 from tom.machine.memory import out_of_memory, ran_out
 from tom.record import checkpoint
 from tom.record.heartbeat import Begun, Heartbeat
+from tom.record.reader import RunReader
 from tom.record.rerun.sink import Sink
 from tom.record.writer import RunWriter
 
@@ -94,6 +95,9 @@ class Recorder:
         self._record_s = mark["record_s"]
         self._checkpoint_s = mark.get("checkpoint_s", 0.0)
         self._next_snapshot = mark["next_snapshot"]
+        for notice in RunReader(self._writer.path).notices():
+            step, kind, message = (notice.get(name) for name in ("env_step", "kind", "message"))
+            self._heartbeat.warn(str(kind), f"step {step}: {message}")
 
     def checkpoint_took(self, seconds: float) -> None:
         """Add a checkpoint's duration to `time/checkpoint_s`."""

@@ -132,6 +132,8 @@ def _profile_rows(profiles: Profiles) -> Iterator[dict[str, Any]]:
 
 def _snapshot(reader: RunReader, step: int, to: Path) -> None:
     frame = reader.snapshot(step)
+    if not len(frame):  # damaged, or a training has deleted it since
+        return
     columns = [name for name in ("weight", "log_ratio") if name in frame]
     write_columns(to / layout.snapshot(step), {name: frame[name].to_numpy() for name in columns})
 

@@ -69,7 +69,7 @@ def _member(
     existing = same_run(trial, runs)
     if existing is not None and existing.status.state == "finished":
         return existing
-    begun = unfinished(store, trial.config)
+    begun = unfinished(store, trial.config, shorter=False)
     if begun is not None:
         return resume(store, begun, accept_versions=accept_versions, **options)
     return train(trial.config, store, None if existing else trial.run_id, **options)

@@ -112,6 +112,8 @@ def read_plan(path: Path) -> dict[str, Any]:
         content = YAML(typ="safe", pure=True).load(text)
     except (YAMLError, ValueError) as error:
         raise UserError(f"{path}: {_first_line(error)}") from None
+    except RecursionError:
+        raise UserError(f"{path}: nested too deeply for a plan") from None
     if not isinstance(content, dict):
         raise UserError(f"{path} is no mapping: write `env: [hopper]` and so on")
     return content

@@ -78,8 +78,8 @@ def resume(
     return RunReader(writer.path)
 
 
-def unfinished(store: Store, config: AnyConfig) -> str | None:
-    """The newest resumable run with these settings, or with fewer steps.
+def unfinished(store: Store, config: AnyConfig, *, shorter: bool = True) -> str | None:
+    """The newest resumable run with these settings, or if `shorter` with fewer steps.
 
     Runs that are being written, and those without an undamaged checkpoint, are skipped.
     """
@@ -90,12 +90,14 @@ def unfinished(store: Store, config: AnyConfig) -> str | None:
             continue  # damaged
         if given["steps"] > config.steps:
             continue
-        if not reader.fits_model and given["steps"] != config.steps:
+        if given["steps"] != config.steps and not (shorter and reader.fits_model):
             continue  # the halves of a recording depend on its steps
+        if given["steps"] == config.steps and reader.status.state == "finished":
+            continue  # although its last checkpoint may be of an earlier step, if the disk was full
         if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
             continue
         held = checkpoint.load(reader.path / checkpoint.FOLDER)
-        if held is not None and held.env_step < config.total_steps:
+        if held is not None and not _complete(reader, held, config):
             return reader.run_id
     return None
 
@@ -143,11 +145,25 @@ def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
     held = checkpoint.load(reader.path / checkpoint.FOLDER)
     if held is None:
         raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: start it again")
-    if held.env_step >= config.total_steps:
+    if _complete(reader, held, config):
         raise UserError(
             f"run '{reader.run_id}' is complete at step {held.env_step}: give it more with --steps"
         )
     return held
+
+
+def _complete(reader: RunReader, held: Checkpoint, config: AnyConfig) -> bool:
+    """Whether nothing of the run is left to do.
+
+    A run that ended after its last checkpoint, but before it had finished, lacks its last rows,
+    exam and policy.
+    """
+    if held.env_step < config.total_steps:
+        return False
+    planned = held.state.get("config")
+    same_end = isinstance(planned, dict) and planned.get("steps") == config.steps
+    at_end = held.env_step == config.total_steps and same_end
+    return not at_end or reader.status.state == "finished"
 
 
 def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch) -> dict[str, Any]:

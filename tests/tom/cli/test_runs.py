@@ -77,7 +77,7 @@ def test_verify_and_repair(store: Path, capsys):
     with (store / "one/notices.jsonl").open("ab") as file:
         file.write(b"{half")
     assert "half written" in told(capsys, store, "verify", code=1)
-    assert "cut out" in told(capsys, store, "repair", "one")
+    assert "blanked out" in told(capsys, store, "repair", "one")
     told(capsys, store, "verify")
 
 

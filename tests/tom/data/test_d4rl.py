@@ -128,3 +128,10 @@ def test_absent_foreign_and_cut_files_are_one_line(tmp_path, arrays):
             read_dataset(tmp_path / name)
     with pytest.raises(UserError, match="no data at"):
         read_dataset(tmp_path / "absent.hdf5")
+
+
+@pytest.mark.parametrize("name", ["terminals", "timeouts"])
+def test_a_flag_that_is_no_number_ends_no_episode(tmp_path, arrays, name):
+    arrays[name] = np.where(np.arange(N) == 2, np.nan, arrays[name])
+    with pytest.raises(UserError, match=f"'{name}' is not finite in 1 rows, first in row 2"):
+        read_d4rl(write(tmp_path / "data.hdf5", arrays))

@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.dataset
+import pyarrow.parquet as pq
 import pytest
 
 from tom.data.datasets import initial_obs, read_dataset
@@ -146,4 +147,53 @@ def test_observations_that_are_not_flat_are_refused(make):
         del episode["observations"]
         episode.create_group("observations").create_dataset("goal", data=np.zeros((4, 2)))
     with pytest.raises(UserError, match="flat observations"):
+        read_minari(root)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "message"),
+    [
+        ("terminations", np.full(3, np.nan), "'terminations' is not finite in 3 rows"),
+        ("observations", np.zeros((4, 7)), "differ in width"),
+        (None, np.zeros(3), "episode_0 is no episode"),
+        (None, h5py.SoftLink("/nowhere"), "episode_0 is no episode"),
+    ],
+)
+def test_hdf5_episodes_with_something_else_in_them_are_one_line(make, name, values, message):
+    root = make("hdf5")
+    with h5py.File(root / "data/main_data.hdf5", "r+") as file:
+        where = "episode_0" if name is None else f"episode_0/{name}"
+        del file[where]
+        file[where] = values
+    with pytest.raises(UserError, match=message):
+        read_minari(root)
+
+
+def test_more_than_the_memory_holds_is_one_line(make):
+    root = make("hdf5")
+    with h5py.File(root / "data/main_data.hdf5", "r+") as file:
+        del file["episode_0/rewards"]
+        file.create_dataset("episode_0/rewards", shape=(10**13,), chunks=(1000,), dtype="f4")
+    with pytest.raises(UserError, match="more than the free memory"):
+        read_minari(root)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("rewards", pa.array(["a", "b", "c", "d"])),
+        ("terminations", pa.array([False, None, True, False])),
+        (
+            "observations",
+            pa.array([[0.0] * 4, None, [0.0] * 4, [0.0] * 4], pa.list_(pa.float64(), 4)),
+        ),
+    ],
+)
+def test_arrow_columns_without_numbers_are_one_line(make, name, values):
+    root = make("parquet")
+    [path] = (root / "data/0").glob("*.parquet")
+    table = pq.ParquetFile(path).read()
+    table = table.set_column(table.column_names.index(name), name, values)
+    pq.write_table(table, path)
+    with pytest.raises(UserError, match="cannot be read"):
         read_minari(root)

@@ -56,7 +56,7 @@ def test_a_damaged_array_is_named_and_set_aside(record, name: str):
     assert verify(run) == []
 
 
-def test_damaged_lines_are_cut_out_and_kept_aside(record):
+def test_damaged_lines_are_blanked_out_and_kept_aside(record):
     run = record()
     table = run.metrics()
     path = run.path / "metrics.jsonl"
@@ -65,11 +65,31 @@ def test_damaged_lines_are_cut_out_and_kept_aside(record):
     path.write_bytes(torn)
     assert len(verify(run)) == 2
     done = repair(run)
-    assert "2 damaged lines cut out" in done[0]
-    assert path.read_bytes() == whole
+    assert "2 damaged lines blanked out" in done[0]
+    assert path.read_bytes() == whole.replace(b"\n", b"\n     \n", 1)
     assert (run.path / "damaged/metrics.jsonl").read_bytes() == torn
     pd.testing.assert_frame_equal(run.metrics(), table)
     assert verify(run) == []
+
+
+def test_a_run_that_was_mended_goes_on_where_its_checkpoint_was(store: Store):
+    writer = RunWriter.create(store, "a", Config)
+    for step in (1, 2):
+        writer.metrics({"env_step": step, "x": step})
+    mark = writer.mark()
+    writer.metrics({"env_step": 3, "x": 3.5})
+    writer.close()
+    path = store.path / "a" / "metrics.jsonl"
+    path.write_bytes(path.read_bytes().replace(b'{"env_step":1,', b'{"env_step"1;,'))
+    repair(store.run("a"))
+    writer = RunWriter(store.path / "a", Config)
+    writer.rewind(mark)
+    for step in (3, 4):
+        writer.metrics({"env_step": step, "x": step})
+    writer.close()
+    run = store.run("a")
+    assert run.metrics()["x"].tolist() == [2, 3, 4]
+    assert run.problems == []
 
 
 def test_damage_twice_keeps_both(record):

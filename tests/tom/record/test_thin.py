@@ -9,7 +9,7 @@ import pytest
 from recorded import FIT, STEPS, Config, episodes, events, transitions
 
 from tom.events import Collected, Evaluation, Field, KeptPolicy, Metrics, Tick, Weights
-from tom.record import RunReader, Store, checkpoint, decode
+from tom.record import RunReader, Store, checkpoint, decode, layout
 from tom.record.export import export_small
 from tom.record.integrity import verify
 from tom.record.recorder import Recorder
@@ -143,6 +143,17 @@ def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: P
     assert set(small.left_out) == lacking
     again = RunReader(export_small(small, tmp_path / "again"))
     assert again.left_out == small.left_out
+
+
+def test_weights_that_cannot_be_read_are_left_out_and_named(record, tmp_path: Path):
+    run = record()
+    first = run.snapshot_steps()[0]
+    path = run.path / layout.snapshot(first)
+    path.write_bytes(path.read_bytes()[:-20])
+    copy = RunReader(export_small(run, tmp_path))
+    assert first not in copy.snapshot_steps()
+    assert len(copy.snapshot_steps()) == 2
+    assert "other snapshots" in copy.left_out
 
 
 def test_policies_are_kept_of_a_run_that_weighs_nothing(record, tmp_path: Path):

@@ -94,6 +94,26 @@ def test_a_fleet_that_was_stopped_goes_on_with_the_same_call(fleet, tmp_path: Pa
     assert [run.path for run in again] == [run.path for run in resumed]
 
 
+def test_a_longer_fleet_leaves_the_runs_of_a_shorter_one_alone(tmp_path: Path):
+    store, stop = Store(tmp_path), Stop()
+
+    def watch(event: Event) -> None:
+        if event.env_step == 120 and not stop.asked:
+            stop()
+
+    def few(steps: int) -> Trial:
+        settings = {**SETTINGS, "exploration_steps": 100, "steps": steps}
+        return Trial("inverted-pendulum", "mle", 0, "smoke", settings)
+
+    shorter, longer = few(150), few(175)
+    [stopped] = readers(train_fleet([shorter], store, False, [(watch,)], stop=stop))
+    [run] = readers(train_fleet([longer], store, rerun=False))
+    assert (run.run_id, run.status.env_step) == (longer.run_id, 175)
+    assert stopped.status.state == "stopped"
+    [finished] = readers(train_fleet([shorter], store, rerun=False))
+    assert (finished.run_id, finished.status.env_step) == (shorter.run_id, 150)
+
+
 def test_a_member_that_diverges_ends_alone(tmp_path: Path):
     bad = trial("mle", 7, sac={"lr": 1e30})
     found = train_fleet([bad, MEMBERS[0]], Store(tmp_path), rerun=False)

@@ -84,6 +84,7 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
         ("env: !!python/object/apply:os.system ['true']\nlearner: tom", "plan.yaml"),
         ("a: &a [x]\nb: [*a, *a]", "anchors"),
         ("- hopper", "mapping"),
+        ("[" * 5000, "nested"),
         ("", "mapping"),
         ("env: \x00", "plan.yaml"),
     ],

@@ -1,7 +1,9 @@
 """Resumed and uninterrupted training are the same to the last bit."""
 
 import json
+import shutil
 from collections.abc import Iterator
+from errno import ENOSPC
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -9,18 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from same_records import assert_same_record
 
 from tom.config import OnlineConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
+from tom.errors import UserError
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Tick, TrainedPolicy, Weights
 from tom.learners import LEARNER_NAMES
 from tom.mbpo import Mbpo
 from tom.offline import Offline
-from tom.record import Store
+from tom.record import Store, checkpoint
 from tom.record.writer import RunWriter
 from tom.training.presets import resolve
-from tom.training.resume import unfinished
-from tom.training.run import AnyConfig, Training, make_training
+from tom.training.resume import resume, unfinished
+from tom.training.run import AnyConfig, Stop, Training, make_training, train
 
 STEPS, STOP = 430, 347  # stops within an episode and between two fits
 
@@ -210,6 +214,55 @@ def test_hopper_that_finished_early_is_the_longer_run_when_it_goes_on():
     until(longer.events(), STOP)
     until(early.events(), STOP)
     assert_same_state(longer.state_dict(), early.state_dict())
+
+
+def short() -> OnlineConfig:
+    every = {"checkpoint_every": 100, "fit_every": 50, "evaluation": {"every": 100, "episodes": 1}}
+    return smoke("inverted-pendulum", "mle", exploration_steps=100, **{"steps": 200}, **every)
+
+
+def test_a_run_that_ended_between_its_last_checkpoint_and_its_end_goes_on_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def full(*_: object) -> None:
+        raise OSError(ENOSPC, "No space left on device")
+
+    store = Store(tmp_path)
+    undisturbed = train(short(), store, "undisturbed", rerun=False)
+    with monkeypatch.context() as patched:
+        patched.setattr(RunWriter, "policy", full)  # the last file of a training
+        with pytest.raises(OSError, match="No space"):
+            train(short(), store, "a", rerun=False)
+    assert "tom train --resume a" in store.run("a").status.reason
+    assert unfinished(store, short()) == "a"
+    done = resume(store, "a", rerun=False)
+    assert done.status.state == "finished"
+    assert done.has_policy()
+    assert_same_record(undisturbed, done)
+    assert unfinished(store, short()) is None
+    with pytest.raises(UserError, match="is complete at step 200"):
+        resume(store, "a", rerun=False)
+
+
+def test_a_finished_run_without_its_last_checkpoint_is_none_that_goes_on(tmp_path: Path):
+    store = Store(tmp_path)
+    run = train(short(), store, "a", rerun=False)
+    shutil.rmtree(run.path / checkpoint.FOLDER / "000000200")
+    assert unfinished(store, short()) is None
+    assert unfinished(store, short().but(steps=300)) == "a"
+
+
+def test_a_run_that_goes_on_keeps_its_warnings(tmp_path: Path):
+    store, stop = Store(tmp_path), Stop()
+    few = short().but(sac={"batch_size": 150})  # the buffer begins with fewer rows
+
+    def watch(event: Event) -> None:
+        if event.env_step == 150 and not stop.asked:
+            stop()
+
+    stopped = train(few, store, "a", rerun=False, watchers=[watch], stop=stop).status
+    assert any("minibatch of" in text for text in stopped.warnings)
+    assert resume(store, "a", rerun=False).status.warnings == stopped.warnings
 
 
 def test_a_run_whose_settings_are_damaged_is_none_that_goes_on(tmp_path: Path):
