@@ -80,6 +80,11 @@ def beats(first: Sequence[Floats], second: Sequence[Floats]) -> Interval:
     )
 
 
+def chance(first: Sequence[Floats], second: Sequence[Floats]) -> float:
+    """The p of `beats`: how often chance alone makes so unequal scores of one method."""
+    return statistics.exchangeable(_matrix(first), _matrix(second), statistics.draws())
+
+
 def _matrix(tasks: Sequence[Floats]) -> Floats:
     """(runs, tasks), padded with NaN if a task has fewer runs."""
     matrix = np.full((max(map(len, tasks)), len(tasks)), np.nan)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tom.analysis.scores import BEST, FINAL, HEIGHT, beats, interval, steps_to
+from tom.analysis.scores import BEST, FINAL, HEIGHT, beats, chance, interval, steps_to
 from tom.analysis.statistics import remark
 from tom.envs import task
 from tom.learners import LEARNERS
@@ -74,7 +74,8 @@ def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     """How often a run of TOM beats a run of each other learner, over the tasks that both have.
 
-    For every preset of TOM, by the best return and by the area under the curve (its mean height).
+    For every preset of TOM, by the best return and by the area under the curve (its mean height);
+    p is by permutation of the runs, since intervals of so few are too narrow.
     """
     methods = sorted({cell.method: cell.label for cell in cells}.items())
     at, since, rows = compared_at(cells), compared_from(cells), []
@@ -113,9 +114,9 @@ def _wins(
         until, since = spans[cell.env]
         return cell.scores(until, by, since)
 
-    wins = beats(
-        [scores(one) for one, _ in pairs.values()], [scores(other) for _, other in pairs.values()]
-    )
+    first = [scores(one) for one, _ in pairs.values()]
+    second = [scores(other) for _, other in pairs.values()]
+    wins = beats(first, second)
     return {
         "TOM": ours,
         "against": theirs,
@@ -123,6 +124,7 @@ def _wins(
         "wins": wins.value,
         "low": wins.low,
         "high": wins.high,
+        "p": chance(first, second),
         "tasks": " ".join(pairs),
         "remark": remark([min(one.n, other.n) for one, other in pairs.values()]),
     }

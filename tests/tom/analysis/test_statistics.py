@@ -1,5 +1,7 @@
 """Against numbers worked out by hand, scipy, and the formulae that rliable publishes."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -138,6 +140,35 @@ def test_improvement_by_hand_with_other_numbers_of_runs():
     assert np.isnan(st.probability_of_improvement([[1.0]], [[2.0], [0.0]], rng()).low)
 
 
+@pytest.mark.parametrize(("n", "m"), [(2, 2), (5, 5), (6, 3)])
+def test_the_p_of_an_improvement_is_exact_for_one_task(n: int, m: int):
+    x, y = rng(3).normal(size=n)[:, None] + 1, rng(4).normal(size=m)[:, None]
+    exact = stats.mannwhitneyu(x[:, 0], y[:, 0], method="exact").pvalue
+    assert st.exchangeable(x, y, rng()) == pytest.approx(exact, abs=0.02)
+    apart = st.exchangeable(x + 9, y, rng())
+    assert apart == pytest.approx(2 / math.comb(n + m, n), abs=0.01)
+    assert st.exchangeable(np.ones((n, 1)), np.ones((m, 1)), rng()) == 1  # ties alone
+
+
+def test_tasks_add_up_in_the_p_of_an_improvement():
+    once = np.arange(6.0).reshape(6, 1)
+    one = st.exchangeable(once[3:], once[:3], rng())
+    both = st.exchangeable(np.hstack([once[3:]] * 2), np.hstack([once[:3]] * 2), rng())
+    assert one == pytest.approx(0.1, abs=0.01)  # 2 of 20 ways
+    assert both == pytest.approx(2 / 400, abs=0.003)
+    against = st.exchangeable(
+        np.hstack([once[3:], once[:3]]), np.hstack([once[:3], once[3:]]), rng()
+    )
+    assert against == 1
+
+
+def test_the_p_of_runs_of_one_method_is_seldom_small():
+    draws = rng(5)
+    pairs = [draws.normal(size=(2, 6, 1)) for _ in range(200)]
+    ps = [st.exchangeable(x, y, draws) for x, y in pairs]
+    assert np.mean(np.array(ps) <= 0.05) < 0.1
+
+
 @pytest.mark.parametrize(("n", "m"), [(2, 2), (3, 2), (5, 5), (12, 7)])
 def test_means_of_one_distribution_seldom_differ(n: int, m: int):
     draws = rng()
@@ -190,3 +221,5 @@ def test_what_is_no_matrix_of_scores_is_refused(scores):
 def test_improvement_over_other_tasks_is_refused():
     with pytest.raises(ValueError, match="the same tasks"):
         st.probability_of_improvement(SCORES, SCORES[:, :1], rng())
+    with pytest.raises(ValueError, match="same tasks"):
+        st.exchangeable(SCORES, SCORES[:, :1], rng())

@@ -131,6 +131,10 @@ def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[st
     names = ("env", "learner", "n", "at step", "mean", "low", "high", "IQM", "remark")
     rows = [[_cell(row[name]) for name in names] for row in findings["summary"]]
     show(f"Best return up to {_step(args.at)}", names, rows)
+    if findings["improvement"]:
+        names = ("TOM", "against", "by", "wins", "low", "high", "p", "tasks")
+        rows = [[_cell(row[name], ".2g") for name in names] for row in findings["improvement"]]
+        show("How often a run of TOM beats one of another learner", names, rows)
     if findings["exams"]:
         names = ("env", "learner", "n", *returns_tables.EXAMS.values())
         rows = [
@@ -150,10 +154,10 @@ def _step(at: int | None) -> str:
     return f"step {at}" if at else "the step that all runs of an environment reach"
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Any, form: str = ".1f") -> str:
     if value is None or value != value:
         return "-"
-    return f"{value:.1f}" if isinstance(value, float) else str(value)
+    return f"{value:{form}}" if isinstance(value, float) else str(value)
 
 
 def _range(row: dict[str, Any], name: str) -> str:
