@@ -15,9 +15,8 @@ from tom.studies import returns as study
 from tom.studies import returns_tables as tables
 
 RUNS = Path(__file__).parents[2] / "runs"
-GALLERY = study.select(
-    [run for run in Store(RUNS).runs() if run.small_copy and run.fits_model], "paper"
-)[0]
+COPIES = [run for run in Store(RUNS).runs() if run.small_copy and run.fits_model]
+GALLERY = study.select(COPIES, "paper")[0]
 ENVS = list(dict.fromkeys(cell.env for cell in GALLERY))
 
 
@@ -41,8 +40,9 @@ def shown(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     st.cache_resource.clear()
 
 
-def reported(env: str) -> dict[str, dict]:
-    return {row["learner"]: row for row in tables.summary(GALLERY) if row["env"] == env}
+def reported(env: str, at: int | None = None) -> dict[str, dict]:
+    cells = study.select(COPIES, "paper", at=at)[0] if at else GALLERY
+    return {row["learner"]: row for row in tables.summary(cells) if row["env"] == env}
 
 
 @pytest.mark.parametrize("env", ENVS)
@@ -50,8 +50,9 @@ def test_the_table_of_curves_is_the_report_s(env: str) -> None:
     table = draw("compare", env=env).dataframe[0].value.set_index("learner")
     rows = reported(env)
     assert set(table.index) == set(rows)
-    for learner, row in rows.items():
-        on_page = table.loc[learner]
+    for learner in rows:
+        on_page = table.loc[learner]  # each row is up to the step that its own runs reach
+        row = reported(env, int(on_page["steps"]))[learner]
         assert (on_page["n"], on_page["steps"]) == (row["n"], row["at step"])
         assert on_page["best"] == row["mean"]
         assert on_page["best, 95 %"] == f"{row['low']:,.4g} to {row['high']:,.4g}"

@@ -29,6 +29,8 @@ def go_on(steps: Sequence[int], chosen: int) -> None:
     """Redraw the page with the next fit after a moment; stop at the last one."""
     if chosen == len(steps) - 1:
         st.session_state[PLAYS] = False
+        # A tick that was under way carries the browser's slider, which is still at the fit before.
+        st.session_state[NEXT] = int(steps[-1])
         st.rerun()
     stride = max(len(steps) // FRAMES, 1)
     _tick(int(steps[min(chosen + stride, len(steps) - 1)]))

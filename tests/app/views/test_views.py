@@ -20,7 +20,7 @@ from app.links import Links
 from app.parts import replay_link
 from app.parts.cards import figures as figures_of
 from app.views.live import start, usual, watched
-from app.views.weights import newest_fifth
+from app.views.weights import newest_fifth, play
 from tom.record import layout
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
@@ -401,6 +401,20 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
         assert not re.search(r"(?<!\\)!\[|(?<!\\)<img", element.value)
     for block in app.get("html"):
         assert "<img" not in block.proto.body
+
+
+def test_a_playback_ends_at_the_last_fit_whatever_the_browser_s_slider_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The browser may send the fit before once more, with a tick that was under way."""
+    state: dict[str, object] = {play.PLAYS: True, "step": 300}
+    monkeypatch.setattr(play.st, "session_state", state)
+    monkeypatch.setattr(play.st, "rerun", lambda: state.update(step=200))
+    monkeypatch.setattr(play, "_tick", lambda step: None)
+    monkeypatch.setattr(play.st, "button", lambda *_, **__: False)
+    play.go_on([100, 200, 300], 2)
+    assert not play.button([100, 200, 300])
+    assert (state["step"], state[play.PLAYS]) == (300, False)
 
 
 @pytest.mark.parametrize("bins", [3, 7, 64, 100])
