@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tom.analysis.curves import curve_points
 from tom.analysis.scores import beats, interval
 from tom.analysis.statistics import Interval
+from tom.exams.energy import informative
 
 Floats = NDArray[np.float64]
 
@@ -48,12 +49,8 @@ class Exams:
 
     @property
     def telling(self) -> NDArray[np.bool_]:
-        """A mask (F,) of the informative footprints.
-
-        A footprint is not informative if the unweighted buffer is no farther from the exam than two
-        halves of the exam are from each other.
-        """
-        return np.abs(self.noise) < 1
+        """A mask (F,) of the informative footprints."""
+        return informative(self.noise)
 
     @property
     def last(self) -> float:

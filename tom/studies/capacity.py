@@ -30,7 +30,7 @@ def ratios(outcomes: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome,
 
 
 def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """One row for each way and model: the median ratio, its range, and how often it is below 1."""
+    """One row for each way and model: the median ratio, its quartiles, how often it is below 1."""
     rows = []
     values = {ahead: list(ratios(outcomes, ahead)) for ahead in AHEAD}
     for way in dict.fromkeys(one.way for one in outcomes if one.way != UNIFORM):
@@ -40,8 +40,8 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
                 of = [r for one, m, r in values[ahead] if one.way == way and m == model]
                 row |= {
                     name: median(of),
-                    f"{name}, low": float(np.quantile(of, 0.25)),
-                    f"{name}, high": float(np.quantile(of, 0.75)),
+                    f"{name}, lower quartile": float(np.quantile(of, 0.25)),
+                    f"{name}, upper quartile": float(np.quantile(of, 0.75)),
                     f"{name}, below 1": sum(r < 1 for r in of) / len(of),
                 }
             rows.append(row | {"n": sum(one.way == way for one in outcomes)})
@@ -72,7 +72,7 @@ def verdict(outcomes: Sequence[Outcome]) -> list[str]:
     for model in dict.fromkeys(row["model"] for row in rows):
         here = sorted((r for r in rows if r["model"] == model), key=lambda row: row["one step"])
         best, most = here[0], here[-1]
-        middle = f"{best['one step, low']:.2f} to {best['one step, high']:.2f}"
+        middle = f"{best['one step, lower quartile']:.2f} to {best['one step, upper quartile']:.2f}"
         less = f"less in {best['one step, below 1']:.0%} of {best['n']}"
         said.append(
             f"Model {model}: {best['way']} errs least, {best['one step']:.2f} of the error under "

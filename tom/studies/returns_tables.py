@@ -8,6 +8,7 @@ import numpy as np
 from tom.analysis.scores import BEST, FINAL, HEIGHT, beats, chance, interval, steps_to
 from tom.analysis.statistics import remark
 from tom.envs import task
+from tom.exams.energy import informative
 from tom.learners import LEARNERS
 from tom.record import RunReader
 from tom.studies.returns import (
@@ -22,8 +23,9 @@ from tom.studies.returns import (
 
 PAPER_SEEDS = 4
 RIVAL = "mle"
+FOOTPRINT, NOISE = "exam/footprint", "exam/footprint_noise"
 EXAMS = {
-    "exam/footprint": "footprint",
+    FOOTPRINT: "footprint",
     "exam/error": "error",
     "exam/rollout_error": "error after 5 steps",
 }
@@ -134,7 +136,8 @@ def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     """One row per environment and learner whose runs have exams: the median fit of each run.
 
     It has the mean over runs and its bootstrap interval (`tom.exams`). Only the fits up to the step
-    that all runs of the environment reach count, as for the scores.
+    that all runs of the environment reach count, as for the scores. A run none of whose footprints
+    is informative is missing in their mean.
     """
     at, rows = compared_at(cells), []
     for cell in cells:
@@ -144,22 +147,33 @@ def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
             continue
         row: dict[str, Any] = {"env": cell.env, "learner": cell.label, "n": len(whole)}
         for name, values in zip(EXAMS.values(), np.array(whole).T, strict=True):
-            mean = interval(values)
+            mean = interval(values[np.isfinite(values)])
             row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
         rows.append(row | {"remark": remark(len(whole))})
     return rows
 
 
 def _exam_medians(run: RunReader, until: float) -> list[float] | None:
-    """For each of EXAMS the median over the fits up to step `until`; None without exams there."""
+    """For each of EXAMS the median over the fits up to step `until`; None without exams there.
+
+    A footprint counts if it is informative.
+    """
     metrics = run.metrics()
     if not set(EXAMS) <= set(metrics):
         return None
-    here = np.asarray(metrics["env_step"]) <= until
-    values = [np.asarray(metrics[name], np.float64)[here] for name in EXAMS]
-    if not np.isfinite(values).any():
+    here = metrics[metrics["env_step"] <= until]
+    values = {name: np.asarray(here[name], np.float64) for name in EXAMS}
+    if not any(np.isfinite(of_fits).any() for of_fits in values.values()):
         return None
-    return [float(np.nanmedian(of_fits)) for of_fits in values]
+    tells = informative(here[NOISE]) if NOISE in here else np.zeros(len(here), np.bool_)
+    values[FOOTPRINT] = values[FOOTPRINT][tells]
+    return [_median(of_fits) for of_fits in values.values()]
+
+
+def _median(values: Array) -> float:
+    """The median of the finite numbers; NaN without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else np.nan
 
 
 def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str]) -> list[dict]:

@@ -22,7 +22,7 @@ from tom.record.versions import ACCEPT
 from tom.sweep.backend import LOGS, Backend
 from tom.sweep.engine import Engine, Exit, Process, lives
 from tom.sweep.watchdog import lost
-from tom.training.plan import Trial, same_run
+from tom.training.plan import Trial, given_more, is_done, same_run
 
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
 
@@ -77,9 +77,11 @@ class Driver:
             run = same_run(trial, runs)
             run_id = run.run_id if run else trial.run_id
             job = Job(trial, logs / f"{run_id}.log", run_id)
-            if run and run.status.state == "finished":
+            if run and is_done(trial, run):
                 copy = "a small copy, " if run.small_copy else ""
-                job.state, job.note = "finished", f"{copy}was there already"
+                longer = f", and was given {run.config['config']['steps']} steps"
+                job.state = "finished"
+                job.note = f"{copy}was there already{longer if given_more(trial, run) else ''}"
             self.jobs.append(job)
         self._order = list(self.jobs)
         """the order in which `poll` checks them"""

@@ -14,7 +14,7 @@ from tom.errors import UserError
 from tom.machine.device import require_device
 from tom.nn.lockstep import Lockstep
 from tom.record import RunReader, Store
-from tom.training.plan import Trial, same_run
+from tom.training.plan import Trial, is_done, same_run
 from tom.training.resume import resume, unfinished
 from tom.training.run import Consumer, RecordingOptions, Stop, train
 
@@ -67,7 +67,7 @@ def _member(
 ) -> RunReader:
     """Train one member from the start or from its checkpoint, unless it is finished."""
     existing = same_run(trial, runs)
-    if existing is not None and existing.status.state == "finished":
+    if existing is not None and is_done(trial, existing):
         return existing
     begun = unfinished(store, trial.config, shorter=False)
     if begun is not None:

@@ -137,14 +137,30 @@ def checked(content: dict[str, Any]) -> Plan:
 def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
     """The run of this training among `runs`: a finished one, else its own, else the newest.
 
-    A small copy is used only if there is no whole run of that kind.
+    A small copy is used only if there is no whole run of that kind, and its own run that was given
+    more steps only if there is none of just these steps.
     """
     settings = completed(trial.settings)
     mine = [run for run in runs if run.config.get("config") == settings]
     mine.sort(key=lambda run: run.small_copy)
     done = [run for run in mine if run.status.state == "finished"]
     own = [run for run in mine if run.run_id == trial.run_id]
-    return next(iter([*done, *own, *mine]), None)
+    longer = [run for run in runs if run.run_id == trial.run_id and given_more(trial, run)]
+    return next(iter([*done, *own, *mine, *longer]), None)
+
+
+def given_more(trial: Trial, run: RunReader) -> bool:
+    """Whether the run is this training with more steps (`tom train --resume RUN --steps N`)."""
+    given, planned = run.config.get("config"), completed(trial.settings)
+    if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
+        return False  # damaged
+    return given["steps"] > planned["steps"] and {**given, "steps": planned["steps"]} == planned
+
+
+def is_done(trial: Trial, run: RunReader) -> bool:
+    """Whether the run has all steps of the training: up to them a longer one is the same."""
+    reached = given_more(trial, run) and run.status.env_step >= trial.config.total_steps
+    return reached or run.status.state == "finished"
 
 
 def _word(value: Any) -> str:

@@ -151,20 +151,30 @@ def test_learners_without_a_common_task_are_not_compared(store: Store):
 
 
 def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
-    told = {0: [(0.5, 1.0, 4.0), (0.7, 3.0, 6.0), (0.9, 2.0, 8.0)], 1: [(0.1, 4.0, 2.0)]}
+    told = {
+        0: [
+            (0.5, 0.2, 1.0, 4.0),
+            (0.7, -0.9, 3.0, 6.0),
+            (0.9, 0.1, 2.0, 8.0),
+            (80.0, 1.1, 2.0, 6.0),
+        ],
+        1: [(0.1, 0.1, 4.0, 2.0)],
+        2: [(7.0, 3.0, 3.0, 4.0)],
+    }  # a footprint whose noise is 1 or more says nothing
     for seed, fits in told.items():
         config = resolve("hopper", "pmac", "paper", {"seed": seed})
         with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
-            for step, (footprint, error, later) in enumerate(fits, start=1):
+            for step, (footprint, noise, error, later) in enumerate(fits, start=1):
                 exam = {"exam/footprint": footprint, "exam/error": error}
+                exam |= {"exam/footprint_noise": noise}
                 recorder.consume(Metrics(step, exam | {"exam/rollout_error": later}))
             recorder.consume(Metrics(1000, {"eval/return": 1.0}))
             recorder.consume(Tick(1000, "evaluate"))
     (row,) = tables.exams(study.select(store.runs(), "paper")[0])  # the others sat none
-    assert (row["env"], row["learner"], row["n"]) == ("hopper", "PMAC", 2)
+    assert (row["env"], row["learner"], row["n"]) == ("hopper", "PMAC", 3)
     assert row["footprint"] == pytest.approx((0.7 + 0.1) / 2)
-    assert row["error"] == pytest.approx((2 + 4) / 2)
-    assert row["error after 5 steps"] == pytest.approx((6 + 2) / 2)
+    assert row["error"] == pytest.approx((2 + 4 + 3) / 3)
+    assert row["error after 5 steps"] == pytest.approx((6 + 2 + 4) / 3)
     assert row["footprint low"] == pytest.approx(0.1)
 
 

@@ -131,6 +131,21 @@ def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, c
     assert cost(other, store.runs()) is not None
 
 
+def test_a_run_that_was_given_more_steps_and_has_those_of_the_plan_is_done(tmp_path: Path, capsys):
+    (trial,) = trials(checked(PLAN))
+    more = trial.config.but(steps=2 * trial.config.steps)
+    with Recorder(RunWriter.create(Store(tmp_path), trial.run_id, more)) as recorder:
+        recorder.consume(Tick(trial.config.total_steps + 10, "optimise"))
+        recorder.finish("stopped")
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--dry-run")
+    assert code == 0
+    assert "0 to do" in out
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE)
+    assert code == 0
+    assert f"was there already, and was given {more.steps} steps" in out
+    assert len(Store(tmp_path).runs()) == 1
+
+
 def finished(store: Store, trial: Trial) -> Path:
     """A run of the trial that is finished, with its last checkpoint."""
     with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:

@@ -10,7 +10,7 @@ from typing import Any
 from tom.cli.tables import show
 from tom.record import RunReader, Store, checkpoint
 from tom.sweep.projection import Cost, cost, makespan
-from tom.training.plan import Trial, same_run
+from tom.training.plan import Trial, is_done, same_run
 
 
 def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jobs: int) -> int:
@@ -18,11 +18,15 @@ def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jo
     runs = store.runs()
     existing = [same_run(trial, runs) for trial in planned]
     costs = [
-        None if _finished(run) else _cost(trial, runs, run)
+        None if _finished(trial, run) else _cost(trial, runs, run)
         for trial, run in zip(planned, existing, strict=True)
     ]
     rows = [_row(*each) for each in zip(planned, existing, costs, strict=True)]
-    todo = [row for row, run in zip(rows, existing, strict=True) if not _finished(run)]
+    todo = [
+        row
+        for row, trial, run in zip(rows, planned, existing, strict=True)
+        if not _finished(trial, run)
+    ]
     hours = makespan([row["hours"] or 0.0 for row in todo], jobs)
     disk = sum(row["megabytes"] or 0.0 for row in todo)
     if args.json:
@@ -65,8 +69,8 @@ def _cost(trial: Trial, runs: Sequence[RunReader], run: RunReader | None) -> Cos
     return None if ms is None else bench_cost(trial, ms, at or 0)
 
 
-def _finished(run: RunReader | None) -> bool:
-    return run is not None and run.status.state == "finished"
+def _finished(trial: Trial, run: RunReader | None) -> bool:
+    return run is not None and is_done(trial, run)
 
 
 def _row(trial: Trial, run: RunReader | None, expected: Cost | None) -> dict[str, Any]:
