@@ -36,6 +36,11 @@ class Rows:
         """Position (N,) in the buffer in %, 0 the oldest."""
         return (np.arange(len(self)) + 0.5) * 100 / max(len(self), 1)
 
+    @property
+    def policies_known(self) -> bool:
+        """Whether the policy of each row is known; else each has a version of its own."""
+        return len(np.unique(self.version)) < max(len(self), 2)
+
 
 def rows_at(
     recorded: Transitions, version: NDArray[np.int64], weight: NDArray, end: int

@@ -78,8 +78,17 @@ def heaviest(weight: Floats, share: float) -> Mask:
     """A mask of the rows with the largest weights, a `share` of all rows (at least one)."""
     count = max(round(share * len(weight)), 1)
     mask = np.zeros(len(weight), bool)
-    mask[np.argsort(-weight, kind="stable")[:count]] = True
+    mask[_by_weight(weight)[::-1][:count]] = True
     return mask
+
+
+def _by_weight(weight: Floats) -> NDArray[np.int64]:
+    """The row numbers by ascending weight.
+
+    Among equal weights, of which there may be many, no part of the buffer is preferred.
+    """
+    shuffled = np.random.default_rng(0).permutation(len(weight))
+    return shuffled[np.argsort(weight[shuffled], kind="stable")]
 
 
 def aged(count: int, low: float, high: float) -> Mask:
@@ -121,8 +130,8 @@ def summary(rows: Rows, mask: Mask) -> dict[str, float]:
         np.asarray(rows.rows.reward)[mask].mean(),
         rows.episode_return[mask].mean(),
         rows.age[mask].mean(),
-        100 * (rows.version[mask] == 0).mean(),
-        100 * (np.asarray(rows.rows.terminated)[mask] != 0).mean(),
+        100 * (rows.version[mask] == 0).mean() if rows.policies_known else np.nan,
+        100 * rows.rows.numpy().ended()[mask].mean(),
     )
     return {name: float(value) for name, value in zip(QUANTITIES, values, strict=True)}
 
@@ -157,10 +166,7 @@ def picks(order: NDArray[np.int64], count: int, gap: int) -> list[int]:
 def heavy_and_light(rows: Rows, mask: Mask, count: int, gap: int) -> tuple[list[int], list[int]]:
     """The heaviest and the lightest rows of a region, at least `gap` steps apart."""
     index = np.flatnonzero(mask)
-    weight = rows.weight[index]
-    # Among equal weights (many are zero) no part of the buffer is preferred.
-    shuffled = np.random.default_rng(0).permutation(len(index))
-    by_weight = shuffled[np.argsort(weight[shuffled], kind="stable")]
+    by_weight = _by_weight(rows.weight[index])
     return (
         picks(index[by_weight[::-1]], count, gap),
         picks(index[by_weight], count, gap),

@@ -14,7 +14,7 @@ from tom.data.sampling import bin_means
 from tom.record.array_files import DAMAGE, read_table
 from tom.record.files import read_json
 from tom.reports import weighing_files
-from tom.reports.weighing_files import REPORT, WEIGHTS
+from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS, reports
 
 BINS = 100
 
@@ -30,6 +30,7 @@ class WeighingInfo:
     ordered_from: int  # rows before it are random data
     step: int | None  # the env step of the buffer; None: all transitions
     written: int  # mtime_ns of the report
+    brush: bool  # weights of one learner with a brushed region (`tom brush`), not of several
 
     @property
     def name(self) -> str:
@@ -58,6 +59,11 @@ class WeighingInfo:
             f"It weighs the first {self.rows:,} of now {rows:,} transitions: the run has gone on "
             "since."
         )
+
+
+def weighed(store: str) -> set[str]:
+    """The ids of the runs whose buffers have been weighed."""
+    return {str(report["data"]) for _, report in reports(Path(store)) if ROWS not in report}
 
 
 def of_run(run: RunInfo, rows: int) -> list[WeighingInfo]:
@@ -139,6 +145,7 @@ def _read(path: Path, rows: int) -> WeighingInfo | None:
             return None
         policy, preset = str(report["policy"]), str(report["preset"])
         step = None if report.get("step") is None else int(report["step"])
-        return WeighingInfo(str(path), policy, preset, weighed, first, step, written)
+        brush = "brush" in report
+        return WeighingInfo(str(path), policy, preset, weighed, first, step, written, brush)
     except (OSError, ValueError, KeyError, TypeError):
         return None

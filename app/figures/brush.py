@@ -5,9 +5,9 @@ import plotly.graph_objects as go
 
 from app.data.brush import Brushed
 from app.figures.base import across, note, styled
+from app.theme import Mode, ramp
 from tom.analysis.brush import POLICY, REGION, REST
 
-COLOURS = ("#3d6fbe", "#6f9fe8", "#f0803c", "#c22c06")
 NAMES = {
     REGION: "held-out, in the region",
     REST: "held-out, elsewhere",
@@ -27,15 +27,21 @@ def change(brushed: Brushed, region: str, factor: float) -> np.ndarray:
         return np.array(of[factor]) / np.array(of[1.0])
 
 
-def error_bars(brushed: Brushed, height: int) -> go.Figure:
-    """One group of bars per region, one bar per factor: the mean over seeds and the range."""
+def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
+    """One group of bars per region, one bar per factor: the mean over seeds and the range.
+
+    Where no error could be measured there is no bar.
+    """
     figure = go.Figure()
     regions = [name for name in NAMES if name in brushed.errors]
-    for factor, colour in zip(brushed.factors, COLOURS, strict=False):
+    colours = ramp(len(brushed.factors), mode)
+    for factor, colour in zip(brushed.factors, colours, strict=True):
         ratios = [change(brushed, name, factor) for name in regions]
-        means = np.array([r[np.isfinite(r)].mean() if np.isfinite(r).any() else 1 for r in ratios])
-        high = np.array([np.nanmax(r) if np.isfinite(r).any() else 1 for r in ratios]) - means
-        low = means - np.array([np.nanmin(r) if np.isfinite(r).any() else 1 for r in ratios])
+        measured = [r[np.isfinite(r)] for r in ratios]
+        means, least, most = (
+            np.array([of(r) if len(r) else np.nan for r in measured])
+            for of in (np.mean, np.min, np.max)
+        )
         figure.add_trace(
             go.Bar(
                 x=[NAMES[name] for name in regions],
@@ -43,8 +49,13 @@ def error_bars(brushed: Brushed, height: int) -> go.Figure:
                 base=1,
                 name=f"weight {factor_in_words(factor)}",
                 marker={"color": colour},
-                error_y={"array": high, "arrayminus": low, "thickness": 1.4, "width": 4},
-                customdata=np.stack([means, means - low, means + high], -1),
+                error_y={
+                    "array": most - means,
+                    "arrayminus": means - least,
+                    "thickness": 1.4,
+                    "width": 4,
+                },
+                customdata=np.stack([means, least, most], -1),
                 hovertemplate="%{x}<br>error x %{customdata[0]:.3f} "
                 "(%{customdata[1]:.3f} to %{customdata[2]:.3f})<extra>%{fullData.name}</extra>",
             )

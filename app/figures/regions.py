@@ -89,6 +89,8 @@ def hover_data(rows: Rows, index: NDArray[np.int64]) -> NDArray[np.object_]:
     """Hover data of rows (K,): step, episode, step in it, phase, reward, weight: (K, 6)."""
     version = rows.version[index]
     phase = np.where(version == 0, "exploration", np.char.add("policy ", version.astype(str)))
+    if not rows.policies_known:
+        phase = np.full(len(index), "policy not known")
     columns = (
         rows.first + index + 1,
         rows.episode[index] + 1,

@@ -104,13 +104,12 @@ def _telling(rows: Rows) -> dict[str, int | None]:
 
 def _head(rows: Rows, row: int) -> None:
     columns = st.columns(5)
-    part = rows.rows
-    heavier = float((rows.weight > rows.weight[row]).mean())
+    lighter = float((rows.weight < rows.weight[row]).mean())
     columns[0].metric("weight", text.number(float(rows.weight[row]), 3))
-    columns[1].metric("heavier than", f"{100 * (1 - heavier):.1f} %", help="of the buffer")
+    columns[1].metric("heavier than", f"{100 * lighter:.1f} %", help="of the buffer")
     columns[2].metric("its step in its episode", f"{rows.place[row]:,}")
     columns[3].metric("return of that episode", text.number(float(rows.episode_return[row])))
-    ends = "yes" if np.asarray(part.terminated)[row] else "no"
+    ends = "yes" if rows.rows.numpy().ended()[row] else "no"
     columns[4].metric("ends the episode", ends)
 
 

@@ -126,7 +126,8 @@ def of_run(run: RunReader, step: int | None = None) -> OrderedData:
 def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
     """As many random rows as `ordered` has, then `ordered`: the paper's two halves.
 
-    Raises UserError when `random` holds fewer, or rows of another task.
+    Raises UserError when `random` holds fewer, rows of another task, or a run's whose policy, and
+    not exploration, collected some of them.
     """
     n = len(ordered)
     if random.env != ordered.env:
@@ -136,6 +137,12 @@ def after_random(random: OrderedData, ordered: OrderedData) -> OrderedData:
         )
     if len(random) < n:
         raise UserError(f"{random.name} holds {len(random)} rows, {ordered.name} needs {n} of them")
+    explored = int((random.policy_version[:n] == 0).sum())
+    if random.stored and explored < n:
+        raise UserError(
+            f"of the first {n} rows of {random.name} only {explored} are random, the others its "
+            "policy's: name a run that explores longer, or a recording of SAC"
+        )
     rows = TensorTransitions.join([random.transitions[:n], ordered.transitions])
     rows.truncated[n - 1] = 1 - rows.terminated[n - 1]
     version = ordered.policy_version - ordered.policy_version.min() + 1

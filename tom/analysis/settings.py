@@ -85,10 +85,20 @@ def changed(run: Made) -> dict[str, str]:
 
 
 def unlike(runs: Sequence[Made]) -> list[str]:
-    """Paths of the settings that not all of these runs have changed in the same way."""
-    every = [changed(run) for run in runs]
-    paths = sorted({path for one in every for path in one})
-    return [path for path in paths if len({one.get(path) for one in every}) > 1]
+    """Paths of the settings that not all of these runs have, or have changed, in the same way.
+
+    Learners differ by their own settings, and so do two presets of one: those count only if a run
+    has changed them.
+    """
+    every = [(_shared(run), changed(run)) for run in runs]
+    paths = sorted({path for one in every for part in one for path in part})
+    return [p for p in paths if len({(of.get(p), new.get(p)) for of, new in every}) > 1]
+
+
+def _shared(run: Made) -> dict[str, str]:
+    """The settings of a run's preset that belong to no learner: path to value."""
+    preset = in_words(resolve(run.env, "mle", run.preset).model_dump(mode="json"))
+    return {path: words for path, words in preset.items() if matters(path, "mle")}
 
 
 def matters(path: str, learner: str) -> bool:

@@ -14,16 +14,9 @@ from tom.record import Store
 from tom.training import presets
 from tom.training.resume import recorded_config
 
-OWN = "own"
-OBJECTIVES = {
-    "exact": TomConfig.preset("exact"),
-    **{
-        name: TomConfig.model_validate(presets.PRESETS[name]["tom"])
-        for name in ("paper", "mended", "released")
-    },
-}
-"""TOM's settings by the name of the preset they come from"""
-PRESETS = (OWN, *OBJECTIVES)
+OWN, EXACT = "own", "exact"
+PRESETS = (OWN, EXACT, "paper", "mended", "released")
+"""the run's own settings, TOM's `exact` ones, or the learners' of a training's preset"""
 
 
 @dataclass(frozen=True)
@@ -71,7 +64,7 @@ def plan_weighing(
     """
     rows, name = _data(data, policy, store, env, step, random)
     known = task(name)
-    preset = preset or ("exact" if step is None else OWN)
+    preset = preset or (EXACT if step is None else OWN)
     config = _config(preset, data, store, name).but(**settings)
     for learner in learners:
         if learner not in LEARNERS:
@@ -100,17 +93,21 @@ def _config(preset: str, data: str, store: Store, env: str) -> RunConfig:
         raise unknown("preset", preset, PRESETS)
     if preset == OWN:
         return _own_settings(data, store)
-    return settings_type()(env=env, learner="tom", tom=OBJECTIVES[preset])
+    if preset == EXACT:
+        return settings_type()(env=env, learner="tom", tom=TomConfig.preset(EXACT))
+    return _learners_settings(presets.resolve(env, "tom", preset))
 
 
 def _own_settings(name: str, store: Store) -> RunConfig:
     run = find_run(name, store)
     if run is None:
         raise UserError(f"{name} is no run, so it has no settings: --preset exact, paper or mended")
-    own = recorded_config(run, "name --preset exact, paper or mended")
-    return settings_type()(
-        env=own.env, learner="tom", tom=own.tom, pmac=own.pmac, vagram=own.vagram
-    )
+    return _learners_settings(recorded_config(run, "name --preset exact, paper or mended"))
+
+
+def _learners_settings(of: RunConfig) -> RunConfig:
+    """The settings of our learners in a training's configuration."""
+    return settings_type()(env=of.env, learner="tom", tom=of.tom, pmac=of.pmac, vagram=of.vagram)
 
 
 def settings_type() -> type[RunConfig]:

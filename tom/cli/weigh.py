@@ -61,7 +61,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--preset",
-        help="TOM's: exact, paper, mended or released; own: the run's settings "
+        help="exact (of TOM), or a training's: paper, mended, released; own: the run's settings "
         "[own with --step, else exact]",
     )
     parser.add_argument("--out", type=Path, help="new folder [STORE/weighings/DATA-by-POLICY-TIME]")

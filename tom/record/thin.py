@@ -17,7 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from tom.record import checkpoint, decode, digests, layout, small_copy
-from tom.record.array_files import NUMBERS, write_table
+from tom.record.array_files import write_table
 from tom.record.files import plain, replace_json, size_of, whole_folder
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader, at_or_before
@@ -139,9 +139,15 @@ def _snapshot(reader: RunReader, step: int, to: Path) -> None:
 
 
 def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:
-    """Write columns of weights as a Parquet file, rounded and strongly compressed."""
+    """Write columns of weights as a Parquet file, rounded and strongly compressed.
+
+    Columns of masks stay as they are.
+    """
     table = pa.table({name: coarse(array) for name, array in columns.items()})
-    write_table(path, table, compression_level=19, **NUMBERS)
+    numbers = [name for name, array in columns.items() if array.dtype != np.bool_]
+    write_table(
+        path, table, compression_level=19, use_dictionary=False, use_byte_stream_split=numbers
+    )
 
 
 def _buffer(reader: RunReader, to: Path) -> None:

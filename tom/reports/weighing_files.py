@@ -221,13 +221,17 @@ def _report(path: Path) -> dict[str, Any] | None:
     return report if report.keys() >= NEEDED else None
 
 
-def _read_weights(path: Path) -> dict[str, NDArray[np.float32]]:
-    """The weights of a weighing by learner and seed, without their terms."""
+def _read_weights(path: Path) -> dict[str, NDArray]:
+    """The weights of a weighing by learner and seed, without their terms; a brush's region, too."""
     try:
         table = read_table(path / WEIGHTS)
     except DAMAGE as error:
         raise UserError(f"weighing {path} cannot be read ({error}): move it away") from error
-    kept = [name for name in map(str, table) if name.rpartition("-s")[2].isdigit()]
+    kept = [
+        name
+        for name in map(str, table)
+        if name.rpartition("-s")[2].isdigit() or table[name].dtype == np.bool_
+    ]
     return {name: table[name].to_numpy() for name in kept}
 
 

@@ -103,7 +103,9 @@ def _ends(outcomes: Sequence[Outcome]) -> float:
 
 
 def _noise(outcomes: Sequence[Outcome]) -> float:
-    return median(one.footprint_noise for one in outcomes if one.way == UNIFORM)
+    """The median distance of two samples of the policy; NaN if it was never measured."""
+    found = [one.footprint_noise for one in outcomes if one.way == UNIFORM]
+    return median([noise for noise in found if np.isfinite(noise)] or [np.nan])
 
 
 def _bounds(row: dict[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from statistics import median
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
@@ -12,9 +13,13 @@ from tom.reports.style import STYLE, new_figure
 from tom.studies.footprint import UNIFORM
 from tom.studies.frozen import WAYS, Outcome
 
+LEAST = 0.03
+"""distances below it are drawn at it: the axis is logarithmic"""
+
 
 def footprint_figure(outcomes: Sequence[Outcome]) -> Figure:
     """One panel per task: distance to the policy relative to uniform weights, log axis."""
+    outcomes = [one for one in outcomes if np.isfinite(one.footprint)]
     envs = list(dict.fromkeys(one.env for one in outcomes))
     ways = [way for way in WAYS if way != UNIFORM and any(one.way == way for one in outcomes)]
     with rc_context(STYLE):
@@ -23,7 +28,7 @@ def footprint_figure(outcomes: Sequence[Outcome]) -> Figure:
         for ax, env in zip(axes, envs, strict=True):
             ax.axvline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")
             for row, way in enumerate(reversed(ways)):
-                of = [max(o.footprint, 0.03) for o in outcomes if (o.env, o.way) == (env, way)]
+                of = [max(o.footprint, LEAST) for o in outcomes if (o.env, o.way) == (env, way)]
                 colour = learner_colour(WAYS[way].learner or "")
                 ax.scatter(of, [row] * len(of), s=14, color=colour, alpha=0.55, linewidths=0)
                 if of:
@@ -34,5 +39,7 @@ def footprint_figure(outcomes: Sequence[Outcome]) -> Figure:
             ax.xaxis.set_major_formatter("{x:g}")
             ax.set_title(env)
         axes[0].set_yticks(range(len(ways)), list(reversed(ways)))
-        figure.supxlabel("distance to the policy's footprint over that of uniform weights", size=9)
+        what = "distance to the policy's footprint over that of uniform weights"
+        cut = any(one.footprint < LEAST for one in outcomes)
+        figure.supxlabel(what + f" (drawn at {LEAST} if below it)" * cut, size=9)
     return figure

@@ -7,6 +7,7 @@ more than ways do. The difference at each moment is therefore known much better 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
+from statistics import median
 
 from tom.analysis.statistics import Interval
 from tom.studies.frozen import Outcome
@@ -50,20 +51,22 @@ def comparisons(
 ) -> Iterator[Comparison]:
     """Each pair of `QUESTIONS` at the moments that both were examined at.
 
-    `value` is what is compared, lower is better; moments where it is NaN do not count.
+    `value` is what is compared, lower is better; moments where it is NaN do not count. The
+    difference at a moment is the median over seeds.
     """
-    at = {(one.way, *_moment(one)): value(one) for one in outcomes}
+    at = {(one.way, *_trial(one)): value(one) for one in outcomes}
     for way, against in QUESTIONS:
-        gaps: list[Value] = []
+        trials: dict[tuple[str, str, int], list[float]] = {}
         for one in outcomes:
-            gap = value(one) - at.get((against, *_moment(one)), nan)
+            gap = value(one) - at.get((against, *_trial(one)), nan)
             if one.way == way and isfinite(gap):
-                gaps.append((one.env, one.recording, gap))
+                trials.setdefault((one.env, one.recording, one.step), []).append(gap)
+        gaps: list[Value] = [(env, of, median(each)) for (env, of, _), each in trials.items()]
         if gaps:
             better = sum(gap < 0 for _, _, gap in gaps)
             difference, signs = over_recordings(gaps), sign_test(gaps)
             yield Comparison(way, against, difference, better, len(gaps), signs)
 
 
-def _moment(one: Outcome) -> tuple[str, int, int]:
+def _trial(one: Outcome) -> tuple[str, int, int]:
     return one.recording, one.step, one.seed

@@ -37,7 +37,8 @@ def page() -> None:
         return
     top = st.columns([1, 1], vertical_alignment="bottom")
     with top[0]:
-        weighed = [run for run in buffers if weighings.of_run(run, buffer_reader.length(run))]
+        names = weighings.weighed(session.links().store)
+        weighed = [run for run in buffers if datasets.is_one(run) or run.run_id in names]
         run = widgets.pick_run(buffers, "Buffer of run or data", weighed)
     rows = buffer_reader.length(run)
     if not rows:

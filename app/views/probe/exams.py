@@ -16,6 +16,7 @@ from app.figures.looks import looks
 from app.parts.plot import chart
 from tom.analysis import grouping, statistics
 from tom.analysis.statistics import Interval
+from tom.config import SAC_ALONE
 
 HEIGHT = 380
 NO_EXAM = (
@@ -36,6 +37,7 @@ _RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache(16)
 
 def draw(runs: Sequence[RunInfo]) -> None:
     """Who errs least on its own policy's transitions, the numbers, and a figure of all fits."""
+    runs = [run for run in runs if run.learner != SAC_ALONE]  # it fits no model
     exams, result = examined(runs)
     if not exams:
         if runs:

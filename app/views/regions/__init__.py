@@ -120,6 +120,8 @@ def _pick_region(rows: Rows, plane: Plane) -> Mask:
         bind="query-params",
     )  # fmt: skip
     if kind == TOP:
+        if np.ptp(rows.weight) == 0:
+            columns[1].caption("All weights are equal: the region is one in a hundred at random.")
         return regions.heaviest(rows.weight, 0.01)
     if kind == ZERO:
         return rows.weight == 0
@@ -218,7 +220,7 @@ def _moments(run: RunInfo, choice: StatesChoice) -> None:
     """Curves of observations around the same transitions, if there is no robot to draw."""
     curves = buffer_reader.moments(run, choice.heavy), buffer_reader.moments(run, choice.light)
     names = buffer_reader.described(run)
-    figure = moments_figure(*curves, names, MOMENT_HEIGHT)
+    figure = moments_figure(*curves, names, MOMENT_HEIGHT, run.run_id)
     chart(figure, "moments", "observations round the heaviest and the lightest transitions")
     st.caption("Every line is a moment: the transition at 0, and the steps of its episode around.")
 

@@ -127,7 +127,7 @@ def _shown(run: RunInfo, brushed: Brushed) -> None:
     left, right = st.columns([1, 1])
     with left:
         st.markdown(f"**{brushed.rows:,} of {brushed.of:,} transitions, step {brushed.step:,}**")
-        figure = error_bars(brushed, HEIGHT)
+        figure = error_bars(brushed, HEIGHT, session.mode())
         chart(figure, "brush errors", "errors of brushed models by region")
         st.caption(in_words(brushed))
     with right:

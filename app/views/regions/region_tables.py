@@ -20,7 +20,7 @@ def contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
     """Numbers of the region and of the whole buffer, and the dimensions that differ most."""
     st.markdown(f"**In the region**: {mask.sum():,} of {len(rows):,} transitions")
     table = summary(rows, mask)
-    if run.env == pictures.ENV:  # offline data, not collected by the run's policies
+    if run.env == pictures.ENV or not rows.policies_known:  # data of others' policies
         table = table[table[""] != EXPLORED]
     right = {c: st.column_config.TextColumn(c, alignment="right") for c in table.columns[1:]}
     st.dataframe(table, hide_index=True, height="content", column_config=right)
@@ -64,7 +64,7 @@ def listed(rows: Rows, index: np.ndarray, names: list[str], actions: list[str]) 
         "episode": rows.episode[index],
         "step of the episode": rows.place[index],
         "return of the episode": rows.episode_return[index],
-        "policy version": rows.version[index],
+        "policy version": rows.version[index] if rows.policies_known else "not known",
         "reward": part.reward,
         "terminal": np.asarray(part.terminated) != 0,
     }

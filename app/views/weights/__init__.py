@@ -179,9 +179,13 @@ def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     if profiles.ess[chosen] > EVEN and not (
         run.learner in LEARNERS and LEARNERS[run.learner].uniform
     ):
+        name = text.markdown(learner_label(run.learner))
+        weighed = (profiles.ess[:chosen] <= EVEN).any()
         st.caption(
-            f"At this fit {text.markdown(learner_label(run.learner))} still counted all "
-            "transitions the same: its warm-up, before it weighs."
+            f"At this fit {name} counted all transitions the same, although it had weighed before."
+            if weighed
+            else f"At this fit {name} still counted all transitions the same: its warm-up, before "
+            "it weighs."
         )
     columns[1].metric("transitions", f"{profiles.count[chosen]:,}")
     columns[2].metric(

@@ -41,7 +41,10 @@ def of_fit(run: RunInfo, step: int) -> None:
 def without(run: RunInfo, examined: bool) -> str:
     """Why a fit has no exam; `examined`: another fit of the run has one."""
     if not examined and not run.status.alive:
-        return "No exam: this run is of a version before fits were examined."
+        return (
+            "No exam: the run is of a version before fits were examined, or ended while its first "
+            "fit served."
+        )
     if run.status.alive:
         return "No exam yet: it is over with the next fit."
     return "This fit sat no exam."

@@ -23,7 +23,7 @@ def at_fit(run: RunInfo, step: int) -> None:
     rows = buffer_reader.length(run)
     if not rows:
         return
-    stored = reversed(weighings.of_run(run, rows))
+    stored = [w for w in reversed(weighings.of_run(run, rows)) if not w.brush]
     weighed = {w.step: w for w in stored if Path(w.policy).name == run.run_id}  # an id or a folder
     steps = sorted({*readers.policy_steps(run), *(at for at in weighed if at is not None)})
     if not steps:

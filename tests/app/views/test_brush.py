@@ -1,6 +1,7 @@
 """The counterfactual brush: what the page shows is what `tom brush` measured."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,16 @@ from studio_pages import array, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
 from app.data import brush, buffer_reader, weighings
+from app.data.brush import Brushed
+from app.figures.brush import error_bars
 from app.links import Links
+from app.theme import Mode
 from app.views.regions.brush import command
+from tom.analysis.brush import REGION, REST
 from tom.cli import main
 from tom.record.array_files import read_table
 from tom.record.reader import RunReader
+from tom.reports.weighing_files import copy_small
 
 FIT = 300
 
@@ -62,6 +68,40 @@ def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     assert found.factors == [0, 4]
     assert found.ghosts["real"].shape == found.ghosts["x4"].shape
     assert "region x 4 s0, made" in app.selectbox(key="weights").options
+
+
+def test_a_brush_is_not_shown_as_every_learner_on_the_buffer(brushed: Path) -> None:
+    (found,) = weighings.of_run(info(brushed, PENDULUM_TOM), 400)
+    assert found.brush
+    app = draw("weights", run=PENDULUM_TOM, step=str(FIT))
+    assert not any("Every learner" in note.value for note in app.markdown)
+    assert not any("region x" in str(f["data"]) for f in figures(app))
+
+
+def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -> None:
+    there = with_weighing(store, made, tmp_path)
+    (copy,) = copy_small(there, PENDULUM_TOM, tmp_path / "copy")
+    region = read_table(copy / "weights.parquet")["region"].to_numpy()
+    assert region.dtype == np.bool_
+    assert region.tolist() == [False] * 150 + [True] * 150
+    assert brush.of_run(
+        [replace(one, path=str(copy)) for one in weighings.of_run(info(there, PENDULUM_TOM), 400)]
+    )
+
+
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_every_factor_has_a_bar_and_what_was_not_measured_has_none(mode: Mode) -> None:
+    factors = (0.0, 0.25, 0.5, 2.0, 4.0)
+    errors = {factor: [0.5 + factor, 0.7 + factor] for factor in (*factors, 1.0)}
+    region = {factor: [np.nan, np.nan] for factor in errors}
+    found = Brushed("b", 10, 100, 300, {}, {REGION: region, REST: errors}, {})
+    figure = error_bars(found, 300, mode)
+    assert len(figure.data) == len(factors)
+    assert len({trace.marker.color for trace in figure.data}) == len(factors)  # type: ignore[attr-defined]
+    bar = figure.data[-1]
+    ratio = np.mean([4.5 / 1.5, 4.7 / 1.7])
+    assert np.isnan(array(bar.y)[0])  # type: ignore[attr-defined]
+    assert array(bar.y)[1] == pytest.approx(ratio - 1)  # type: ignore[attr-defined]
 
 
 def test_weights_are_known_by_the_file_that_holds_them(brushed: Path) -> None:

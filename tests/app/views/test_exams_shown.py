@@ -22,7 +22,10 @@ from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
 PENDULUM_MLE = "pendulum-mle-0"
-NO_COPY = "No exam: this run is of a version before fits were examined."
+NO_COPY = (
+    "No exam: the run is of a version before fits were examined, or ended while its first fit "
+    "served."
+)
 
 
 def recorded(store: Path, run_id: str, metric: str) -> tuple[list[int], list[float]]:

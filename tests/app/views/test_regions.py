@@ -10,8 +10,9 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import buffer_reader, regions
 from app.data.buffer import WINDOW, Rows, against, dimension_names, episodes, rows_at, windows
-from app.figures.regions import POINTS, region_map, weights_against
+from app.figures.regions import POINTS, hover_data, region_map, weights_against
 from app.scenes import states
+from app.views.regions.region_tables import listed
 from tom.data.transitions import Transitions
 from tom.envs import scene, task
 from tom.record.reader import RunReader
@@ -87,6 +88,34 @@ def test_the_summary_is_the_regions(rows: Rows) -> None:
     share = 100 * np.sort(rows.weight)[-30:].sum() / rows.weight.sum()
     assert found["share of the weight, %"] == pytest.approx(share)
     assert np.isnan(regions.summary(rows, mask & ~mask)["mean weight"])
+
+
+def test_of_equal_weights_no_part_of_the_buffer_is_the_heaviest() -> None:
+    mask = regions.heaviest(np.ones(10_000), 0.01)
+    assert mask.sum() == 100
+    assert 3000 < np.flatnonzero(mask).mean() < 7000
+
+
+def test_an_episode_cut_by_time_has_an_end() -> None:
+    ended = np.array([0.0, 0, 1, 0])
+    part = made(4)
+    cut = Transitions(part.obs, part.action, part.reward, part.next_obs, ended * 0, ended)
+    rows = rows_at(cut, np.array([0, 0, 1, 1]), np.ones(4), 4)
+    assert rows is not None
+    assert regions.summary(rows, np.ones(4, bool))["ends an episode, %"] == 25
+
+
+def test_data_whose_policies_are_not_known_have_none() -> None:
+    rows = rows_at(made(6), np.arange(6), np.ones(6), 6)
+    assert rows is not None
+    everything = np.ones(6, bool)
+    assert np.isnan(regions.summary(rows, everything)[regions.EXPLORED])
+    assert set(hover_data(rows, np.arange(6))[:, 3]) == {"policy not known"}
+    assert set(listed(rows, np.arange(6), ["x"], ["a"])["policy version"]) == {"not known"}
+    collected = rows_at(made(6), np.array([0, 0, 0, 1, 1, 2]), np.ones(6), 6)
+    assert collected is not None
+    assert regions.summary(collected, everything)[regions.EXPLORED] == 50
+    assert list(hover_data(collected, np.arange(2, 4))[:, 3]) == ["exploration", "policy 1"]
 
 
 def test_what_sets_a_region_apart_is_named(rows: Rows) -> None:

@@ -107,3 +107,10 @@ def test_a_row_of_another_buffer_is_dropped(store: Path) -> None:
     assert app.number_input(key="row").value is None
     app.button(key="why heaviest").click().run()
     assert app.number_input(key="row").value == int(own_rows(store).weight.argmax())
+
+
+@pytest.mark.usefixtures("studio")
+def test_a_row_is_heavier_than_those_of_less_weight_alone() -> None:
+    app = draw("regions", run="pendulum-mle-0", step=str(FIT), row="5")
+    (heavier,) = [metric for metric in app.metric if metric.label == "heavier than"]
+    assert heavier.value == "0.0 %"  # all weights are equal

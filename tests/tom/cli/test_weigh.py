@@ -14,6 +14,7 @@ from commands import code_of
 
 from tom.analysis import weighing
 from tom.analysis.ordered_data import after_random, load_data, of_run, to_unit_range
+from tom.analysis.weighing_plan import plan_weighing
 from tom.cli import main
 from tom.config import PmacConfig, RoadConfig, RunConfig
 from tom.data.sampling import bin_means
@@ -337,6 +338,28 @@ def test_a_policy_and_random_data_of_another_task_of_the_same_size(
     data = of_run(RunReader(store / "trained"))
     with pytest.raises(UserError, match="trained is of hopper, trained of inverted-pendulum"):
         after_random(replace(data, env="hopper"), data)
+
+
+@pytest.mark.parametrize("preset", ["paper", "mended", "released"])
+def test_a_preset_is_that_of_a_training(preset: str, store: Path):
+    plan = plan_weighing(
+        "trained", "trained", Store(store), learners=["tom"], seeds=[0], footprint=10,
+        preset=preset, settings={},
+    )  # fmt: skip
+    trained = resolve("inverted-pendulum", "tom", preset)
+    assert (plan.config.tom, plan.config.pmac) == (trained.tom, trained.pmac)
+    assert plan.config.tom.q_hidden == 64  # the task's, as trainings have it
+    assert plan.config.pmac.decay == (0.9 if preset == "released" else 0.996)
+
+
+def test_rows_of_a_policy_are_not_called_random(store: Path):
+    data = of_run(RunReader(store / "trained"))
+    first = int((data.policy_version == 0).sum())
+    later = replace(data, transitions=data.transitions[: first + 1])
+    later = replace(later, policy_version=data.policy_version[: first + 1])
+    with pytest.raises(UserError, match=f"of the first {first + 1} rows of trained only {first}"):
+        after_random(data, later)
+    assert after_random(replace(data, stored=False), later).ordered_from == first + 1
 
 
 def test_a_run_of_road_and_rocks_is_named(tmp_path: Path):

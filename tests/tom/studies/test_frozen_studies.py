@@ -12,6 +12,7 @@ from tom.cli import main
 from tom.config import SacRecordingConfig
 from tom.record import RunReader, Store
 from tom.studies import capacity, footprint
+from tom.studies.footprint_figure import footprint_figure
 from tom.studies.frozen import WAYS, Case, ModelError, Outcome, cases, examined, moments
 from tom.studies.recordings import sign_test
 from tom.training.presets import resolve
@@ -139,6 +140,33 @@ def test_two_ways_are_compared_moment_by_moment():
     # Nearer in most moments on a, c and d, further on b: as uneven by chance 10 times in 16.
     assert (row["better on"], row["recordings"], row["p"]) == (3, 4, 0.625)
     assert "on top of the discriminator?" in footprint.verdict(outcomes)[-1]
+
+
+def test_two_seeds_of_a_moment_are_one_moment():
+    both = [
+        replace(BASE, way=way, seed=seed, footprint=distance)
+        for way, distances in (("tom-mended", (0.2, 0.6)), ("ratio", (0.5, 0.6)))
+        for seed, distance in enumerate(distances)
+    ]
+    (row,) = footprint.head_to_head(both)
+    assert (row["nearer at"], row["n"]) == (1, 1)
+    assert row["difference"] == pytest.approx(-0.15)
+
+
+def test_a_moment_without_a_footprint_does_not_move_the_others():
+    outcomes = [
+        replace(BASE, way=way, step=step, footprint=distance, footprint_noise=noise)
+        for way in ("uniform", "recency")
+        for step, (distance, noise) in enumerate([(0.9, 0.02), (0.3, 0.05), (np.nan, np.nan)])
+    ]
+    assert f"{0.035:.2f} apart (median)" in footprint.verdict(outcomes)[0]
+    (panel,) = footprint_figure(outcomes).axes
+    points, (_, bar) = panel.collections[0].get_offsets(), panel.lines
+    assert sorted(np.asarray(points)[:, 0]) == [0.3, 0.9]
+    assert bar.get_xdata() == pytest.approx([0.6, 0.6])
+    assert "below it" not in panel.figure.get_supxlabel()
+    near = [replace(BASE, way="recency", footprint=0.01)]
+    assert "drawn at 0.03 if below it" in footprint_figure(near).get_supxlabel()
 
 
 def test_a_sign_test_counts_recordings_by_hand():

@@ -207,6 +207,19 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     assert "nothing to compare" in verdicts.returns(toms)[0]  # two presets of TOM are no rivals
 
 
+def test_presets_that_differ_in_more_than_the_learner_are_named(store: Path):
+    record(store, "ant", "tom", 0, [1, 2])
+    record(store, "ant", "tom", 1, [1, 2], preset="mended")
+    cells, _ = study.select(store.runs(), "paper", "mended")
+    assert not any("ant: the learners' runs differ" in line for line in verdicts.returns(cells))
+    record(store, "ant", "mle", 0, [1, 2], preset="mbpo")
+    cells, _ = study.select(store.runs(), "paper", "mended", "mbpo")
+    (said,) = [line for line in verdicts.returns(cells) if line.startswith("ant: the learners'")]
+    assert "model.kind" in said
+    assert "updates_per_step" in said
+    assert "tom." not in said
+
+
 def test_what_is_said_is_what_was_found(store: Store):
     cells, _ = study.select(store.runs(), "paper")
     first, few, short, of_hopper = verdicts.returns(cells)
