@@ -52,7 +52,7 @@ DIVERGING: dict[Mode, list[tuple[float, str]]] = {
 # The same for solid things under light and for points: like areas, but far from the background
 # at every weight.
 COLUMNS: dict[Mode, list[tuple[float, str]]] = {
-    "light": [(0.0, "#6f9fe8"), (0.5, "#c6cad3"), (0.75, "#f0803c"), (1.0, "#c22c06")],
+    "light": [(0.0, "#5b94e9"), (0.5, "#888e9b"), (0.75, "#dd6722"), (1.0, "#c22c06")],
     "dark": [(0.0, "#3d6fbe"), (0.5, "#687084"), (0.75, "#dd6a2c"), (1.0, "#ffcd9c")],
 }
 SEQUENTIAL: dict[Mode, list[tuple[float, str]]] = {

@@ -40,9 +40,11 @@ Floats = NDArray[np.float32]
 class Replay:
     """A recorded episode of H steps, and its prediction by the model at `model_step`."""
 
+    run_id: str
     env: str
     learner: str
     step: int
+    index: int  # among the episodes of the evaluation at `step`
     model: scene.Model | None  # to draw the robot
     names: tuple[str, ...]  # of the observation's dimensions
     dt: float  # seconds a step
@@ -53,6 +55,11 @@ class Replay:
     model_step: int | None
     no_ghost: str  # why there is no ghost
     road: RoadShape | None  # road-and-rocks only
+
+    @property
+    def name(self) -> str:
+        """What tells it from every other episode of the store."""
+        return f"{self.run_id} {self.step} {self.index}"
 
     @property
     def drawn(self) -> bool:
@@ -116,9 +123,11 @@ def _load(run: RunReader, step: int, index: int, horizon: int, model: Stamp) -> 
     kept, why = _kept(run, model) if horizon else (None, "none was asked for")
     imagined = None if kept is None else imagine(kept.predictor, episode, horizon)
     return Replay(
+        run_id=run.run_id,
         env=run.env,
         learner=run.learner,
         step=step,
+        index=index,
         model=model_drawn,
         names=("x", "y") if known is None else known.obs_names,
         dt=dt,

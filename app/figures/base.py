@@ -35,6 +35,7 @@ def styled(
 ) -> go.Figure:
     """`figure` with the common layout; the user's zoom is kept as long as `keep` is the same.
 
+    `keep` names what is drawn, such as a run: a zoom on one would show nothing of another.
     The page has the figure's title. `marks` are lines made by `across` and `upright`. Only for a
     figure with one pair of axes and no layout yet, because setting a whole layout takes a third of
     the time of updates.

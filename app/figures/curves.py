@@ -51,10 +51,12 @@ def run_curves(
     legend: bool,
     axes: Axes = PLAIN,
     looks: Mapping[Kind, Look] | None = None,
+    keep: str = "",
 ) -> go.Figure:
     """One line per run, coloured by learner; the runs of one learner differ in their dashes.
 
-    With `looks`, colours and dashes are those of the runs' groups instead.
+    With `looks`, colours and dashes are those of the runs' groups instead. A zoom lasts while the
+    metric, the axes and `keep`, which names the runs, are the same.
     """
     figure = go.Figure()
     words = []
@@ -84,7 +86,7 @@ def run_curves(
                 showlegend=legend,
             )
         )
-    _draw_axes(figure, metric, height, axes, [curve.env for curve in curves])
+    _draw_axes(figure, metric, height, axes, [curve.env for curve in curves], keep)
     words += left_out([(c.step, c.value) for c in curves], log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, "<br>".join(words)) if words else figure
 
@@ -143,10 +145,10 @@ def _identity(group: Group | Curve) -> str:
 
 
 def _draw_axes(
-    figure: go.Figure, metric: str, height: int, axes: Axes, envs: Sequence[str]
+    figure: go.Figure, metric: str, height: int, axes: Axes, envs: Sequence[str], keep: str = ""
 ) -> None:
-    x = steps_in_words(envs) if axes.x == ENV_STEPS else axes.x
-    styled(figure, x, height, keep=f"{metric} {axes}")
+    x = steps_in_words(envs) if axes.x == ENV_STEPS else text.plotly(axes.x)
+    styled(figure, x, height, keep=f"{metric} {axes} {keep}")
     figure.update_xaxes(type="log" if axes.log_x else "linear")
     figure.update_yaxes(type="log" if axes.log_y else "linear")
     lines: list[Any] = list(figure.data)

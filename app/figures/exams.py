@@ -32,7 +32,8 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
         figure.add_trace(_points(learner, runs, "returns"), 1, 2)
         figure.add_trace(_key(learner), 1, 1)
     marks = [upright(0, 1, "dot"), upright(1, 1, "dot")]
-    figure.update_layout(**LAYOUT, height=height, uirevision="exams", shapes=marks)
+    keep = " ".join(["exams", *(run.run_id for run in exams)])
+    figure.update_layout(**LAYOUT, height=height, uirevision=keep, shapes=marks)
     figure.update_xaxes(**X_AXIS)
     figure.update_yaxes(**Y_AXIS, type="log", tickvals=TICKS, ticktext=[f"{at:g}" for at in TICKS])
     figure.update_xaxes(

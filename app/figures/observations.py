@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from app import text
 from app.data.buffer import WINDOW
 from app.data.replays import Replay
 from app.figures.base import LAYOUT, X_AXIS, Y_AXIS
@@ -29,11 +30,16 @@ def observed_curves(replay: Replay, frame: int, height: int) -> go.Figure:
             line = _line(seconds, replay.imagined.obs[:, i], colour, "imagined")
             figure.add_trace(line, i + 1, 1)
     figure.add_vline(x=frame * replay.dt, line={"color": NEUTRAL, "width": 1.5, "dash": "dot"})
-    return _finished(figure, "seconds", obs.shape[1], f"observations {replay.step}")
+    return _finished(figure, "seconds", obs.shape[1], f"observations {replay.name}")
 
 
-def moments_figure(heavy: NDArray, light: NDArray, names: Sequence[str], height: int) -> go.Figure:
-    """Observations around heavy and light transitions, (R, 2 WINDOW + 1, O) each."""
+def moments_figure(
+    heavy: NDArray, light: NDArray, names: Sequence[str], height: int, keep: str
+) -> go.Figure:
+    """Observations around heavy and light transitions, (R, 2 WINDOW + 1, O) each.
+
+    A zoom lasts while `keep`, the run's id, is the same.
+    """
     dims = (heavy if len(heavy) else light).shape[-1]
     figure = _rows(names, dims, height)
     steps = np.arange(-WINDOW, WINDOW + 1)
@@ -41,7 +47,7 @@ def moments_figure(heavy: NDArray, light: NDArray, names: Sequence[str], height:
         for group, colour, name in ((light, LIGHT, "light"), (heavy, HEAVY, "heavy")):
             for moment in group:
                 figure.add_trace(_line(steps, moment[:, i], colour, name), i + 1, 1)
-    return _finished(figure, "steps around", dims, "moments")
+    return _finished(figure, "steps around", dims, f"moments {keep}")
 
 
 def _rows(names: Sequence[str], dims: int, height: int) -> go.Figure:
@@ -50,7 +56,7 @@ def _rows(names: Sequence[str], dims: int, height: int) -> go.Figure:
     spacing = min(0.05, 0.5 / max(shown - 1, 1))
     figure = make_subplots(shown, 1, shared_xaxes=True, vertical_spacing=spacing)
     for i, title in enumerate(titles):
-        figure.update_yaxes(title_text=title[:24], row=i + 1, col=1)
+        figure.update_yaxes(title_text=text.plotly(title[:24]), row=i + 1, col=1)
     figure.update_layout(height=height * shown)
     return figure
 

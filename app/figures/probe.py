@@ -27,11 +27,17 @@ class RunErrors:
 
 
 def probe_profiles(
-    profiles: Mapping[str, NDArray[np.float64]], random: float, height: int, *, log: bool
+    profiles: Mapping[str, NDArray[np.float64]],
+    random: float,
+    height: int,
+    *,
+    log: bool,
+    keep: str = "",
 ) -> go.Figure:
     """The median profile over seeds of each learner (S, bins), with the range of its seeds.
 
-    `random` is the share of the buffer, starting with the oldest row, that is random data.
+    `random` is the share of the buffer, starting with the oldest row, that is random data. A zoom
+    lasts while `keep`, the weighing's name, is the same.
     """
     figure = go.Figure()
     for learner, values in profiles.items():
@@ -56,7 +62,7 @@ def probe_profiles(
     marks = [across(1, 1.5, "dash")]
     if random > 0:
         marks.append(upright(100 * random, 1, "dot"))
-    styled(figure, "position in the buffer", height, keep="probe", marks=marks)
+    styled(figure, "position in the buffer", height, keep=f"probe {keep}", marks=marks)
     figure.update_xaxes(**AGES)
     figure.update_yaxes(title_text="mean weight", type="linear")
     return on_log_axis(figure) if log else figure
@@ -76,8 +82,13 @@ def _range(x: Floats, values: NDArray[np.float64], learner: str) -> go.Scatter:
     )
 
 
-def errors_by_age(errors: Sequence[tuple[str, str, Floats]], bins: int, height: int) -> go.Figure:
-    """Mean model error of each part of the buffer; `errors`: (run's name, learner, row errors)."""
+def errors_by_age(
+    errors: Sequence[tuple[str, str, Floats]], bins: int, height: int, *, keep: str = ""
+) -> go.Figure:
+    """Mean model error of each part of the buffer; `errors`: (run's name, learner, row errors).
+
+    A zoom lasts while `keep`, the id of the buffer's run, is the same.
+    """
     figure = go.Figure()
     learners = [learner for _, learner, _ in errors]
     for i, (name, learner, error) in enumerate(errors):
@@ -98,7 +109,7 @@ def errors_by_age(errors: Sequence[tuple[str, str, Floats]], bins: int, height: 
                 "<br>error %{y:.3g}<extra></extra>",
             )
         )
-    styled(figure, "position in the buffer", height, keep="errors by age")
+    styled(figure, "position in the buffer", height, keep=f"errors by age {keep}")
     figure.update_xaxes(**AGES)
     figure.update_yaxes(title_text="one-step error (std)", rangemode="tozero")
     return figure
@@ -134,7 +145,8 @@ def focus(groups: Mapping[str, Sequence[RunErrors]], height: int, keep: str) -> 
                     hovertemplate=f"{run_id}<br>%{{customdata}}<br>error %{{y:.3g}}<extra></extra>",
                 )
             )
-    styled(figure, "", height, keep=keep)
+    ids = " ".join(run.run_id for runs in groups.values() for run in runs)
+    styled(figure, "", height, keep=f"{keep} {ids}")
     figure.update_xaxes(
         tickvals=list(range(len(ticks))), ticktext=ticks, range=[-0.6, len(ticks) - 0.4]
     )

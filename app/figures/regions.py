@@ -108,8 +108,11 @@ def _drawn(outline: Sequence[tuple[float, float]], colour: str) -> dict[str, Any
     return {"type": "path", "path": path, "line": {"color": colour, "width": 1.5}}
 
 
-def apart_bars(gaps: Sequence[tuple[str, float]], height: int) -> go.Figure:
-    """The dimensions in which a region differs most from the buffer, the farthest on top."""
+def apart_bars(gaps: Sequence[tuple[str, float]], height: int, *, keep: str = "") -> go.Figure:
+    """The dimensions in which a region differs most from the buffer, the farthest on top.
+
+    A zoom lasts while `keep`, the run's id, is the same.
+    """
     top = list(gaps[:BARS])[::-1]
     figure = go.Figure(
         go.Bar(
@@ -121,11 +124,16 @@ def apart_bars(gaps: Sequence[tuple[str, float]], height: int) -> go.Figure:
         )
     )
     words = "standard deviations from the buffer's mean"
-    return styled(figure, words, height, keep="apart", marks=[upright(0, 1)])
+    return styled(figure, words, height, keep=f"apart {keep}", marks=[upright(0, 1)])
 
 
-def weights_against(groups: Against, learner: str, x: str, height: int) -> go.Figure:
-    """Mean weight and 90 % quantile of equal groups of transitions."""
+def weights_against(
+    groups: Against, learner: str, x: str, height: int, *, keep: str = ""
+) -> go.Figure:
+    """Mean weight and 90 % quantile of equal groups of transitions.
+
+    A zoom lasts while `keep`, the run's id, is the same.
+    """
     colour = learner_colour(learner)
     figure = go.Figure()
     for values, name, width, dash in (
@@ -144,7 +152,7 @@ def weights_against(groups: Against, learner: str, x: str, height: int) -> go.Fi
             )
         )
     marks = [across(1, 1.2, "dash")]
-    styled(figure, text.plotly(x), height, keep=f"against {x}", marks=marks)
+    styled(figure, text.plotly(x), height, keep=f"against {x} {keep}", marks=marks)
     figure.update_layout(showlegend=False)
     figure.update_yaxes(rangemode="tozero", title_text="weight")
     return figure

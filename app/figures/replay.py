@@ -50,7 +50,7 @@ def return_curve(
                 hovertemplate="episode %{customdata}<br>return %{y:,.1f}<extra></extra>",
             )
         )
-    styled(figure, steps_in_words([curve.env]), height, keep="replay-returns")
+    styled(figure, steps_in_words([curve.env]), height, keep=f"returns {curve.run_id}")
     figure.update_yaxes(title_text="return")
     if len(steps) < 2:
         figure.update_xaxes(range=[0, 2 * step], tickvals=[step])
@@ -99,6 +99,6 @@ def _timeline(
     figure: go.Figure, replay: Replay, frame: int, title: str, height: int, keep: str
 ) -> go.Figure:
     marks = [upright(frame * replay.dt, 1.5, "dot")]
-    styled(figure, "seconds", height, keep=f"{keep} {replay.step}", marks=marks)
+    styled(figure, "seconds", height, keep=f"{keep} {replay.name}", marks=marks)
     figure.update_yaxes(title_text=title)
     return figure

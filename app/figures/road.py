@@ -6,6 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from app import text
 from app.data.pictures import Picture
 from app.data.roadmap import cell_centres, circle, outline
 from app.figures.base import styled
@@ -40,7 +41,7 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
     for (x, y, radius), tint in ((picture.road.start, START), (picture.road.goal, GOAL)):
         figure.add_trace(_lines([circle(x, y, radius)], "", tint, 3))
     figure.add_trace(_lines(picture.expert, "expert", NEUTRAL, 1, opacity=0.6))
-    name = f"{learner_label(picture.learner)} policy"
+    name = f"{text.plotly(learner_label(picture.learner))} policy"
     figure.add_trace(_lines(picture.learnt, name, colour, 2.2))
     keep = _thinned(len(picture.points))
     for moves, label, tint in (

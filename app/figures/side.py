@@ -43,7 +43,8 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
             figure.add_trace(_map(profiles, scale, bar=column == last), 2, column)
         else:
             _say_empty(figure, len(parts) + column)
-    figure.update_layout(**LAYOUT, height=height, uirevision="side by side")
+    runs = " ".join(curve.run_id for _, curve, _ in parts)
+    figure.update_layout(**LAYOUT, height=height, uirevision=f"side by side {runs}")
     figure.update_layout(margin={"t": 34})
     _link_axes(figure, len(parts), steps_in_words(curve.env for _, curve, _ in parts))
     figure.update_traces(

@@ -25,9 +25,12 @@ class Profile:
 
 
 def profiles(
-    groups: Sequence[Profile], thresholds: NDArray[np.float64], score: str, height: int
+    groups: Sequence[Profile], thresholds: NDArray[np.float64], score: str, height: int, keep: str
 ) -> go.Figure:
-    """Share of runs whose score is above each threshold, one line per group; higher is better."""
+    """Share of runs whose score is above each threshold, one line per group; higher is better.
+
+    A zoom lasts while the score and `keep`, which names the runs, are the same.
+    """
     figure = go.Figure()
     for one in groups:
         if np.isfinite(one.low).any():
@@ -56,15 +59,18 @@ def profiles(
                 "above %{x:.4g}<extra></extra>",
             )
         )
-    styled(figure, f"{score} above", height, keep=f"profile {score}")
+    styled(figure, f"{score} above", height, keep=f"profile {score} {keep}")
     figure.update_yaxes(range=[-0.02, 1.02], tickformat=".0%", title_text="share of runs")
     return figure
 
 
 def improvement(
-    pairs: Sequence[tuple[str, str, Interval]], colours: Sequence[str], height: int
+    pairs: Sequence[tuple[str, str, Interval]], colours: Sequence[str], height: int, keep: str
 ) -> go.Figure:
-    """P(a run of the first beats a run of the second) for each pair, with its interval."""
+    """P(a run of the first beats a run of the second) for each pair, with its interval.
+
+    A zoom lasts while `keep`, which names the runs, is the same.
+    """
     names = [f"{text.plotly(first)} > {text.plotly(second)}" for first, second, _ in pairs]
     value = np.array([probability.value for *_, probability in pairs])
     low = np.array([probability.low for *_, probability in pairs])
@@ -88,7 +94,7 @@ def improvement(
         )
     )
     marks = [upright(0.5, 1.5, "dash")]
-    styled(figure, "probability of improvement", height, keep="improvement", marks=marks)
+    styled(figure, "probability of improvement", height, keep=f"improvement {keep}", marks=marks)
     figure.update_xaxes(range=[-0.03, 1.03], showgrid=True)
     figure.update_yaxes(autorange="reversed", showgrid=False)
     return figure

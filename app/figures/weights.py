@@ -30,11 +30,12 @@ def weight_map(
     *,
     relative: bool,
     x: str = ENV_STEPS,
+    keep: str = "",
 ) -> go.Figure:
     """Mean weight of each part of the buffer (newest on top) at each fit (x axis).
 
     With `relative` colours show log2 of the weight, with uniform in the middle; the fit with index
-    `chosen` is marked.
+    `chosen` is marked. A zoom lasts while `keep`, the run's id, is the same, here and below.
     """
     fits = shown_fits(len(profiles.env_step), chosen)
     bins = profiles.bins[fits].T  # (bins, F)
@@ -54,7 +55,7 @@ def weight_map(
         )
     )
     marks = [upright(int(profiles.env_step[chosen]), 2)]
-    styled(figure, x, height, keep="weight-map", marks=marks)
+    styled(figure, x, height, keep=f"weight-map {keep}", marks=marks)
     figure.update_yaxes(**AGES)
     if len(fits) < len(profiles.env_step):
         note(figure, f"{len(fits)} of {len(profiles.env_step)} fits")
@@ -62,7 +63,7 @@ def weight_map(
 
 
 def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:
-    """A map of weights with the run's returns below it on the same axis.
+    """A map of weights with the run's returns below it on the same axis, and with their zoom.
 
     The step `chosen` is marked in both.
     """
@@ -81,13 +82,19 @@ def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:
     )
     below = {**Y_AXIS, "domain": [0, 0.24], "title": {"text": "return"}, "anchor": "x"}
     figure.update_layout(yaxis={"domain": [0.3, 1]}, yaxis2=below, xaxis={"anchor": "y2"})
+    figure.update_layout(uirevision=f"weight-map and returns {curve.run_id}")
     figure.update_traces(selector={"type": "heatmap"}, colorbar={"len": 0.72, "y": 0.65})
     figure.layout.shapes = [upright(chosen, 2) | {"yref": "paper"}]  # type: ignore[attr-defined]
     return figure
 
 
 def weight_profile(
-    bins: NDArray[np.float64], learner: str, height: int, top: float | None = None
+    bins: NDArray[np.float64],
+    learner: str,
+    height: int,
+    top: float | None = None,
+    *,
+    keep: str = "",
 ) -> go.Figure:
     """The weight of each part of the buffer at one fit, oldest to newest: bins (100,).
 
@@ -103,7 +110,7 @@ def weight_profile(
             hovertemplate="%{x:.0f} % of the buffer's age<br>weight %{y:.3g}<extra></extra>",
         )
     )
-    _finish_profile(figure, height)
+    _finish_profile(figure, height, keep)
     figure.update_layout(showlegend=False, bargap=0)
     if top is not None and np.isfinite(top):
         figure.update_yaxes(range=[0, 1.05 * max(top, 1.0)])
@@ -111,7 +118,7 @@ def weight_profile(
 
 
 def profile_lines(
-    profiles: Sequence[tuple[str, str, NDArray]], height: int, *, log: bool
+    profiles: Sequence[tuple[str, str, NDArray]], height: int, *, log: bool, keep: str = ""
 ) -> go.Figure:
     """The last profiles of several runs as stepped lines: (name, learner, bins)."""
     figure = go.Figure()
@@ -134,7 +141,7 @@ def profile_lines(
                 "<br>weight %{customdata:.3g}<extra></extra>",
             )
         )
-    _finish_profile(figure, height)
+    _finish_profile(figure, height, keep)
     return on_log_axis(figure) if log else figure
 
 
@@ -158,7 +165,13 @@ def on_log_axis(figure: go.Figure) -> go.Figure:
 
 
 def effective_sample(
-    profiles: Profiles, learner: str, chosen: int, height: int, x: str = ENV_STEPS
+    profiles: Profiles,
+    learner: str,
+    chosen: int,
+    height: int,
+    x: str = ENV_STEPS,
+    *,
+    keep: str = "",
 ) -> go.Figure:
     """Effective sample size and share of zero weights over training, in % of the buffer."""
     figure = go.Figure()
@@ -178,7 +191,7 @@ def effective_sample(
             )
         )
     marks = [upright(int(profiles.env_step[chosen]), 2)]
-    styled(figure, x, height, keep="effective-sample", marks=marks)
+    styled(figure, x, height, keep=f"effective-sample {keep}", marks=marks)
     figure.update_yaxes(range=[-3, 103], ticksuffix=" %")
     return figure
 
@@ -196,8 +209,9 @@ def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
     return np.union1d(spread, [chosen])
 
 
-def _finish_profile(figure: go.Figure, height: int) -> go.Figure:
-    styled(figure, "position in the buffer", height, keep="profile", marks=[across(1, 1.5, "dash")])
+def _finish_profile(figure: go.Figure, height: int, keep: str) -> go.Figure:
+    marks = [across(1, 1.5, "dash")]
+    styled(figure, "position in the buffer", height, keep=f"profile {keep}", marks=marks)
     figure.update_xaxes(**AGES)
     figure.update_yaxes(type="linear", rangemode="tozero")
     return figure

@@ -42,7 +42,7 @@ def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
             hovertemplate="%{x}: %{text}<br>%{customdata}<extra></extra>",
         )
     )
-    styled(figure, "", height, keep="why")
+    styled(figure, "", height, keep=f"why {parts}")
     figure.update_layout(showlegend=False, margin={"t": 30, "b": 8})
     figure.update_yaxes(zeroline=True, zerolinecolor=NEUTRAL)
     return figure
@@ -79,7 +79,7 @@ def rollout_lines(
             hovertemplate="step %{x}<br>%{y:.3g}<extra>recorded</extra>",
         )
     )
-    styled(figure, "steps", height, keep=f"rollouts {name}")
+    styled(figure, "steps", height, keep=f"rollouts {name} from {recorded[0]}")
     figure.update_yaxes(title_text=text.plotly(name))
     ended = int(np.isnan(paths[:, -1]).sum())
     return note(figure, f"{ended} of {len(paths)} rollouts ended before") if ended else figure

@@ -7,6 +7,7 @@ module), reports the new value of each (`keep`), and at its end puts all of them
 one step (`write`).
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -83,16 +84,50 @@ def choose_many(
     usual: Sequence[str] = (),
     **more: Any,
 ) -> list[str]:
-    """The user's choice of any number of `options`: a multiselect."""
+    """The user's choice of any number of `options`: a multiselect.
+
+    Of an address no more than its `max_selections` are taken.
+    """
     given = requested(key)
     if given is not None:
-        st.session_state[key] = _among(options, given, shown) or list(usual)
+        found = _among(options, given, shown)[: more.get("max_selections")]
+        st.session_state[key] = found or list(usual)
     st.session_state[key] = [one for one in st.session_state[key] if one in options]
     chosen = st.multiselect(
         label, options, key=key, format_func=shown, filter_mode="contains", select_all=False, **more
     )
     keep(key, [] if chosen == list(usual) else chosen)
     return chosen
+
+
+def number_input(
+    widget: Callable[..., float | None],
+    label: str,
+    key: str,
+    usual: float,
+    of: object = None,
+    **more: Any,
+) -> float:
+    """The number that the user has chosen, until `of`, what it belongs to, is something else."""
+    follow(key, usual)
+    given = requested(key)
+    if given is not None:
+        st.session_state[key] = _finite(given, usual)
+    elif st.session_state.get(f"{key} of") != of:
+        st.session_state[key] = usual
+    st.session_state[f"{key} of"] = of
+    typed = widget(label, key=key, **more)
+    number = usual if typed is None else float(typed)
+    keep(key, [] if number == usual else [f"{number:.12g}"])
+    return number
+
+
+def follow(key: str, usual: object) -> None:
+    """Keep an untouched choice at the usual one, where that changes with the data."""
+    before = st.session_state.get(f"{key} usual", usual)
+    if key in st.session_state and st.session_state[key] == before:
+        st.session_state[key] = usual
+    st.session_state[f"{key} usual"] = usual
 
 
 def switch(label: str, key: str, *, usual: bool = False) -> bool:
@@ -127,6 +162,14 @@ def _among(options: Sequence[T], given: Sequence[str], shown: Callable[[T], str]
     """The options that an address names by their value or their label, in its order."""
     named = {shown(option): option for option in options} | {str(o): o for o in options}
     return [named[word] for word in given if word in named]
+
+
+def _finite(given: Sequence[str], usual: float) -> float:
+    try:
+        number = float("".join(given[-1:]))
+    except ValueError:
+        return usual
+    return number if math.isfinite(number) else usual
 
 
 def _went_back() -> bool:

@@ -31,11 +31,12 @@ def one(label: str, names: Mapping[str, str], first: str, key: str) -> str:
 def many(label: str, names: Mapping[str, str], key: str, **options: Any) -> list[str]:
     """Any number of runs of `names`, in the order of choice; by default none.
 
-    `options` are those of Streamlit's multiselect.
+    `options` are those of Streamlit's multiselect; of an address no more than its `max_selections`
+    are taken.
     """
     asked.tell(key, names)
     if given := _given(key, names):
-        st.session_state[key] = given
+        st.session_state[key] = given[: options.get("max_selections")]
     chosen: Sequence[str] = st.multiselect(
         label,
         list(names),

@@ -63,24 +63,46 @@ def pick_log(place: DeltaGenerator, profiles: Sequence[NDArray[np.float64]]) -> 
     return place.toggle("Log axis", value=tall, key="log", bind="query-params")
 
 
+ASKED = "step asked for"
+"""a step that is not there, in whose place the nearest is shown"""
+
+
 def pick_step(label: str, steps: Sequence[int]) -> int:
     """A recorded step, chosen by the user, a click or the address (`?step=`), else the last.
 
-    If the last step of a training run is chosen, the choice follows new steps.
+    If the last step of a training run is chosen, the choice follows new steps. In place of a step
+    that is not there the nearest is taken, and both are named.
     """
-    if len(steps) == 1:
-        return steps[0]
-    last = steps[-1]
-    step = st.session_state.get("step", last)
-    if step not in steps:
-        del st.session_state["step"]  # it was chosen for another run
-    elif step != last and step == st.session_state.get("step was last"):
-        st.session_state["step"] = last
+
+    def nearest(step: int) -> int:
+        return min(steps, key=lambda at: abs(at - step))
+
+    last, was_last = steps[-1], st.session_state.get("step was last")
     st.session_state["step was last"] = last
-    step = st.select_slider(
-        label, steps, value=last, key="step", bind="query-params", format_func=str
-    )
-    return int(step)
+    given = int(st.session_state.get("step", _step_in_address(last)))
+    wanted = last if "step" in st.session_state and given == was_last else given
+    step = nearest(wanted)
+    if step != wanted:
+        st.session_state[ASKED] = wanted
+    if len(steps) > 1:
+        if step != given:
+            st.session_state["step"] = step
+        step = int(
+            st.select_slider(
+                label, steps, value=last, key="step", bind="query-params", format_func=str
+            )
+        )
+    asked = st.session_state.get(ASKED, step)
+    if nearest(asked) != step:
+        del st.session_state[ASKED]  # the user has gone on
+    elif asked != step:
+        st.caption(f"Step {step:,}: the nearest that is kept to step {asked:,}.")
+    return step
+
+
+def _step_in_address(usual: int) -> int:
+    given = st.query_params.get("step", "")
+    return int(given) if given.isdecimal() and len(given) < 13 else usual
 
 
 def show_problems(run: RunInfo, problems: Sequence[str] | None = None) -> None:

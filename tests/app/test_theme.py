@@ -9,6 +9,7 @@ import pytest
 from app.scenes.colours import linear, on_scale, rgb
 from app.theme import (
     BACKGROUND,
+    COLUMNS,
     DIVERGING,
     LEARNER_COLOURS,
     NEUTRAL,
@@ -130,3 +131,21 @@ def test_heavy_weights_stand_out_more_than_light_ones(mode: Mode) -> None:
     page = BACKGROUND[mode]
     assert contrast(ends[1.0], page) > 2 * contrast(ends[0.0], page)
     assert contrast(ends[0.0], page) > 1.05 * contrast(ends[0.5], page)
+
+
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_points_stand_out_from_the_page_at_every_weight(mode: Mode) -> None:
+    along = on_scale(np.linspace(0, 1, 101), COLUMNS[mode])
+    shades = [contrast("#" + bytes(map(int, colour)).hex(), BACKGROUND[mode]) for colour in along]
+    assert min(shades) >= 3.0
+
+
+@pytest.mark.parametrize("vision", VISION)
+@pytest.mark.parametrize("mode", ["light", "dark"])
+def test_points_of_more_weight_stand_out_more_and_differ_for_every_eye(
+    mode: Mode, vision: str
+) -> None:
+    stops = [colour for _, colour in COLUMNS[mode]]
+    assert (np.diff([contrast(colour, BACKGROUND[mode]) for colour in stops]) > 0).all()
+    seen = [lab(VISION[vision] @ light(colour)) for colour in stops]
+    assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) >= 14

@@ -55,9 +55,9 @@ def draw(comparison: Comparison) -> None:
     since = common_start(curve for group in grouped for curve in group.curves)
     scores = [scores_of(group.curves, score, until, since) for group in grouped]
     everything = np.concatenate(scores)
-    level = row[3].number_input(
-        "Steps to reach", value=default_level(everything), step=None, format="%.6g",
-        key=f"reach {env} {name} {score}",  # another score has another default
+    level = address.number_input(
+        row[3].number_input, "Steps to reach", "reach", default_level(everything),
+        (env, name, score), step=None, format="%.6g",
         help="sample efficiency: the first recorded step at which a run is at this value",
     )  # fmt: skip
     drawn = [looks[group.kind] for group in grouped]
@@ -68,12 +68,13 @@ def draw(comparison: Comparison) -> None:
         + (f" Heights are those from step {since:,.0f}, which every run has." * (score == HEIGHT))
         + (f" Left out, as nothing was recorded until then: {', '.join(late)}." if late else "")
     )
-    _profiles(drawn, scores, score)
+    keep = " ".join([env, name, *(curve.run_id for group in grouped for curve in group.curves)])
+    _profiles(drawn, scores, score, keep)
     both = list(combinations(range(len(grouped)), 2))
     pairs = [(names[i], names[j], beats([scores[i]], [scores[j]])) for i, j in both]
-    _improvement(pairs, [drawn[i].colour for i, _ in both])
-    table = reached(grouped, names, float(level), until)
-    _efficiency(table, name, float(level), until)
+    _improvement(pairs, [drawn[i].colour for i, _ in both], f"{score} {keep}")
+    table = reached(grouped, names, level, until)
+    _efficiency(table, name, level, until)
     downloads(
         {
             "Scores": (lambda: _scores(names, grouped, scores), "scores"),
@@ -100,7 +101,7 @@ def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str, 
     return env, measure.METRICS[metric], score
 
 
-def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str) -> None:
+def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep: str) -> None:
     everything = np.concatenate(scores)
     margin = 0.05 * (np.ptp(everything) or 1.0)
     at = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
@@ -113,7 +114,7 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str) -> N
     with st.container(border=True):
         st.markdown("**Performance profile**: share of runs above a score, 95 % bootstrap band")
         label = f"share of runs whose {score} is above a threshold"
-        chart(profiles(of_groups, at, score, 340), "performance profile", label)
+        chart(profiles(of_groups, at, score, 340, keep), "performance profile", label)
     rows = []
     for look, values in zip(looks, scores, strict=True):
         row: dict[str, object] = {"group": look.title, "n": len(values)}
@@ -125,7 +126,7 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str) -> N
 
 
 def _improvement(
-    pairs: Sequence[tuple[str, str, statistics.Interval]], colours: Sequence[str]
+    pairs: Sequence[tuple[str, str, statistics.Interval]], colours: Sequence[str], keep: str
 ) -> None:
     if not pairs:
         st.caption("One group alone has nobody to be better than.")
@@ -135,7 +136,7 @@ def _improvement(
             "**Probability of improvement**: that a run of the first beats a run of the second",
             help="ties count half; bars: 95 % bootstrap interval, none where a group has one run",
         )
-        figure = improvement(pairs, colours, 90 + 34 * len(pairs))
+        figure = improvement(pairs, colours, 90 + 34 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
 
 

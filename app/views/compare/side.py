@@ -19,6 +19,7 @@ from app.views.compare.choice import names_with_ids
 from app.views.compare.comparison import Comparison
 
 MOST = 4
+UNTIL = "until"
 STAGE_HEIGHT = 480
 
 
@@ -73,8 +74,9 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
     step = min(of_run[-1] for of_run in evaluated.values() if of_run)
     row = st.columns([5, 1], vertical_alignment="bottom")
     if len(steps) > 1:
-        step = row[0].select_slider(
-            "At step", steps, step, key="side step", format_func=lambda at: f"{at:,}"
+        address.follow(UNTIL, step)
+        step = address.choose_one(
+            row[0].select_slider, "At step", steps, UNTIL, step, lambda at: f"{at:,}"
         )
     played = st.session_state.setdefault("side played", 0)
     if row[1].button("Play all", icon=":material/play_arrow:", width="stretch"):

@@ -107,18 +107,19 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     runs = readers.listing(session.links().store).runs
     shown = watched(runs, chosen)
     alive = sum(run.status.alive for run in runs)
-    st.caption(_headline(alive, shown))
+    st.caption(_headline(alive, shown, chosen))
     start.failures(runs)
     cards(shown)
     for run in shown:
         widgets.show_problems(run)
     if not shown:
         return
+    keep = " ".join(run.run_id for run in shown)
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown(f"**Return**: {describe(MAIN_METRIC)}")
         curves = [widgets.curve(run, MAIN_METRIC) for run in shown]
-        figure = run_curves(curves, MAIN_METRIC, 300, legend=True)
+        figure = run_curves(curves, MAIN_METRIC, 300, legend=True, keep=keep)
         chart(
             figure, "curve main", "return against env steps, one line a run", replay_link.remember
         )
@@ -137,20 +138,26 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     for first in range(0, len(drawn), 3):
         for column, name in zip(st.columns(3), drawn[first : first + 3], strict=False):
             with column, st.container(border=True):
-                st.markdown(f"**{name}**", help=describe(name))
+                st.markdown(f"**{text.markdown(name)}**", help=text.markdown(describe(name)))
                 curves = [widgets.curve(run, name) for run in shown]
                 own = CHARTS.get(name)
-                figure = own(curves, 230) if own else run_curves(curves, name, 230, legend=False)
+                figure = (
+                    own(curves, 230)
+                    if own
+                    else run_curves(curves, name, 230, legend=False, keep=keep)
+                )
                 chart(figure, f"curve {name}", f"{name} against env steps")
     _warnings(shown)
     rerun.look_again(runs)
 
 
-def _headline(alive: int, shown: Sequence[RunInfo]) -> str:
+def _headline(alive: int, shown: Sequence[RunInfo], chosen: Sequence[str]) -> str:
     if alive:
         return f"{alive} training now · refreshed every {REFRESH_S} s"
     if not shown:
         return "Nothing is training now, and no run is left in the store"
+    if any(run.run_id in chosen for run in shown):
+        return "Nothing is training now: the runs chosen above"
     return f"Nothing is training now: the last runs of {text.markdown(shown[0].env)}"
 
 
@@ -164,7 +171,8 @@ def _last_profiles(runs: Sequence[RunInfo]) -> None:
     head = st.columns([3, 1], vertical_alignment="center")
     head[0].markdown("**Weights of the last fit**: dashed: uniform")
     log = widgets.pick_log(head[1], [bins for _, _, bins in lines])
-    figure = profile_lines(lines, 330, log=log)
+    keep = " ".join(run.run_id for run in runs)
+    figure = profile_lines(lines, 330, log=log, keep=keep)
     chart(figure, "last profile", "mean weight, oldest to newest transitions")
 
 

@@ -38,7 +38,7 @@ def weights(run: RunInfo) -> None:
         return
     last = len(profiles.env_step) - 1
     x = steps_in_words([run.env])
-    figure = weight_map(profiles, last, session.mode(), HEIGHT, relative=True, x=x)
+    figure = weight_map(profiles, last, session.mode(), HEIGHT, relative=True, x=x, keep=run.run_id)
     chart(figure, "live map", "weight of each part of the buffer at every fit")
 
 

@@ -98,7 +98,8 @@ def _weighed(weighing: WeighingInfo, rows: int) -> None:
         )
         profiles = weighings.profiles(of)
         log = widgets.pick_log(head[1], list(profiles.values()))
-        figure = probe_profiles(profiles, weighing.ordered_from / count, 400, log=log)
+        share = weighing.ordered_from / count
+        figure = probe_profiles(profiles, share, 400, log=log, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")
     with right, st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")

@@ -42,7 +42,8 @@ def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
             help="root mean square over the dimensions, each in standard deviations of its change "
             "in a step over this buffer. A model has seen its own buffer alone.",
         )
-        chart(errors_by_age(errors, BINS, 320), "errors here", "model error against age")
+        figure = errors_by_age(errors, BINS, 320, keep=run.run_id)
+        chart(figure, "errors here", "model error against age")
 
 
 def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:

@@ -27,7 +27,11 @@ def contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
     gaps = regions.apart(rows, mask, names)
     if gaps:
         st.markdown("**What sets it apart**")
-        chart(apart_bars(gaps, 250), "apart", "dimensions in which the region differs most")
+        chart(
+            apart_bars(gaps, 250, keep=run.run_id),
+            "apart",
+            "dimensions in which the region differs most",
+        )
 
 
 def summary(rows: Rows, mask: Mask) -> pd.DataFrame:

@@ -93,7 +93,7 @@ def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -
         step = profiles.env_step[chosen]
         st.markdown(f"**The fit at step {step:,}**: dashed: every transition counts the same")
         top = float(np.nanmax(profiles.bins))
-        figure = weight_profile(profiles.bins[chosen], run.learner, 440, top)
+        figure = weight_profile(profiles.bins[chosen], run.learner, 440, top, keep=run.run_id)
         chart(figure, "profile", "mean weight, oldest to newest transitions")
 
 
@@ -101,7 +101,7 @@ def _effective_sample(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     with st.container(border=True):
         st.markdown("**How much of the buffer is left**")
         x = steps_in_words([run.env])
-        figure = effective_sample(profiles, run.learner, chosen, 250, x)
+        figure = effective_sample(profiles, run.learner, chosen, 250, x, keep=run.run_id)
         words = "effective sample size and share of zero weights"
         chart(figure, "effective sample", words, partial(_choose, profiles.env_step.tolist()))
 
@@ -133,7 +133,8 @@ def _against(run: RunInfo, step: int) -> None:
         panels.append((f"error of the model of step {at:,}", error, rows.weight[index]))
     for column, (name, quantity, weight) in zip(st.columns(len(panels)), panels, strict=True):
         with column, st.container(border=True):
-            figure = weights_against(against(quantity, weight), run.learner, name, 230)
+            groups = against(quantity, weight)
+            figure = weights_against(groups, run.learner, name, 230, keep=run.run_id)
             chart(figure, f"against {name.split(' of the model')[0]}", f"weight against {name}")
     if isinstance(errors, str):
         st.caption(f"No model error: {text.markdown(errors)}.")

@@ -47,5 +47,6 @@ def at_fit(run: RunInfo, step: int) -> None:
             "ends the random data",
         )
         share = weighed[at].ordered_from / weighed[at].rows
-        figure = probe_profiles(weighings.profiles(of), share, HEIGHT, log=False)
+        profiles, keep = weighings.profiles(of), weighed[at].name
+        figure = probe_profiles(profiles, share, HEIGHT, log=False, keep=keep)
         chart(figure, "same buffer", "weight profiles of all learners on this buffer")

@@ -46,6 +46,14 @@ def test_every_fit_is_a_point_in_its_learners_colour() -> None:
     assert list(points(figure, "mle")[0]["x"]) == [1, 1]
 
 
+def test_a_zoom_on_some_runs_is_none_of_others() -> None:
+    kept = [
+        footprint_error_return(runs, 300).to_dict()["layout"]["uirevision"]
+        for runs in ([TOM], [TOM.at(TOM.telling)], [TOM, MLE])
+    ]
+    assert kept[0] == kept[1] != kept[2]
+
+
 def test_both_panels_have_one_error_axis() -> None:
     layout = footprint_error_return([TOM], 300).to_dict()["layout"]
     assert layout["yaxis2"]["matches"] == "y"

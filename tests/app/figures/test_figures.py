@@ -11,10 +11,12 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import pictures, readers
 from app.figures.curves import POINTS, Axes, group_curves, run_curves
-from app.figures.probe import probe_profiles
+from app.figures.observations import moments_figure
+from app.figures.probe import RunErrors, errors_by_age, focus, probe_profiles
 from app.figures.road import road_map
 from app.figures.scales import linear_scale, octaves, relative_scale, span
 from app.figures.side import side_by_side
+from app.figures.statistics import improvement
 from app.figures.weights import (
     MAP_COLUMNS,
     bin_centres,
@@ -23,10 +25,14 @@ from app.figures.weights import (
     shown_fits,
     weight_map,
     weight_profile,
+    with_returns,
 )
+from app.figures.why import waterfall
 from app.parts import widgets
 from app.theme import learner_colour
 from tom.analysis.curves import GRID, Curve, aggregate
+from tom.analysis.statistics import Interval
+from tom.analysis.why import Sum
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
 
@@ -256,3 +262,47 @@ def test_a_run_without_weights_says_so_beside_the_others(profiles: Profiles) -> 
     (missing,) = [note for note in layout["annotations"] if note["text"] == "no weights recorded"]
     assert (missing["xref"], missing["yref"]) == ("x4 domain", "y4 domain")
     assert len([trace for trace in traces(figure) if trace.type == "heatmap"]) == 1
+
+
+def zooms(run_id: str, profiles: Profiles) -> list[str]:
+    """What each figure of a run's data keeps its zoom for."""
+    bins, last = profiles.bins, len(profiles.env_step) - 1
+    curve = replace(long_curve(len(bins)), run_id=run_id)
+    map_of = weight_map(profiles, last, "light", 300, relative=True)
+    errors = {"TOM": [RunErrors(run_id, "tom", float(last), 1.0)]}
+    drawn = [
+        weight_map(profiles, last, "light", 300, relative=True, keep=run_id),
+        with_returns(map_of, curve, last),
+        weight_profile(bins[last], "tom", 300, keep=run_id),
+        profile_lines([("a", "tom", bins[last])], 300, log=False, keep=run_id),
+        effective_sample(profiles, "tom", last, 300, keep=run_id),
+        run_curves([curve], "eval/return", 300, legend=False, keep=run_id),
+        side_by_side([("a", curve, profiles)], "light", 400),
+        probe_profiles({"tom": bins}, 0, 300, log=False, keep=run_id),
+        errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
+        focus(errors, 300, "model/error_policy"),
+        moments_figure(bins[None], bins[None], ["a"], 100, keep=run_id),
+        improvement([("TOM", "MLE", Interval(0.5, 0.1, 0.9))], ["red"], 200, run_id),
+    ]
+    return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
+
+
+def test_a_zoom_lasts_while_its_run_grows_and_is_none_of_another_run(profiles: Profiles) -> None:
+    younger = Profiles(*(part[:1] for part in vars(profiles).values()))
+    assert len(younger.env_step) < len(profiles.env_step)
+    assert zooms("a", younger) == zooms("a", profiles)
+    assert not set(zooms("a", profiles)) & set(zooms("b", profiles))
+
+
+def test_a_zoom_on_one_transition_s_sum_is_none_of_another() -> None:
+    one = Sum(0.1, 0.2, 0.0, 0.3, 0.0, 1.0, 1.0, 1.0)
+    kept = [
+        waterfall(each, "tom", 300).to_dict()["layout"]["uirevision"]
+        for each in (one, replace(one), replace(one, now=40.0))
+    ]
+    assert kept[0] == kept[1] != kept[2]
+
+
+def test_names_of_dimensions_from_a_file_are_words() -> None:
+    figure = moments_figure(np.ones((1, 25, 1)), np.ones((1, 25, 1)), ["<img src=x>"], 100, "a")
+    assert figure.to_dict()["layout"]["yaxis"]["title"]["text"] == "&lt;img src=x&gt;"

@@ -1,5 +1,6 @@
 """A page's choices and its address say the same."""
 
+import pytest
 from streamlit.testing.v1 import AppTest
 
 PAGE = """
@@ -63,3 +64,61 @@ def test_a_choice_that_is_no_longer_there_leaves_the_address() -> None:
     app.selectbox[0].select("b").run()
     assert app.multiselect[0].value == ["x"]
     assert not app.exception
+
+
+def test_an_address_chooses_no_more_than_the_page_takes() -> None:
+    script = """
+import streamlit as st
+from app.parts import address, pick
+
+options = {name: name for name in "abcde"}
+address.choose_many("Some", list(options), "some", max_selections=2)
+pick.many("Others", options, "others", max_selections=3)
+address.write()
+"""
+    app = AppTest.from_string(script)
+    app.query_params["some"] = ["e", "gone", "d", "c"]
+    app.query_params["others"] = list("abcde")
+    app.run()
+    assert not app.exception
+    assert [choice.value for choice in app.multiselect] == [["e", "d"], ["a", "b", "c"]]
+    assert address(app) == {"some": ["e", "d"], "others": ["a", "b", "c"]}
+
+
+NUMBER = """
+import streamlit as st
+from app.parts import address
+
+usual = st.session_state.get("usual", 1.5)
+address.number_input(st.number_input, "Level", "level", usual, st.session_state.get("of"))
+address.write()
+"""
+
+
+def level(app: AppTest) -> tuple[float | None, dict[str, list[str]]]:
+    assert not app.exception
+    return app.number_input[0].value, address(app)
+
+
+def test_a_number_is_in_the_address_until_it_is_of_something_else() -> None:
+    app = AppTest.from_string(NUMBER)
+    app.query_params["level"] = "-1234567.25"
+    assert level(app.run()) == (-1234567.25, {"level": ["-1234567.25"]})
+    app.session_state["usual"] = 2.5
+    assert level(app.run()) == (-1234567.25, {"level": ["-1234567.25"]})
+    app.number_input[0].set_value(7.0).run()
+    assert level(app) == (7.0, {"level": ["7"]})
+    app.session_state["of"] = "another task"
+    assert level(app.run()) == (2.5, {})
+    app.number_input[0].set_value(7.0).run()
+    app.session_state["usual"] = 7.0
+    assert level(app.run()) == (7.0, {})
+
+
+@pytest.mark.parametrize("word", ["", "much", "nan", "inf", "1e999"])
+def test_the_usual_number_follows_the_data_and_stands_for_what_is_none(word: str) -> None:
+    app = AppTest.from_string(NUMBER)
+    app.query_params["level"] = word
+    assert level(app.run()) == (1.5, {})
+    app.session_state["usual"] = 2.5
+    assert level(app.run()) == (2.5, {})

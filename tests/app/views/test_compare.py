@@ -301,6 +301,53 @@ def test_the_level_lies_between_the_worst_and_the_best_run(
     assert default_level(np.array([3456.7])) == 3456.7
 
 
+def test_the_level_to_reach_is_in_the_address_until_another_score_is_chosen() -> None:
+    chosen = {"show": "Statistics", "task": "inverted-pendulum", "env": "inverted-pendulum"}
+    app = draw("compare", **chosen, reach="2.25")
+    assert app.number_input[0].value == 2.25
+    assert any("is 2.25;" in words.value for words in app.markdown)
+    app.number_input[0].set_value(3.5).run()
+    assert app.query_params["reach"] == "3.5"
+    assert draw("compare", **chosen).number_input[0].value not in (2.25, 3.5)
+    app.selectbox(key="score").select(BEST).run()
+    assert app.number_input[0].value != 3.5
+    assert "reach" not in app.query_params
+
+
+def test_the_step_of_the_replays_side_by_side_is_in_the_address(store: Path) -> None:
+    chosen = {"show": "Side by side", "env": "road-and-rocks"}
+    first, *_, last = RunReader(store / "road-tom").evaluation_steps()
+
+    def said(app: AppTest) -> set[str]:
+        return {c.value.rpartition(", ")[2] for c in app.caption if ", step" in c.value}
+
+    app = draw("compare", **chosen)
+    assert said(app) == {f"step {last:,}"}
+    assert "until" not in app.query_params
+    app.select_slider(key="until").set_value(first).run()
+    assert said(app) == {f"step {first:,}"}
+    assert app.query_params["until"] == str(first)
+    assert said(draw("compare", **chosen, until=str(first))) == {f"step {first:,}"}
+
+
+def test_more_runs_than_fit_side_by_side_are_cut_to_those_that_do() -> None:
+    every = [*SEEDS, "pendulum-mle-0", "road-mle", "road-tom"]
+    app = draw("compare", show="Side by side", side=every)
+    assert app.multiselect(key="side").value == every[:4]
+    assert app.query_params["side"] == every[:4]
+
+
+def test_a_zoom_on_the_statistics_of_one_task_is_none_of_another() -> None:
+    profile, better = [
+        {
+            figures(draw("compare", show="Statistics", task=task))[at]["layout"]["uirevision"]
+            for task in ("inverted-pendulum", "road-and-rocks")
+        }
+        for at in (0, 1)
+    ]
+    assert len(profile) == len(better) == 2
+
+
 def test_side_by_side_has_linked_axes(store: Path) -> None:
     app = draw("compare", show="Side by side", env="inverted-pendulum")
     figure = figures(app)[0]

@@ -8,7 +8,8 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 import torch
-from studio_pages import array, draw, figures, set_links, trace
+from streamlit.testing.v1 import AppTest
+from studio_pages import TIMEOUT_S, array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.data import replays
@@ -21,6 +22,7 @@ from app.scenes.control import Clock
 from app.scenes.replay import track
 from app.servers import pages
 from tom.analysis.imagine import stored_model
+from tom.record import layout
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -176,6 +178,59 @@ def test_the_page_says_whose_model_imagines() -> None:
     assert any("not the model of step 30" in caption.value for caption in app.caption)
     app = draw("replays", run=ROAD_TOM, step="60")
     assert any("the run's model of step 60" in caption.value for caption in app.caption)
+
+
+def test_a_step_without_episodes_shows_the_nearest_that_has_some_and_says_so() -> None:
+    words = "Step 30: the nearest that is kept to step 44."
+    app = draw("replays", run=ROAD_TOM, step="44")
+    assert app.select_slider(key="step").value == 30
+    assert words in [caption.value for caption in app.caption]
+    assert words in [caption.value for caption in app.run().caption]
+    app.select_slider(key="step").set_value(60).run()
+    app.select_slider(key="step").set_value(30).run()
+    assert not any("nearest" in caption.value for caption in app.caption)
+
+
+CLICK = """
+import streamlit as st
+from app.parts.plot import Point
+from app.views import replays
+
+st.button("click", on_click=replays._choose_episode, args=(Point(1, 0.0, 0, 0, None),))
+replays.page()
+"""
+
+
+def test_a_click_on_an_evaluation_without_episodes_opens_the_nearest() -> None:
+    app = AppTest.from_string(CLICK, default_timeout=TIMEOUT_S)
+    app.query_params["run"] = ROAD_TOM
+    assert app.run().select_slider(key="step").value == 60
+    app.button[0].click().run()
+    assert not app.exception
+    assert app.select_slider(key="step").value == 0
+    assert app.query_params["step"] == "0"
+    assert any("nearest that is kept to step 1." in caption.value for caption in app.caption)
+
+
+def test_the_only_evaluation_is_said_to_be_the_nearest(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(store / ROAD_TOM, tmp_path / ROAD_TOM)
+    for step in (0, 30):
+        (run / layout.episodes(step)).unlink()
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("replays", run=ROAD_TOM, step="30")
+    words = "Step 60: the nearest that is kept to step 30."
+    assert words in [caption.value for caption in app.caption]
+    assert not any("nearest" in caption.value for caption in draw("replays").caption)
+
+
+def test_the_last_evaluation_of_one_run_is_no_choice_in_another() -> None:
+    app = draw("replays", run=PENDULUM_TOM)
+    app.selectbox(key="run").select(ROAD_TOM).run()
+    assert app.select_slider(key="step").value == 60
+    app.selectbox(key="run").select(PENDULUM_TOM).run()
+    assert not any("nearest" in caption.value for caption in app.caption)
 
 
 def test_a_frame_of_a_longer_episode_is_forgotten() -> None:

@@ -1,18 +1,21 @@
 """Road and rocks: several runs side by side, each with its own weights."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
-from studio_pages import array, draw, figures, trace
+from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import ROAD_MLE, ROAD_TOM, info
 
 from app.data import pictures
 from app.data.called import told_apart
+from app.links import Links
 from app.scenes.colours import rgb
 from app.theme import COLUMNS, DIVERGING
+from app.views.road import BESIDE
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -31,6 +34,18 @@ def test_two_runs_are_drawn_side_by_side(store: Path) -> None:
         assert shown == pytest.approx(picture.grid, nan_ok=True)
     assert np.nanmax(tom) > 2
     assert np.nanmax(mle) == pytest.approx(1)
+
+
+def test_more_runs_than_stand_beside_are_cut_to_those_that_do(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ids = [f"road-{i}" for i in range(BESIDE + 2)]
+    for run_id in ids:
+        shutil.copytree(store / ROAD_MLE, tmp_path / run_id)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("road", run=ids[0], beside=ids[1:])
+    assert app.multiselect(key="beside").value == ids[1:-1]
+    assert app.query_params["beside"] == ids[1:-1]
 
 
 def test_maps_side_by_side_have_one_scale_and_names_that_tell_them_apart() -> None:

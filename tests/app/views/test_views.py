@@ -55,6 +55,37 @@ def test_live_refreshes_without_losing_the_zoom() -> None:
     assert all(layout["uirevision"] for layout in layouts)
 
 
+@pytest.mark.parametrize("view", ["live", "replays", "weights", "regions"])
+def test_a_zoom_on_one_run_is_none_of_another(view: str) -> None:
+    def zooms(run_id: str) -> list[str]:
+        chosen = {"runs" if view == "live" else "run": run_id}
+        return [figure["layout"]["uirevision"] for figure in figures(draw(view, **chosen))]
+
+    first, second = zooms(PENDULUM_TOM), zooms("pendulum-tom-1")
+    assert first
+    assert not set(first) & set(second)
+    assert zooms(PENDULUM_TOM) == first
+
+
+def test_the_map_of_another_run_is_not_zoomed_as_the_last_one_was() -> None:
+    app = draw("weights", run=PENDULUM_TOM)
+    before = figures(app)[0]["layout"]["uirevision"]
+    app.select_slider(key="step").set_value(200).run()
+    assert figures(app)[0]["layout"]["uirevision"] == before
+    app.selectbox(key="run").select("pendulum-tom-1").run()
+    assert figures(app)[0]["layout"]["uirevision"] != before
+
+
+def test_live_says_whether_its_runs_were_chosen() -> None:
+    def said(app: AppTest) -> str:
+        return app.caption[0].value
+
+    assert said(draw("live")).startswith("Nothing is training now: the last runs of road")
+    app = draw("live", runs=[PENDULUM_TOM, ROAD_TOM])
+    assert said(app) == "Nothing is training now: the runs chosen above"
+    assert "the last runs" in said(draw("live", runs="gone"))
+
+
 def test_live_without_a_training_shows_each_learners_newest_run() -> None:
     names = [line["meta"] for line in figures(draw("live"))[0]["data"]]
     assert names == [ROAD_MLE, ROAD_TOM]
@@ -401,6 +432,44 @@ def test_a_hostile_and_damaged_run_is_shown_beside_the_others(
         assert not re.search(r"(?<!\\)!\[|(?<!\\)<img", element.value)
     for block in app.get("html"):
         assert "<img" not in block.proto.body
+
+
+METRIC = "<img src=x>![x](http://evil/y.png) :material/delete:"
+
+
+@pytest.fixture
+def hostile_metric(studio: Links, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The studio of a run whose record has a metric of that name, and nothing else."""
+    folder = shutil.copytree(Path(studio.store) / PENDULUM_TOM, tmp_path / "store" / "hostile")
+    (folder / "metrics.parquet").unlink(missing_ok=True)
+    rows = [{"env_step": step, METRIC: step, "eval/return": 1.0} for step in (100, 200)]
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    set_links(Links(store=str(folder.parent), key="key"), monkeypatch)
+
+
+@pytest.mark.usefixtures("hostile_metric")
+def test_live_shows_the_name_of_a_metric_as_words() -> None:
+    (heading,) = [part for part in draw("live", curves=METRIC).markdown if "evil" in part.value]
+    for shown in (heading.value, heading.proto.help):
+        assert shown.strip("*").replace("\\", "") == METRIC
+        assert not re.search(r"(?<!\\)(!\[|<img|:material)", shown)
+
+
+@pytest.mark.usefixtures("hostile_metric")
+def test_compare_shows_the_name_of_a_metric_on_its_axis_as_words() -> None:
+    (figure,) = figures(draw("compare", x=METRIC))
+    assert figure["layout"]["xaxis"]["title"]["text"].startswith("&lt;img src=x&gt;")
+
+
+def test_the_road_map_shows_the_name_of_a_learner_as_words(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shutil.copytree(store / ROAD_TOM, tmp_path / "bad")
+    config = json.loads((folder / "config.json").read_text()) | {"learner": "<img src=x>"}
+    (folder / "config.json").write_text(json.dumps(config))
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    names = [line.get("name") for line in figures(draw("road", run="bad"))[0]["data"]]
+    assert "&lt;img src=x&gt; policy" in names
 
 
 def test_a_playback_ends_at_the_last_fit_whatever_the_browser_s_slider_says(
