@@ -134,7 +134,8 @@ class Mbpo:
         if self.ending is None:
             return {}, ()
         weights = weighting.counted(self.config.model)
-        return self.ending.fit(replay, weights, self.streams.torch("ends"))
+        collected = self.replay.total_added
+        return self.ending.fit(replay, weights, collected, self.streams.torch("ends"))
 
     def examine(self) -> Iterator[Event]:
         """The last fit's exam, on the steps since that fit, which are not in its buffer."""
@@ -170,6 +171,8 @@ class Mbpo:
 
     def step_environment(self, explore: bool) -> Iterator[Event]:
         """Line 21: one step of pi in the environment, into D_env (whose end is D_pol)."""
+        if self.replay.total_added - self._flushed == self.replay.capacity:
+            yield from self._flush_collected()  # the next row replaces one that is not recorded
         obs = self._begin_episode() if self._obs is None else self._obs
         action = self._explore_action() if explore else self._policy_action(obs)
         if self._simulated is not None:

@@ -13,6 +13,7 @@ NLL_UNITS = (
 )
 NLL = f"{NLL_UNITS}, mean-ensemble has the squared error in its place"
 HELD_OUT = "held-out rows are drawn anew at every fit of a network that goes on, so most were trained on before"
+ENDS = "on the rows that no fit of the head trains on, weighted; missing while no end is among them"
 IN_SAMPLE = "rows the model was just fitted to"
 EXAM = "the exam: the real steps between this fit and the next, which are not in its buffer"
 
@@ -33,11 +34,12 @@ METRICS: dict[str, str] = {
     f"{HELD_OUT}",
     "model/holdout_mse": "holdout mean squared error of the predicted mean (z-scored targets); no error on new data: "
     f"{HELD_OUT}",
-    "model/ends_loss": "cross entropy of the head that learns what ends an episode, on rows that this fit held out, weighted",
-    "model/ends_threshold": "probability from which on a modelled episode ends: the best weighted F1 on those rows (2: never)",
-    "model/ends_calibration": "expected calibration error of the head's probabilities on those rows, weighted (0: its odds are true)",
-    "model/ends_caught": "share of the real ends among those rows that reach the threshold, weighted",
-    "model/ends_false": "share of the other rows that reach it, weighted",
+    "model/ends_loss": f"cross entropy of the head that learns what ends an episode, {ENDS}",
+    "model/ends_threshold": "probability from which on a modelled episode ends: the best weighted F1 on the rows that no fit of the head "
+    "trains on, on all rows while no end is among those (2: never)",
+    "model/ends_calibration": f"expected calibration error of that head's probabilities (0: its odds are true), {ENDS}",
+    "model/ends_caught": f"share of the real ends that reach the threshold, {ENDS}",
+    "model/ends_false": f"share of the other rows that reach the threshold, {ENDS}",
     "model/rounds": "rounds of the fit before it stopped",
     "model/error_policy": f"one-step error of the predicted next state on the policy buffer (z-scored); in-sample: {IN_SAMPLE}",
     "model/error_other": f"one-step error of the predicted next state on the rest of the buffer (z-scored); in-sample: {IN_SAMPLE}",

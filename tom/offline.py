@@ -20,6 +20,7 @@ from tom.dynamics.linear import LinearModel
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick
 from tom.learners import LEARNERS, make_learner
 from tom.learners.base import FitContext, Weighting
+from tom.learners.terms import of_recorded
 from tom.metrics import require_finite
 from tom.policy.cloning import clone
 from tom.policy.rollout import roll_out, start_states
@@ -224,7 +225,9 @@ class Offline:
             "weights": weighting.weights,
             "per_dim": weighting.per_dim,
             "log_ratio": weighting.log_ratio,
+            "terms": {} if weighting.terms is None else vars(weighting.terms),
             "ready": weighting.ready,
+            "clipped": weighting.clipped,
             "coefficients": self.model.coefficients,
             "sac_metrics": self._sac_metrics,
         }
@@ -240,7 +243,9 @@ class Offline:
             state["weights"],
             state["per_dim"],
             state["log_ratio"],
-            ready=state.get("ready", True),  # missing in checkpoints of earlier versions
+            of_recorded(state.get("terms", {})),  # this and the rest: missing in older checkpoints
+            ready=state.get("ready", True),
+            clipped=state.get("clipped", False),
         )
         self.model = LinearModel(state["coefficients"])
         self._sac_metrics = state["sac_metrics"]

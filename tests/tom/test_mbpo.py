@@ -10,7 +10,7 @@ from gymnasium.wrappers import TimeLimit
 
 from tom.config import OnlineConfig
 from tom.data.replay import ReplayBuffer
-from tom.data.transitions import TensorTransitions
+from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics.fitting import Fit
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import LEARNER_NAMES
@@ -78,6 +78,22 @@ def test_every_transition_is_handed_over_once_and_in_order(tom_run):
     obs = np.concatenate([p.transitions.numpy().obs for p in parts])
     np.testing.assert_array_equal(obs, training.replay.transitions().obs.numpy())
     assert len(obs) == 500
+
+
+@pytest.mark.parametrize("capacity", [1, 70, 130])
+def test_a_small_buffer_drops_no_transition_before_it_is_handed_over(capacity: int):
+    """It holds less than the exploration, or than the steps between two fits."""
+    training, events = run(smoke("mle", steps=350, replay_capacity=capacity))
+    parts = of(events, Collected)
+    rows = Transitions.concatenate([p.transitions for p in parts])
+    versions = np.concatenate([p.policy_version for p in parts])
+    np.testing.assert_array_equal(versions, [0] * 200 + list(range(1, 151)))
+    held = training.replay.transitions().numpy()
+    np.testing.assert_array_equal(rows.obs[-capacity:], held.obs)
+    goes_on = np.flatnonzero(~rows.ended()[:-1])
+    np.testing.assert_array_equal(rows.next_obs[goes_on], rows.obs[goes_on + 1])
+    handed = np.cumsum([len(p.transitions) for p in parts]).tolist()
+    assert handed == [p.env_step for p in parts]  # a row's number is its step
 
 
 def test_consecutive_rows_of_an_episode_join(tom_run):

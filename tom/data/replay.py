@@ -90,9 +90,9 @@ class ReplayBuffer:
         return self.last(max(self.total_added - total, 0))
 
     def tail(self, n: int) -> dict[str, Tensor]:
-        """The newest n rows and their policy versions, for `restore_tail`."""
+        """The newest n rows (or all, if there are fewer) and their versions, for `restore_tail`."""
         rows, versions = self._ordered(self._rows), self.policy_version()
-        start = len(rows) - n
+        start = max(len(rows) - n, 0)
         return {"rows": rows[start:].clone(), "policy_version": versions[start:].clone()}
 
     def restore_tail(self, tail: dict[str, Tensor]) -> None:

@@ -2,7 +2,8 @@
 
 p(end | s') is a Bernoulli distribution whose logit is a network of s' (the task only tells that an
 episode ended there). It is fitted by the same weighted maximum likelihood as the model, on the same
-rows. A modelled episode ends where p reaches the threshold that was best on held-out rows.
+rows. The network goes on from fit to fit, so a row that one fit holds out is held out for good. A
+modelled episode ends where p reaches the threshold that was best on held-out rows.
 """
 
 from typing import Any
@@ -22,6 +23,8 @@ HIDDEN = 64
 ROUNDS = 5
 """rounds of `batches_per_round` minibatches in a fit; few, because only one number is learnt"""
 BINS = 10
+GOLDEN = 0.6180339887498949
+"""the fractional part of the golden ratio"""
 NEVER = 2.0
 """a threshold that no probability reaches"""
 UNWEIGHTED = (
@@ -53,11 +56,16 @@ class EndingHead:
         return torch.sigmoid(self._logit(next_obs))
 
     def fit(
-        self, rows: TensorTransitions, weights: Tensor, generator: torch.Generator
+        self,
+        rows: TensorTransitions,
+        weights: Tensor,
+        collected: int,
+        generator: torch.Generator,
     ) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
         """Fit to transitions with weights (N,), as the model's; returns metrics and notices.
 
-        While the buffer contains no end of an episode, nothing is learnt and no episode ends.
+        The transitions are the last of all those that were ever `collected`. While they contain no
+        end of an episode, nothing is learnt and no episode ends.
         """
         label = (rows.terminated > 0).to(rows.obs)
         if not bool(label.any()):
@@ -68,15 +76,17 @@ class EndingHead:
             weights, notices = torch.ones_like(weights), (UNWEIGHTED,)
         scaling = Scaling.of((rows.next_obs,))
         self.mean, self.std = scaling.mean, scaling.std
-        held, kept = self._split(label, generator)
+        held, kept = self._split(rows, collected)
         self._train(rows.next_obs[kept], label[kept], weights[kept], generator)
-        # Ends are rare: if none was held out, the threshold is chosen on all rows.
-        judges = held if bool((label * weights)[held].any()) else torch.cat((held, kept))
+        # Ends are rare: if none is held out, all rows choose the threshold, and none can judge it.
+        judged = bool((label * weights)[held].any())
+        judges = held if judged else torch.cat((held, kept))
         with torch.no_grad():
             p = self.probability(rows.next_obs[judges])
         label, weights = label[judges], weights[judges]
         self.threshold = best_threshold(p, label, weights)
-        return measured(p, label, weights, self.threshold), notices
+        metrics = measured(p, label, weights, self.threshold) if judged else {}
+        return {"model/ends_threshold": self.threshold, **metrics}, notices
 
     def state_dict(self) -> dict[str, Any]:
         return {
@@ -95,12 +105,16 @@ class EndingHead:
     def _logit(self, next_obs: Tensor) -> Tensor:
         return self.network.net(((next_obs - self.mean) / self.std)[None])[0, :, 0]
 
-    def _split(self, label: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """The row numbers that are held out, and the others."""
-        n, config = len(label), self.config
-        order = torch.randperm(n, generator=generator, device=label.device)
-        held = min(int(n * config.holdout), config.holdout_max)
-        return order[:held], order[held:]
+    def _split(self, rows: TensorTransitions, collected: int) -> tuple[Tensor, Tensor]:
+        """The positions of the rows that every fit holds out, and of the others.
+
+        The k-th row ever collected is held out if the fractional part of k times the golden ratio
+        is less than `holdout`: such rows are spread evenly, and without a period.
+        """
+        first, device = collected - len(rows), rows.obs.device
+        k = 1 + torch.arange(first, collected, dtype=torch.float64, device=device)
+        held = (k * GOLDEN) % 1 < self.config.holdout
+        return held.nonzero()[:, 0], (~held).nonzero()[:, 0]
 
     def _train(
         self, next_obs: Tensor, label: Tensor, weights: Tensor, generator: torch.Generator
@@ -141,7 +155,7 @@ def best_threshold(p: Tensor, label: Tensor, weights: Tensor) -> float:
 
 
 def measured(p: Tensor, label: Tensor, weights: Tensor, threshold: float) -> dict[str, float]:
-    """Metrics of the head on rows (N,) that it was not fitted to, weighted like the fit."""
+    """Metrics of the head on rows (N,) that it was never fitted to, weighted like the fit."""
     total = weights.sum().clamp_min(1e-12)
     called = (p >= threshold).to(p)
     ends, others = weights * label, weights * (1 - label)
@@ -151,7 +165,6 @@ def measured(p: Tensor, label: Tensor, weights: Tensor, threshold: float) -> dic
     gap = torch.zeros(BINS).to(p).index_add(0, which, weights * (label - p))
     return {
         "model/ends_loss": float((weights * loss).sum() / total),
-        "model/ends_threshold": threshold,
         "model/ends_calibration": float(gap.abs().sum() / total),
         "model/ends_caught": float((ends * called).sum() / ends.sum().clamp_min(1e-12)),
         "model/ends_false": float((others * called).sum() / others.sum().clamp_min(1e-12)),

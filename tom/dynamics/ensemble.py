@@ -43,10 +43,7 @@ class GaussianEnsemble(_Ensemble):
         self.max_log_var, self.min_log_var = (share(x).requires_grad_() for x in (high, low))
 
     def _log_var(self, raw: Tensor) -> Tensor:
-        low, high = self.min_log_var, self.max_log_var
-        if len(raw) != self.ensemble:  # the elites alone
-            low, high = low[self.elites], high[self.elites]
-        return soft_bound(raw, low, high)
+        return soft_bound(raw, self.min_log_var, self.max_log_var)
 
     def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
         """Gaussian negative log-likelihood without its constant, as Janner's."""

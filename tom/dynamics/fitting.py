@@ -138,7 +138,7 @@ class _Member:
         self._best.keep(holdout_loss(self.model, *self._held, *self._held_weights))
         self._rounds = self._idle = 0
         self._train_loss = torch.tensor(float("nan"))
-        self._stopped: list[tuple[Tensor, Tensor]] = []
+        self._stopped: list[Tensor] = []  # the optimiser's tensors at the stop
 
     @property
     def goes_on(self) -> bool:
@@ -181,25 +181,25 @@ class _Member:
         self._idle = 0 if self._best.offer(losses) else self._idle + 1
         self._rounds += 1
         if not self.goes_on:
-            kept = [*self.model.extra_parameters(), *self.model.optimiser.tensors()]
-            self._stopped = [(x, x.clone()) for x in kept]
+            self._stopped = [x.clone() for x in self.model.optimiser.tensors()]
 
     def report(self) -> FitReport:
         """Restore the best networks, also if other members' later rounds have changed them."""
-        for tensor, kept in self._stopped:
-            tensor.copy_(kept)
         self._best.restore()
+        for tensor, kept in zip(self.model.optimiser.tensors(), self._stopped, strict=True):
+            tensor.copy_(kept)
         model, (x, y), losses = self.model, self._held, self._best.losses
         model.elites = losses.argsort()[: len(model.elites)]
         steps = self.config.batches_per_round * model.ensemble
-        output = model.outputs(x)[model.elites]
-        error = model.mean(output).mean(0) - y
+        output = model.outputs(x)
+        uniform = model.loss_per_dim(output, y)[model.elites].mean()
+        error = model.mean(output)[model.elites].mean(0) - y
         return FitReport(
             {
                 "model/train_nll": float(self._train_loss) / steps,
                 "model/holdout_nll": float(losses[model.elites].mean()),
                 "model/rounds": float(self._rounds),
-                "model/holdout_nll_uniform": float(model.loss_per_dim(output, y).mean()),
+                "model/holdout_nll_uniform": float(uniform),
                 "model/holdout_mse": float(error.square().mean()),
             }
         )
@@ -216,7 +216,7 @@ class _Best:
     """The best networks of a fit so far, each network by its own holdout loss."""
 
     def __init__(self, model: NeuralDynamics, min_gain: float) -> None:
-        self._parameters = model.net.tensors()
+        self._parameters = model.parameters()
         self._min_gain = min_gain
         self._kept = [p.clone() for p in self._parameters]
         self.losses = self._kept[0].new_full((model.ensemble,), float("inf"))

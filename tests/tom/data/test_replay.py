@@ -81,7 +81,11 @@ def test_behaves_as_a_list(capacity, operations, data):
     assert equal(buffer.transitions(), held)
     assert buffer.policy_version().tolist() == model
     n = data.draw(st.integers(0, capacity + 2))
-    assert equal(buffer.last(n), held[max(len(model) - n, 0) :])
+    newest = held[max(len(model) - n, 0) :]
+    assert equal(buffer.last(n), newest)
+    tail = buffer.tail(n)
+    assert equal(TensorTransitions.unpack(tail["rows"], OBS_DIM, ACTION_DIM), newest)
+    assert tail["policy_version"].tolist() == model[max(len(model) - n, 0) :]
     mark = data.draw(st.integers(0, total))
     newer = [position for position, k in enumerate(model) if k >= mark]
     assert equal(buffer.since(mark), held[torch.tensor(newer, dtype=torch.int64)])

@@ -26,7 +26,7 @@ def fitted(weights: torch.Tensor | None = None, config: ModelConfig = CONFIG, **
     data = rows(3000, **given)
     head = EndingHead(3, config, torch.Generator().manual_seed(1))
     weights = torch.ones(len(data)) if weights is None else weights
-    return head, *head.fit(data, weights, torch.Generator().manual_seed(2))
+    return head, *head.fit(data, weights, len(data), torch.Generator().manual_seed(2))
 
 
 @pytest.mark.parametrize("weights", ["sample", "scale"])
@@ -56,7 +56,7 @@ def test_rows_without_weight_are_not_learnt_from():
     turned = rows(3000)
     turned.terminated[~other] = 1 - turned.terminated[~other]  # nonsense that counts nothing
     again = EndingHead(3, CONFIG, torch.Generator().manual_seed(1))
-    again.fit(turned, torch.where(other, 2.0, 0.0), torch.Generator().manual_seed(2))
+    again.fit(turned, torch.where(other, 2.0, 0.0), 3000, torch.Generator().manual_seed(2))
     fresh = rows(500, seed=4).next_obs
     assert head.threshold == pytest.approx(again.threshold)
     assert torch.allclose(head.probability(fresh), again.probability(fresh))
@@ -76,9 +76,40 @@ def test_its_state_is_all_of_it():
     other = EndingHead(3, CONFIG, torch.Generator().manual_seed(7))
     other.load_state_dict(head.state_dict())
     data, weights = rows(800, seed=3), torch.ones(800)
-    both = [one.fit(data, weights, torch.Generator().manual_seed(4)) for one in (head, other)]
+    both = [one.fit(data, weights, 800, torch.Generator().manual_seed(4)) for one in (head, other)]
     assert both[0] == both[1]
     assert torch.equal(head.probability(data.obs), other.probability(data.obs))
+
+
+def test_what_it_is_measured_on_was_never_trained_on():
+    """Ends are chance in a fifth of the rows, so no honest loss is far below .50.
+
+    The buffer forgets its oldest rows from fit to fit.
+    """
+    generator, none = torch.Generator().manual_seed(3), torch.zeros(700)
+    obs = torch.randn(700, 11, generator=generator)
+    ended = (torch.rand(700, generator=generator) < 0.2).float()
+    data = TensorTransitions(obs, obs[:, :1], none, obs, ended, none)
+    head, losses = EndingHead(11, CONFIG, generator), []
+    for first in range(0, 200, 23):
+        held, weights = data[first : first + 500], torch.ones(500)
+        metrics, _ = head.fit(held, weights, first + 500, generator)
+        losses.append(metrics["model/ends_loss"])
+    assert min(losses) > 0.4
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5])
+def test_its_share_is_held_out(share: float):
+    head = EndingHead(3, CONFIG.but(holdout=share), torch.Generator())
+    held, kept = head._split(rows(1000), 2**20)
+    assert torch.equal(torch.cat((held, kept)).sort().values, torch.arange(1000))
+    assert len(held) == pytest.approx(1000 * share, abs=2)
+
+
+def test_what_held_out_no_end_is_not_measured():
+    head, metrics, _ = fitted(config=CONFIG.but(holdout=0))
+    assert metrics == {"model/ends_threshold": head.threshold}
+    assert 0 < head.threshold < 1
 
 
 def test_the_threshold_has_the_best_weighted_f1():

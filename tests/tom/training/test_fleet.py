@@ -30,7 +30,10 @@ def trial(learner: str, seed: int = 0, env: str = "inverted-pendulum", **more: o
 
 
 MEMBERS = [trial(name, seed) for name in ("mle", "tom") for seed in (0, 1, 2)]
-OTHERS = [trial(name) for name in LEARNER_NAMES if name not in ("mle", "tom")]
+OTHERS = [
+    *(trial(name) for name in LEARNER_NAMES if name not in ("mle", "tom")),
+    trial("mle", 3, replay_capacity=60),  # less than the exploration
+]
 
 
 def readers(found: list[RunReader | Exception]) -> list[RunReader]:
@@ -73,6 +76,7 @@ def test_a_members_run_is_the_one_trained_alone(fleet, member: int, tmp_path: Pa
     alone = train(own.config, Store(tmp_path), own.run_id, rerun=False)
     assert fleet[member].run_id == own.run_id
     assert fleet[member].config["config"] == alone.config["config"]
+    assert fleet[member].buffer_length() == STEPS
     assert_close(fleet[member], alone, rtol=1e-3)
 
 

@@ -71,13 +71,13 @@ def assert_same_events(first: list[Event], second: list[Event]) -> None:
         if isinstance(a, Metrics) and isinstance(b, Metrics):
             np.testing.assert_equal(a.values, b.values)
         elif isinstance(a, Weights) and isinstance(b, Weights):
-            np.testing.assert_array_equal(a.weight, b.weight)
-            np.testing.assert_equal(a.policy, b.policy)
+            np.testing.assert_equal(vars(a), vars(b))
         elif isinstance(a, Evaluation) and isinstance(b, Evaluation):
             for x, y in zip(a.episodes, b.episodes, strict=True):
                 np.testing.assert_array_equal(x.obs, y.obs)
         elif isinstance(a, Collected) and isinstance(b, Collected):
             np.testing.assert_array_equal(a.transitions.numpy().obs, b.transitions.numpy().obs)
+            np.testing.assert_array_equal(a.policy_version, b.policy_version)
             np.testing.assert_equal(dict(a.state), dict(b.state))
         elif isinstance(a, Field | TrainedPolicy) and isinstance(b, Field | TrainedPolicy):
             np.testing.assert_equal(a.arrays, b.arrays)
@@ -171,6 +171,13 @@ def test_a_run_whose_rollouts_grow_goes_on():
 
 def test_a_run_stopped_while_exploring_goes_on():
     check(smoke("hopper", "mle"), 37)
+
+
+@pytest.mark.parametrize("stop", [37, 60, 150, STOP])
+def test_a_run_whose_buffer_holds_less_than_its_exploration_goes_on(stop: int):
+    """At step 60 the buffer is full of rows that are not recorded yet."""
+    config = smoke("gymnasium:Reacher-v5", "tom", replay_capacity=60)
+    check(config, stop, in_episode=stop != 150)
 
 
 @pytest.mark.parametrize("learner", LEARNER_NAMES)
