@@ -58,7 +58,7 @@ class ModelConfig(Config):
     holdout: Annotated[float, Field(ge=0, lt=1)] = 0.2
     """share of the buffer held out"""
     holdout_max: Count = 5000
-    """held-out transitions at most"""
+    """held-out transitions at most (of the model; the head that learns ends holds out its share)"""
     weights: Literal["sample", "scale"] = "sample"
     """draw minibatches by weight, or draw uniformly and scale the loss (never both)"""
     weight_clip: Positive = 10.0
@@ -262,7 +262,7 @@ class RunConfig(Config):
     """fp32 matrix products on a CPU: probe, torch's default, or oneDNN"""
     checkpoint_every: Whole = 2000
     """steps between two checkpoints (0: only at the end or when stopped)"""
-    bins: Count = 100
+    bins: Annotated[int, Field(ge=1, le=10_000)] = 100
     """bins of a weight profile, oldest to newest"""
     snapshots: Whole = 12
     """fits over a run whose every single weight and policy is kept (0: none but the last); a

@@ -7,6 +7,10 @@ OF_USERS = (Exception, SystemExit)
 """What code of the user's may raise: a script that is imported may end the program."""
 
 
+START_AGAIN = "start it again"
+"""the advice for a run that can never go on; a sweep follows it"""
+
+
 class UserError(Exception):
     """Bad input. The command line prints its one line and exits with code 2."""
 

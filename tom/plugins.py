@@ -23,7 +23,14 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
-from tom.config import Config, RunConfig
+from tom.config import (
+    SAC_ALONE,
+    Config,
+    OnlineConfig,
+    RoadConfig,
+    RunConfig,
+    SacRecordingConfig,
+)
 from tom.envs import ENV_NAMES, OTHERS, Task, Termination
 from tom.envs.ends import LEARNT, RULES
 from tom.envs.gymnasium_task import STEPS, look_at
@@ -34,6 +41,7 @@ from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
 from tom.learners.own import OwnLearner
 from tom.metrics import FATAL, METRICS
+from tom.road.baselines import BASELINES
 
 GROUP = "tom_studio"
 VARIABLE = "TOM_STUDIO_PLUGINS"
@@ -41,6 +49,9 @@ VARIABLE = "TOM_STUDIO_PLUGINS"
 OPTION = "--plugin"
 NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
 COLOUR = re.compile(r"#[0-9a-f]{6}")
+OUR_SETTINGS = frozenset(
+    name for kind in (OnlineConfig, RoadConfig, SacRecordingConfig) for name in kind.model_fields
+)
 
 Make = Callable[[Any, int, int, torch.Generator], Learner]
 """(config, obs_dim, action_dim, generator) -> learner; the config has the learner's settings."""
@@ -86,9 +97,9 @@ class Registry:
         `settings` is its own group of options, with defaults; `make` finds it in the config under
         the learner's name (`-` as `_`). `uniform` and `follows_value` are those of `LearnerEntry`.
         """
-        self._own("learner", name, LEARNERS)
+        self._own("learner", name, [*LEARNERS, SAC_ALONE, *BASELINES])
         group = None if settings is None else name.replace("-", "_")
-        if group in RunConfig.model_fields:
+        if group in OUR_SETTINGS:
             raise UserError(f"plug-in {self.plugin}: '{group}' is the name of our own settings")
         if colour is not None and not COLOUR.fullmatch(colour):
             raise UserError(f"plug-in {self.plugin}: colour '{colour}' is not written #rrggbb")

@@ -149,6 +149,9 @@ def test_plugins_work_as_the_page_says(home: Path):
     weighing = "--learner surprise mle --seeds 0 --footprint 100 --surprise.steps 20 --json"
     said = works(f"weigh other --policy other --store runs {weighing} {PLUGINS}", home)
     assert [row["learner"] for row in json.loads(said)["results"]] == ["surprise", "mle"]
+    own = "--preset own --learner surprise --seeds 0 --footprint 100 --json --out own"
+    said = works(f"weigh other --policy other --store runs {own} {PLUGINS}", home)
+    assert json.loads(said)["config"]["surprise"]["steps"] == 50  # as it was trained with
 
 
 def test_a_sweep_hands_its_plugins_on_and_changes_no_other_run(home: Path):
@@ -189,6 +192,11 @@ def test_an_installed_package_is_loaded_and_a_broken_one_left_out(home: Path):
         ("def register(r): r.learner('A b', 'T', None)", "small letters"),
         ("def register(r): r.learner('a', 'T', None, 'red')", "not written #rrggbb"),
         ("def register(r): r.learner('a', 'T', None)", "make of the learner 'a' is no function"),
+        ("def register(r): r.learner('sac', 'S', None)", "a learner 'sac' already"),
+        *(
+            (SETTINGS.format("n: int = 1").replace('"a"', f'"{name}"'), f"'{name}' is the name of")
+            for name in ("rollout", "model", "evaluation", "steps")
+        ),
         (SETTINGS.format("n: int"), "the setting 'n' of the learner 'a' needs a default"),
         (
             "def register(r): r.learner('a', 'T', print, None, dict)",

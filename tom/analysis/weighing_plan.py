@@ -106,8 +106,9 @@ def _own_settings(name: str, store: Store) -> RunConfig:
 
 
 def _learners_settings(of: RunConfig) -> RunConfig:
-    """The settings of our learners in a training's configuration."""
-    return settings_type()(env=of.env, learner="tom", tom=of.tom, pmac=of.pmac, vagram=of.vagram)
+    """The settings of every learner that a training's configuration has."""
+    own = {group: getattr(of, group) for group in setting_groups() if hasattr(of, group)}
+    return settings_type()(env=of.env, learner="tom", **own)
 
 
 def settings_type() -> type[RunConfig]:

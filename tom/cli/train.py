@@ -18,6 +18,7 @@ from tom.cli.parser import DEST, add_config_options, add_run_options, one_line, 
 from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
+from tom.config import completed
 from tom.envs import ANY, ENV_NAMES, ROAD
 from tom.errors import DivergedError, OwnCodeError, UserError
 from tom.harmless import terminal
@@ -102,9 +103,22 @@ def run(args: argparse.Namespace) -> int:
 
 
 def begin(config: AnyConfig, args: argparse.Namespace) -> int:
-    """Train `config`; with `--resume auto`, resume the run of an earlier same command."""
-    begun = unfinished(Store(args.store), config) if args.resume else None
-    return _resume(args, begun, config.steps) if begun else record(config, args)
+    """Train `config`; with `--resume auto`, resume the run of an earlier same command.
+
+    If that command named its run, it is about this run alone, and is done once the run is.
+    """
+    if not args.resume:
+        return record(config, args)
+    store, named = Store(args.store), args.run_id
+    if begun := unfinished(store, config, run_id=named):
+        return _resume(args, begun, config.steps)
+    wanted = completed(config.model_dump(mode="json"))
+    for run in store.runs():
+        done = run.status.state == "finished" and run.config.get("config") == wanted
+        if done and run.run_id == named:
+            _print_summary(run, args.json)
+            return 0
+    return record(config, args)
 
 
 def _train_many(args: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from tom.envs.user_code import running
-from tom.errors import OwnCodeError, UserError
+from tom.errors import START_AGAIN, OwnCodeError, UserError
 
 LARGEST = float(np.finfo(np.float32).max)
 
@@ -90,7 +90,7 @@ class Unit(gym.Wrapper):
             raise UserError(
                 f"{self.unwrapped.spec.id if self.unwrapped.spec else 'the task'} does not play an "
                 "episode the same way again from its seed and actions, so a run in it cannot go "
-                "on: start the run again"
+                f"on: {START_AGAIN}"
             )
 
     def _seen(self, obs: NDArray) -> NDArray[np.float32]:

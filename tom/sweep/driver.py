@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from tom import plugins
-from tom.errors import UserError
+from tom.errors import START_AGAIN, UserError
 from tom.record import RunReader, checkpoint
 from tom.record.versions import ACCEPT
 from tom.sweep.backend import LOGS, Backend
@@ -214,8 +214,9 @@ class Driver:
         else:
             why = ended.why or run.status.reason or f"exit code {ended.code}"
             said = _tail(job.log)
-            # A run that only needs an option to be resumed may be hours of training: keep it.
-            job.anew = ended.code == 2 and job.step >= 0 and ACCEPT not in said
+            # Hours of training may be in it: only if it can never go on does it begin anew.
+            never = START_AGAIN in said and ACCEPT not in said
+            job.anew = ended.code == 2 and job.step >= 0 and never
             refused = ended.code == 2 and not job.anew
             self._judge(job, f"{why}\n{said}", refused)
 
@@ -241,8 +242,10 @@ class Driver:
 
 
 def _tail(log: Path) -> str:
+    """The last lines that the last command wrote."""
     try:
         lines = log.read_text(errors="replace").splitlines()
     except OSError:
         return ""
-    return "\n".join(line for line in lines[-TAIL_LINES:] if not line.startswith("$ "))
+    begun = max((i for i, line in enumerate(lines) if line.startswith("$ ")), default=-1)
+    return "\n".join(lines[begun + 1 :][-TAIL_LINES:])

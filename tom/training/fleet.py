@@ -13,8 +13,8 @@ from tom.config import OnlineConfig
 from tom.errors import UserError
 from tom.machine.device import require_device
 from tom.nn.lockstep import Lockstep
-from tom.record import RunReader, Store
-from tom.training.plan import Trial, is_done, same_run
+from tom.record import RunReader, Store, manage
+from tom.training.plan import Trial, given_more, is_done, same_run
 from tom.training.resume import resume, unfinished
 from tom.training.run import Consumer, RecordingOptions, Stop, train
 
@@ -72,4 +72,22 @@ def _member(
     begun = unfinished(store, trial.config, shorter=False)
     if begun is not None:
         return resume(store, begun, accept_versions=accept_versions, **options)
-    return train(trial.config, store, None if existing else trial.run_id, **options)
+    return train(trial.config, store, _free_id(trial, existing, store), **options)
+
+
+def _free_id(trial: Trial, existing: RunReader | None, store: Store) -> str | None:
+    """The trial's own run id, where a run that cannot go on goes to the trash.
+
+    None, for a new one, if that run was given more steps. Raises UserError if another process is
+    writing the trial's run.
+    """
+    if existing is None:
+        return trial.run_id
+    if given_more(trial, existing):
+        return None
+    if existing.run_id == trial.run_id:
+        manage.trash(store, existing.run_id)
+    else:
+        with manage.unwritten(existing):
+            pass
+    return trial.run_id

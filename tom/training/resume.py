@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from tom import plugins
 from tom.config import SacRecordingConfig, completed
 from tom.data.transitions import Transitions
-from tom.errors import UserError, reason
+from tom.errors import START_AGAIN, UserError, reason
 from tom.events import Notice
 from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
@@ -78,13 +78,18 @@ def resume(
     return RunReader(writer.path)
 
 
-def unfinished(store: Store, config: AnyConfig, *, shorter: bool = True) -> str | None:
+def unfinished(
+    store: Store, config: AnyConfig, *, shorter: bool = True, run_id: str | None = None
+) -> str | None:
     """The newest resumable run with these settings, or if `shorter` with fewer steps.
 
-    Runs that are being written, and those without an undamaged checkpoint, are skipped.
+    Runs that are being written, and those without an undamaged checkpoint, are skipped, and with a
+    `run_id` all others.
     """
     wanted = completed(config.model_dump(mode="json"))
     for reader in store.runs():
+        if run_id not in (None, reader.run_id):
+            continue
         given = reader.config.get("config")
         if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
             continue  # damaged
@@ -102,7 +107,7 @@ def unfinished(store: Store, config: AnyConfig, *, shorter: bool = True) -> str 
     return None
 
 
-def recorded_config(reader: RunReader, otherwise: str = "start it again") -> AnyConfig:
+def recorded_config(reader: RunReader, otherwise: str = START_AGAIN) -> AnyConfig:
     """The configuration of a run.
 
     Raises UserError if it needs a plug-in that is not loaded, or comes from another version;
@@ -144,7 +149,7 @@ def _require_own_device(reader: RunReader, config: AnyConfig) -> None:
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
     held = checkpoint.load(reader.path / checkpoint.FOLDER)
     if held is None:
-        raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: start it again")
+        raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: {START_AGAIN}")
     if _complete(reader, held, config):
         raise UserError(
             f"run '{reader.run_id}' is complete at step {held.env_step}: give it more with --steps"
@@ -177,7 +182,7 @@ def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch
     except UNFIT as error:
         raise UserError(
             f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is another "
-            f"version's ({type(error).__name__}: {reason(error)}): start it again"
+            f"version's ({type(error).__name__}: {reason(error)}): {START_AGAIN}"
         ) from error
 
 
@@ -185,6 +190,6 @@ def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
     rows, versions = reader.buffer()
     if len(rows) < n:
         raise UserError(
-            f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start again"
+            f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): {START_AGAIN}"
         )
     return rows[:n], versions[:n]

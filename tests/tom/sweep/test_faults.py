@@ -129,6 +129,26 @@ def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one
     assert (tmp_path / ".trash" / trial.run_id / "config.json").exists()
 
 
+def test_a_run_that_is_refused_for_now__is_reported_and_kept(tmp_path: Path):
+    (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
+    first = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
+    until(lambda: beyond_a_checkpoint(first.store), first.poll)
+    first.stop()
+    path = tmp_path / trial.run_id / "config.json"
+    whole = path.read_text()
+    path.write_text(json.dumps(json.loads(whole) | {"plugins": ["mine.py"]}))
+    second = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
+    finish(second)
+    assert (second.jobs[0].state, second.jobs[0].attempts) == ("failed", 1)
+    assert "made with the plug-in mine.py" in second.jobs[0].note
+    assert not (tmp_path / ".trash").exists()
+    path.write_text(whole)
+    third = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
+    finish(third)
+    assert third.jobs[0].state == "finished"
+    assert third.store.run(trial.run_id).config["resumes"]
+
+
 def test_a_stopped_run_and_another_torch_now__is_reported_and_nothing_begins_anew(tmp_path: Path):
     (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
     first = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))

@@ -87,6 +87,20 @@ def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys):
     assert not store.exists()
 
 
+def test_every_setting_of_a_training_is_one_of_a_sweep(tmp_path: Path, capsys):
+    road = ("--env", "road-and-rocks", "--learner", "tom", "--map-seed", "3", "--dry-run")
+    assert sweep(capsys, tmp_path, *road)[0] == 0
+    code, _, err = sweep(capsys, tmp_path, "--env", "hopper", *road[1:])
+    assert code == 2
+    assert "--map-seed" in err
+    short, whole = (
+        json.loads(sweep(capsys, tmp_path, *SMOKE, name, "ensemble", "--dry-run", "--json")[1])
+        for name in ("--model", "--model.kind")
+    )
+    assert short == whole
+    assert short["runs"][0]["run"] != trials(checked(PLAN))[0].run_id
+
+
 def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
     plan = tmp_path / "plan.yaml"
     plan.write_text("env: hopper\nlearner: [tom, mle]\nseeds: 2\nsettings: {sac: {tau: 0.1}}\n")

@@ -10,6 +10,7 @@ from tom.errors import DivergedError, UserError
 from tom.events import Event
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store, layout
+from tom.record.writer import RunWriter
 from tom.training.fleet import train_fleet
 from tom.training.plan import Trial
 from tom.training.run import Stop, train
@@ -116,6 +117,26 @@ def test_a_longer_fleet_leaves_the_runs_of_a_shorter_one_alone(tmp_path: Path):
     assert stopped.status.state == "stopped"
     [finished] = readers(train_fleet([shorter], store, rerun=False))
     assert (finished.run_id, finished.status.env_step) == (shorter.run_id, 150)
+
+
+def test_a_member_that_another_process_trains_is_left_to_it(tmp_path: Path):
+    own = trial("mle", 5, steps=120)
+    writer = RunWriter.create(Store(tmp_path), own.run_id, own.config)
+    try:
+        (found,) = train_fleet([own], Store(tmp_path), rerun=False)
+    finally:
+        writer.close()
+    assert isinstance(found, UserError)
+    assert [run.run_id for run in Store(tmp_path).runs()] == [own.run_id]
+
+
+def test_a_member_without_a_checkpoint_begins_anew_under_its_name(tmp_path: Path):
+    own = trial("mle", 5, steps=120)
+    RunWriter.create(Store(tmp_path), own.run_id, own.config).close()
+    (run,) = readers(train_fleet([own], Store(tmp_path), rerun=False))
+    assert (run.run_id, run.status.state) == (own.run_id, "finished")
+    assert [one.run_id for one in Store(tmp_path).runs()] == [own.run_id]
+    assert (tmp_path / ".trash" / own.run_id / "config.json").exists()
 
 
 def test_a_member_that_diverges_ends_alone(tmp_path: Path):

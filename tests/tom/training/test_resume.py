@@ -13,6 +13,7 @@ import pytest
 import torch
 from same_records import assert_same_record
 
+from tom.cli import main
 from tom.config import OnlineConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
 from tom.errors import UserError
@@ -257,6 +258,23 @@ def test_a_finished_run_without_its_last_checkpoint_is_none_that_goes_on(tmp_pat
     shutil.rmtree(run.path / checkpoint.FOLDER / "000000200")
     assert unfinished(store, short()) is None
     assert unfinished(store, short().but(steps=300)) == "a"
+
+
+def test_a_command_that_names_its_run_goes_on_with_no_other(tmp_path: Path, capsys):
+    words = ["--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--no-rerun"]
+    words = ["train", *words, "--store", str(tmp_path), "--resume", "auto", "--json"]
+    assert main([*words, "--steps", "220", "--run-id", "x"]) == 0
+    before = (tmp_path / "x" / "config.json").read_bytes()
+    capsys.readouterr()
+    assert main([*words, "--steps", "220", "--run-id", "x"]) == 0  # again: it is done
+    again = json.loads(capsys.readouterr().out)
+    assert (again["run_id"], again["state"]) == ("x", "finished")
+    assert main([*words, "--steps", "240", "--run-id", "y"]) == 0
+    assert (tmp_path / "x" / "config.json").read_bytes() == before
+    ended = {run.run_id: run.status.env_step for run in Store(tmp_path).runs()}
+    assert ended == {"x": 220, "y": 240}
+    assert main([*words, "--steps", "240", "--run-id", "x"]) == 0
+    assert Store(tmp_path).run("x").status.env_step == 240
 
 
 def test_a_run_that_goes_on_keeps_its_warnings(tmp_path: Path):

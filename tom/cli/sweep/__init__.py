@@ -6,18 +6,19 @@ import os
 import signal
 import sys
 import time
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from tom.cli.named import add_termination
-from tom.cli.parser import add_accept_versions, add_config_options, overrides
+from tom.cli.parser import DEST, add_accept_versions, add_config_options, overrides
 from tom.cli.signals import on_stopping
 from tom.cli.sweep.dry import dry_run, longest
 from tom.cli.sweep.places import open_backend, open_engine, place, refuse_mismatch
 from tom.cli.sweep.table import Watcher, job_row
 from tom.cli.train_many import run_fleets
-from tom.config import OnlineConfig, merged
-from tom.envs import ANY, ENV_NAMES, bring
+from tom.config import OnlineConfig, RoadConfig, merged
+from tom.envs import ANY, ENV_NAMES, ROAD, bring
 from tom.envs.ends import bring_rule
 from tom.errors import UserError
 from tom.learners import LEARNERS, with_own_settings
@@ -70,8 +71,23 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--only", type=int, metavar="I", help="only the I-th run of the plan")
     parser.add_argument("--dry-run", action="store_true", help="what would run, hours and disk")
     parser.add_argument("--json", action="store_true", help="print the outcome as JSON")
-    add_config_options(parser, with_own_settings(OnlineConfig, LEARNERS), leave_out=OWN_OPTIONS)
+    parser.add_argument(
+        "--model", dest=DEST + "model.kind", metavar="KIND", help="short for --model.kind"
+    )
+    kind = RoadConfig if _named(arguments, "--env") == {ROAD} else OnlineConfig
+    add_config_options(parser, with_own_settings(kind, LEARNERS), leave_out=OWN_OPTIONS)
     parser.set_defaults(run=run)
+
+
+def _named(arguments: list[str], option: str) -> set[str]:
+    """The words that the command line gives to an option, which takes one or more."""
+    words: set[str] = set()
+    for index, word in enumerate(arguments):
+        if word.startswith(option + "="):
+            words.add(word.split("=", 1)[1])
+        elif word == option:
+            words |= set(takewhile(lambda w: not w.startswith("-"), arguments[index + 1 :]))
+    return words
 
 
 def run(args: argparse.Namespace) -> int:
