@@ -101,9 +101,10 @@ class JsonLines:
         return os.fstat(self._file).st_size
 
     def cut(self, size: int) -> None:
-        """Truncate the file to `size` bytes."""
+        """Truncate the file to `size` bytes, and to whole rows: mended ones may be shorter."""
         if size < self.size:
             os.ftruncate(self._file, size)
+            self._drop_half_line()
 
     def sync(self) -> None:
         """Wait until the rows are on the disk."""

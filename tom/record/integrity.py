@@ -4,23 +4,28 @@ Damaged files are moved into the run's `damaged/` folder, never deleted.
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 
+import pandas as pd
 import pyarrow as pa
 
+from tom.config import RunConfig, SacRecordingConfig
 from tom.errors import reason
 from tom.record import checkpoint, digests, layout
 from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
-from tom.record.files import modified, parse_json_line, read_json_lines, replace_json
+from tom.record.decode import is_whole
+from tom.record.files import modified, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import unwritten
+from tom.record.mend import mend_lines
 from tom.record.opening import refuse_links
 from tom.record.reader import RunReader
+from tom.record.status import Status
 
-LINES = (layout.METRICS, layout.PROFILES, layout.NOTICES)
+LINES = (layout.PROFILES, layout.NOTICES)
 ENDED = "its process ended without a word: "
 GOES_ON = "tom train --resume {run} goes on from a checkpoint"
 NO_CHECKPOINT = "it has no checkpoint to go on from"
@@ -63,9 +68,9 @@ def repair(reader: RunReader) -> list[str]:
 
     Raises UserError while the run is being written, and if a part of it is a link.
 
-    Damaged lines become blank, damaged arrays are set aside, the state of a dead run becomes
-    `stopped`, the Parquet copy is made again, and temporary files of an interrupted write are
-    removed.
+    Damaged lines become blank, rows of metrics come back from the Parquet copy if that is whole,
+    else the copy is made again. Damaged arrays are set aside, the state of a dead run becomes
+    `stopped`, a lost status is made again, and temporary files of an interrupted write are removed.
     """
     done: list[str] = []
     refuse_links(reader.path)
@@ -73,12 +78,13 @@ def repair(reader: RunReader) -> list[str]:
         for path in _left(reader):
             path.unlink()
             done.append(f"{_name(reader, path)}: removed, it was never whole")
-        done += [text for name in LINES if (text := _mend_lines(reader, name))]
         altered = _altered(reader.path)
+        mended = [_mend_metrics(reader, altered), *(_mend_lines(reader, name) for name in LINES)]
+        done += [text for text in mended if text]
         for path in _arrays(reader.path):
             if _name(reader, path) in altered or _unreadable(path, reader.most_bytes):
                 done.append(f"{_name(reader, path)}: {_set_aside(reader, path)}")
-        done += [text for text in (_mend_status(reader), _mend_table(reader)) if text]
+        done += [text for text in (_mend_status(reader, altered), _mend_table(reader)) if text]
         done += _accept(reader, [name for name in altered if name not in "\n".join(done)])
     return done
 
@@ -133,27 +139,42 @@ def _left(reader: RunReader) -> list[Path]:
     return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file() and not p.is_symlink())
 
 
-def _mend_lines(reader: RunReader, name: str) -> str | None:
+def _mend_metrics(reader: RunReader, altered: Collection[str]) -> str | None:
+    """Mend the rows of metrics; a Parquet copy that is whole says what damaged ones were."""
+    path = reader.path / layout.METRICS
+    rows, problems = read_json_lines(path) if path.is_file() else ([], [])
+    whole = layout.METRICS not in altered and rows and not problems
+    known = None if whole or layout.METRICS_TABLE in altered else _table(reader)
+    return _mend_lines(reader, layout.METRICS, known)
+
+
+def _mend_lines(reader: RunReader, name: str, table: pd.DataFrame | None = None) -> str | None:
     path = reader.path / name
-    if not path.is_file():
+    there = path.is_file()
+    content = path.read_bytes() if there else b""
+    mended = mend_lines(content, table)
+    if mended.content == content:
         return None
-    rows, problems = read_json_lines(path)
-    if not problems:
-        return None
-    lines = path.read_bytes().split(b"\n")[:-1]
-    # Blanks take the place of a damaged line, because checkpoints hold the length of the file.
-    good = b"".join(
-        (b" " * len(line) if parse_json_line(line) is None else line) + b"\n" for line in lines
-    )
-    aside = _set_aside(reader, path)
-    replace_file(path, lambda file: file.write(good), sync=True)
+    aside = f"; {_set_aside(reader, path)}" if there else ""
+    replace_file(path, lambda file: file.write(mended.content), sync=True)
+    back = f", {mended.put_back} rows put back from {layout.METRICS_TABLE}"
     return (
-        f"{name}: {len(problems)} damaged lines blanked out of {len(rows) + len(problems)}; {aside}"
+        f"{name}: {mended.damaged} damaged lines blanked out of {mended.lines}"
+        f"{back if mended.put_back else ''}{aside}"
     )
+
+
+def _table(reader: RunReader) -> pd.DataFrame | None:
+    """The Parquet copy of the metrics; None if it is not whole."""
+    path = reader.path / layout.METRICS_TABLE
+    if _unreadable(path, reader.most_bytes):
+        return None
+    table = read_table(path, reader.most_bytes)
+    return table if "env_step" in table else None
 
 
 def _set_aside(reader: RunReader, path: Path) -> str:
-    """Move a damaged file into the run's `damaged/` folder; returns a line that says where."""
+    """Move a file into the run's `damaged/` folder; returns a line that says where."""
     place = reader.path / layout.DAMAGED / path.relative_to(reader.path)
     place.parent.mkdir(parents=True, exist_ok=True)
     number = 1
@@ -161,40 +182,73 @@ def _set_aside(reader: RunReader, path: Path) -> str:
         number += 1
         place = place.with_name(f"{path.name}~{number}")
     path.rename(place)
-    return f"the damaged one is kept as {_name(reader, place)}"
+    return f"what was there is kept as {_name(reader, place)}"
 
 
-def _mend_status(reader: RunReader) -> str | None:
+def _mend_status(reader: RunReader, altered: Collection[str]) -> str | None:
     """Give a final state to a run that is dead or has a damaged status."""
     file, status = reader.path / layout.STATUS, reader.status
     if status.state not in ("running", "unknown"):
         return None
     if status.state == "unknown" and os.path.lexists(file):
         _set_aside(reader, file)
-    table = reader.metrics()
-    last = int(table["env_step"].to_numpy().max(initial=0))
-    total = reader.config.get("config", {}).get("steps", 0)
-    held = checkpoint.newest(reader.path / checkpoint.FOLDER)
-    ended = replace(
-        status,
-        state="stopped",
-        phase="",
-        reason=ENDED + (GOES_ON.format(run=reader.run_id) if held is not None else NO_CHECKPOINT),
-        env_step=max(status.env_step, last),
-        total=status.total or (total if isinstance(total, int) else 0),
-        eta_s=None,
-    )
+    ended = _ended(reader, status, altered)
     replace_json(file, asdict(ended), sync=True)
-    return f"{layout.STATUS}: {status.state} became stopped at step {ended.env_step}"
+    return f"{layout.STATUS}: {status.state} became {ended.state} at step {ended.env_step}"
+
+
+def _ended(reader: RunReader, status: Status, altered: Collection[str]) -> Status:
+    """The final status of a run that says it is running, or of which nothing is known.
+
+    Digests are written when a run has finished, and for a small copy of any run.
+    """
+    table = reader.metrics()
+    held = checkpoint.newest(reader.path / checkpoint.FOLDER)
+    reached = max(status.env_step, int(table["env_step"].to_numpy().max(initial=0)))
+    total = status.total or _total(reader)
+    ended = replace(status, phase="", env_step=reached, total=total, eta_s=None)
+    if status.state == "unknown":
+        last, best = _last(table, "eval/return"), _last(table, "eval/return_max")
+        ended = replace(ended, last_return=last, best_return=best)
+        attested = layout.DIGESTS not in altered and (reader.path / layout.DIGESTS).is_file()
+        if attested and 0 < total <= max(reached, held or 0):
+            return replace(ended, state="finished", env_step=max(reached, total))
+    why = NO_CHECKPOINT if held is None else GOES_ON.format(run=reader.run_id)
+    return replace(ended, state="stopped", reason=ENDED + why)
+
+
+def _total(reader: RunReader) -> int:
+    """The last step of the run's events; 0 if its settings are damaged."""
+    settings = reader.config.get("config")
+    steps = settings.get("steps") if isinstance(settings, dict) else None
+    kind = RunConfig if reader.fits_model else SacRecordingConfig
+    return kind.model_construct(steps=steps).total_steps if is_whole(steps) else 0
+
+
+def _last(table: pd.DataFrame, name: str) -> float | None:
+    """The last value of a metric; None if it has none."""
+    values = table[name].dropna().tolist() if name in table else []
+    return values[-1] if values else None
 
 
 def _mend_table(reader: RunReader) -> str | None:
+    """Make the Parquet copy of the metrics again, unless it is that of the rows."""
     rows, table = reader.path / layout.METRICS, reader.path / layout.METRICS_TABLE
     if modified(table) >= modified(rows):
         return None
-    content = pa.Table.from_pandas(reader.metrics(), preserve_index=False)
+    held, now = _table(reader), reader.metrics()
+    if held is not None and _plain(held).equals(_plain(now)):
+        os.utime(table)  # readers take the newer one
+        return None
+    aside = f"; {_set_aside(reader, table)}" if os.path.lexists(table) else ""
+    content = pa.Table.from_pandas(now, preserve_index=False)
     replace_file(table, lambda file: write_table(file, content), sync=True)
-    return f"{layout.METRICS_TABLE}: made again"
+    return f"{layout.METRICS_TABLE}: made again{aside}"
+
+
+def _plain(table: pd.DataFrame) -> pd.DataFrame:
+    """The values of a table, whatever the order of its columns."""
+    return table.dropna(axis=1, how="all").sort_index(axis=1)
 
 
 def _name(reader: RunReader, path: Path) -> str:

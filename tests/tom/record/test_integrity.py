@@ -1,12 +1,15 @@
 """Runs that were recorded for real, damaged by hand, found out and mended."""
 
 import json
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from recorded import Config, events
 
+from tom.config import SacRecordingConfig
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint, manage, sizes
 from tom.record.export import export_small
@@ -92,6 +95,141 @@ def test_a_run_that_was_mended_goes_on_where_its_checkpoint_was(store: Store):
     assert run.problems == []
 
 
+def blanked(content: bytes) -> bytes:
+    """The second row overwritten with NULs."""
+    lines = content.split(b"\n")
+    return b"\n".join([lines[0], bytes(len(lines[1])), *lines[2:]])
+
+
+def zeroed(content: bytes) -> bytes:
+    """NULs from within the second row to within the sixth, as of a lost sector of a disk."""
+    lines = content.splitlines(keepends=True)
+    first, last = len(lines[0]) + 20, sum(map(len, lines[:6])) - 20
+    return content[:first] + bytes(last - first) + content[last:]
+
+
+def cut_off(content: bytes) -> bytes:
+    return content[:300]
+
+
+def emptied(content: bytes) -> bytes:
+    return b""
+
+
+def changed_by_hand(content: bytes) -> bytes:
+    """One number changed, a row removed and another one added."""
+    first, _, third, *rest = content.replace(b"-10.0", b"-9.0").split(b"\n")
+    return b"\n".join([first, third, b'{"env_step":999,"critic/q":1.0}', *rest])
+
+
+@pytest.mark.parametrize(
+    ("damage", "attested"),
+    [(how, True) for how in (blanked, zeroed, cut_off, emptied, changed_by_hand)]
+    + [(how, False) for how in (blanked, zeroed, cut_off, emptied)],
+)
+def test_rows_that_are_whole_in_the_table_are_put_back(
+    record, damage: Callable[[bytes], bytes], attested: bool
+):
+    run = record()
+    if not attested:  # a run that was stopped has a table and no digests
+        (run.path / "digests.json").unlink()
+    rows, copy = run.path / "metrics.jsonl", run.path / "metrics.parquet"
+    table, true = run.metrics(), copy.read_bytes()
+    damaged = damage(rows.read_bytes())
+    rows.write_bytes(damaged)
+    (done,) = repair(run)
+    assert "rows put back from metrics.parquet" in done
+    assert "damaged/metrics.jsonl" in done
+    assert (run.path / "damaged/metrics.jsonl").read_bytes() == damaged
+    assert copy.read_bytes() == true
+    pd.testing.assert_frame_equal(run.metrics(), table)
+    assert verify(run) == []
+    assert repair(run) == []
+    copy.unlink()  # as does a training that goes on
+    held = table.dropna(axis=1, how="all")
+    pd.testing.assert_frame_equal(run.metrics()[held.columns], held)
+
+
+def test_rows_that_are_put_back_lie_where_checkpoints_look_for_them(record):
+    run = record()
+    path = run.path / "metrics.jsonl"
+    whole = path.read_bytes()
+    for damage in (blanked, zeroed):
+        path.write_bytes(damage(whole))
+        repair(run)
+        mended = path.read_bytes()
+        assert len(mended) == len(whole)
+        assert mended.splitlines()[6:] == whole.splitlines()[6:]
+        assert b"\n\n" not in mended
+
+
+def test_a_training_that_goes_on_cuts_a_file_that_was_mended_shorter_to_whole_rows(store: Store):
+    writer = RunWriter.create(store, "a", Config)
+    for step in (1, 2, 3):
+        writer.metrics({"env_step": step, "x": step})
+    mark = writer.mark()
+    mark["lines"][0] -= 5  # within the last row, if the file was as much longer
+    writer.rewind(mark)
+    writer.metrics({"env_step": 3, "x": 4})
+    writer.close()
+    run = store.run("a")
+    assert run.metrics()["x"].tolist() == [1, 2, 4]
+    assert run.problems == []
+
+
+def test_a_row_that_a_hand_made_longer_or_shorter_gets_its_length_back(record):
+    run = record()
+    path = run.path / "metrics.jsonl"
+    path.write_bytes(path.read_bytes().replace(b"null", b"-1.0"))
+    repair(run)  # rows without null, which a table of numbers cannot give back
+    whole, table = path.read_bytes(), run.metrics()
+    assert b"null" not in whole
+    for changed in (b"-9", b"-9.125"):
+        path.write_bytes(whole.replace(b"-10.0", changed))
+        repair(run)
+        assert path.read_bytes() == whole
+        pd.testing.assert_frame_equal(run.metrics(), table)
+
+
+def test_a_step_in_two_lines_keeps_what_only_one_of_them_says(store: Store):
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        for name in ("a", "b", "c"):
+            recorder._writer.metrics({"env_step": 5, name: 1.0, "time/wall_s": ord(name) + 0.5})
+        recorder._writer.metrics({"env_step": 6, "a": 2.0})
+    run = store.run("run")
+    path, table = run.path / "metrics.jsonl", run.metrics()
+    whole = path.read_bytes().splitlines()
+    for damaged in range(4):
+        lines = [bytes(len(line)) if i == damaged else line for i, line in enumerate(whole)]
+        path.write_bytes(b"\n".join(lines) + b"\n")
+        assert "put back" in repair(run)[0]
+        mended = path.read_bytes().splitlines()
+        assert [len(line) for line in mended] == [len(line) for line in whole]
+        assert sum(a != b for a, b in zip(mended, whole, strict=True)) <= 1
+        os.utime(path)  # so that the rows are read and not the table
+        pd.testing.assert_frame_equal(run.metrics(), table, check_like=True)
+
+
+def test_a_table_that_is_made_again_is_kept_aside(record):
+    run = record()
+    (run.path / "digests.json").unlink()  # without them, nothing tells which of the two is true
+    rows, copy = run.path / "metrics.jsonl", run.path / "metrics.parquet"
+    true = copy.read_bytes()
+    rows.write_bytes(rows.read_bytes().replace(b"-10.0", b"-99.0"))
+    (done,) = repair(run)
+    assert "damaged/metrics.parquet" in done
+    assert (run.path / "damaged/metrics.parquet").read_bytes() == true
+    assert run.metrics()["model/holdout_nll"][0] == -99.0
+
+
+def test_a_whole_run_whose_files_were_copied_in_any_order_has_nothing_to_mend(record):
+    run = record()
+    os.utime(run.path / "metrics.jsonl")
+    before = contents(run.path)
+    assert repair(run) == []
+    assert contents(run.path) == before
+
+
 def test_damage_twice_keeps_both(record):
     run = record()
     for _ in range(2):
@@ -134,8 +272,68 @@ def test_a_status_that_is_lost_is_made_again(record, content: str | None):
         path.write_text(content)
     assert verify(run)
     repair(run)
-    assert (run.status.state, run.status.env_step, run.status.total) == ("stopped", 1000, 1000)
+    assert progress(run) == ("finished", 1000, 1000, -5000.0, 2500.0, "")
     assert verify(run) == []
+
+
+def progress(run: RunReader) -> tuple[str, int, int, float | None, float | None, str]:
+    now = run.status
+    return now.state, now.env_step, now.total, now.last_return, now.best_return, now.reason
+
+
+def lose_status(run: RunReader) -> None:
+    (run.path / "status.json").write_text('{"state": "finis')
+
+
+def test_a_small_copy_whose_status_is_lost_is_that_of_a_finished_run(record, tmp_path: Path):
+    copy = RunReader(export_small(record(), tmp_path / "copies"))
+    before = progress(copy)
+    lose_status(copy)
+    repair(copy)
+    assert progress(copy) == before
+    assert copy.shown == "finished (a small copy)"
+    assert verify(copy) == []
+
+
+def test_a_recording_whose_status_is_lost_has_all_its_steps(store: Store):
+    config = SacRecordingConfig(env="hopper", steps=500)  # as many random ones come before them
+    with Recorder(RunWriter.create(store, "run", config)) as recorder:
+        for event in events():
+            recorder.consume(event)
+    run = store.run("run")
+    before = progress(run)
+    lose_status(run)
+    repair(run)
+    assert progress(run) == before
+    assert (run.status.state, run.status.total) == ("finished", 1000)
+
+
+def test_a_status_that_is_lost_with_rows_is_made_of_the_rows_that_are_put_back(record):
+    run = record()
+    before = progress(run)
+    lose_status(run)
+    path = run.path / "metrics.jsonl"
+    path.write_bytes(path.read_bytes()[:300])
+    repair(run)
+    assert progress(run) == before
+
+
+def test_a_run_that_had_not_finished_has_stopped_when_its_status_is_lost(
+    store: Store, tmp_path: Path
+):
+    for name, given in (("at-the-end", events()[:-1]), ("half", events()[:700])):
+        with Recorder(RunWriter.create(store, name, Config)) as recorder:
+            for event in given:
+                recorder.consume(event)
+            recorder.finish("stopped")
+    copy = RunReader(export_small(store.run("half"), tmp_path / "copies"))
+    for run in (store.run("at-the-end"), store.run("half"), copy):
+        before = progress(run)
+        lose_status(run)
+        repair(run)
+        assert run.status.state == "stopped"
+        assert "without a word" in run.status.reason
+        assert progress(run)[2:5] == before[2:5]
 
 
 def test_a_run_that_is_written_is_not_touched(store: Store):
@@ -227,10 +425,10 @@ def test_weights_that_read_well_and_are_not_those_of_the_run__are_named_and_set_
 @pytest.mark.quick
 def test_rows_that_were_changed_by_hand__are_named_and_kept(record):
     run = record()
-    path = run.path / "metrics.jsonl"
-    path.write_bytes(path.read_bytes().replace(b"-10.0", b"-99.0"))
+    path = run.path / "notices.jsonl"
+    path.write_bytes(path.read_bytes().replace(b"zero", b"well"))
     (problem,) = verify(run)
-    assert problem == "metrics.jsonl is not what the run wrote (sha256 differs)"
+    assert problem == "notices.jsonl is not what the run wrote (sha256 differs)"
     assert any("nothing tells what it was" in line for line in repair(run))
     assert verify(run) == []
 
