@@ -95,13 +95,11 @@ def test_every_factor_has_a_bar_and_what_was_not_measured_has_none(mode: Mode) -
     errors = {factor: [0.5 + factor, 0.7 + factor] for factor in (*factors, 1.0)}
     region = {factor: [np.nan, np.nan] for factor in errors}
     found = Brushed("b", 10, 100, 300, {}, {REGION: region, REST: errors}, {})
-    figure = error_bars(found, 300, mode)
-    assert len(figure.data) == len(factors)
-    assert len({trace.marker.color for trace in figure.data}) == len(factors)  # type: ignore[attr-defined]
-    bar = figure.data[-1]
-    ratio = np.mean([4.5 / 1.5, 4.7 / 1.7])
-    assert np.isnan(array(bar.y)[0])  # type: ignore[attr-defined]
-    assert array(bar.y)[1] == pytest.approx(ratio - 1)  # type: ignore[attr-defined]
+    bars = error_bars(found, 300, mode).to_dict()["data"]
+    assert len(bars) == len({bar["marker"]["color"] for bar in bars}) == len(factors)
+    drawn = array(bars[-1]["y"])
+    assert np.isnan(drawn[0])
+    assert drawn[1] == pytest.approx(np.mean([4.5 / 1.5, 4.7 / 1.7]) - 1)
 
 
 def test_weights_are_known_by_the_file_that_holds_them(brushed: Path) -> None:

@@ -207,7 +207,7 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     assert "nothing to compare" in verdicts.returns(toms)[0]  # two presets of TOM are no rivals
 
 
-def test_presets_that_differ_in_more_than_the_learner_are_named(store: Path):
+def test_presets_that_differ_in_more_than_the_learner_are_named(store: Store):
     record(store, "ant", "tom", 0, [1, 2])
     record(store, "ant", "tom", 1, [1, 2], preset="mended")
     cells, _ = study.select(store.runs(), "paper", "mended")
