@@ -36,7 +36,7 @@ HOPPER = ("mle", "pmac", "tom", "vagram")
 COPIES = small_copies(Store(RUNS))
 WEIGHINGS = [path for run in COPIES for path in of_run(RUNS, run.run_id)]
 STOPPED = {run.run_id for run in COPIES if run.env == "hopper" and run.seed > 1}
-"""runs of 40 000 steps that were stopped at 20 000"""
+"""runs of 40 000 steps that were stopped at 30 000"""
 # One training of each task: that which kept most.
 TRAINED = [run for run in COPIES if run.learner != "sac"]
 RICHEST = {run.env: run for run in sorted(TRAINED, key=lambda run: size_of(run.path))}

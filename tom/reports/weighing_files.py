@@ -60,7 +60,7 @@ def reports(store: Path) -> list[tuple[Path, dict[str, Any]]]:
 def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
     """Copy the weighings of a run into the store `to`, with rounded weights and without terms.
 
-    Yields each copy. Raises UserError if one exists already, is damaged or cannot be written.
+    Their figure comes along as PNG alone. Yields each copy. Raises UserError if one exists already, is damaged or cannot be written.
     """
     for path in of_run(store, run_id):
         copy = to / layout.WEIGHINGS / path.name
@@ -68,7 +68,8 @@ def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
         weights = _read_weights(path)
         with whole_weighing(copy) as unfinished:
             for file in path.iterdir():
-                if file.name != WEIGHTS and file.is_file() and not file.is_symlink():
+                left_out = file.name == WEIGHTS or file.suffix == ".svg"
+                if not left_out and file.is_file() and not file.is_symlink():
                     shutil.copyfile(file, unfinished / file.name)
             write_columns(unfinished / WEIGHTS, weights)
         yield copy

@@ -44,10 +44,12 @@ def test_a_weighing_with_damaged_weights_is_named_and_not_copied(
     assert list((tmp_path / "out").glob("weighings/*")) == []
 
 
-def test_what_a_link_leads_to_is_not_copied(tmp_path: Path):
+def test_what_a_link_leads_to_and_a_second_figure_are_not_copied(tmp_path: Path):
     whole, secret = weighing(tmp_path / "store", "whole", WHOLE), tmp_path / "secret"
     pq.write_table(pa.table({"mle-s0": np.ones(3, np.float32)}), whole / WEIGHTS)
     secret.write_text("mine")
     (whole / "profile.csv").symlink_to(secret)
+    for figure in ("profile.png", "profile.svg"):
+        (whole / figure).touch()
     (copy,) = copy_small(tmp_path / "store", "one", tmp_path / "out")
-    assert sorted(path.name for path in copy.iterdir()) == [REPORT, WEIGHTS]
+    assert sorted(path.name for path in copy.iterdir()) == ["profile.png", REPORT, WEIGHTS]
