@@ -60,7 +60,8 @@ def reports(store: Path) -> list[tuple[Path, dict[str, Any]]]:
 def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
     """Copy the weighings of a run into the store `to`, with rounded weights and without terms.
 
-    Their figure comes along as PNG alone. Yields each copy. Raises UserError if one exists already, is damaged or cannot be written.
+    Their figure comes along as PNG alone. Yields each copy. Raises UserError if one exists already,
+    is damaged or cannot be written.
     """
     for path in of_run(store, run_id):
         copy = to / layout.WEIGHINGS / path.name
