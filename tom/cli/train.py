@@ -112,12 +112,11 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
     store, named = Store(args.store), args.run_id
     if begun := unfinished(store, config, run_id=named):
         return _resume(args, begun, config.steps)
+    run = next((run for run in store.runs() if run.run_id == named), None)
     wanted = completed(config.model_dump(mode="json"))
-    for run in store.runs():
-        done = run.status.state == "finished" and run.config.get("config") == wanted
-        if done and run.run_id == named:
-            _print_summary(run, args.json)
-            return 0
+    if run and run.status.state == "finished" and run.config.get("config") == wanted:
+        _print_summary(run, args.json)
+        return 0
     return record(config, args)
 
 

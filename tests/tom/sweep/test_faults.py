@@ -25,6 +25,7 @@ from tom.record import Store
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import ATTEMPTS, Driver
 from tom.sweep.engine import LocalEngine
+from tom.training.plan import Trial
 
 pytestmark = pytest.mark.fault
 
@@ -115,12 +116,18 @@ def test_death_before_the_first_checkpoint__begins_anew(tmp_path: Path):
     assert not trash.exists() or (trash / "config.json").exists()
 
 
-def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one(tmp_path: Path):
+def stopped(store: Path) -> Trial:
+    """A training that a sweep into `store` has stopped beyond its first checkpoint."""
     (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
-    first = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
-    until(lambda: beyond_a_checkpoint(first.store), first.poll)
-    first.stop()
-    assert first.jobs[0].state == "stopped"
+    driver = Driver(FolderBackend(Store(store)), [trial], LocalEngine(1))
+    until(lambda: beyond_a_checkpoint(driver.store), driver.poll)
+    driver.stop()
+    assert driver.jobs[0].state == "stopped"
+    return trial
+
+
+def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one(tmp_path: Path):
+    trial = stopped(tmp_path)
     for path in (tmp_path / trial.run_id / "checkpoint").rglob("state.pt"):
         path.write_bytes(path.read_bytes()[:-10])
     second = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
@@ -130,10 +137,7 @@ def test_no_checkpoint_of_a_run_can_be_loaded__begins_anew_and_keeps_the_old_one
 
 
 def test_a_run_that_is_refused_for_now__is_reported_and_kept(tmp_path: Path):
-    (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
-    first = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
-    until(lambda: beyond_a_checkpoint(first.store), first.poll)
-    first.stop()
+    trial = stopped(tmp_path)
     path = tmp_path / trial.run_id / "config.json"
     whole = path.read_text()
     path.write_text(json.dumps(json.loads(whole) | {"plugins": ["mine.py"]}))
@@ -150,10 +154,7 @@ def test_a_run_that_is_refused_for_now__is_reported_and_kept(tmp_path: Path):
 
 
 def test_a_stopped_run_and_another_torch_now__is_reported_and_nothing_begins_anew(tmp_path: Path):
-    (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
-    first = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
-    until(lambda: beyond_a_checkpoint(first.store), first.poll)
-    first.stop()
+    trial = stopped(tmp_path)
     path = tmp_path / trial.run_id / "config.json"
     content = json.loads(path.read_text())
     content["versions"]["torch"] = "1.13.1"
