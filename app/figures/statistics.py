@@ -64,23 +64,36 @@ def profiles(
     return figure
 
 
+@dataclass(frozen=True)
+class Improvement:
+    """How often a run of the first group beats a run of the second, and the p of that."""
+
+    first: str
+    second: str
+    probability: Interval
+    p: float
+
+
 def improvement(
-    pairs: Sequence[tuple[str, str, Interval]], colours: Sequence[str], height: int, keep: str
+    pairs: Sequence[Improvement], colours: Sequence[str], height: int, keep: str
 ) -> go.Figure:
-    """P(a run of the first beats a run of the second) for each pair, with its interval.
+    """P(a run of the first beats a run of the second) for each pair, with its interval and p.
 
     A zoom lasts while `keep`, which names the runs, is the same.
     """
-    names = [f"{text.plotly(first)} > {text.plotly(second)}" for first, second, _ in pairs]
-    value = np.array([probability.value for *_, probability in pairs])
-    low = np.array([probability.low for *_, probability in pairs])
-    high = np.array([probability.high for *_, probability in pairs])
+    names = [f"{text.plotly(pair.first)} > {text.plotly(pair.second)}" for pair in pairs]
+    value = np.array([pair.probability.value for pair in pairs])
+    low = np.array([pair.probability.low for pair in pairs])
+    high = np.array([pair.probability.high for pair in pairs])
     figure = go.Figure(
         go.Scatter(
             x=value,
             y=names,
-            mode="markers",
+            mode="markers+text",
             marker={"size": 10, "color": colours},
+            text=[f"p {pair.p:.2g}" for pair in pairs],
+            textposition="top center",
+            textfont={"size": 10},
             error_x={
                 "type": "data",
                 "symmetric": False,
@@ -89,7 +102,7 @@ def improvement(
                 "color": NEUTRAL,
                 "thickness": 2,
             },
-            hovertemplate="P(%{y}) = %{x:.2f}<extra></extra>",
+            hovertemplate="P(%{y}) = %{x:.2f}, %{text}<extra></extra>",
             showlegend=False,
         )
     )

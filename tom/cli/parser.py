@@ -27,6 +27,13 @@ def folder(word: str) -> Path:
     return Path(word)
 
 
+def seed_number(word: str) -> int:
+    """The type of a seed, for argparse."""
+    if not word.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{word}' is no seed: a whole number, 0 or more")
+    return int(word)
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line and suggest the nearest known option.
 

@@ -14,7 +14,14 @@ from pydantic import ValidationError
 
 from tom.cli import train_many
 from tom.cli.named import add_termination
-from tom.cli.parser import DEST, add_config_options, add_run_options, one_line, overrides
+from tom.cli.parser import (
+    DEST,
+    add_config_options,
+    add_run_options,
+    one_line,
+    overrides,
+    seed_number,
+)
 from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
@@ -58,8 +65,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         help=f"one or more of {', '.join(LEARNERS)}",
     )
     parser.add_argument(
-        "--seeds", nargs="+", type=_seed, metavar="N", help="a training for each of these seeds"
-    )
+        "--seeds", nargs="+", type=seed_number, metavar="N",
+        help="a training for each of these seeds",
+    )  # fmt: skip
     parser.add_argument(
         "--engine",
         choices=train_many.ENGINES,
@@ -204,12 +212,6 @@ def _refuse_others(args: argparse.Namespace) -> None:
                 f"--{option} {given}: run '{args.resume}' was made with {own} and goes on with it: "
                 f"leave out --{option}"
             )
-
-
-def _seed(word: str) -> int:
-    if not word.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{word}' is no seed: a whole number, 0 or more")
-    return int(word)
 
 
 def _without_rule(given: dict[str, Any], run_id: str, store: Path) -> dict[str, Any]:

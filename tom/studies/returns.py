@@ -25,6 +25,7 @@ from tom.record import RunReader
 
 Array = NDArray[np.float64]
 Recorded = tuple[RunReader, Curve]
+Method = tuple[str, str]  # learner, and preset if it is not the first requested one
 PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
 METRIC = "eval/return"
 
@@ -45,7 +46,7 @@ class Cell:
         return f"{name}, {self.preset}" if self.preset else name
 
     @property
-    def method(self) -> tuple[str, str]:
+    def method(self) -> Method:
         return self.learner, self.preset
 
     @property

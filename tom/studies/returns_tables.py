@@ -1,12 +1,13 @@
 """The tables of the returns study: scores, wins, exams, and what the store lacks."""
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from tom.analysis.scores import BEST, FINAL, HEIGHT, beats, chance, interval, steps_to
-from tom.analysis.statistics import remark
+from tom.analysis.statistics import corrected, remark
 from tom.envs import task
 from tom.exams.energy import informative
 from tom.learners import LEARNERS
@@ -15,6 +16,7 @@ from tom.studies.returns import (
     PAPER_ENVS,
     Array,
     Cell,
+    Method,
     cell_of,
     compared_at,
     compared_from,
@@ -30,6 +32,8 @@ EXAMS = {
     "exam/rollout_error": "error after 5 steps",
 }
 """the reported numbers of a learner's exams, by metric"""
+MEASURES = {BEST: "best return", FINAL: "last return", HEIGHT: "area under the curve"}
+"""the scores by which learners are compared, in words"""
 
 
 def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
@@ -74,28 +78,33 @@ def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 
 def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """How often a run of TOM beats a run of each other learner, over the tasks that both have.
+    """How often a run of a learner beats a run of another, over the tasks that both have.
 
-    For every preset of TOM, by the best return and by the area under the curve (its mean height);
-    p is by permutation of the runs, since intervals of so few are too narrow.
+    Every learner against MLE, and TOM against every other, by each of MEASURES (an area is the
+    curve's mean height). "p" is by permutation of the runs, since intervals of so few are too
+    narrow, and "p of all" is corrected for the number of rows.
     """
-    methods = sorted({cell.method: cell.label for cell in cells}.items())
+    label = {cell.method: cell.label for cell in cells}
     at, since, rows = compared_at(cells), compared_from(cells), []
     spans = {env: (at[env], since[env]) for env in at}
-    for (learner, preset), label in methods:
-        if learner != "tom":
-            continue
-        rivals = [(name, of) for name, of in methods if name != (learner, preset)]
-        for rival, of in rivals:
-            pairs = _pairs(cells, (learner, preset), rival)
-            if pairs:
-                rows += [_wins(label, of, pairs, spans, by) for by in (BEST, HEIGHT)]
-    return rows
+    for ours, theirs in _contests(list(label)):
+        pairs = _pairs(cells, ours, theirs)
+        if pairs:
+            rows += [_wins(label[ours], label[theirs], pairs, spans, by) for by in MEASURES]
+    ps = corrected([row["p"] for row in rows])
+    return [row | {"p of all": p} for row, p in zip(rows, ps, strict=True)]
 
 
-def _pairs(
-    cells: Sequence[Cell], ours: tuple[str, str], theirs: tuple[str, str]
-) -> dict[str, tuple[Cell, Cell]]:
+def _contests(methods: Sequence[Method]) -> list[tuple[Method, Method]]:
+    """Each pair of methods with MLE or TOM among them, once: who is asked about stands first."""
+    ranks = {RIVAL: 0, "tom": 2}
+    order = sorted(methods, key=lambda method: (ranks.get(method[0], 1), *method))
+    pairs = [(ours, theirs) for theirs, ours in combinations(order, 2)]
+    told = [pair for pair in pairs if ranks.keys() & {learner for learner, _ in pair}]
+    return sorted(told, key=lambda pair: order.index(pair[0]))
+
+
+def _pairs(cells: Sequence[Cell], ours: Method, theirs: Method) -> dict[str, tuple[Cell, Cell]]:
     """The scores of both by task, for tasks in which both have runs."""
     both = {
         env: (cell_of(cells, env, *ours), cell_of(cells, env, *theirs)) for env in envs_of(cells)
@@ -120,9 +129,9 @@ def _wins(
     second = [scores(other) for _, other in pairs.values()]
     wins = beats(first, second)
     return {
-        "TOM": ours,
+        "learner": ours,
         "against": theirs,
-        "by": "best return" if by == BEST else "area under the curve",
+        "by": MEASURES[by],
         "wins": wins.value,
         "low": wins.low,
         "high": wins.high,

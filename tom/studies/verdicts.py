@@ -132,7 +132,10 @@ def _ranking(cells: Sequence[Cell]) -> list[str]:
         if cell_of(cs, e, "tom") and any(c.learner != "tom" for c in cs)
     }
     if not judged:
-        return ["No environment of the paper has TOM beside another learner: nothing to compare."]
+        return [
+            "No environment of the paper has TOM, of the first preset, beside another learner: "
+            "nothing to compare with the claim."
+        ]
     first = [env for env, group in judged.items() if _tom_is_first(group, at[env])]
     named = f" ({', '.join(first)})" if first else ""
     lines = [

@@ -13,7 +13,7 @@ from app import text
 from app.data.readers import RunInfo
 from app.data.tables import default_level, reached
 from app.figures.looks import Look
-from app.figures.statistics import Profile, improvement, profiles
+from app.figures.statistics import Improvement, Profile, improvement, profiles
 from app.parts import address
 from app.parts.plot import chart
 from app.views.compare import measure
@@ -26,6 +26,7 @@ from tom.analysis.scores import (
     SCORES,
     beats,
     begun,
+    chance,
     common_start,
     common_step,
     interval,
@@ -71,7 +72,12 @@ def draw(comparison: Comparison) -> None:
     keep = " ".join([env, name, *(curve.run_id for group in grouped for curve in group.curves)])
     _profiles(drawn, scores, score, keep)
     both = list(combinations(range(len(grouped)), 2))
-    pairs = [(names[i], names[j], beats([scores[i]], [scores[j]])) for i, j in both]
+    pairs = [
+        Improvement(
+            names[i], names[j], beats([scores[i]], [scores[j]]), chance([scores[i]], [scores[j]])
+        )
+        for i, j in both
+    ]
     _improvement(pairs, [drawn[i].colour for i, _ in both], f"{score} {keep}")
     table = reached(grouped, names, level, until)
     _efficiency(table, name, level, until)
@@ -125,16 +131,16 @@ def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep
     st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"})
 
 
-def _improvement(
-    pairs: Sequence[tuple[str, str, statistics.Interval]], colours: Sequence[str], keep: str
-) -> None:
+def _improvement(pairs: Sequence[Improvement], colours: Sequence[str], keep: str) -> None:
     if not pairs:
         st.caption("One group alone has nobody to be better than.")
         return
     with st.container(border=True):
         st.markdown(
             "**Probability of improvement**: that a run of the first beats a run of the second",
-            help="ties count half; bars: 95 % bootstrap interval, none where a group has one run",
+            help="ties count half; bars: 95 % bootstrap interval, too narrow for few runs, none "
+            "where a group has one; p: by permutation of the runs, right for few, and not "
+            "corrected for the number of pairs",
         )
         figure = improvement(pairs, colours, 90 + 34 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
@@ -158,13 +164,14 @@ def _scores(names: Sequence[str], grouped: Sequence[Group], scores: Sequence[NDA
     )
 
 
-def _pairs(pairs: Sequence[tuple[str, str, statistics.Interval]]) -> pd.DataFrame:
+def _pairs(pairs: Sequence[Improvement]) -> pd.DataFrame:
     return pd.DataFrame(
         [
-            {"first": a, "second": b, "probability": p.value, "low": p.low, "high": p.high}
-            for a, b, p in pairs
+            {"first": pair.first, "second": pair.second, "probability": pair.probability.value,
+             "low": pair.probability.low, "high": pair.probability.high, "p": pair.p}
+            for pair in pairs
         ]
-    )
+    )  # fmt: skip
 
 
 def _shown(table: pd.DataFrame) -> pd.DataFrame:

@@ -16,7 +16,7 @@ from app.figures.probe import RunErrors, errors_by_age, focus, probe_profiles
 from app.figures.road import road_map
 from app.figures.scales import linear_scale, octaves, relative_scale, span
 from app.figures.side import side_by_side
-from app.figures.statistics import improvement
+from app.figures.statistics import Improvement, improvement
 from app.figures.weights import (
     MAP_COLUMNS,
     bin_centres,
@@ -270,6 +270,7 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     curve = replace(long_curve(len(bins)), run_id=run_id)
     map_of = weight_map(profiles, last, "light", 300, relative=True)
     errors = {"TOM": [RunErrors(run_id, "tom", float(last), 1.0)]}
+    wins = Improvement("TOM", "MLE", Interval(0.5, 0.1, 0.9), 1.0)
     drawn = [
         weight_map(profiles, last, "light", 300, relative=True, keep=run_id),
         with_returns(map_of, curve, last),
@@ -282,7 +283,7 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
         errors_by_age([("a", "tom", bins[last])], 5, 300, keep=run_id),
         focus(errors, 300, "model/error_policy"),
         moments_figure(bins[None], bins[None], ["a"], 100, keep=run_id),
-        improvement([("TOM", "MLE", Interval(0.5, 0.1, 0.9))], ["red"], 200, run_id),
+        improvement([wins], ["red"], 200, run_id),
     ]
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as hypothesis
+from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM
@@ -250,6 +251,9 @@ def test_statistics_are_those_of_the_scores(store: Path) -> None:
     assert array(line["y"]) == pytest.approx(shares)
     wins = np.mean([1.0 if mle > t else 0.5 if mle == t else 0.0 for t in tom])
     assert array(improvement["data"][0]["x"]) == pytest.approx([wins])
+    exact = mannwhitneyu([mle], tom, method="exact").pvalue
+    (shown,) = improvement["data"][0]["text"]
+    assert float(shown.removeprefix("p ")) == pytest.approx(exact, abs=0.02)
     aggregates, reached = (frame.value for frame in app.dataframe)
     assert aggregates.set_index("group").loc["TOM", "mean"].startswith(f"{tom.mean():.4g}")
     app.number_input[0].set_value(float(tom.min())).run()

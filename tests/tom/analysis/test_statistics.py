@@ -169,6 +169,19 @@ def test_the_p_of_runs_of_one_method_is_seldom_small():
     assert np.mean(np.array(ps) <= 0.05) < 0.1
 
 
+def test_the_p_of_several_tests_are_corrected_as_holm_says():
+    # Holm 1979: the smallest times the number of tests, the next times one fewer, never falling.
+    assert st.corrected([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert st.corrected([0.5, 0.9]) == [1, 1]
+    assert st.corrected([0.02]) == [0.02]
+    assert st.corrected([]) == []
+
+
+def test_a_corrected_p_of_true_hypotheses_is_seldom_small():
+    draws = rng(6).uniform(size=(2000, 9))
+    assert np.mean([min(st.corrected(ps)) <= 0.05 for ps in draws]) == pytest.approx(0.05, abs=0.01)
+
+
 @pytest.mark.parametrize(("n", "m"), [(2, 2), (3, 2), (5, 5), (12, 7)])
 def test_means_of_one_distribution_seldom_differ(n: int, m: int):
     draws = rng()

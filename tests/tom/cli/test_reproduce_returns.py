@@ -41,7 +41,7 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(words) == 0
     assert "missing or short" in capsys.readouterr().out
     assert main([*words, "--at", "250"]) == 0
-    assert "Best return up to step 250" in (out / "report.html").read_text()
+    assert "Returns up to step 250" in (out / "report.html").read_text()
     capsys.readouterr()
     assert main([*words, "--at", "251", "--out", str(tmp_path / "none")]) == 2
     assert "the longest ends at 250" in capsys.readouterr().err
@@ -69,6 +69,26 @@ def test_who_is_left_out_is_named_where_the_table_is(tmp_path: Path, capsys):
     assert json.loads(capsys.readouterr().out)["left out"] == ["short"]
     assert main(words) == 0
     assert "Left out" not in capsys.readouterr().out
+
+
+def test_seeds_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    store = Store(tmp_path / "store")
+    for seed in range(3):
+        config = resolve("inverted-pendulum", "mle", "smoke", {"seed": seed})
+        with Recorder(RunWriter.create(store, f"seed-{seed}", config)) as recorder:
+            recorder.consume(Metrics(100, {"eval/return": float(seed)}))
+            recorder.consume(Tick(100, "evaluate"))
+    words = ["reproduce", "returns", "--store", str(store.path), "--preset", "smoke", "--json"]
+    words += ["--out", str(tmp_path / "out"), "--seeds"]
+    assert main([*words, "1", "2"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (row,) = found["summary"]
+    assert (row["seeds"], row["mean"], found["left out"]) == ("1 2", 1.5, [])
+    assert main([*words, "3", "4"]) == 2
+    assert "--seeds: no such run has one of them, but 0 1 2" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main([*words, "-1"])
+    assert "'-1' is no seed: a whole number, 0 or more" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

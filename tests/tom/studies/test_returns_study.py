@@ -118,13 +118,49 @@ def test_settings_that_change_no_number_do_not_split_a_group(store: Store):
 
 def test_wins_over_tasks_that_both_have(store: Store):
     cells, _ = study.select(store.runs(), "paper")
-    best, area = tables.improvement(cells)
+    best, last, area = tables.improvement(cells)
     # Hopper: 30 and 50 against 40: half; Walker2d: 2 against 3: none.
     assert best["wins"] == pytest.approx((0.5 + 0) / 2)
     assert best["tasks"] == "hopper walker2d"
+    # 20 and 40 against 10: both; 2 against 2: half.
+    assert last["by"] == "last return"
+    assert last["wins"] == pytest.approx((1 + 0.5) / 2)
     # Mean heights 22.5 and 40 against 17.5: both; 1.5 against 2.5: none.
     assert area["by"] == "area under the curve"
     assert area["wins"] == pytest.approx((1 + 0) / 2)
+
+
+def test_every_learner_is_compared_with_mle_and_tom_with_every_other(store: Store):
+    record(store, "hopper", "pmac", 0, [70, 70, 70])
+    record(store, "hopper", "vagram", 0, [5, 5, 5])
+    record(store, "hopper", "tom", 0, [60, 70, 80], preset="mended")
+    cells = [c for c in study.select(store.runs(), "paper", "mended")[0] if c.env == "hopper"]
+    rows = [row for row in tables.improvement(cells) if row["by"] == "best return"]
+    assert [(row["learner"], row["against"]) for row in rows] == [
+        ("PMAC", "MLE"),
+        ("VaGram (MDN)", "MLE"),
+        ("TOM", "MLE"),
+        ("TOM", "PMAC"),
+        ("TOM", "VaGram (MDN)"),
+        ("TOM, mended", "MLE"),
+        ("TOM, mended", "PMAC"),
+        ("TOM, mended", "VaGram (MDN)"),
+        ("TOM, mended", "TOM"),
+    ]
+    assert rows[0]["wins"] == 1  # 70 against 40
+    assert rows[-1]["wins"] == 1  # 80 against 30 and 50
+
+
+def test_p_is_corrected_for_all_comparisons_of_the_table(store: Store):
+    for seed in range(2, 6):
+        record(store, "hopper", "tom", seed, [60 + seed] * 3)
+        record(store, "hopper", "mle", seed, [seed] * 3)
+    cells = [c for c in study.select(store.runs(), "paper")[0] if c.env == "hopper"]
+    rows = tables.improvement(cells)
+    least = min(rows, key=lambda row: row["p"])
+    assert len(rows) == 3
+    assert least["p of all"] == pytest.approx(3 * least["p"])
+    assert all(row["p"] <= row["p of all"] <= 1 for row in rows)
 
 
 def test_areas_begin_where_all_runs_have_returns(store: Store):
@@ -141,7 +177,11 @@ def test_areas_begin_where_all_runs_have_returns(store: Store):
     assert study.compared_from(cells) == {"walker2d": 2000}
     assert [row["area"] for row in tables.summary(cells)] == [3, 3, 3]
     areas = [row for row in tables.improvement(cells) if row["by"] == "area under the curve"]
-    assert [(row["against"], row["wins"]) for row in areas] == [("MLE", 0.5), ("PMAC", 0.5)]
+    assert [(row["learner"], row["against"], row["wins"]) for row in areas] == [
+        ("PMAC", "MLE", 0.5),
+        ("TOM", "MLE", 0.5),
+        ("TOM", "PMAC", 0.5),
+    ]
 
 
 def test_learners_without_a_common_task_are_not_compared(store: Store):
@@ -198,9 +238,9 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     assert not left_out
     of_hopper = [cell for cell in cells if cell.env == "hopper"]
     assert [(c.label, c.n) for c in of_hopper] == [("MLE", 1), ("TOM", 2), ("TOM, mended", 1)]
-    wins = {(r["TOM"], r["against"], r["by"]): r["wins"] for r in tables.improvement(of_hopper)}
+    rows = tables.improvement(of_hopper)
+    wins = {(r["learner"], r["against"], r["by"]): r["wins"] for r in rows}
     assert wins["TOM, mended", "TOM", "best return"] == 1
-    assert wins["TOM", "TOM, mended", "best return"] == 0
     assert wins["TOM, mended", "MLE", "area under the curve"] == 1
     assert "mended" not in verdicts.returns(of_hopper)[0]
     toms = [cell for cell in of_hopper if cell.learner == "tom"]

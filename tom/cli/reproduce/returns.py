@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from tom.cli.parser import seed_number
 from tom.cli.reproduce.study import (
     add_output,
     add_stored,
@@ -29,6 +30,7 @@ CLAIM = (
     "final return, with larger gains where dynamics are complex (Walker2d, HalfCheetah, Humanoid); "
     "4 seeds, running maximum of the mean of 10 test episodes (section 5.2)."
 )
+WINS = "How often a run of one learner beats one of another"
 CAPTION = "Best return so far: mean over seeds, 95 % bootstrap band, single seeds faint."
 
 
@@ -47,6 +49,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--at", type=int, metavar="STEP",
         help="compare at this env step, without the runs that end earlier [what all runs reach]",
     )  # fmt: skip
+    parser.add_argument("--seeds", nargs="+", type=seed_number, metavar="N", help="[all]")
     add_output(parser, "returns")
     parser.set_defaults(run=run)
 
@@ -59,15 +62,19 @@ def run(args: argparse.Namespace) -> int:
             raise unknown("learner", learner, LEARNER_NAMES)
     if args.at is not None and args.at < 1:
         raise UserError("--at must be at least 1")
-    runs = [
+    every = [
         run for run in Store(args.store).runs() if run.env in envs and run.learner in args.learner
     ]
-    whole, _ = study.select(runs, *args.preset)
+    whole, _ = study.select(every, *args.preset)
     if not whole:
         raise UserError(
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
             f"--learner {' '.join(args.learner)} --seeds 4 makes them"
         )
+    runs = every if args.seeds is None else [run for run in every if run.seed in args.seeds]
+    if not runs:
+        have = sorted({seed for cell in whole for seed in cell.seeds})
+        raise UserError(f"--seeds: no such run has one of them, but {' '.join(map(str, have))}")
     cells, left_out = study.select(runs, *args.preset, at=args.at)
     if not cells:
         raise UserError(
@@ -112,8 +119,11 @@ def _write(
         f"after the others' end, or an end before --at: {', '.join(left_out)}."
     ]
     tables = [
-        (f"Best return up to {_step(args.at)}", findings["summary"]),
-        ("How often a run of TOM beats one of another learner", findings["improvement"]),
+        (
+            f"Returns up to {_step(args.at)}; mean, median and IQM are of the best",
+            findings["summary"],
+        ),
+        (WINS, findings["improvement"]),
         ("Exams: the median fit of each run, on new steps of its own policy", findings["exams"]),
         ("What is missing for the paper's figure", findings["missing"]),
     ]
@@ -128,13 +138,21 @@ def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[st
     if args.json:
         print_json({**findings, "left out": left_out, "out": str(args.out)})
         return
-    names = ("env", "learner", "n", "at step", "mean", "low", "high", "IQM", "remark")
-    rows = [[_cell(row[name]) for name in names] for row in findings["summary"]]
-    show(f"Best return up to {_step(args.at)}", names, rows)
+    names = ("env", "learner", "n", "at step", "best return", "IQM", "last", "area", "remark")
+    rows = [
+        [
+            row["env"], row["learner"], str(row["n"]), str(row["at step"]),
+            _interval(row["mean"], row["low"], row["high"]), _cell(row["IQM"]),
+            _cell(row["final"]), _interval(row["area"], row["area low"], row["area high"]),
+            row["remark"],
+        ]
+        for row in findings["summary"]
+    ]  # fmt: skip
+    show(f"Returns up to {_step(args.at)}", names, rows)
     if findings["improvement"]:
-        names = ("TOM", "against", "by", "wins", "low", "high", "p", "tasks")
+        names = ("learner", "against", "by", "wins", "low", "high", "p", "p of all", "tasks")
         rows = [[_cell(row[name], ".2g") for name in names] for row in findings["improvement"]]
-        show("How often a run of TOM beats one of another learner", names, rows)
+        show(WINS, names, rows)
     if findings["exams"]:
         names = ("env", "learner", "n", *returns_tables.EXAMS.values())
         rows = [
@@ -158,6 +176,10 @@ def _cell(value: Any, form: str = ".1f") -> str:
     if value is None or value != value:
         return "-"
     return f"{value:{form}}" if isinstance(value, float) else str(value)
+
+
+def _interval(value: float, low: float, high: float) -> str:
+    return f"{value:.1f} [{low:.1f}, {high:.1f}]" if low == low else f"{value:.1f}"
 
 
 def _range(row: dict[str, Any], name: str) -> str:
