@@ -85,15 +85,14 @@ def improvement(
     value = np.array([pair.probability.value for pair in pairs])
     low = np.array([pair.probability.low for pair in pairs])
     high = np.array([pair.probability.high for pair in pairs])
+    chance = [f"p {pair.p:.2g}" for pair in pairs]
     figure = go.Figure(
         go.Scatter(
             x=value,
             y=names,
-            mode="markers+text",
+            mode="markers",
             marker={"size": 10, "color": colours},
-            text=[f"p {pair.p:.2g}" for pair in pairs],
-            textposition="top center",
-            textfont={"size": 10},
+            text=chance,
             error_x={
                 "type": "data",
                 "symmetric": False,
@@ -106,8 +105,10 @@ def improvement(
             showlegend=False,
         )
     )
+    column = {"textposition": "middle right", "hoverinfo": "skip", "showlegend": False}
+    figure.add_scatter(x=np.full(len(pairs), 1.03), y=names, mode="text", text=chance, **column)
     marks = [upright(0.5, 1.5, "dash")]
     styled(figure, "probability of improvement", height, keep=f"improvement {keep}", marks=marks)
-    figure.update_xaxes(range=[-0.03, 1.03], showgrid=True)
+    figure.update_xaxes(range=[-0.03, 1.13], showgrid=True)
     figure.update_yaxes(autorange="reversed", showgrid=False)
     return figure
