@@ -71,7 +71,7 @@ def _close_notes(page: "Page") -> None:
     """Close viser's note on software rendering, which appears only in a headless browser."""
     for frame in page.frames:
         for button in frame.locator(".mantine-Notification-closeButton").all():
-            button.click()
+            button.dispatch_event("click")
 
 
 def _grow(page: "Page") -> None:
