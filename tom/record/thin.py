@@ -108,7 +108,7 @@ def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]
 
 def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:
     table = reader.metrics()
-    keep = np.zeros(len(table), bool)
+    keep = np.full(len(table), reader.small_copy)  # a copy has no row too many
     keep[_spread(range(len(table)), ROWS)] = True
     if "eval/return" in table:
         keep |= table["eval/return"].notna().to_numpy()

@@ -5,6 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from recorded import FIT, STEPS, Config, episodes, events, transitions
 
@@ -82,9 +83,12 @@ def test_the_fits_that_were_examined_are_kept(store: Store, tmp_path: Path):
                 recorder.consume(Tick(step, "fit"))
                 recorder.consume(Metrics(step - 40 or 1, {"exam/error": float(step - 40)}))
             recorder.consume(Tick(step, "optimise"))
-    small = RunReader(export_small(store.run("run"), tmp_path)).metrics()
+    copy = RunReader(export_small(store.run("run"), tmp_path))
+    small = copy.metrics()
     assert len(small) < 400
     assert small["exam/error"].dropna().tolist() == [float(step) for step in range(0, 4000, 40)]
+    again = RunReader(export_small(copy, tmp_path / "again"))
+    pd.testing.assert_frame_equal(again.metrics(), small)  # a copy of a copy loses no row
 
 
 def test_a_copy_of_a_run_in_training_is_stopped_where_the_copy_ends(store: Store, tmp_path: Path):
