@@ -39,14 +39,16 @@ def energy_distance(x: Tensor, y: Tensor) -> float:
 def drawn_distance(x: Tensor, rows: Tensor) -> Tensor:
     """E|x - x'| over pairs of different rows of a weighted table, from draws x (N, D) of `rows`.
 
-    Draws 2 k and 2 k + 1 come from the k-th of N / 2 equal parts of the weight. A pair within one
-    part counts twice, because a draw makes no pair with itself; so a part pairs with itself as
-    often as with others. Not finite if all draws are the same row.
+    The weight has N / 2 equal parts, and draws 2 k and 2 k + 1 come from the k-th. Two independent
+    draws would meet in one part as often as in any two, so every pair of parts must count alike:
+    two different parts have four ordered pairs of draws, one part with itself only two, which
+    count twice. Pairs of the same row are left out. Not finite if all draws are the same row.
     """
     first, second = slice(0, None, 2), slice(1, None, 2)
-    total = torch.cdist(x, x).sum() + 2 * (x[first] - x[second]).norm(dim=1).sum()
-    same = rows.unique(return_counts=True)[1].square().sum() - len(x)
-    same = same + 2 * (rows[first] == rows[second]).sum()
+    within = (x[first] - x[second]).norm(dim=1).sum()
+    total = torch.cdist(x, x).sum() + 2 * within
+    drawn = rows.unique(return_counts=True)[1]
+    same = drawn.square().sum() - len(x) + 2 * (rows[first] == rows[second]).sum()
     return total / (len(x) ** 2 - same)
 
 
