@@ -19,62 +19,71 @@ PLACES = ("model", "starts", "both")
 """where the weights act"""
 
 
-def gaps(found: Sequence[Improvement], way: str, place: str) -> list[Value]:
+def gaps(trials: Sequence[Improvement], way: str, place: str) -> list[Value]:
     """Return with the way's weights at `place` less that with uniform weights, trial by trial."""
-    base = {_trial(one): one.both for one in found if one.way == UNIFORM}
-    every = [
-        (one.env, one.recording, getattr(one, place) - base[_trial(one)])
-        for one in found
-        if one.way == way and _trial(one) in base
+    uniform = {_key(trial): trial.both for trial in trials if trial.way == UNIFORM}
+    differences = [
+        (trial.env, trial.recording, getattr(trial, place) - uniform[_key(trial)])
+        for trial in trials
+        if trial.way == way and _key(trial) in uniform
     ]
-    return [value for value in every if isfinite(value[2])]
+    return [value for value in differences if isfinite(value[2])]
 
 
-def summary(found: Sequence[Improvement]) -> list[dict[str, Any]]:
+def summary(trials: Sequence[Improvement]) -> list[dict[str, Any]]:
     """One row for the returns before, one for those with uniform weights, and one for each other
     way and place: median differences by task, and how often it is better."""
-    plain = [one for one in found if one.way == UNIFORM]
-    rows: list[dict[str, Any]] = [
-        _row("none", "return before", plain, [(one.env, one.before) for one in plain]),
-        _row(UNIFORM, "return", plain, [(one.env, one.both) for one in plain]),
+    plain = [trial for trial in trials if trial.way == UNIFORM]
+    envs = list(dict.fromkeys(trial.env for trial in plain))
+    rows = [
+        _row("none", "return before", envs, [(trial.env, trial.before) for trial in plain]),
+        _row(UNIFORM, "return", envs, [(trial.env, trial.both) for trial in plain]),
     ]
-    for way in dict.fromkeys(one.way for one in found if one.way != UNIFORM):
+    for way in dict.fromkeys(trial.way for trial in trials if trial.way != UNIFORM):
         for place in PLACES:
-            of = gaps(found, way, place)
-            told = [(env, gap) for env, _, gap in of]
-            row = _row(way, f"difference, weights in {_where(place)}", plain, told)
-            rows.append(row | _wins(of))
+            differences = gaps(trials, way, place)
+            by_env = [(env, gap) for env, _, gap in differences]
+            row = _row(way, f"difference, weights in {_where(place)}", envs, by_env)
+            rows.append(row | _wins(differences))
     return rows
 
 
-def verdict(found: Sequence[Improvement]) -> list[str]:
+def verdict(trials: Sequence[Improvement]) -> list[str]:
     """The table in words, the noise, and what cannot be said."""
-    trials = {_trial(one) for one in found}
-    lost = sum(not isfinite(one.model + one.starts + one.both) for one in found)
+    keys = {_key(trial) for trial in trials}
+    moments = {(recording, step) for recording, step, _ in keys}
+    recordings = {recording for recording, _ in moments}
+    lost = sum(not isfinite(trial.model + trial.starts + trial.both) for trial in trials)
     said = [
-        f"{len({trial[:2] for trial in trials})} moments of {len({t[0] for t in trials})} runs, "
-        f"{len(trials)} trials of each way. " + _noise(found)
+        f"{len(moments)} moments of {len(recordings)} runs, {len(keys)} trials of each way. "
+        + _noise(trials)
     ]
     if lost:
         said.append(f"SAC diverged in {lost} trials, which are left out.")
-    return said + [_sentence(row) for row in summary(found) if row["recordings"] != ""]
+    return said + [_sentence(row) for row in summary(trials) if row["recordings"] != ""]
 
 
 def _row(
-    way: str, what: str, plain: Sequence[Improvement], values: Sequence[tuple[str, float]]
+    way: str, what: str, envs: Sequence[str], values: Sequence[tuple[str, float]]
 ) -> dict[str, Any]:
+    """The median of the values (env, value) in each of `envs`, with empty columns for wins."""
     row: dict[str, Any] = {"way": way, "what": what}
-    for env in dict.fromkeys(one.env for one in plain):
-        of = [value for task, value in values if task == env and isfinite(value)]
-        row[env] = median(of) if of else float("nan")
+    for env in envs:
+        finite = [value for task, value in values if task == env and isfinite(value)]
+        row[env] = median(finite) if finite else float("nan")
     return row | {"better in trials": "", "n": len(values), "better on": "", "recordings": "",
                   "p": ""}  # fmt: skip
 
 
-def _wins(of: Sequence[Value]) -> dict[str, Any]:
-    signs, better = sign_test(of), sum(gap > 0 for _, _, gap in of)
-    numbers = {"better on": signs.above, "recordings": signs.n, "p": signs.p}
-    return {"better in trials": better, "n": len(of), **numbers}
+def _wins(differences: Sequence[Value]) -> dict[str, Any]:
+    signs, better = sign_test(differences), sum(gap > 0 for _, _, gap in differences)
+    return {
+        "better in trials": better,
+        "n": len(differences),
+        "better on": signs.above,
+        "recordings": signs.n,
+        "p": signs.p,
+    }
 
 
 def _sentence(row: Mapping[str, Any]) -> str:
@@ -89,12 +98,13 @@ def _sentence(row: Mapping[str, Any]) -> str:
     return f"{told}: {'better' if row['better on'] > less else 'worse'} than uniform weights."
 
 
-def _noise(found: Sequence[Improvement]) -> str:
+def _noise(trials: Sequence[Improvement]) -> str:
     """How far two seeds of uniform weights lie apart at the same moment, by task."""
     by_moment: dict[tuple[str, str, int], list[float]] = {}
-    for one in found:
-        if one.way == UNIFORM:
-            by_moment.setdefault((one.env, one.recording, one.step), []).append(one.both)
+    for trial in trials:
+        if trial.way == UNIFORM:
+            moment = trial.env, trial.recording, trial.step
+            by_moment.setdefault(moment, []).append(trial.both)
     apart: dict[str, list[float]] = {}
     for (env, _, _), values in by_moment.items():
         apart.setdefault(env, []).extend(abs(a - b) for a, b in combinations(values, 2))
@@ -108,5 +118,5 @@ def _where(place: str) -> str:
     return "both" if place == "both" else f"the {place} alone"
 
 
-def _trial(one: Improvement) -> tuple[str, int, int]:
-    return one.recording, one.step, one.seed
+def _key(trial: Improvement) -> tuple[str, int, int]:
+    return trial.recording, trial.step, trial.seed
