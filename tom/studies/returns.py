@@ -9,9 +9,10 @@ says so. Runs are grouped and scored as on the Compare page
 (`tom/analysis/scores.py`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ Recorded = tuple[RunReader, Curve]
 Method = tuple[str, str]  # learner, and preset if it is not the first requested one
 PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
 METRIC = "eval/return"
+FREE: Mapping[str, int] = MappingProxyType({})
+"""no environment has a step of comparison fixed beforehand"""
 
 
 @dataclass(frozen=True)
@@ -73,13 +76,13 @@ class Cell:
 
 
 def select(
-    runs: Sequence[RunReader], *presets: str, at: int | None = None
+    runs: Sequence[RunReader], *presets: str, at: Mapping[str, int] = FREE
 ) -> tuple[list[Cell], list[str]]:
     """The cells of the runs of `presets`, and the ids of runs that were left out.
 
-    With `at`, curves end at that env step, and runs without an evaluation there or later are left
-    out. All runs of a learner are left out if one was first evaluated after the step of the
-    comparison.
+    Curves of an environment in `at` end at that env step, and its runs without an evaluation there
+    or later are left out. All runs of a learner are left out if one was first evaluated after the
+    step of the comparison.
     """
     mine = [
         run
@@ -88,7 +91,7 @@ def select(
     ]
     kind_of = kinds(mine)
     recorded = [(run, _curve(run, kind_of[run.run_id])) for run in mine]
-    reaching = [(run, _until(curve, at)) for run, curve in recorded]
+    reaching = [(run, _until(curve, at.get(run.env))) for run, curve in recorded]
     usable = sorted(((r, c) for r, c in reaching if len(c.step)), key=_key)
     cells, left_out = [], [run.run_id for run, curve in reaching if not len(curve.step)]
     for (env, learner, preset), group in groupby(usable, _key):

@@ -137,11 +137,14 @@ def _ranking(cells: Sequence[Cell]) -> list[str]:
             "nothing to compare with the claim."
         ]
     first = [env for env, group in judged.items() if _tom_is_first(group, at[env])]
-    named = f" ({', '.join(first)})" if first else ""
     lines = [
         f"TOM has the highest mean in {len(first)} of {len(judged)} of the paper's environments"
-        f"{named}; the paper says 4 of 5."
+        f"{_listed(first)}; the paper says 4 of 5."
     ]
+    for preset in sorted({c.preset for c in cells if c.learner == "tom" and c.preset}):
+        have = [env for env, group in judged.items() if cell_of(group, env, "tom", preset)]
+        first = [env for env in have if _tom_is_first(judged[env], at[env], preset)]
+        lines += [f"Its preset {preset} has it in {len(first)} of {len(have)}{_listed(first)}."]
     few = min(c.n for cs in judged.values() for c in cs)
     if remark(few):
         lines.append(f"The smallest group: {remark(few)}.")
@@ -153,9 +156,14 @@ def _ranking(cells: Sequence[Cell]) -> list[str]:
     return lines
 
 
-def _tom_is_first(cells: Sequence[Cell], step: float) -> bool:
+def _listed(envs: Sequence[str]) -> str:
+    return f" ({', '.join(envs)})" if envs else ""
+
+
+def _tom_is_first(cells: Sequence[Cell], step: float, preset: str = "") -> bool:
+    """Whether TOM of this preset has the highest mean best return; its others are no rivals."""
     means = {cell.method: float(cell.scores(step).mean()) for cell in cells}
-    tom = means.pop(("tom", ""))
+    tom = means["tom", preset]
     return all(tom > mean for (learner, _), mean in means.items() if learner != "tom")
 
 

@@ -41,7 +41,10 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(words) == 0
     assert "missing or short" in capsys.readouterr().out
     assert main([*words, "--at", "250"]) == 0
-    assert "Returns up to step 250" in (out / "report.html").read_text()
+    assert "Returns up to step 250;" in (out / "report.html").read_text()
+    assert main([*words, "--at", "inverted-pendulum=250"]) == 0
+    reached = "step 250 of inverted-pendulum, else the step that all runs of an environment reach;"
+    assert f"Returns up to {reached}" in (out / "report.html").read_text()
     capsys.readouterr()
     assert main([*words, "--at", "251", "--out", str(tmp_path / "none")]) == 2
     assert "the longest ends at 250" in capsys.readouterr().err
@@ -99,6 +102,8 @@ def test_seeds_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         (("--learner", "tomm"), "did you mean 'tom'"),
         (("--preset", "papr"), "did you mean 'paper'"),
         (("--at", "0"), "--at must be at least 1"),
+        (("--at", "late"), "or ENV=STEP, not 'late'"),
+        (("--at", "hoper=9"), "did you mean 'hopper'"),
     ],
 )
 def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tom.envs import ENVS
 from tom.events import Metrics, Tick
 from tom.record import Store
 from tom.record.recorder import Recorder
@@ -80,19 +81,30 @@ def test_learners_are_compared_at_a_step_that_all_reach(store: Store):
 
 
 def test_at_a_step_fixed_beforehand_shorter_runs_are_left_out_and_longer_ones_cut(store: Store):
-    cells, left_out = study.select(store.runs(), "paper", at=3000)
+    cells, left_out = study.select(store.runs(), "paper", at=dict.fromkeys(ENVS, 3000))
     assert study.compared_at(cells) == {"hopper": 3000}  # Walker2d's runs end at 2000
     assert len([run_id for run_id in left_out if run_id.startswith("walker2d")]) == 2
     assert max(cell.longest for cell in cells) == 3000
     assert {row["learner"]: row["mean"] for row in tables.summary(cells)} == {"MLE": 40, "TOM": 40}
-    (alone,), short = study.select(store.runs(), "paper", at=3001)
+    (alone,), short = study.select(store.runs(), "paper", at=dict.fromkeys(ENVS, 3001))
     assert (alone.learner, alone.seeds, len(short)) == ("tom", [0], 4)
-    assert study.select(store.runs(), "paper", at=4001)[0] == []
+    assert study.select(store.runs(), "paper", at=dict.fromkeys(ENVS, 4001))[0] == []
+
+
+def test_a_step_of_one_environment_leaves_the_others_as_they_are(store: Store):
+    cells, left_out = study.select(store.runs(), "paper", at={"hopper": 4000})
+    assert study.compared_at(cells) == {"hopper": 4000, "walker2d": 2000}
+    assert {(cell.env, cell.learner, cell.n) for cell in cells} == {
+        ("hopper", "tom", 1),
+        ("walker2d", "mle", 1),
+        ("walker2d", "tom", 1),
+    }
+    assert len(left_out) == 2  # Hopper's that end at 3000
 
 
 def test_of_one_seed_the_run_that_reaches_the_step_is_used(store: Store):
     record(store, "hopper", "mle", 0, [7] * 4, updates_per_step=7)
-    cells, _ = study.select(store.runs(), "paper", at=4000)
+    cells, _ = study.select(store.runs(), "paper", at=dict.fromkeys(ENVS, 4000))
     assert [(cell.learner, list(cell.scores(4000))) for cell in cells] == [
         ("mle", [7.0]),
         ("tom", [90.0]),
@@ -242,7 +254,9 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     wins = {(r["learner"], r["against"], r["by"]): r["wins"] for r in rows}
     assert wins["TOM, mended", "TOM", "best return"] == 1
     assert wins["TOM, mended", "MLE", "area under the curve"] == 1
-    assert "mended" not in verdicts.returns(of_hopper)[0]
+    first, preset, *_ = verdicts.returns(of_hopper)
+    assert "mended" not in first
+    assert preset == "Its preset mended has it in 1 of 1 (hopper)."
     toms = [cell for cell in of_hopper if cell.learner == "tom"]
     assert "nothing to compare" in verdicts.returns(toms)[0]  # two presets of TOM are no rivals
 

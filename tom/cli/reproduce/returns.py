@@ -1,6 +1,7 @@
 """`tom reproduce returns`: return curves of every learner, from the runs in the store."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from tom.cli.reproduce.study import (
     stoppable,
 )
 from tom.cli.tables import show
+from tom.envs import task
 from tom.errors import UserError, unknown
 from tom.learners import LEARNER_NAMES
 from tom.record import Store
@@ -46,8 +48,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     add_stored(parser, "+")
     parser.add_argument("--learner", nargs="+", default=list(LEARNER_NAMES), metavar="LEARNER")
     parser.add_argument(
-        "--at", type=int, metavar="STEP",
-        help="compare at this env step, without the runs that end earlier [what all runs reach]",
+        "--at", nargs="+", default=[], metavar="[ENV=]STEP",
+        help="compare at this env step, in ENV alone if it is named, without the runs that end "
+        "earlier [what all runs reach]",
     )  # fmt: skip
     parser.add_argument("--seeds", nargs="+", type=seed_number, metavar="N", help="[all]")
     add_output(parser, "returns")
@@ -60,8 +63,7 @@ def run(args: argparse.Namespace) -> int:
     for learner in args.learner:
         if learner not in LEARNER_NAMES:
             raise unknown("learner", learner, LEARNER_NAMES)
-    if args.at is not None and args.at < 1:
-        raise UserError("--at must be at least 1")
+    at = _steps(args.at, envs)
     every = [
         run for run in Store(args.store).runs() if run.env in envs and run.learner in args.learner
     ]
@@ -75,11 +77,11 @@ def run(args: argparse.Namespace) -> int:
     if not runs:
         have = sorted({seed for cell in whole for seed in cell.seeds})
         raise UserError(f"--seeds: no such run has one of them, but {' '.join(map(str, have))}")
-    cells, left_out = study.select(runs, *args.preset, at=args.at)
+    cells, left_out = study.select(runs, *args.preset, at=at)
     if not cells:
         raise UserError(
-            f"--at {args.at}: no such run was evaluated there or later; the longest ends at "
-            f"{max(cell.longest for cell in whole):.0f}"
+            f"--at {' '.join(args.at)}: no such run was evaluated there or later; the longest ends "
+            f"at {max(cell.longest for cell in whole):.0f}"
         )
     out_folder(args.out)
     findings = _findings(cells)
@@ -87,6 +89,17 @@ def run(args: argparse.Namespace) -> int:
     _write(args, cells, left_out, findings)
     _print(args, findings, left_out)
     return 0
+
+
+def _steps(words: Sequence[str], envs: Sequence[str]) -> dict[str, int]:
+    """The step of each environment that has one, from `STEP` (of all) or `ENV=STEP`."""
+    steps: dict[str, int] = {}
+    for word in words:
+        env, named, step = word.rpartition("=")
+        if not step.isdecimal() or int(step) < 1:
+            raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word}'")
+        steps |= dict.fromkeys([task(env).name] if named else envs, int(step))
+    return steps
 
 
 def _findings(cells: list[study.Cell]) -> dict[str, Any]:
@@ -167,9 +180,13 @@ def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[st
     print(f"{len(findings['missing'])} of the paper's curves are missing or short: {args.out}")
 
 
-def _step(at: int | None) -> str:
+def _step(at: Sequence[str]) -> str:
     """The step of the comparison in words."""
-    return f"step {at}" if at else "the step that all runs of an environment reach"
+    words = [word.rpartition("=") for word in at]
+    steps = [f"step {step} of {env}" if env else f"step {step}" for env, _, step in words]
+    if all(env for env, _, _ in words):
+        steps.append("the step that all runs of an environment reach")
+    return ", else ".join(steps)
 
 
 def _cell(value: Any, form: str = ".1f") -> str:
