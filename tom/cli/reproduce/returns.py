@@ -18,7 +18,7 @@ from tom.cli.tables import show
 from tom.envs import task
 from tom.errors import UserError, unknown
 from tom.learners import LEARNER_NAMES
-from tom.record import Store
+from tom.record import RunReader, Store
 from tom.reports.files import write_csv
 from tom.reports.html import Report, write_report
 from tom.reports.origin import origin_of, seeds
@@ -73,10 +73,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
             f"--learner {' '.join(args.learner)} --seeds 4 makes them"
         )
-    runs = every if args.seeds is None else [run for run in every if run.seed in args.seeds]
-    if not runs:
-        have = sorted({seed for cell in whole for seed in cell.seeds})
-        raise UserError(f"--seeds: no such run has one of them, but {' '.join(map(str, have))}")
+    runs = _with_seeds(every, args.seeds)
     cells, left_out = study.select(runs, *args.preset, at=at)
     if not cells:
         raise UserError(
@@ -100,6 +97,16 @@ def _steps(words: Sequence[str], envs: Sequence[str]) -> dict[str, int]:
             raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word}'")
         steps |= dict.fromkeys([task(env).name] if named else envs, int(step))
     return steps
+
+
+def _with_seeds(runs: Sequence[RunReader], seeds: Sequence[int] | None) -> Sequence[RunReader]:
+    if seeds is None:
+        return runs
+    chosen = [run for run in runs if run.seed in seeds]
+    if not chosen:
+        have = " ".join(map(str, sorted({run.seed for run in runs})))
+        raise UserError(f"--seeds: no such run has one of them, but {have}")
+    return chosen
 
 
 def _findings(cells: list[study.Cell]) -> dict[str, Any]:
