@@ -47,7 +47,10 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     assert f"Returns up to {reached}" in (out / "report.html").read_text()
     capsys.readouterr()
     assert main([*words, "--at", "251", "--out", str(tmp_path / "none")]) == 2
-    assert "the longest ends at 250" in capsys.readouterr().err
+    assert (
+        "--at 251: no such run was evaluated there or later; the longest of all ends at 250"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "none").exists()
     (out / "returns.csv").unlink()
     (out / "returns.csv").mkdir()
@@ -87,8 +90,11 @@ def test_seeds_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     found = json.loads(capsys.readouterr().out)
     (row,) = found["summary"]
     assert (row["seeds"], row["mean"], found["left out"]) == ("1 2", 1.5, [])
+    RunWriter.create(store, "seed-9", resolve("inverted-pendulum", "mle", "smoke", {"seed": 9}))
+    assert main([*words, "9"]) == 2
+    assert "--seeds 9: no such run was evaluated" in capsys.readouterr().err
     assert main([*words, "3", "4"]) == 2
-    assert "--seeds: no such run has one of them, but 0 1 2" in capsys.readouterr().err
+    assert "--seeds: no such run has one of them, but 0 1 2 9" in capsys.readouterr().err
     with pytest.raises(SystemExit, match="2"):
         main([*words, "-1"])
     assert "'-1' is no seed: a whole number, 0 or more" in capsys.readouterr().err

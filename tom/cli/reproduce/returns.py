@@ -76,8 +76,9 @@ def run(args: argparse.Namespace) -> int:
     runs = _with_seeds(every, args.seeds)
     cells, left_out = study.select(runs, *args.preset, at=at)
     if not cells:
+        asked = ["--at", *args.at] if args.at else ["--seeds", *map(str, args.seeds)]
         raise UserError(
-            f"--at {' '.join(args.at)}: no such run was evaluated there or later; the longest ends "
+            f"{' '.join(asked)}: no such run was evaluated there or later; the longest of all ends "
             f"at {max(cell.longest for cell in whole):.0f}"
         )
     out_folder(args.out)
