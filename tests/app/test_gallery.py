@@ -92,7 +92,7 @@ def test_it_has_every_learner_side_by_side() -> None:
     assert pendulum["tom"] == 10  # of two presets
     assert {pendulum[name] for name in ("ratio", "vagram", "vagram-ensemble")} == {3}
     hopper = {name: found["hopper", name] for name in HOPPER}
-    assert hopper == {"mle": 6, "pmac": 2, "tom": 2 + 6, "vagram": 2}  # TOM of two presets
+    assert hopper == {"mle": 6, "pmac": 6, "tom": 2 + 6, "vagram": 2}  # TOM of two presets
     assert WEIGHINGS
 
 

@@ -41,7 +41,7 @@ def shown(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def reported(env: str, at: int | None = None) -> dict[str, dict]:
-    cells = study.select(COPIES, "paper", at=at)[0] if at else GALLERY
+    cells = study.select(COPIES, "paper", at={env: at})[0] if at else GALLERY
     return {row["learner"]: row for row in tables.summary(cells) if row["env"] == env}
 
 
