@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from tom.analysis.brush import AS_IT_IS, FACTORS, SMALL, Brush, BrushedFit, fits, ghosts
 from tom.analysis.ordered_data import OrderedData, find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
-from tom.cli.parser import folder
-from tom.cli.weigh import count, whole
+from tom.cli.parser import folder, seed_number
+from tom.cli.weigh import count
 from tom.envs import scene, task
 from tom.errors import UserError
 from tom.machine.matmul import choose_matmul
@@ -49,7 +49,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--factors", nargs="+", type=float, default=list(FACTORS), metavar="X",
         help="the region's weights are multiplied by these [0 0.25 4]",
     )  # fmt: skip
-    parser.add_argument("--seeds", nargs="+", type=whole, default=[0, 1, 2], metavar="N")
+    parser.add_argument("--seeds", nargs="+", type=seed_number, default=[0, 1, 2], metavar="N")
     parser.add_argument("--hidden", type=count, default=SMALL.hidden, help="[%(default)s]")
     parser.add_argument("--layers", type=count, default=SMALL.layers, help="[%(default)s]")
     parser.add_argument("--out", type=Path, help="new folder [STORE/weighings/RUN-brushed-TIME]")

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from tom.analysis.ordered_data import OrderedData
 from tom.analysis.weighing import POLICIES, Weighed
 from tom.analysis.weighing_plan import plan_weighing, setting_groups, settings_type
-from tom.cli.parser import add_config_options, folder, leaf_fields, one_line, overrides
+from tom.cli.parser import add_config_options, folder, leaf_fields, one_line, overrides, seed_number
 from tom.cli.progress import CountReport
 from tom.cli.tables import show
 from tom.data.datasets import FORMATS
@@ -53,7 +53,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         help="of a run: its buffer and its policy at the model fit of env step N [at the end]",
     )  # fmt: skip
     parser.add_argument("--random", help="random data put first, as much as DATA has")
-    parser.add_argument("--seeds", nargs="+", type=whole, default=[0, 1, 2], metavar="N")
+    parser.add_argument("--seeds", nargs="+", type=seed_number, default=[0, 1, 2], metavar="N")
     parser.add_argument("--bins", type=count, default=100, metavar="N", help="of a profile [100]")
     parser.add_argument(
         "--footprint", type=count, default=1000, metavar="N",
@@ -134,14 +134,6 @@ def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
-
-
-def whole(text: str) -> int:
-    """An integer of at least 0, for argparse."""
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: must be at least 0")
-    return value
 
 
 def count(text: str) -> int:

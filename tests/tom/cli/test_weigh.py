@@ -297,7 +297,7 @@ def test_shuffled_rows_come_back_in_order(store: Path):
         (["sac", "--policy", "random", "--step", "200"], "has no fits of a model"),
         (["sac", "--policy", "random", "--learner", "tmo"], "did you mean 'tom'?"),
         (["sac", "--policy", "random", "--env", "hopper"], "is of inverted-pendulum, not of"),
-        (["sac", "--policy", "random", "--seeds", "-1"], "must be at least 0"),
+        (["sac", "--policy", "random", "--seeds", "-1"], "is no seed: a whole number, 0 or more"),
         (["sac", "--policy", "random", "--bins", "0"], "must be at least 1"),
         (["sac", "--policy", "random", "--tom.discount", "1"], "--tom.discount 1"),
         (["sac"], "--policy"),
