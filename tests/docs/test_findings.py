@@ -1,0 +1,95 @@
+"""docs/findings.md: its figures of whole runs on Hopper are those of the gallery's runs."""
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tom.analysis.scores import BEST, FINAL, HEIGHT
+from tom.record import Store
+from tom.studies.returns import Cell, compared_from, select
+from tom.studies.returns_tables import exams, improvement, summary
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/findings.md").read_text()
+MEASURES = ("area under the curve", "best return", "last return")
+EXAMS = ("footprint", "error", "error after 5 steps")
+
+
+def rows(head: str) -> list[list[str]]:
+    """The cells of the page's table whose heading begins with `head`, without the heading."""
+    (body,) = re.findall(rf"^\| {re.escape(head)}.*\n\|[-|]+\|\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in body.splitlines()]
+
+
+@cache
+def cells(at: int, *learners: str, seeds: tuple[int, ...] = ()) -> list[Cell]:
+    """Hopper's runs as `tom reproduce returns --preset paper mended` compares them."""
+    runs = [
+        run
+        for run in Store(ROOT / "runs").runs()
+        if run.env == "hopper" and run.learner in learners and (not seeds or run.seed in seeds)
+    ]
+    return select(runs, "paper", "mended", at={"hopper": at})[0]
+
+
+def share(value: float) -> str:
+    """.92, or 1."""
+    return f"{value:.2f}".removeprefix("0").replace("1.00", "1")
+
+
+def spread(row: dict[str, Any], name: str, low: str, high: str, form: str = ".0f") -> str:
+    """The value with its interval, where there is one."""
+    value, *ends = (f"{row[key]:{form}}".removeprefix("0") for key in (name, low, high))
+    return f"{value} [{', '.join(ends)}]" if "nan" not in ends else value
+
+
+def whole(text: Any) -> str:
+    return ", ".join(f"{value:.0f}" for value in text)
+
+
+def test_the_scores_at_the_planned_end() -> None:
+    mine = cells(40000, "mle", "pmac", "tom", "vagram")
+    since = compared_from(mine)["hopper"]
+    made = {
+        cell.label: [
+            spread(row, "area", "area low", "area high"),
+            whole(cell.scores(40000, HEIGHT, since)),
+            whole(cell.scores(40000, BEST)),
+            whole(cell.scores(40000, FINAL)),
+        ]
+        for cell, row in zip(mine, summary(mine), strict=True)
+    }
+    assert since == 6000
+    assert {label: told for label, *told in rows("Hopper, step 40 000")} == made
+
+
+@pytest.mark.parametrize("row", rows("TOM, mended beats MLE"), ids=lambda row: row[0])
+def test_how_often_mended_beats_mle(row: list[str]) -> None:
+    name, *told = row
+    first, last, at = map(int, re.findall(r"\d+", name.replace(" 000", "000")))
+    made = improvement(cells(at, "mle", "tom", seeds=tuple(range(first, last + 1))))
+    mine = {
+        one["by"]: one for one in made if (one["learner"], one["against"]) == ("TOM, mended", "MLE")
+    }
+    for by, wins, p in zip(MEASURES, told[::2], told[1::2], strict=True):
+        assert p == share(mine[by]["p"])
+        value, *ends = (share(mine[by][key]) for key in ("wins", "low", "high"))
+        assert wins in (value, f"{value} [{', '.join(ends)}]")
+
+
+def test_every_learner_with_six_seeds() -> None:
+    mine = cells(20000, "mle", "pmac", "tom")
+    made = {
+        row["learner"]: [
+            str(row["n"]),
+            *(spread(row, name, f"{name} low", f"{name} high", ".2f") for name in EXAMS),
+        ]
+        for row in exams(mine)
+    }
+    made["MLE"][1] = "1"  # by definition, so without an interval
+    areas = {row["learner"]: spread(row, "area", "area low", "area high") for row in summary(mine)}
+    told = {label: (area, tuple(rest)) for label, area, *rest in rows("Hopper, step 20 000")}
+    assert told == {label: (areas[label], tuple(rest)) for label, rest in made.items()}
