@@ -21,6 +21,8 @@ PAGES = [*(ROOT / name for name in TOP), *sorted((ROOT / "docs").rglob("*.md"))]
 CODE = re.compile(r"```[a-z]*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
 COMMAND = re.compile(r"(?:^|[\s/&(])tom ((?:[a-z][\w-]*)(?:[^\n`;|&)]*))")
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
+ANCHOR = re.compile(r"\]\(([^)#\s]*)#([^)\s]+)\)")
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 PLACE = re.compile(r"(?:tom|app|tests|docs|\.ci)/[\w./-]*[\w/]")
 SETTING = re.compile(r"(?:tom|pmac|vagram|sac|model|rollout|evaluation)\.[a-z_]+(?==|$)")
 METRIC = re.compile(r"(?:weights|dual|discriminator|model|exam|eval|planner)/[a-z_]+")
@@ -87,6 +89,19 @@ def test_every_link_leads_somewhere(page: Path):
     for link in LINK.findall(page.read_text()):
         if "://" not in link:
             assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def anchor(heading: str) -> str:
+    """Where a heading is found, as GitHub names it: lower case, hyphens for spaces."""
+    return re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_anchor_exists(page: Path):
+    for link, name in ANCHOR.findall(page.read_text()):
+        if "://" not in link:
+            target = (page.parent / link).read_text() if link else page.read_text()
+            assert name in map(anchor, HEADING.findall(target)), f"{page.name}: {link}#{name}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
