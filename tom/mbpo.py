@@ -34,7 +34,7 @@ from tom.events import (
 from tom.exams.diagnostics import fit_metrics
 from tom.exams.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
 from tom.learners import make_learner
-from tom.learners.base import FitContext, Weighting
+from tom.learners.base import FitContext, Weighting, heavy_row
 from tom.metrics import require_finite
 from tom.nn.lockstep import call, do
 from tom.policy.evaluate import Evaluator
@@ -119,7 +119,8 @@ class Mbpo:
         self._fitted = Fitted(self.env_step, weighting.counted(self.config.model))
         ends, ends_notices = self.fit_ends(context.replay, weighting)
         rollout_metrics = self.roll_out_model(context.replay, weighting)
-        for kind, message in (*weighting.notices, *report.notices, *ends_notices):
+        heavy = heavy_row(weighting.for_starts(self.config.rollout))
+        for kind, message in (*weighting.notices, *heavy, *report.notices, *ends_notices):
             yield Notice(self.env_step, kind, message)
         diagnostics = fit_metrics(self.model, context, weighting, self.streams.torch("diagnostics"))
         yield Metrics(

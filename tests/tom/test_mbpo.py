@@ -12,9 +12,10 @@ from tom.config import OnlineConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics.fitting import Fit
-from tom.events import Collected, Evaluation, Event, Metrics, Weights
+from tom.events import Collected, Evaluation, Event, Metrics, Notice, Weights
 from tom.learners import LEARNER_NAMES
-from tom.learners.base import Weighting
+from tom.learners.base import FitContext, Weighting
+from tom.learners.mle import MleLearner
 from tom.mbpo import Mbpo
 from tom.nn.lockstep import Lockstep, Work
 from tom.policy.sac_work import SacUpdates
@@ -195,6 +196,23 @@ def test_rollouts_start_by_weight_where_there_are_weights(weighted: bool, ready:
         assert (started == 7).float().mean() == pytest.approx(0.9, abs=0.05)
     else:
         assert len(started.unique()) > 100
+
+
+class OneRow(MleLearner):
+    """Nearly all of the weight on one row."""
+
+    def weigh(self, context: FitContext) -> Weighting:
+        weights = torch.full((len(context.replay),), 0.01)
+        weights[3] = 0.99 * len(weights) + 0.01
+        return Weighting(weights, clipped=True)
+
+
+def test_a_fit_whose_rollouts_start_from_one_row_is_told():
+    """The fit clips such a row; rollouts start there, unless some are to start anywhere."""
+    for share, told in ((0.0, {"heavy-row"}), (0.95, set())):
+        training = Mbpo(smoke("mle", steps=350, rollout={"uniform_share": share}))
+        training.learner = OneRow()
+        assert {one.kind for one in of(list(training.events()), Notice)} == told
 
 
 def test_the_model_is_fitted_to_clipped_weights_and_the_record_keeps_them_whole():

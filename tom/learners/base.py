@@ -142,6 +142,20 @@ def mixed_with_uniform(weights: Tensor, share: float) -> Tensor:
     return share + (1 - share) * weights if share else weights
 
 
+def heavy_row(starts: Tensor | None) -> tuple[tuple[str, str], ...]:
+    """A notice if a single row has HEAVY or more of the starts' weights (N,); None is uniform."""
+    if starts is None:
+        return ()
+    share = float(starts.max() / starts.sum(dtype=torch.float64))
+    if share < HEAVY:
+        return ()
+    message = (
+        f"{100 * share:.0f} % of the rollouts start from one row of {len(starts)}, which has that "
+        "share of the weight: --rollout.uniform_share S starts a share S of them anywhere"
+    )
+    return (("heavy-row", message),)
+
+
 def uniform(replay: TensorTransitions, ready: bool) -> Weighting:
     """Weight one for every transition of `replay`."""
     return Weighting(torch.ones(len(replay), device=replay.obs.device), ready=ready)
@@ -152,6 +166,8 @@ DEGENERATE = (
     "every weight is zero, or some weight is negative or not finite: this fit uses uniform weights",
 )
 """kind of the notice about unusable weights"""
+HEAVY = 0.1
+"""the share of the weight from which on one row's is told"""
 
 
 class Learner(Protocol):

@@ -1,4 +1,4 @@
-"""The tables of the returns study: scores, wins, exams, and what the store lacks."""
+"""The tables of the returns study: scores, wins, and what the store lacks."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -9,9 +9,7 @@ import numpy as np
 from tom.analysis.scores import BEST, FINAL, HEIGHT, beats, chance, interval, steps_to
 from tom.analysis.statistics import corrected, remark
 from tom.envs import task
-from tom.exams.energy import informative
 from tom.learners import LEARNERS
-from tom.record import RunReader
 from tom.studies.returns import (
     PAPER_ENVS,
     Array,
@@ -25,13 +23,6 @@ from tom.studies.returns import (
 
 PAPER_SEEDS = 4
 RIVAL = "mle"
-FOOTPRINT, NOISE = "exam/footprint", "exam/footprint_noise"
-EXAMS = {
-    FOOTPRINT: "footprint",
-    "exam/error": "error",
-    "exam/rollout_error": "error after 5 steps",
-}
-"""the reported numbers of a learner's exams, by metric"""
 MEASURES = {BEST: "best return", FINAL: "last return", HEIGHT: "area under the curve"}
 """the scores by which learners are compared, in words"""
 
@@ -139,50 +130,6 @@ def _wins(
         "tasks": " ".join(pairs),
         "remark": remark([min(one.n, other.n) for one, other in pairs.values()]),
     }
-
-
-def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """One row per environment and learner whose runs have exams: the median fit of each run.
-
-    It has the mean over runs and its bootstrap interval (`tom.exams`). Only the fits up to the step
-    that all runs of the environment reach count, as for the scores. A run none of whose footprints
-    is informative is missing in their mean.
-    """
-    at, rows = compared_at(cells), []
-    for cell in cells:
-        medians = [_exam_medians(run, at[cell.env]) for run in cell.runs]
-        whole = [one for one in medians if one is not None]
-        if not whole:
-            continue
-        row: dict[str, Any] = {"env": cell.env, "learner": cell.label, "n": len(whole)}
-        for name, values in zip(EXAMS.values(), np.array(whole).T, strict=True):
-            mean = interval(values[np.isfinite(values)])
-            row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
-        rows.append(row | {"remark": remark(len(whole))})
-    return rows
-
-
-def _exam_medians(run: RunReader, until: float) -> list[float] | None:
-    """For each of EXAMS the median over the fits up to step `until`; None without exams there.
-
-    A footprint counts if it is informative.
-    """
-    metrics = run.metrics()
-    if not set(EXAMS) <= set(metrics):
-        return None
-    here = metrics[metrics["env_step"] <= until]
-    values = {name: np.asarray(here[name], np.float64) for name in EXAMS}
-    if not any(np.isfinite(of_fits).any() for of_fits in values.values()):
-        return None
-    tells = informative(here[NOISE]) if NOISE in here else np.zeros(len(here), np.bool_)
-    values[FOOTPRINT] = values[FOOTPRINT][tells]
-    return [_median(of_fits) for of_fits in values.values()]
-
-
-def _median(values: Array) -> float:
-    """The median of the finite numbers; NaN without any."""
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else np.nan
 
 
 def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str]) -> list[dict]:

@@ -5,7 +5,7 @@ from made import ACTION, OBS, QUICK, context, generator, rows
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig
 from tom.errors import UserError
 from tom.learners import LEARNER_NAMES, LEARNERS, make_learner
-from tom.learners.base import Weighting
+from tom.learners.base import Weighting, heavy_row
 from tom.training.presets import resolve
 
 
@@ -75,3 +75,15 @@ def test_a_defensive_mixture_reaches_the_dimensions_and_draws_no_rows():
     assert rows.tolist() == [1.0, 1.0]
     assert per_dim is not None
     assert per_dim.tolist() == [[0.5, 1.5], [1.0, 1.0]]
+
+
+def test_a_row_that_most_rollouts_start_from_is_told():
+    weights = torch.full((20_000,), 0.5)
+    weights[7] = 10_000.5
+    ((kind, message),) = heavy_row(weights)
+    assert kind == "heavy-row"
+    assert message.startswith("50 % of the rollouts start from one row of 20000")
+    assert "--rollout.uniform_share" in message
+    weights[7] = 1_000
+    assert heavy_row(weights) == ()  # a tenth of the others together
+    assert heavy_row(None) == ()  # uniform draws

@@ -12,6 +12,7 @@ from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.studies import returns as study
+from tom.studies import returns_fits as fits
 from tom.studies import returns_tables as tables
 from tom.studies import verdicts
 from tom.training.presets import resolve
@@ -213,16 +214,16 @@ def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
         1: [(0.1, 0.1, 4.0, 2.0)],
         2: [(7.0, 3.0, 3.0, 4.0)],
     }  # a footprint whose noise is 1 or more says nothing
-    for seed, fits in told.items():
+    for seed, of_seed in told.items():
         config = resolve("hopper", "pmac", "paper", {"seed": seed})
         with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
-            for step, (footprint, noise, error, later) in enumerate(fits, start=1):
+            for step, (footprint, noise, error, later) in enumerate(of_seed, start=1):
                 exam = {"exam/footprint": footprint, "exam/error": error}
                 exam |= {"exam/footprint_noise": noise}
                 recorder.consume(Metrics(step, exam | {"exam/rollout_error": later}))
             recorder.consume(Metrics(1000, {"eval/return": 1.0}))
             recorder.consume(Tick(1000, "evaluate"))
-    (row,) = tables.exams(study.select(store.runs(), "paper")[0])  # the others sat none
+    (row,) = fits.exams(study.select(store.runs(), "paper")[0])  # the others sat none
     assert (row["env"], row["learner"], row["n"]) == ("hopper", "PMAC", 3)
     assert row["footprint"] == pytest.approx((0.7 + 0.1) / 2)
     assert row["error"] == pytest.approx((2 + 4 + 3) / 3)
@@ -236,11 +237,33 @@ def test_exams_after_the_step_that_all_runs_reach_do_not_count(store: Store):
         config = resolve("hopper", "pmac", "paper", {"seed": seed})
         with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
             for step in range(500, last + 1, 500):
-                exam = dict.fromkeys(tables.EXAMS, float(step))
+                exam = dict.fromkeys(fits.EXAMS, float(step))
                 recorder.consume(Metrics(step, exam | {"eval/return": 1.0}))
                 recorder.consume(Tick(step, "evaluate"))
-    (row,) = tables.exams(study.select(store.runs(), "paper")[0])
+    (row,) = fits.exams(study.select(store.runs(), "paper")[0])
     assert (row["n"], row["error"]) == (2, 750)  # of 500 and 1000, in both runs
+
+
+def test_rollouts_fall_so_often_as_the_policy_or_more(store: Store):
+    told = {
+        0: [(0.02, 0.01, 1.0), (0.03, 0.01, 50.0), (0.08, 0.01, 5.0), (0.5, 0.0, 900.0)],
+        1: [(0.01, 0.02, 1.0)],
+    }  # of the policy's last steps none ends in the fit with 0.0
+    for seed, of_seed in told.items():
+        config = resolve("hopper", "pmac", "paper", {"seed": seed})
+        with Recorder(RunWriter.create(store, f"rolled-{seed}", config)) as recorder:
+            for step, (rollouts, policy, largest) in enumerate(of_seed, start=1):
+                values = {fits.FALLS: rollouts, fits.POLICY_FALLS: policy}
+                recorder.consume(Metrics(step, values | {fits.LARGEST: largest, fits.SIZE: 500.0}))
+            late = {fits.FALLS: 9.0, fits.POLICY_FALLS: 0.01, fits.LARGEST: 1.0, fits.SIZE: 500.0}
+            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
+            recorder.consume(Metrics(2000, late))  # after the step of the comparison
+            recorder.consume(Tick(2000, "evaluate"))
+    (row,) = fits.rollouts(study.select(store.runs(), "paper")[0])  # the others recorded none
+    assert (row["learner"], row["n"]) == ("PMAC", 2)
+    assert row["falls"] == pytest.approx((3 + 0.5) / 2)
+    assert row["heavy rows"] == pytest.approx((2 / 4 + 0) / 2)
+    assert row["falls low"] == pytest.approx(0.5)
 
 
 def test_a_learner_of_another_preset_stands_beside_itself(store: Store):

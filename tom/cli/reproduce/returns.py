@@ -24,7 +24,7 @@ from tom.reports.html import Report, write_report
 from tom.reports.origin import origin_of, seeds
 from tom.reports.style import save
 from tom.studies import returns as study
-from tom.studies import returns_tables, verdicts
+from tom.studies import returns_fits, returns_tables, verdicts
 from tom.studies.returns_figure import return_figure
 
 CLAIM = (
@@ -33,6 +33,11 @@ CLAIM = (
     "4 seeds, running maximum of the mean of 10 test episodes (section 5.2)."
 )
 WINS = "How often a run of one learner beats one of another"
+EXAMS = "Exams: the median fit of each run, on new steps of its own policy; mean over runs"
+ROLLOUTS = (
+    "Rollouts: how often they fall over how often the policy does (median fit of each run), and "
+    "the share of fits with a row that has a tenth of the weight; mean over runs"
+)
 CAPTION = "Best return so far: mean over seeds, 95 % bootstrap band, single seeds faint."
 
 
@@ -115,7 +120,8 @@ def _findings(cells: list[study.Cell]) -> dict[str, Any]:
         "verdict": verdicts.returns(cells),
         "summary": returns_tables.summary(cells),
         "improvement": returns_tables.improvement(cells),
-        "exams": returns_tables.exams(cells),
+        "exams": returns_fits.exams(cells),
+        "rollouts": returns_fits.rollouts(cells),
     }
 
 
@@ -131,7 +137,7 @@ def _write(
         for step, value, best in zip(curve.step, curve.value, curve.best_so_far.value, strict=True)
     )  # fmt: skip
     write_csv(out / "returns.csv", curves)
-    for name in ("summary", "improvement", "exams", "missing"):
+    for name in ("summary", "improvement", "exams", "rollouts", "missing"):
         write_csv(out / f"{name}.csv", findings[name])
     png, _ = save(return_figure(cells), out, "returns")
     runs = [run for cell in cells for run in cell.runs]
@@ -145,7 +151,8 @@ def _write(
             findings["summary"],
         ),
         (WINS, findings["improvement"]),
-        ("Exams: the median fit of each run, on new steps of its own policy", findings["exams"]),
+        (EXAMS, findings["exams"]),
+        (ROLLOUTS, findings["rollouts"]),
         ("What is missing for the paper's figure", findings["missing"]),
     ]
     made = origin_of(runs) | {"seeds": seeds([run.seed for run in runs])}
@@ -174,13 +181,17 @@ def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[st
         names = ("learner", "against", "by", "wins", "low", "high", "p", "p of all", "tasks")
         rows = [[_cell(row[name], ".2g") for name in names] for row in findings["improvement"]]
         show(WINS, names, rows)
-    if findings["exams"]:
-        names = ("env", "learner", "n", *returns_tables.EXAMS.values())
-        rows = [
-            [*(row[n] for n in names[:3]), *(_range(row, n) for n in names[3:])]
-            for row in findings["exams"]
-        ]
-        show("Exams: the median fit of each run, mean over runs", names, rows)
+    for key, title, of_fits in (
+        ("exams", EXAMS, returns_fits.EXAMS.values()),
+        ("rollouts", ROLLOUTS, returns_fits.ROLLOUTS),
+    ):
+        if findings[key]:
+            names = ("env", "learner", "n", *of_fits)
+            rows = [
+                [*(str(row[n]) for n in names[:3]), *(_range(row, n) for n in names[3:])]
+                for row in findings[key]
+            ]
+            show(title, names, rows)
     for line in findings["verdict"]:
         print(line)
     if left_out:
@@ -208,4 +219,6 @@ def _interval(value: float, low: float, high: float) -> str:
 
 
 def _range(row: dict[str, Any], name: str) -> str:
+    if row[name] != row[name]:
+        return "-"
     return f"{row[name]:.3g} [{row[f'{name} low']:.3g}, {row[f'{name} high']:.3g}]"

@@ -1,0 +1,100 @@
+"""The tables of the returns study about fits: their exams, and the rollouts in their models."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tom.analysis.scores import interval
+from tom.analysis.statistics import remark
+from tom.exams.energy import informative
+from tom.learners.base import HEAVY
+from tom.record import RunReader
+from tom.studies.returns import Array, Cell, compared_at
+
+FOOTPRINT, NOISE = "exam/footprint", "exam/footprint_noise"
+EXAMS = {
+    FOOTPRINT: "footprint",
+    "exam/error": "error",
+    "exam/rollout_error": "error after 5 steps",
+}
+"""the reported numbers of a learner's exams, by metric"""
+FALLS, POLICY_FALLS = "rollout/terminated", "weights/ends_policy"
+LARGEST, SIZE = "weights/max", "buffer/size"
+ROLLOUTS = ("falls", "heavy rows")
+"""the reported numbers of a learner's rollouts"""
+
+OfFits = Callable[[RunReader, float], Mapping[str, float] | None]
+
+
+def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+    """One row per environment and learner whose runs have exams: the median fit of each run.
+
+    It has the mean over runs and its bootstrap interval (`tom.exams`). Only the fits up to the step
+    that all runs of the environment reach count, as for the scores. A run none of whose footprints
+    is informative is missing in their mean.
+    """
+    return _table(cells, _exam_medians)
+
+
+def rollouts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+    """One row per environment and learner: the rollouts that its runs' policies were trained on.
+
+    Rows, means and intervals as those of `exams`. "falls": the share of rollout steps that end an
+    episode over that of the policy's own last steps, the median fit of each run; above 1 the
+    rollouts fall more often than the policy. "heavy rows": the share of fits with a row that has
+    HEAVY or more of the weight, and so of the rollouts' starts if those are drawn by weight.
+    """
+    return _table(cells, _rollouts)
+
+
+def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
+    at, rows = compared_at(cells), []
+    for cell in cells:
+        told = [one for run in cell.runs if (one := of_fits(run, at[cell.env])) is not None]
+        if not told:
+            continue
+        row: dict[str, Any] = {"env": cell.env, "learner": cell.label, "n": len(told)}
+        for name in told[0]:
+            values = np.array([one[name] for one in told])
+            mean = interval(values[np.isfinite(values)])
+            row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
+        rows.append(row | {"remark": remark(len(told))})
+    return rows
+
+
+def _exam_medians(run: RunReader, until: float) -> Mapping[str, float] | None:
+    """Each of EXAMS, the median over the fits up to step `until`; None without exams there.
+
+    A footprint counts if it is informative.
+    """
+    metrics = run.metrics()
+    if not set(EXAMS) <= set(metrics):
+        return None
+    here = metrics[metrics["env_step"] <= until]
+    values = {name: np.asarray(here[name], np.float64) for name in EXAMS}
+    if not any(np.isfinite(of_fits).any() for of_fits in values.values()):
+        return None
+    tells = informative(here[NOISE]) if NOISE in here else np.zeros(len(here), np.bool_)
+    values[FOOTPRINT] = values[FOOTPRINT][tells]
+    return {EXAMS[name]: _median(of_fits) for name, of_fits in values.items()}
+
+
+def _rollouts(run: RunReader, until: float) -> Mapping[str, float] | None:
+    """Each of ROLLOUTS over the fits up to step `until`; None if they recorded too little."""
+    metrics, needed = run.metrics(), [FALLS, POLICY_FALLS, LARGEST, SIZE]
+    if not set(needed) <= set(metrics):
+        return None
+    here = metrics.loc[metrics["env_step"] <= until, needed].dropna()
+    if here.empty:
+        return None
+    fell = here[here[POLICY_FALLS] > 0]
+    falls = _median((fell[FALLS] / fell[POLICY_FALLS]).to_numpy())
+    heavy = float((here[LARGEST] >= HEAVY * here[SIZE]).mean())
+    return dict(zip(ROLLOUTS, (falls, heavy), strict=True))
+
+
+def _median(of_fits: Array) -> float:
+    """The median of the finite numbers; NaN without any."""
+    finite = of_fits[np.isfinite(of_fits)]
+    return float(np.median(finite)) if len(finite) else np.nan
