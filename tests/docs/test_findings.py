@@ -10,7 +10,7 @@ import pytest
 from tom.analysis.scores import BEST, FINAL, HEIGHT
 from tom.record import Store
 from tom.studies.returns import Cell, compared_from, select
-from tom.studies.returns_fits import EXAMS, exams
+from tom.studies.returns_fits import EXAMS, exams, rollouts
 from tom.studies.returns_tables import improvement, summary
 
 ROOT = Path(__file__).parents[2]
@@ -89,6 +89,8 @@ def test_every_learner_with_six_seeds() -> None:
         ]
         for row in exams(mine)
     }
+    for row in rollouts(mine):
+        made[row["learner"]].append(spread(row, "falls", "falls low", "falls high", ".2f"))
     made["MLE"][1] = "1"  # by definition, so without an interval
     areas = {row["learner"]: spread(row, "area", "area low", "area high") for row in summary(mine)}
     told = {label: (area, tuple(rest)) for label, area, *rest in rows("Hopper, step 20 000")}
