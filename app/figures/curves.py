@@ -52,17 +52,20 @@ def run_curves(
     axes: Axes = PLAIN,
     looks: Mapping[Kind, Look] | None = None,
     keep: str = "",
+    called: Mapping[str, str] | None = None,
 ) -> go.Figure:
     """One line per run, coloured by learner; the runs of one learner differ in their dashes.
 
-    With `looks`, colours and dashes are those of the runs' groups instead. A zoom lasts while the
-    metric, the axes and `keep`, which names the runs, are the same.
+    With `looks`, colours and dashes are those of the runs' groups instead. `called` are the runs'
+    names in the legend, by id, where learner and seed do not tell them apart. A zoom lasts while
+    the metric, the axes and `keep`, which names the runs, are the same.
     """
     figure = go.Figure()
     words = []
     learners = [curve.learner for curve in curves]
     for i, curve in enumerate(curves):
         look = looks[curve.kind] if looks else None
+        plain = f"{learner_label(curve.learner)} s{curve.seed}"
         step, value, cut = decimate(curve.step, curve.value, POINTS)
         if cut:
             words = [f"thinned to {POINTS} points a line"]
@@ -71,7 +74,7 @@ def run_curves(
                 x=step,
                 y=value,
                 uid=curve.run_id,
-                name=text.plotly(f"{learner_label(curve.learner)} s{curve.seed}"),
+                name=text.plotly((called or {}).get(curve.run_id, plain)),
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
                 line={

@@ -10,7 +10,7 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.data import tables
-from app.data.called import task
+from app.data.called import task, told_apart
 from app.figures.curves import group_curves, line_uid, metric_title, run_curves
 from app.parts.eyes import eyes
 from app.parts.plot import View, chart
@@ -121,9 +121,11 @@ def _figure(
         entries = {line_uid(group): looks[group.kind].title for group in here}
     else:
         alone = [c for c in curves if c.env == env and len(c.step) and c.kind not in off]
+        apart = told_apart([run for run in comparison.runs if run.env == env])
         figure = run_curves(
-            alone, how.metric, height, legend=len(alone) <= 12, axes=how.axes, looks=looks
-        )
+            alone, how.metric, height, legend=len(alone) <= 12, axes=how.axes, looks=looks,
+            called=apart,
+        )  # fmt: skip
         entries = {curve.run_id: curve.run_id for curve in alone}
 
     def switch(uids: Sequence[str]) -> None:

@@ -307,3 +307,9 @@ def test_a_zoom_on_one_transition_s_sum_is_none_of_another() -> None:
 def test_names_of_dimensions_from_a_file_are_words() -> None:
     figure = moments_figure(np.ones((1, 25, 1)), np.ones((1, 25, 1)), ["<img src=x>"], 100, "a")
     assert figure.to_dict()["layout"]["yaxis"]["title"]["text"] == "&lt;img src=x&gt;"
+
+
+def test_the_first_label_under_a_profile_has_room() -> None:
+    # Plotly leaves out a label that does not fit: "oldest", where the other axis has short labels.
+    figure = profile_lines([("a", "tom", np.ones(10))], 300, log=False)
+    assert figure.layout.margin.l >= 20  # pyright: ignore[reportAttributeAccessIssue]
