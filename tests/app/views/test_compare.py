@@ -233,6 +233,7 @@ def test_the_open_replay_is_in_the_address() -> None:
     app.button(key="close replay").click().run()
     assert "replay" not in app.query_params
     assert not draw("compare", replay="no-such-run~x").exception
+    assert not draw("compare", replay="no-such-run~" + "9" * 5000).exception
 
 
 def test_a_name_is_a_regular_expression() -> None:
