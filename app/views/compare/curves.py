@@ -158,8 +158,11 @@ def _remarks(
         by = text.markdown(comparison.by)
         words.append(f"Grouped by {by}: runs of a group may differ in everything else.")
     few = min((group.n for group in grouped if group.n > 1), default=0)
-    if few and statistics.remark(few):
-        words.append(f"{text.markdown(statistics.remark(few)).capitalize()}.")
+    if few and (warning := statistics.remark(few)):
+        warning = warning.replace("seeds", unit)
+        if how.band != "bootstrap":  # the figure has no such interval, the table has
+            warning = warning.replace("such intervals", "of the table's intervals")
+        words.append(f"{text.markdown(warning).capitalize()}.")
     if any(group.n == 1 for group in grouped):
         words.append("One seed has no band: a single run says little.")
     if any(not group.complete.all() for group in grouped):

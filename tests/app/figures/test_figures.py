@@ -313,3 +313,13 @@ def test_the_first_label_under_a_profile_has_room() -> None:
     # Plotly leaves out a label that does not fit: "oldest", where the other axis has short labels.
     figure = profile_lines([("a", "tom", np.ones(10))], 300, log=False)
     assert figure.layout.margin.l >= 20  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_group_whose_runs_never_meet_has_a_legend_entry() -> None:
+    early, late = long_curve(20), long_curve(20, 1)
+    late = replace(late, step=late.step + 100)
+    lines = traces(group_curves([aggregate([early, late])], "eval/return", 300, singles=False))
+    (named,) = [line for line in lines if line.showlegend]
+    assert len(named.x) == 40  # Plotly's legend leaves out a line without points
+    assert named.name == "TOM (n = 2)"
+    assert named.line.dash == "dot"
