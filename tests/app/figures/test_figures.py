@@ -323,3 +323,10 @@ def test_a_group_whose_runs_never_meet_has_a_legend_entry() -> None:
     assert len(named.x) == 40  # Plotly's legend leaves out a line without points
     assert named.name == "TOM (n = 2)"
     assert named.line.dash == "dot"
+
+
+def test_curves_of_many_dimensions_say_that_they_are_the_first() -> None:
+    wide = moments_figure(np.zeros((1, 25, 30)), np.zeros((1, 25, 30)), [], 100, "run")
+    assert "the first 12 of 30 dimensions" in str(wide.layout)
+    few = moments_figure(np.zeros((1, 25, 3)), np.zeros((1, 25, 3)), [], 100, "run")
+    assert "the first" not in str(few.layout)
