@@ -4,6 +4,8 @@ import html
 import math
 import re
 
+DIGITS = 12
+"""maximum number of digits of a number in an address"""
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]()#+\-.!|~$:<>&])")
 
 
@@ -15,6 +17,13 @@ def markdown(text: object) -> str:
 def plotly(text: object) -> str:
     """`text` for Plotly, whose labels accept some HTML."""
     return html.escape(" ".join(str(text).split()))
+
+
+def whole(words: object) -> int | None:
+    """The whole number that an address or a name holds in digits; None if it holds none."""
+    digits = str(words)
+    # Not `isdigit`, which takes a superscript; Python refuses to read thousands of digits.
+    return int(digits) if digits.isdecimal() and len(digits) <= DIGITS else None
 
 
 def number(value: float | None, digits: int = 1) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from app import text
 from app.data import datasets
 from app.data.readers import RunInfo
 from tom.analysis.progression import Progression, progression
@@ -89,8 +90,8 @@ def weights(weighing: WeighingInfo) -> dict[tuple[str, int], NDArray[np.float32]
     by_seed = {}
     for column in table.columns:
         learner, _, seed = str(column).rpartition("-s")
-        if learner and seed.isdigit():
-            by_seed[learner, int(seed)] = np.array(table[column], np.float32)
+        if learner and (number := text.whole(seed)) is not None:
+            by_seed[learner, number] = np.array(table[column], np.float32)
     return by_seed
 
 

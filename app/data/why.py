@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from app import text
 from app.data import readers
 from app.data.buffer import Floats, Rows
 from app.data.cache import VersionedCache
@@ -88,13 +89,23 @@ def starts(run: RunInfo, rows: Rows, row: int) -> float | str:
     return why.expected_starts(torch.from_numpy(rows.weight), row, settings)
 
 
-def rollouts(run: RunInfo, rows: Rows, row: int, step: int | None) -> tuple[Floats, int] | str:
-    """Rollouts (ROLLOUTS, STEPS + 1, O) of the policy in the stored model, and its step.
+@dataclass(frozen=True)
+class Rollouts:
+    """Rollouts of a policy in the stored model."""
+
+    paths: Floats  # (ROLLOUTS, STEPS + 1, O)
+    model_step: int
+    own: bool  # whether the policy is that of the step that was asked for, not the run's last
+
+
+def rollouts(run: RunInfo, rows: Rows, row: int, step: int) -> Rollouts | str:
+    """Rollouts from a row by the policy of `step`, or by the run's last if that was not kept.
 
     A text with the reason if there are none.
     """
     reader = readers.reader(run)
-    key = run.path, rows.first + row, step, stamps.model(reader.path)
+    version = stamps.model(reader.path), stamps.policies(reader.path, step)
+    key = run.path, rows.first + row, step, version
     return _ROLLOUTS.get(key, lambda: _rollouts(run, reader, rows, row, step))
 
 
@@ -110,7 +121,7 @@ def recorded_after(rows: Rows, row: int) -> NDArray[np.float32]:
 
 
 _SOURCES: VersionedCache[Source | str] = VersionedCache(4)
-_ROLLOUTS: VersionedCache[tuple[Floats, int] | str] = VersionedCache(16)
+_ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache(16)
 
 
 def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source | str:
@@ -152,7 +163,7 @@ def candidates(
         table = {str(n): np.array(frame[n]) for n in frame}
         for name in table:
             learner, _, seed = name.rpartition("-s")
-            if seed.isdigit():
+            if text.whole(seed) is not None:
                 yield table, name, (learner, made)
 
 
@@ -190,14 +201,12 @@ def _rollout_settings(run: RunInfo) -> RolloutConfig | None:
         return None
 
 
-def _rollouts(
-    run: RunInfo, reader: RunReader, rows: Rows, row: int, step: int | None
-) -> tuple[Floats, int] | str:
+def _rollouts(run: RunInfo, reader: RunReader, rows: Rows, row: int, step: int) -> Rollouts | str:
     if run.env not in ENVS:
         return f"they are drawn for the built-in tasks, and {run.env} is none of them"
     try:
         known, kept = task(run.env), stored_model(reader)
-        policy_step = step if step in reader.policy_steps() else None
+        policy_step = step if reader.has_policy(step) else None
         policy = load_policy(run.path, Store(Path(run.path).parent), known, policy_step)
     except UserError as error:
         return str(error)
@@ -208,4 +217,5 @@ def _rollouts(
     paths = why.rollouts(
         kept.predictor, policy, known.terminated, start, STEPS, ROLLOUTS, generator
     )
-    return paths.numpy().astype(np.float64), kept.env_step
+    own = policy_step is not None or step == reader.buffer_length()
+    return Rollouts(paths.numpy().astype(np.float64), kept.env_step, own)

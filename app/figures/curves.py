@@ -52,17 +52,20 @@ def run_curves(
     axes: Axes = PLAIN,
     looks: Mapping[Kind, Look] | None = None,
     keep: str = "",
+    called: Mapping[str, str] | None = None,
 ) -> go.Figure:
     """One line per run, coloured by learner; the runs of one learner differ in their dashes.
 
-    With `looks`, colours and dashes are those of the runs' groups instead. A zoom lasts while the
-    metric, the axes and `keep`, which names the runs, are the same.
+    With `looks`, colours and dashes are those of the runs' groups instead. `called` are the runs'
+    names in the legend, by id, where learner and seed do not tell them apart. A zoom lasts while
+    the metric, the axes and `keep`, which names the runs, are the same.
     """
     figure = go.Figure()
     words = []
     learners = [curve.learner for curve in curves]
     for i, curve in enumerate(curves):
         look = looks[curve.kind] if looks else None
+        plain = f"{learner_label(curve.learner)} s{curve.seed}"
         step, value, cut = decimate(curve.step, curve.value, POINTS)
         if cut:
             words = [f"thinned to {POINTS} points a line"]
@@ -71,7 +74,7 @@ def run_curves(
                 x=step,
                 y=value,
                 uid=curve.run_id,
-                name=text.plotly(f"{learner_label(curve.learner)} s{curve.seed}"),
+                name=text.plotly((called or {}).get(curve.run_id, plain)),
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
                 line={
@@ -196,24 +199,27 @@ def _band(group: Group, look: Look) -> go.Scatter:
 
 def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
     full = group.complete
-    parts = [go.Scatter(x=group.step[full], y=group.mean[full], customdata=group.count[full])]
+    parts: list[tuple[go.Scatter, bool]] = []
+    if full.any():  # the legend leaves out a line without points
+        solid = go.Scatter(x=group.step[full], y=group.mean[full], customdata=group.count[full])
+        parts.append((solid, True))
     if not full.all():
         # Joined to the solid part, so that both look like one line.
         value = np.where(_beside(~full), group.mean, np.nan)
-        parts.append(go.Scatter(x=group.step, y=value, customdata=group.count))
+        parts.append((go.Scatter(x=group.step, y=value, customdata=group.count), False))
     only = group.curves[0].run_id if group.curves else None
     marked = len(group.step) < 40 and not group.interpolated
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
-    for i, part in enumerate(parts):
+    for i, (part, whole) in enumerate(parts):
         part.update(
             uid=line_uid(group) if i == 0 else f"{_identity(group)} dots",
             name=text.plotly(name) if i == 0 else "fewer runs than n",
             meta=[curve.run_id for curve in group.curves] if group.n > 1 else only,
-            mode="lines+markers" if marked and i == 0 else "lines",
+            mode="lines+markers" if marked and whole else "lines",
             line={
                 "color": look.colour,
-                "width": 2.6 if i == 0 else 1.6,
-                "dash": look.dash if i == 0 else "dot",
+                "width": 2.6 if whole else 1.6,
+                "dash": look.dash if whole else "dot",
             },
             marker={"size": 6, "symbol": look.symbol},
             hovertemplate=f"<b>{text.plotly(_short(look.title))}</b> {statistic}, "
@@ -221,7 +227,7 @@ def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
             legendgroup=_identity(group),
             showlegend=i == 0,
         )
-    return parts
+    return [part for part, _ in parts]
 
 
 def _short(title: str) -> str:

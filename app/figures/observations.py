@@ -14,7 +14,7 @@ from app.figures.base import LAYOUT, X_AXIS, Y_AXIS
 from app.theme import NEUTRAL, learner_colour
 
 MOST = 12
-"""maximum number of drawn dimensions"""
+"""maximum number of drawn dimensions; the figure says if some were left out"""
 HEAVY, LIGHT = "#c2571f", "#4f7fc9"
 
 
@@ -77,5 +77,6 @@ def _finished(figure: go.Figure, x: str, dims: int, keep: str) -> go.Figure:
     figure.update_layout(**LAYOUT, uirevision=keep)
     figure.update_xaxes(**X_AXIS)
     figure.update_yaxes(**Y_AXIS)
-    figure.update_xaxes(title_text=x, row=min(dims, MOST), col=1)
+    words = x if dims <= MOST else f"{x}; the first {MOST} of {dims} dimensions"
+    figure.update_xaxes(title_text=words, row=min(dims, MOST), col=1)
     return figure

@@ -55,7 +55,7 @@ def probe_profiles(
                 mode="lines",
                 line={"color": learner_colour(learner), "width": 2, "shape": "hvh"},
                 legendgroup=name,
-                hovertemplate=f"{name}<br>%{{x:.0f}} % of the buffer's age"
+                hovertemplate=f"{name}<br>at %{{x:.0f}} % of the buffer (0: oldest)"
                 "<br>weight %{customdata:.3g}<extra></extra>",
             )
         )
@@ -105,7 +105,7 @@ def errors_by_age(
                     "dash": DASHES[learners[:i].count(learner) % len(DASHES)],
                 },
                 marker={"size": 5, "symbol": learner_symbol(learner)},
-                hovertemplate=f"{text.plotly(name)}<br>%{{x:.0f}} % of the buffer's age"
+                hovertemplate=f"{text.plotly(name)}<br>at %{{x:.0f}} % of the buffer (0: oldest)"
                 "<br>error %{y:.3g}<extra></extra>",
             )
         )

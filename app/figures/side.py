@@ -76,7 +76,7 @@ def _map(profiles: Profiles, scale: Mapping[str, Any], *, bar: bool) -> go.Heatm
         y=bin_centres(len(weights)),
         z=octaves(weights),
         customdata=weights,
-        hovertemplate="step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
+        hovertemplate="step %{x:,}<br>at %{y:.0f} % of the buffer (0: oldest)<br>"
         "weight %{customdata:.3g}<extra></extra>",
         showscale=bar,
         **scale,

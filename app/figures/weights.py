@@ -18,6 +18,8 @@ FLOOR = 0.01
 """the smallest weight on a log axis, a hundredth of uniform; lower ones are drawn there"""
 MAP_COLUMNS = 400
 """maximum number of fits on a map; the figure says if fits were left out"""
+HALF_A_WORD = 26
+"""pixels of half a label such as "oldest", with some room"""
 AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
 """the axis of positions in the buffer"""
 
@@ -48,7 +50,7 @@ def weight_map(
             z=octaves(bins) if relative else bins,
             customdata=bins,
             hovertemplate=(
-                "step %{x:,}<br>%{y:.0f} % of the buffer's age<br>"
+                "step %{x:,}<br>at %{y:.0f} % of the buffer (0: oldest)<br>"
                 "weight %{customdata:.3g}<extra></extra>"
             ),
             **(relative_scale(bins, mode) if relative else linear_scale(bins, mode)),
@@ -107,7 +109,8 @@ def weight_profile(
             width=100 / len(bins),
             marker={"color": learner_colour(learner), "line": {"width": 0}},
             name=text.plotly(learner_label(learner)),
-            hovertemplate="%{x:.0f} % of the buffer's age<br>weight %{y:.3g}<extra></extra>",
+            hovertemplate="at %{x:.0f} % of the buffer (0: oldest)"
+            "<br>weight %{y:.3g}<extra></extra>",
         )
     )
     _finish_profile(figure, height, keep)
@@ -120,10 +123,15 @@ def weight_profile(
 def profile_lines(
     profiles: Sequence[tuple[str, str, NDArray]], height: int, *, log: bool, keep: str = ""
 ) -> go.Figure:
-    """The last profiles of several runs as stepped lines: (name, learner, bins)."""
+    """The last profiles of several runs as stepped lines: (name, learner, bins).
+
+    Runs without a profile have no bins.
+    """
     figure = go.Figure()
     learners = [learner for _, learner, _ in profiles]
     for i, (name, learner, bins) in enumerate(profiles):
+        if not len(bins):
+            continue  # it counts, so that a run has the same dash as in other figures
         figure.add_trace(
             go.Scatter(
                 x=bin_centres(len(bins)),
@@ -137,7 +145,7 @@ def profile_lines(
                     "shape": "hvh",
                     "dash": DASHES[learners[:i].count(learner) % len(DASHES)],
                 },
-                hovertemplate=f"{text.plotly(name)}<br>%{{x:.0f}} % of the buffer's age"
+                hovertemplate=f"{text.plotly(name)}<br>at %{{x:.0f}} % of the buffer (0: oldest)"
                 "<br>weight %{customdata:.3g}<extra></extra>",
             )
         )
@@ -213,5 +221,7 @@ def _finish_profile(figure: go.Figure, height: int, keep: str) -> go.Figure:
     marks = [across(1, 1.5, "dash")]
     styled(figure, "position in the buffer", height, keep=f"profile {keep}", marks=marks)
     figure.update_xaxes(**AGES)
+    # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.
+    figure.update_layout(margin={"l": HALF_A_WORD})
     figure.update_yaxes(type="linear", rangemode="tozero")
     return figure

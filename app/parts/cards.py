@@ -11,6 +11,7 @@ from app import session, text
 from app.data import trainings
 from app.data.readers import RunInfo
 from app.theme import learner_colour, learner_label
+from tom.analysis.settings import telling_presets
 from tom.errors import UserError
 from tom.record import small_copy
 from tom.record.store import Store
@@ -26,24 +27,28 @@ _STATE_TINTS = {
 def cards(runs: Sequence[RunInfo]) -> None:
     """One card per run, in rows."""
     width = 2 if len(runs) == 4 else min(len(runs), COLUMNS)
+    presets = telling_presets(runs)
     for first in range(0, len(runs), width or 1):
         row = st.columns(width)
-        for column, run in zip(row, runs[first : first + width], strict=False):
+        for column, i in zip(row, range(first, min(first + width, len(runs))), strict=False):
             with column, st.container(border=True, gap="small"):
-                card(run)
+                card(runs[i], presets[i])
 
 
-def card(run: RunInfo) -> None:
-    """Name and state, progress, and the main numbers."""
+def card(run: RunInfo, preset: str = "") -> None:
+    """Name and state, progress, and the main numbers.
+
+    The `preset` tells it from other runs of its learner.
+    """
     status = run.status
     if status.alive and session.may_act():
         left, right = st.columns([4, 1], vertical_alignment="center", gap="small")
-        left.html(head(run))
+        left.html(head(run, preset))
         with right:
             _stop(run)
     else:
         _asked().discard(run.run_id)
-        st.html(head(run))
+        st.html(head(run, preset))
     st.progress(status.share, text=text.markdown(progress_line(run)))
     for column, (label, value) in zip(st.columns(4, gap="small"), figures(run), strict=False):
         column.metric(label, value)
@@ -104,11 +109,11 @@ def progress_line(run: RunInfo) -> str:
     return steps
 
 
-def head(run: RunInfo) -> str:
+def head(run: RunInfo, preset: str = "") -> str:
     """The card's first line as HTML; everything that came from a file is escaped."""
     shown = run.status.shown
     tint = _STATE_TINTS.get(shown, "inherit")
-    learner = html.escape(learner_label(run.learner))
+    learner = html.escape(" ".join(filter(None, (learner_label(run.learner), preset))))
     called = f" · {run.labels.name}" if run.labels.name else ""
     about = html.escape(f"{run.env} · seed {run.seed}{called}")
     return (

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from app import text
 from tom import plugins
 from tom.cli.parser import leaf_fields, one_line
 from tom.config import RunConfig
@@ -54,10 +55,11 @@ def seeds(words: str) -> list[int]:
     """`0-2, 7` as numbers. Raises UserError for anything else."""
     numbers: list[int] = []
     for part in words.replace(",", " ").split():
-        first, _, last = part.partition("-")
-        if not (first.isdigit() and (last.isdigit() or part == first)):
+        first, dash, last = part.partition("-")
+        low, high = text.whole(first), text.whole(last if dash else first)
+        if low is None or high is None:
             raise UserError(f"seeds '{words[:40]}' are not numbers: write 0, or 0-2, or 0, 3, 5")
-        numbers += range(int(first), min(int(last or first), int(first) + MOST_SEEDS) + 1)
+        numbers += range(low, min(high, low + MOST_SEEDS) + 1)
     numbers = list(dict.fromkeys(numbers))
     if not 1 <= len(numbers) <= MOST_SEEDS:
         raise UserError(f"name 1 to {MOST_SEEDS} seeds, such as 0-2")

@@ -11,13 +11,17 @@ from app.parts import asked
 def one(label: str, names: Mapping[str, str], first: str, key: str) -> str:
     """A run of `names` (id to name), chosen by user or address (`?key=id`), else `first`."""
     asked.tell(key, names)
-    if given := _given(key, names):
-        st.session_state[key] = given[0]
-    elif st.session_state.get(key) not in names:
-        st.session_state[key] = first
+    given, held = _given(key, names), str(st.session_state.get(key))
+    start = given[0] if given else held if held in names else first
+    moved = key in st.session_state and held != start
+    if moved:
+        st.session_state[key] = start
     chosen = st.selectbox(
         label,
         list(names),
+        # The default of the widget itself: a value set from here is told to the browser once, and
+        # lost if the page is drawn again, as Live is, before the browser has made the widget.
+        0 if moved else list(names).index(start),
         key=key,
         format_func=lambda run_id: names.get(run_id, run_id),
         on_change=asked.answered,

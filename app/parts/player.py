@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from app import session
+from app import session, text
 from app.data.replays import Replay
 from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice, Wish, clock
 
@@ -24,8 +24,7 @@ def follow(replay: Replay) -> bool:
 def marked(replay: Replay) -> int:
     """The shown step of the episode; the address (`?frame=`) gives the first one."""
     if FRAME not in st.session_state:
-        given = st.query_params.get(FRAME, "0")
-        go_to(int(given) if given.isdecimal() and len(given) < 9 else 0)
+        go_to(text.whole(st.query_params.get(FRAME, "")) or 0)
     if st.session_state[FRAME] > replay.episode.length:  # chosen in a longer episode
         go_to(0)
     return int(st.session_state[FRAME])

@@ -73,7 +73,8 @@ def _pick(rows: Rows) -> int | None:
     """The chosen row of the buffer: by a click, a widget or the address (`?row=`)."""
     last = rows.first + len(rows) - 1
     held = st.session_state.get(KEY, st.query_params.get(KEY, ""))
-    if held is not None and not (str(held).isdigit() and rows.first <= int(held) <= last):
+    asked = None if held is None else text.whole(held)
+    if held is not None and (asked is None or not rows.first <= asked <= last):
         st.session_state.pop(KEY, None)
         st.query_params.pop(KEY, None)
     columns = st.columns([3, 2, 1, 1, 1, 1], vertical_alignment="bottom")
@@ -84,6 +85,7 @@ def _pick(rows: Rows) -> int | None:
     chosen = columns[1].number_input(
         "Number of the transition", rows.first, last, value=None, key=KEY, bind="query-params",
         placeholder="none yet",
+        help="its row in the run's record, counted from 0: one less than its step",
     )  # fmt: skip
     return None if chosen is None else int(chosen) - rows.first
 
@@ -107,7 +109,7 @@ def _head(rows: Rows, row: int) -> None:
     lighter = float((rows.weight < rows.weight[row]).mean())
     columns[0].metric("weight", text.number(float(rows.weight[row]), 3))
     columns[1].metric("heavier than", f"{100 * lighter:.1f} %", help="of the buffer")
-    columns[2].metric("its step in its episode", f"{rows.place[row]:,}")
+    columns[2].metric("its step in its episode", f"{rows.place[row] + 1:,}")
     columns[3].metric("return of that episode", text.number(float(rows.episode_return[row])))
     ends = "yes" if rows.rows.numpy().ended()[row] else "no"
     columns[4].metric("ends the episode", ends)
@@ -166,7 +168,7 @@ def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
     if isinstance(rollouts, str):
         st.caption(f"No rollouts: {text.markdown(rollouts)}.")
         return
-    paths, at = rollouts
+    paths = rollouts.paths
     names, _ = dimension_names(run.env, rows.rows, buffer_reader.described(run))
     moved = paths[:, 1].std(0) / np.maximum(np.asarray(rows.rows.obs).std(0), 1e-9)
     first = int(np.nan_to_num(moved).argmax())
@@ -175,7 +177,11 @@ def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
     recorded = reasons.recorded_after(rows, row)[:, i]
     figure = rollout_lines(paths[:, :, i], recorded, names[i], run.learner, HEIGHT)
     chart(figure, "why rollouts", "rollouts of the policy in the model from this state")
-    st.caption(f"{len(paths)} rollouts in the model of step {at:,}, the last that the run kept.")
+    by = "" if rollouts.own else ", by the run's last policy: that of this fit was not kept"
+    st.caption(
+        f"{len(paths)} rollouts in the model of step {rollouts.model_step:,}, the last that the "
+        f"run kept{by}."
+    )
 
 
 def _offer(run: RunInfo, rows: Rows) -> None:

@@ -101,8 +101,8 @@ def pick_step(label: str, steps: Sequence[int]) -> int:
 
 
 def _step_in_address(usual: int) -> int:
-    given = st.query_params.get("step", "")
-    return int(given) if given.isdecimal() and len(given) < 13 else usual
+    given = text.whole(st.query_params.get("step", ""))
+    return usual if given is None else given
 
 
 def show_problems(run: RunInfo, problems: Sequence[str] | None = None) -> None:

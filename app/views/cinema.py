@@ -64,4 +64,5 @@ def page() -> None:
 
 
 def _told(run: RunInfo) -> dict:
-    return _STORIES.get(run.path, lambda: story(run), readers.recorded(run))
+    version = readers.recorded(run), run.name  # the film has the name as its title
+    return _STORIES.get(run.path, lambda: story(run), version)

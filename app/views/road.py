@@ -9,13 +9,14 @@ from app.data.called import names, told_apart
 from app.data.pictures import ENV, Picture
 from app.data.readers import RunInfo
 from app.figures.road import road_map
-from app.parts import empty, pick, widgets
+from app.parts import empty, form, pick, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import RoadChoice
 from app.scenes.export import as_html
 from app.theme import learner_label
 from tom.analysis.curves import curve_points
+from tom.learners import SUBJECT
 from tom.metrics import describe
 from tom.record.reader import at_or_before
 
@@ -51,7 +52,8 @@ def page() -> None:
     shown = [run for run in runs if readers.road_steps(run)]
     if not shown:
         st.info("No road-and-rocks run has recorded its weights yet.", icon=":material/add_road:")
-        st.code("tom train --env road-and-rocks --learner tom", language="bash")
+        words = ["train", "--env", ENV, "--learner", SUBJECT, "--store", session.links().store]
+        st.code(form.shown(words), language="bash")
         return
     st.caption(
         "A car must follow the road; on the rocks steering is turned, differently in every cell. "

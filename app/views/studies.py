@@ -49,7 +49,7 @@ def _shown(study: Study) -> None:
     for figure in study.figures:
         with st.container(border=True):
             if studies.is_picture(figure):
-                st.image(str(figure))
+                st.image(str(figure), alt=f"{figure.stem}: {study.question or study.name}")
             else:
                 st.warning(f"{text.markdown(figure.name)} cannot be read.")
     for path in study.tables:

@@ -35,3 +35,11 @@ def test_number(value: float | None, shown: str) -> None:
 )
 def test_duration(seconds: float | None, shown: str) -> None:
     assert text.duration(seconds) == shown
+
+
+@pytest.mark.parametrize(
+    ("words", "value"),
+    [("12", 12), (7, 7), ("", None), ("-1", None), ("\u00b2", None), ("9" * 5000, None)],
+)
+def test_a_whole_number(words: object, value: int | None) -> None:
+    assert text.whole(words) == value

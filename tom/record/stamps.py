@@ -48,6 +48,11 @@ def buffer(run: Path) -> Stamp:
     return stamp(*(run / layout.segment(first) for first in last))
 
 
+def policies(run: Path, step: int) -> Stamp:
+    """The stamp of the policy of the fit at `step` and of the run's last."""
+    return stamp(run / layout.policy(step), run / layout.POLICY)
+
+
 def model(run: Path) -> Stamp:
     """The stamp of the files that `tom.analysis.imagine.stored_model` reads."""
     folders = [run / place for place in checkpoint.MODEL_PLACES]

@@ -10,7 +10,7 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.data import tables
-from app.data.called import task
+from app.data.called import task, told_apart
 from app.figures.curves import group_curves, line_uid, metric_title, run_curves
 from app.parts.eyes import eyes
 from app.parts.plot import View, chart
@@ -121,9 +121,11 @@ def _figure(
         entries = {line_uid(group): looks[group.kind].title for group in here}
     else:
         alone = [c for c in curves if c.env == env and len(c.step) and c.kind not in off]
+        apart = told_apart([run for run in comparison.runs if run.env == env])
         figure = run_curves(
-            alone, how.metric, height, legend=len(alone) <= 12, axes=how.axes, looks=looks
-        )
+            alone, how.metric, height, legend=len(alone) <= 12, axes=how.axes, looks=looks,
+            called=apart,
+        )  # fmt: skip
         entries = {curve.run_id: curve.run_id for curve in alone}
 
     def switch(uids: Sequence[str]) -> None:
@@ -156,8 +158,11 @@ def _remarks(
         by = text.markdown(comparison.by)
         words.append(f"Grouped by {by}: runs of a group may differ in everything else.")
     few = min((group.n for group in grouped if group.n > 1), default=0)
-    if few and statistics.remark(few):
-        words.append(f"{text.markdown(statistics.remark(few)).capitalize()}.")
+    if few and (warning := statistics.remark(few)):
+        warning = warning.replace("seeds", unit)
+        if how.band != "bootstrap":  # the figure has no such interval, the table has
+            warning = warning.replace("such intervals", "of the table's intervals")
+        words.append(f"{text.markdown(warning).capitalize()}.")
     if any(group.n == 1 for group in grouped):
         words.append("One seed has no band: a single run says little.")
     if any(not group.complete.all() for group in grouped):

@@ -61,8 +61,9 @@ def clicked_replay(runs: Sequence[RunInfo]) -> tuple[RunInfo, int, int] | None:
 
 def run_and_step(words: Sequence[str]) -> tuple[str, int]:
     """The run and the step from an address, which names them as `run~step`."""
-    run_id, _, step = "".join(words[-1:]).rpartition("~")
-    return (run_id, int(step)) if step.isdecimal() else NOTHING
+    run_id, _, digits = "".join(words[-1:]).rpartition("~")
+    step = text.whole(digits)
+    return NOTHING if step is None else (run_id, step)
 
 
 def show(run: RunInfo, clicked: int, step: int) -> None:

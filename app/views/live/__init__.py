@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 
+import numpy as np
 import streamlit as st
 
 from app import session, text
@@ -119,7 +120,8 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     with left, st.container(border=True):
         st.markdown(f"**Return**: {describe(MAIN_METRIC)}")
         curves = [widgets.curve(run, MAIN_METRIC) for run in shown]
-        figure = run_curves(curves, MAIN_METRIC, 300, legend=True, keep=keep)
+        apart = told_apart(shown)
+        figure = run_curves(curves, MAIN_METRIC, 300, legend=True, keep=keep, called=apart)
         chart(
             figure, "curve main", "return against env steps, one line a run", replay_link.remember
         )
@@ -164,10 +166,10 @@ def _headline(alive: int, shown: Sequence[RunInfo], chosen: Sequence[str]) -> st
 def _last_profiles(runs: Sequence[RunInfo]) -> None:
     lines, called = [], told_apart(runs)
     for run in runs:
-        profiles = readers.profiles(run)
+        profiles, name, last = readers.profiles(run), called[run.run_id], np.zeros(0)
         if len(profiles.env_step):
-            name = f"{called[run.run_id]}, step {profiles.env_step[-1]:,}"
-            lines.append((name, run.learner, profiles.bins[-1]))
+            name, last = f"{name}, step {profiles.env_step[-1]:,}", profiles.bins[-1]
+        lines.append((name, run.learner, last))
     head = st.columns([3, 1], vertical_alignment="center")
     head[0].markdown("**Weights of the last fit**: dashed: uniform")
     log = widgets.pick_log(head[1], [bins for _, _, bins in lines])

@@ -14,8 +14,10 @@ from app.parts import pick, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import Choice, ReplayChoice, RoadChoice
+from tom.config import SAC_ALONE
 
 HEIGHT = 330
+NO_MODEL = "SAC alone fits no model, so there are no weights: Probe weighs its buffer."
 WITHOUT_GHOST = 0
 """no ghost, because the run's model would be read again after each checkpoint"""
 SEEN = "live evaluation"
@@ -34,7 +36,8 @@ def weights(run: RunInfo) -> None:
     """The weight of each part of the buffer at every fit so far."""
     profiles = readers.profiles(run)
     if not len(profiles.env_step):
-        st.caption("No fit yet: the weight map begins with the first.")
+        alone = run.learner == SAC_ALONE
+        st.caption(NO_MODEL if alone else "No fit yet: the weight map begins with the first.")
         return
     last = len(profiles.env_step) - 1
     x = steps_in_words([run.env])

@@ -65,8 +65,8 @@ def listed(rows: Rows, index: np.ndarray, names: list[str], actions: list[str]) 
     table = {
         "weight": rows.weight[index],
         "row": rows.first + index,
-        "episode": rows.episode[index],
-        "step of the episode": rows.place[index],
+        "episode": rows.episode[index] + 1,  # counted as on the map
+        "step of the episode": rows.place[index] + 1,
         "return of the episode": rows.episode_return[index],
         "policy version": rows.version[index] if rows.policies_known else "not known",
         "reward": part.reward,

@@ -307,3 +307,26 @@ def test_a_zoom_on_one_transition_s_sum_is_none_of_another() -> None:
 def test_names_of_dimensions_from_a_file_are_words() -> None:
     figure = moments_figure(np.ones((1, 25, 1)), np.ones((1, 25, 1)), ["<img src=x>"], 100, "a")
     assert figure.to_dict()["layout"]["yaxis"]["title"]["text"] == "&lt;img src=x&gt;"
+
+
+def test_the_first_label_under_a_profile_has_room() -> None:
+    # Plotly leaves out a label that does not fit: "oldest", where the other axis has short labels.
+    figure = profile_lines([("a", "tom", np.ones(10))], 300, log=False)
+    assert figure.layout.margin.l >= 20  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_group_whose_runs_never_meet_has_a_legend_entry() -> None:
+    early, late = long_curve(20), long_curve(20, 1)
+    late = replace(late, step=late.step + 100)
+    lines = traces(group_curves([aggregate([early, late])], "eval/return", 300, singles=False))
+    (named,) = [line for line in lines if line.showlegend]
+    assert len(named.x) == 40  # Plotly's legend leaves out a line without points
+    assert named.name == "TOM (n = 2)"
+    assert named.line.dash == "dot"
+
+
+def test_curves_of_many_dimensions_say_that_they_are_the_first() -> None:
+    wide = moments_figure(np.zeros((1, 25, 30)), np.zeros((1, 25, 30)), [], 100, "run")
+    assert "the first 12 of 30 dimensions" in str(wide.layout)
+    few = moments_figure(np.zeros((1, 25, 3)), np.zeros((1, 25, 3)), [], 100, "run")
+    assert "the first" not in str(few.layout)

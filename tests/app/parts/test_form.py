@@ -36,7 +36,9 @@ def test_seeds(words: str, numbers: list[int]) -> None:
     assert form.seeds(words) == numbers
 
 
-@pytest.mark.parametrize("words", ["", "a", "1-", "-1", "0-99999999999", "2-1"])
+@pytest.mark.parametrize(
+    "words", ["", "a", "1-", "-1", "0-99999999999", "2-1", "\u00b2", "9" * 5000]
+)
 def test_words_that_are_no_seeds(words: str) -> None:
     with pytest.raises(UserError, match="0-2"):
         form.seeds(words)

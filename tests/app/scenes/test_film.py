@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_pages import draw
+from studio_pages import draw, set_links
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
+from app.links import Links
 from app.scenes.film import robots
 from app.scenes.film.ghosts import ghosts
 from app.scenes.film.page import cinema
@@ -20,7 +21,9 @@ from app.servers.mp4 import Sample, mp4
 from tom.envs import task
 from tom.envs.scene import model
 from tom.errors import UserError
+from tom.record.manage import rename
 from tom.record.reader import RunReader
+from tom.record.store import Store
 
 
 def numbers(text: str, kind: str) -> np.ndarray:
@@ -102,6 +105,18 @@ def test_the_page_offers_the_film() -> None:
     app = draw("cinema", run=PENDULUM_TOM, length="30 s")
     assert any("at half speed" in caption.value for caption in app.caption)
     assert "--cinema" in app.code[0].value
+
+
+@pytest.mark.usefixtures("studio")
+def test_the_film_has_the_name_that_the_run_has_now(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("cinema")
+    rename(Store(tmp_path), PENDULUM_TOM, "the long one")
+    [film] = app.run().get("iframe")
+    assert '"title":"the long one"' in film.proto.srcdoc
 
 
 @pytest.mark.browser

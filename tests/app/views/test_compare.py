@@ -186,6 +186,7 @@ def test_any_setting_makes_groups(store: Path) -> None:
     assert first["line"]["color"] != second["line"]["color"]
     assert app.dataframe[0].value["settings"].tolist() == ["seed 0", "seed 1"]
     assert any("differ in everything else" in caption.value for caption in app.caption)
+    assert any("2 runs are few" in caption.value for caption in app.caption)
     statistics = draw("compare", env="inverted-pendulum", group="seed", show="Statistics")
     assert statistics.dataframe[0].value["group"].tolist() == ["seed 0", "seed 1"]
     assert trace(figures(statistics)[0], name="seed 0")["line"] == {**first["line"], "width": 2.4}
@@ -233,6 +234,7 @@ def test_the_open_replay_is_in_the_address() -> None:
     app.button(key="close replay").click().run()
     assert "replay" not in app.query_params
     assert not draw("compare", replay="no-such-run~x").exception
+    assert not draw("compare", replay="no-such-run~" + "9" * 5000).exception
 
 
 def test_a_name_is_a_regular_expression() -> None:
@@ -454,3 +456,12 @@ def test_a_view_that_cannot_be_kept_is_refused_in_a_sentence(own: Path) -> None:
     app = draw("compare", env="inverted-pendulum")
     click(app, "short link")
     assert "cannot be kept" in app.error[0].value
+
+
+def test_a_figure_without_intervals_speaks_of_those_of_the_table() -> None:
+    def said(band: str) -> str:
+        app = draw("compare", env="inverted-pendulum", band=band)
+        return next(c.value for c in app.caption if "2 seeds are few" in c.value)
+
+    assert "100 such intervals" in said("95 % bootstrap")
+    assert "100 of the table's intervals" in said("standard deviation")

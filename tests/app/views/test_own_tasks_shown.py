@@ -116,7 +116,7 @@ def test_the_film_and_the_rollouts_name_the_task_as_it_is(shown: Path):
     assert story(run)["title"] == "gymnasium:Swimmer-v5 · MLE · seed 0"
     rows = buffer_reader.rows(run, RunReader(shown / "Swimmer-v5").snapshot_steps()[-1])
     assert rows is not None
-    said = why.rollouts(run, rows, 0, None)
+    said = why.rollouts(run, rows, 0, 320)
     assert said == "they are drawn for the built-in tasks, and gymnasium:Swimmer-v5 is none of them"
 
 

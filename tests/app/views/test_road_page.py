@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures, set_links, trace
-from studio_runs import ROAD_MLE, ROAD_TOM, info
+from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
 
 from app.data import pictures
 from app.data.called import told_apart
@@ -90,3 +90,12 @@ def test_one_run_has_one_map() -> None:
 def test_the_scene_can_be_shared() -> None:
     button = draw("road", run=ROAD_TOM).get("download_button")[0]
     assert "HTML" in button.proto.label
+
+
+def test_without_a_run_the_page_names_a_command_for_this_store(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    (code,) = draw("road").code
+    assert code.value.endswith(f"--store {tmp_path}")

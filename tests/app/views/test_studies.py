@@ -60,7 +60,8 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path)
     assert len(errors) == 200
     assert "200 of 600 lines" in app.expander[0].label  # single values are folded away
     assert [frame.value.equals(errors) for frame in app.expander[0].dataframe] == [True]
-    assert len(app.image) == 1
+    [image] = app.image
+    assert image.proto.imgs[0].alt == f"errors: {studies.QUESTIONS['focus']}"
     assert [code.value for code in app.code] == [
         f"tom reproduce {rest}"
         for rest in (

@@ -19,7 +19,7 @@ from app.data.readers import RunInfo
 from app.links import Links
 from app.parts import replay_link
 from app.parts.cards import figures as figures_of
-from app.views.live import start, usual, watched
+from app.views.live import now, start, usual, watched
 from app.views.weights import newest_fifth, play
 from tom.record import layout
 from tom.record.labels import Labels
@@ -96,6 +96,49 @@ def test_live_without_a_training_prefers_runs_with_weights_to_a_recording(store:
     recording = replace(trained, run_id="recorded", env="hopper", learner="sac")
     assert watched([recording, trained], []) == [trained]
     assert watched([recording], []) == [recording]
+
+
+def test_runs_of_two_presets_have_two_names_on_live(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ids = {"as-printed": "paper", "mended": "mended"}
+    for run_id, preset in ids.items():
+        folder = shutil.copytree(store / PENDULUM_TOM, tmp_path / run_id)
+        config = json.loads((folder / "config.json").read_text())
+        config |= {"run_id": run_id, "preset": preset}
+        (folder / "config.json").write_text(json.dumps(config))
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("live", runs=list(ids))
+    shown = {line["meta"]: line["name"] for line in figures(app)[0]["data"]}
+    assert shown == {"as-printed": "TOM paper s0", "mended": "TOM mended s0"}
+    heads = " ".join(part.proto.body for part in app.get("html"))
+    assert "TOM paper" in heads
+    assert "TOM mended" in heads
+
+
+def test_a_run_has_one_dash_on_live_also_where_another_has_no_fit_yet(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for run_id in (PENDULUM_TOM, "pendulum-tom-1"):
+        shutil.copytree(store / run_id, tmp_path / run_id)
+    shutil.rmtree(tmp_path / PENDULUM_TOM / "weights")
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    charts = figures(draw("live", runs=[PENDULUM_TOM, "pendulum-tom-1"]))
+    (profile,) = next(f for f in charts if f["layout"]["uirevision"].startswith("profile"))["data"]
+    assert profile["line"]["dash"] == trace(charts[0], meta="pendulum-tom-1")["line"]["dash"]
+
+
+def test_live_promises_no_fit_of_a_recording_of_sac(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shutil.copytree(store / PENDULUM_TOM, tmp_path / "recorded")
+    shutil.rmtree(folder / "weights")
+    config = json.loads((folder / "config.json").read_text())
+    config |= {"run_id": "recorded", "learner": "sac"}
+    (folder / "config.json").write_text(json.dumps(config))
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("live")
+    assert now.NO_MODEL in [caption.value for caption in app.caption]
 
 
 def test_live_shows_chosen_curves(store: Path) -> None:

@@ -13,10 +13,13 @@ from studio_runs import PENDULUM_TOM, info
 from app.data import buffer_reader, weighings, why
 from app.data.buffer import Rows
 from app.data.regions import Plane
+from app.figures.regions import hover_data
 from app.links import Links
 from app.parts.plot import Point
 from app.parts.why import clicked
+from app.views.regions.region_tables import listed
 from tom.cli import main
+from tom.record import layout
 from tom.record.reader import RunReader
 
 FIT = 300
@@ -114,3 +117,36 @@ def test_a_row_is_heavier_than_those_of_less_weight_alone() -> None:
     app = draw("regions", run="pendulum-mle-0", step=str(FIT), row="5")
     (heavier,) = [metric for metric in app.metric if metric.label == "heavier than"]
     assert heavier.value == "0.0 %"  # all weights are equal
+
+
+@pytest.mark.usefixtures("studio")
+def test_a_row_that_is_no_number_is_dropped() -> None:
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row="\u00b2")
+    assert app.number_input(key="row").value is None
+
+
+@pytest.mark.usefixtures("studio")
+def test_steps_of_an_episode_are_counted_as_on_the_map(store: Path) -> None:
+    rows = own_rows(store)
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row="40")
+    (place,) = [metric for metric in app.metric if metric.label == "its step in its episode"]
+    told = hover_data(rows, np.array([40]))[0]
+    assert place.value == str(told[2])
+    line = listed(rows, np.array([40]), [f"obs {i}" for i in range(4)], ["action 1"]).iloc[0]
+    assert (line["row"] + 1, line["episode"], line["step of the episode"]) == tuple(told[:3])
+
+
+@pytest.mark.usefixtures("studio")
+def test_rollouts_say_whose_policy_plays(store: Path, tmp_path: Path) -> None:
+    shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    run, rows = info(tmp_path, PENDULUM_TOM), own_rows(store)
+    by_its_own = why.rollouts(run, rows, 5, FIT)
+    assert isinstance(by_its_own, why.Rollouts)
+    assert by_its_own.own
+    (tmp_path / PENDULUM_TOM / layout.policy(FIT)).unlink()
+    by_the_last = why.rollouts(run, rows, 5, FIT)
+    assert isinstance(by_the_last, why.Rollouts)
+    assert not by_the_last.own
+    assert not np.array_equal(by_the_last.paths, by_its_own.paths)
+    (tmp_path / PENDULUM_TOM / layout.POLICY).unlink()
+    assert isinstance(why.rollouts(run, rows, 5, FIT), str)
