@@ -37,6 +37,8 @@ NEAREST = 5
 JUDGED = 500
 """number of rows from which the usual distance to the policy's rows is estimated"""
 ROLLOUTS, STEPS = 24, 10
+DIMENSIONS = "per-dimension weights"
+"""their name among the parts that a small copy left out"""
 
 
 @dataclass(frozen=True)
@@ -81,12 +83,18 @@ def neighbours(rows: Rows, source: Source, row: int) -> Neighbours:
     return Neighbours(near, source.lately[near.index].numpy(), usual, own)
 
 
-def starts(run: RunInfo, rows: Rows, row: int) -> float | str:
-    """The expected number of a fit's rollouts that start in a row, or why it is unknown."""
+def starts(run: RunInfo, rows: Rows, row: int) -> tuple[float, float] | str:
+    """The expected number of a fit's rollouts that start in a row, or why it is unknown.
+
+    Beside it that of a row of weight 1.
+    """
     settings = _rollout_settings(run)
     if settings is None:
         return "the settings of this run's rollouts are those of another version"
-    return why.expected_starts(torch.from_numpy(rows.weight), row, settings)
+    # Weights of dimensions scale the loss, and draw nothing.
+    weight = np.ones_like(rows.weight) if _weighs_dimensions(run) else rows.weight
+    begun = why.expected_starts(torch.from_numpy(weight), row, settings)
+    return begun, settings.starts / len(rows)
 
 
 @dataclass(frozen=True)
@@ -192,6 +200,13 @@ def _between(replay: TensorTransitions, lately: TensorTransitions, half: int) ->
     joined = TensorTransitions.join([replay, lately[:half]])
     # In the scale of the buffer, which few rows hardly change.
     return why.usual_distance(joined, lately[half:], torch.arange(len(replay), len(joined)))
+
+
+def _weighs_dimensions(run: RunInfo) -> bool:
+    """Whether the run's learner weighs the dimensions of each transition; copies leave them out."""
+    reader = readers.reader(run)
+    steps = reversed(reader.snapshot_steps())
+    return DIMENSIONS in reader.left_out or any("dim_0" in reader.snapshot(step) for step in steps)
 
 
 def _rollout_settings(run: RunInfo) -> RolloutConfig | None:

@@ -158,10 +158,11 @@ def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
     begun = reasons.starts(run, rows, row)
     step = rows.first + len(rows)
     if not isinstance(begun, str):
+        here, usual = begun
         st.caption(
-            f"Of each round's rollouts about {begun:,.2f} start in this state; "
-            f"{begun / max(float(rows.weight[row]), 1e-12):,.2f} would at weight 1."
-            if rows.weight[row] > 0
+            f"Of each round's rollouts about {here:,.2f} start in this state; {usual:,.2f} would "
+            "at weight 1."
+            if here > 0
             else "No rollout starts in this state."
         )
     rollouts = reasons.rollouts(run, rows, row, step)

@@ -290,7 +290,8 @@ class DualProblem:
             start = self._draw(len(self.initial_obs), n * size, generator)
             rows = self.replay[index]
             following, next_probs = self._policy_inputs(rows.next_obs, samples, generator)
-            # One a0 is enough: its expectation enters linearly, but that over a' is inside f*.
+            # One a0 for each s0 is enough: it enters as a mean over the batch, inside f* after ends
+            # that restart, but a' alone for its row.
             starts, start_probs = self._policy_inputs(self.initial_obs[start], 1, generator)
             now = self._inputs(rows.obs, rows.action)[None]
             inputs = torch.cat([_steps(x, n) for x in (now, following, starts)], dim=1)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tom.exams.energy import informative
 from tom.studies.frozen import Outcome
 from tom.studies.head_to_head import QUESTIONS, comparisons
 from tom.studies.recordings import over_recordings
@@ -76,13 +77,35 @@ def verdict(outcomes: Sequence[Outcome]) -> list[str]:
         f"uniform weights, 0 the policy itself; two samples of the policy are "
         f"{_noise(outcomes):.2f} apart (median)."
     ]
-    best = sorted(rows, key=lambda row: row["distance"])[:3]
-    told = (f"{row['way']} {row['distance']:.2f} ({_bounds(row)})" for row in best)
-    said.append(f"Nearest: {', '.join(told)}.")
+    said.append(f"Nearest: {_nearest(rows)}.")
+    said += _drowned(outcomes)
     worse = [f"{row['way']} {row['distance']:.2f}" for row in rows if row["distance"] > 1]
     if worse:
         said.append(f"Further from the policy than no weights at all: {', '.join(worse)}.")
     return said + [_answer(row) for row in head_to_head(outcomes)]
+
+
+def _nearest(rows: Sequence[dict[str, Any]]) -> str:
+    """The three nearest ways of a summary, in words."""
+    best = sorted(rows, key=lambda row: row["distance"])[:3]
+    return ", ".join(f"{row['way']} {row['distance']:.2f} ({_bounds(row)})" for row in best)
+
+
+def _drowned(outcomes: Sequence[Outcome]) -> list[str]:
+    """A line on the moments whose noise drowns their distances, and the result without them."""
+    tells = informative([one.footprint_noise for one in outcomes])
+    kept = [one for one, says in zip(outcomes, tells, strict=True) if says]
+    lost = {(one.recording, one.step) for one in outcomes if np.isfinite(one.footprint_noise)}
+    lost -= {(one.recording, one.step) for one in kept}
+    if not lost:
+        return []
+    where = ", ".join(f"{recording} at {step}" for recording, step in sorted(lost))
+    line = (
+        f"Two samples of the policy lie as far apart as the unweighted buffer from them ({where}): "
+        "distances there are noise, and count all the same."
+    )
+    rows = [row for row in summary(kept) if row["way"] != UNIFORM]
+    return [f"{line} Nearest without: {_nearest(rows)}." if rows else line]
 
 
 def _answer(row: dict[str, Any]) -> str:

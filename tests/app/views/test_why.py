@@ -19,8 +19,10 @@ from app.parts.plot import Point
 from app.parts.why import clicked
 from app.views.regions.region_tables import listed
 from tom.cli import main
-from tom.record import layout
+from tom.record import Store, layout
 from tom.record.reader import RunReader
+from tom.training.presets import resolve
+from tom.training.run import train
 
 FIT = 300
 
@@ -81,6 +83,24 @@ def test_what_was_recorded_after_a_row_ends_with_its_episode(store: Path) -> Non
     ended = np.flatnonzero(np.asarray(rows.rows.terminated) != 0)
     assert len(why.recorded_after(rows, int(ended[0]))) == 2
     assert len(why.recorded_after(rows, int(ended[0]) - 1)) == 3
+
+
+def test_starts_of_rollouts_are_drawn_as_the_run_draws_them(tmp_path: Path) -> None:
+    run_ids = {}
+    for learner, rollout in (("vagram", {}), ("pmac", {"uniform_share": 0.5})):
+        settings = {"steps": 400, "rollout": {"starts": 1000, **rollout}}
+        config = resolve("inverted-pendulum", learner, "smoke", settings)
+        run_ids[learner] = train(config, Store(tmp_path), rerun=False).run_id
+    for learner, run_id in run_ids.items():
+        run = info(tmp_path, run_id)
+        rows = buffer_reader.rows(run, 300)
+        assert rows is not None
+        row = int(rows.weight.argmax())
+        assert rows.weight[row] > 1.1
+        # VaGram's weights scale the loss, so its rollouts start anywhere.
+        share = 0.0 if learner == "vagram" else 0.5
+        expected = 1000 / 300 * (1 + share * (rows.weight[row] - 1))
+        assert why.starts(run, rows, row) == pytest.approx((expected, 1000 / 300), rel=1e-4)
 
 
 def test_a_click_asks_about_the_point_under_it(store: Path) -> None:

@@ -87,6 +87,18 @@ def test_a_footprints_summary_by_hand():
     assert "Further from the policy than no weights at all: ratio 1.45" in said
 
 
+def test_moments_whose_noise_drowns_the_distances_are_named():
+    outcomes = [
+        replace(BASE, way=way, recording=recording, footprint=distance, footprint_noise=noise)
+        for recording, noise, distances in (("a", 0.1, (1.0, 0.3)), ("b", 7.0, (1.0, 4.0)))
+        for way, distance in zip(("uniform", "recency"), distances, strict=True)
+    ]
+    (line,) = (line for line in footprint.verdict(outcomes) if "noise" in line)
+    assert "(b at 100)" in line
+    assert "Nearest without: recency 0.30" in line
+    assert not any("noise" in line for line in footprint.verdict(outcomes[:2]))
+
+
 def test_a_capacitys_summary_by_hand():
     def errors(*values: float) -> tuple[ModelError, ...]:
         return tuple(
