@@ -22,7 +22,9 @@ Settings = Mapping[str, str]
 class Config(BaseModel):
     """A frozen group of settings; an unknown name or a value out of bounds is an error."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False
+    )  # JSON, which a run's settings are kept in, has neither infinity nor NaN
 
     def but(self, **changes: Any) -> Self:
         """A checked copy with some values changed; nested groups take a dict of changes."""

@@ -66,6 +66,8 @@ def plan_weighing(
     known = task(name)
     preset = preset or (EXACT if step is None else OWN)
     config = _config(preset, data, store, name).but(**settings)
+    for seed in seeds:
+        config.but(seed=seed)
     for learner in learners:
         if learner not in LEARNERS:
             raise unknown("learner", learner, LEARNERS)

@@ -1,5 +1,6 @@
 """The command line. Each command is a module or package with `add_parser` and `run`."""
 
+import errno
 import importlib
 import os
 import sys
@@ -16,6 +17,9 @@ COMMANDS = (
     "demo", "train", "studio", "record-sac", "weigh", "brush", "sweep", "reproduce", "bench",
     "runs", "doctor",
 )  # fmt: skip
+
+UNREACHABLE = (errno.EACCES, errno.ENAMETOOLONG)
+"""errors of paths that cannot even be looked at"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,11 +39,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"tom: {terminal(error)}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("tom: stopped", file=sys.stderr)
-        return 1
     except BrokenPipeError:
         _close_stdout()
+        return 1
+    except OSError as error:
+        if error.errno not in UNREACHABLE or error.filename is None:
+            raise
+        said = f"{error.filename}: {error.strerror}: name a path that this user can reach"
+        print(f"tom: {terminal(said)}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("tom: stopped", file=sys.stderr)
         return 1
 
 

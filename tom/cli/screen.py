@@ -75,7 +75,7 @@ class Screen:
 
     def say(self, line: str) -> None:
         """Print a line that stays, above the picture."""
-        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(line, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
 
 class Shown:

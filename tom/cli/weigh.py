@@ -25,6 +25,7 @@ from tom.record import Store, layout
 from tom.record.files import plain
 from tom.reports import weighing_files
 
+MOST_BINS = 10_000
 COLUMNS = ("footprint", "footprint_se", "footprint_noise")
 FOOTPRINT = (
     "footprint: distance to fresh episodes of the policy, 1 without weights, 0 for its own; "
@@ -54,7 +55,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )  # fmt: skip
     parser.add_argument("--random", help="random data put first, as much as DATA has")
     parser.add_argument("--seeds", nargs="+", type=seed_number, default=[0, 1, 2], metavar="N")
-    parser.add_argument("--bins", type=count, default=100, metavar="N", help="of a profile [100]")
+    parser.add_argument("--bins", type=bins, default=100, metavar="N", help="of a profile [100]")
     parser.add_argument(
         "--footprint", type=count, default=1000, metavar="N",
         help="real transitions of the policy that TOM compares with [1000]",
@@ -141,4 +142,12 @@ def count(text: str) -> int:
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text}: must be at least 1")
+    return value
+
+
+def bins(text: str) -> int:
+    """A number of bins that a run may have as well, for argparse."""
+    value = count(text)
+    if value > MOST_BINS:
+        raise argparse.ArgumentTypeError(f"{text}: must be at most {MOST_BINS}")
     return value

@@ -4,6 +4,7 @@ The module before the colon registers the task when it is imported, as in `gymna
 code that the user chose: only `describe` imports it, never a reader of runs.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -104,7 +105,8 @@ def look_at(name: str, gym_id: str, terminated: Termination | None = None) -> Gy
     try:
         known = _described(name, gym_id, env)
     finally:
-        env.close()
+        with suppress(*OF_USERS):  # whatever its close does, it was made to be looked at
+            env.close()
     if terminated is None:
         return known
     own = tried(in_own_units(terminated, known), known, f"of {name}")
@@ -146,7 +148,7 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
     bounded = bounded_dims(obs)
     low, high = np.where(bounded, obs.low, -1.0), np.where(bounded, obs.high, 1.0)
     simulator = simulated(env)
-    root_dims = None if simulator is None else root_dims_of(env, simulator)
+    root_dims = None if simulator is None else root_dims_of(env, simulator, name)
     seen_as_they_are = root_dims if not bounded.any() else None  # joints, in their own units
     limit = None if env.spec is None else env.spec.max_episode_steps
     return GymnasiumTask(

@@ -6,6 +6,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from tom.envs.simulator import Simulator
+from tom.envs.user_code import place
 from tom.errors import OF_USERS, UserError, reason
 
 UNBOUNDED = 1e6
@@ -59,8 +60,8 @@ def take_a_step(name: str, env: gym.Env, obs: Box, action: Box) -> None:
         finite = np.isfinite(float(reward)) and all(np.isfinite(part).all() for part in seen)
     except OF_USERS as error:
         raise UserError(
-            f"task '{name}' fails at its first step, {type(error).__name__}: {reason(error)}: "
-            "its reset and step must be those of gymnasium.Env"
+            f"task '{name}' fails at its first step, {type(error).__name__}: {reason(error)}"
+            f"{place(error)}: its reset and step must be those of gymnasium.Env"
         ) from error
     if any(part.shape != obs.shape for part in seen):
         shapes = " and ".join(str(part.shape) for part in seen)
@@ -75,24 +76,46 @@ def take_a_step(name: str, env: gym.Env, obs: Box, action: Box) -> None:
         )
 
 
-def root_dims_of(env: gym.Env, simulator: Simulator) -> int | None:
-    """How many leading entries of qpos an observation leaves out; None if it is not qpos, qvel."""
+def root_dims_of(env: gym.Env, simulator: Simulator, name: str) -> int | None:
+    """How many leading entries of qpos an observation leaves out; None if it is not qpos, qvel.
+
+    Raises UserError if the task fails in these steps.
+    """
     model = simulator.model
-    rows, joints, speeds = [], [], []
-    obs, _ = env.reset(seed=0)
-    env.action_space.seed(0)
-    for _ in range(LOOKED_AT):
-        rows.append(obs)
-        joints.append(simulator.data.qpos.copy())
-        speeds.append(simulator.data.qvel.copy())
-        obs, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        if terminated or truncated:
-            obs, _ = env.reset()
+    try:
+        rows, joints, speeds = _looked_at(env, simulator)
+    except OF_USERS as error:
+        raise UserError(
+            f"task '{name}' fails in its first {LOOKED_AT} steps, {type(error).__name__}: "
+            f"{reason(error)}{place(error)}: mend its reset and step"
+        ) from error
+    if shapes := {row.shape for row in rows} - {rows[0].shape}:
+        raise UserError(
+            f"task '{name}' observes {rows[0].shape} and then {min(shapes)}: mend its reset and "
+            "step"
+        )
     left_out = int(model.nq + model.nv) - len(rows[0])
     if not 0 <= left_out < model.nq or (model.nq != model.nv and left_out > 2):
         return None
     same = np.hstack([np.array(joints)[:, left_out:], np.array(speeds)])
     return left_out if np.allclose(np.array(rows), same, atol=1e-6) else None
+
+
+def _looked_at(
+    env: gym.Env, simulator: Simulator
+) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
+    """Observations of some random steps, with qpos and qvel."""
+    rows, joints, speeds = [], [], []
+    obs, _ = env.reset(seed=0)
+    env.action_space.seed(0)
+    for _ in range(LOOKED_AT):
+        rows.append(np.array(obs))  # a copy: some tasks return an array that they go on changing
+        joints.append(simulator.data.qpos.copy())
+        speeds.append(simulator.data.qvel.copy())
+        obs, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        if terminated or truncated:
+            obs, _ = env.reset()
+    return rows, joints, speeds
 
 
 def obs_names_of(dim: int, simulator: Simulator | None, root_dims: int | None) -> tuple[str, ...]:

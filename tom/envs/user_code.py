@@ -53,10 +53,11 @@ def place(error: BaseException) -> str:
 def import_named(module: str, option: str) -> ModuleType:
     """Import the module that the user named in `option`, also from the current folder.
 
+    The folder stays on the path: the module may import its neighbours later.
     Raises UserError if it cannot be imported.
     """
-    here = str(Path.cwd())
-    sys.path.append(here)
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -68,8 +69,6 @@ def import_named(module: str, option: str) -> ModuleType:
             f"{option}: module '{module}' cannot be imported: "
             f"{type(error).__name__}: {reason(error)}{place(error)}"
         ) from error
-    finally:
-        sys.path.remove(here)
 
 
 def tried(given: Termination, known: Task, name: str) -> Termination:

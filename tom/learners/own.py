@@ -1,5 +1,6 @@
 """Learners of plug-ins, whose answers are checked before a model is fitted with them."""
 
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -18,6 +19,10 @@ UNIT_MEAN = 1e-3
 """weights whose mean differs from 1 by more are divided by it"""
 COUNT = "weights/degenerate"
 """the metric of that name, and its place in a learner's state"""
+SINGLE = (type(None), bool, int, float, str, bytes, Tensor, torch.nn.Parameter)
+SEVERAL = (list, tuple, set)
+NAMED = (dict, OrderedDict)
+"""exact types that a checkpoint may hold: numpy's numbers, which are floats too, are not loaded"""
 
 
 class OwnLearner:
@@ -35,11 +40,19 @@ class OwnLearner:
                 "make must return a learner (docs/extend.md)"
             )
         self._degenerate = 0
+        self.state_dict()  # a state that no checkpoint can hold is found here, not at the resume
 
     def weigh(self, context: FitContext) -> Weighting:
         """Raises OwnCodeError if the learner fails or its answer is of another form."""
+        before = _changes(context)
         with running(self._what):
             given = self._learner.weigh(context)
+        if _changes(context) != before:
+            raise OwnCodeError(
+                f"{self._what} changes the replay buffer, which is the training's own: let it "
+                "change a copy (clone)"
+            )
+        self.state_dict()  # it may have another form after the first fit
         answer = self._formed(given, context.replay)
         if not _usable(answer):
             self._degenerate += 1
@@ -52,6 +65,16 @@ class OwnLearner:
     def state_dict(self) -> dict[str, Any]:
         with running(self._what):
             state = self._learner.state_dict()
+        if not isinstance(state, dict):
+            raise OwnCodeError(
+                f"{self._what}: state_dict must return a dict ({{}} if it keeps nothing), not a "
+                f"{type(state).__name__}"
+            )
+        if found := _not_loadable(state, "state_dict()"):
+            raise OwnCodeError(
+                f"{self._what}: {found}, which no checkpoint could be loaded with: keep tensors "
+                "(torch.from_numpy), Python's own numbers, texts, lists and dicts of them"
+            )
         return {**state, COUNT: self._degenerate} if self._degenerate else state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -101,6 +124,29 @@ class OwnLearner:
             per_dim=None if answer.per_dim is None else answer.per_dim * scale,
             notices=(*answer.notices, ("weights-scaled", said)),
         )
+
+
+def _changes(context: FitContext) -> list[int]:
+    """How often each tensor of the buffers was changed in place."""
+    buffers = context.replay, context.policy_buffer
+    tensors = [tensor for rows in buffers for tensor in vars(rows).values()]
+    return [tensor._version for tensor in tensors if not tensor.is_inference()]
+
+
+def _not_loadable(state: Any, where: str) -> str | None:
+    """The first part of a learner's state that a checkpoint would not be loaded with, if any."""
+    kind = type(state)
+    if kind in SINGLE:
+        return None
+    if kind in NAMED:
+        parts = [(f"{where}[{name!r:.40}]", part) for name, part in state.items()]
+        parts += [(f"a key of {where}", name) for name in state]
+    elif kind in SEVERAL:
+        parts = [(f"{where}[{i}]", part) for i, part in enumerate(state)]
+    else:
+        return f"{where} is a {kind.__module__}.{kind.__qualname__}"
+    found = (_not_loadable(part, place) for place, part in parts)
+    return next((each for each in found if each), None)
 
 
 def _usable(answer: Weighting) -> bool:

@@ -10,6 +10,9 @@ from tom.record import layout
 from tom.record.files import modified
 from tom.record.reader import RunReader
 
+NAME_BYTES = 200
+"""of a folder's name; file systems take 255, with the date and a temporary name's ends"""
+
 
 def free_name(folder: Path, name: str) -> str:
     """`<name>-<yymmdd-hhmmss>`, with a number if that name is taken in the folder."""
@@ -85,7 +88,11 @@ class Store:
         if held := layout.BESIDE_RUNS.get(run_id):
             raise UserError(f"'{run_id}' is no run id: {held} lie there; choose another name")
         path = self.path / run_id
-        if path.is_symlink():
+        try:
+            link = path.is_symlink()
+        except OSError as error:  # the store's folder, or one above it
+            raise self._unreadable(error) from error
+        if link:
             raise UserError(
                 f"run '{run_id}' is a link, which {self.path}/ may not hold: not followed"
             )
@@ -105,13 +112,21 @@ class Store:
         return free_name(self.path, f"{layout.in_a_name(env)}-{learner}-s{seed}")
 
     def new_weighing(self, name: str) -> Path:
-        """A free folder for a new weighing of that name, with date, and a number if taken."""
+        """A free folder for a new weighing of that name, with date, and a number if taken.
+
+        It is not hidden, and short enough for a file system: the name may be that of a file.
+        """
         folder = self.path / layout.WEIGHINGS
-        return folder / free_name(folder, name)
+        short = name.lstrip(".").encode(errors="surrogateescape")[:NAME_BYTES]
+        return folder / free_name(folder, short.decode(errors="ignore") or "data")
 
     def ensure_there(self) -> None:
         """Raises UserError if there is no such folder: a mistyped name is not an empty store."""
-        if not self.path.exists():
+        try:
+            there = self.path.exists()
+        except OSError as error:
+            raise self._unreadable(error) from error
+        if not there:
             raise UserError(
                 f"there is no store {self.path}/: name another with --store, or train something "
                 "(`tom demo`)"
@@ -134,9 +149,12 @@ class Store:
         except FileNotFoundError:
             return []
         except OSError as error:
-            raise UserError(
-                f"cannot read the store {self.path}: {error.strerror}; name another with --store"
-            ) from error
+            raise self._unreadable(error) from error
+
+    def _unreadable(self, error: OSError) -> UserError:
+        return UserError(
+            f"cannot read the store {self.path}: {error.strerror}; name another with --store"
+        )
 
 
 def _why(reader: RunReader) -> str:

@@ -25,6 +25,8 @@ def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
             "--seed 9223372036854775808: must be less than",
         ),
         ([*TRAIN, "--seeds", "1", "9223372036854775808"], "--seed 9223372036854775808: must be"),
+        ([*TRAIN, "--sac.target-entropy", "nan"], "--sac.target-entropy nan: must be a finite"),
+        ([*TRAIN, "--sac.lr", "inf"], "--sac.lr inf: must be a finite number"),
         ([*TRAIN, "--steps", "99999999999999999999"], "must be less than"),
         ([*TRAIN, "--threads", "100000"], "--threads 100000: must be less than or equal to 256"),
         ([*TRAIN, "--sac.tau", "fast"], "--sac.tau fast: must be a valid number"),
@@ -59,6 +61,16 @@ def test_a_store_that_is_a_file(capsys, tmp_path: Path):
     assert "--store" in message
     assert message.count("\n") == 1
     assert store.read_text() == "not a folder"
+
+
+def test_a_store_whose_name_is_too_long(capsys, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    for command in (TRAIN, ["runs", "list"], ["runs", "show", "one"]):
+        code, message = outcome([*command, "--store", "x" * 300], capsys)
+        assert code == 2
+        assert "File name too long; name another with --store" in message
+        assert message.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_id_that_is_taken(capsys, tmp_path: Path):

@@ -1,11 +1,13 @@
 """Any Gymnasium task: its units, its episodes played again, its geometry; what cannot be used."""
 
+import sys
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from gymnasium.envs.mujoco.swimmer_v5 import SwimmerEnv
 
 from tom.envs import ENVS, bring, scene, skeleton, task
 from tom.envs.ends import NEVER, RULES, bring_rule, rule
@@ -111,6 +113,36 @@ for name, space in {
     "Still-v0": gym.spaces.Box(np.zeros(2), np.arange(2.0)),
 }.items():
     gym.register(name, type("Odd", (Flat,), {"action_space": space}))  # pyright: ignore[reportArgumentType]
+
+
+class Swimming(SwimmerEnv):
+    """A robot that does `wrong` at its fifth step; it returns an array that it goes on changing."""
+
+    wrong: object = None
+    steps = 0
+
+    def step(self, action):
+        self.steps += 1
+        obs, *rest = super().step(action)
+        if self.steps == 5 and isinstance(self.wrong, BaseException):
+            raise self.wrong
+        if self.steps == 5 and self.wrong:
+            return obs[:-1], *rest
+        self.own = getattr(self, "own", obs)
+        self.own[:] = obs
+        return self.own, *rest
+
+    def close(self):
+        raise ValueError("never opened")
+
+
+for name, wrong in {
+    "SwimStuck-v0": ValueError("stuck"),
+    "SwimExit-v0": SystemExit(0),
+    "SwimShort-v0": "short",
+    "Swim-v0": None,
+}.items():
+    gym.register(name, type("Robot", (Swimming,), {"wrong": wrong}))  # pyright: ignore[reportArgumentType]
 
 
 class Broken(Arm):
@@ -284,6 +316,9 @@ def test_rescaled_joints_are_no_joint_positions():
         ("gymnasium:NaN-v0", "no finite number"),
         ("gymnasium:Unrewarded-v0", "no finite number"),
         ("gymnasium:Old-v0", "fails at its first step, ValueError"),
+        ("gymnasium:SwimStuck-v0", r"first 20 steps, ValueError: stuck \(test_gymnasium_task"),
+        ("gymnasium:SwimExit-v0", "first 20 steps, SystemExit"),
+        ("gymnasium:SwimShort-v0", r"observes \(8,\) and then \(7,\): mend"),
         ("gymnasium:Swimer-v5", "Swimmer"),
         ("gymnasium:a:b", "MODULE:ID"),
         ("gymnasium:", "MODULE:ID"),
@@ -293,6 +328,10 @@ def test_what_cannot_be_used_is_one_line(name: str, words: str):
     with pytest.raises(UserError, match=words) as error:
         describe(name)
     assert "\n" not in str(error.value)
+
+
+def test_joints_are_found_in_an_array_that_the_task_goes_on_changing():
+    assert named("Swim-v0").root_dims == named("Swimmer-v5").root_dims is not None
 
 
 @pytest.mark.parametrize("gym_id", LATE)
@@ -338,6 +377,30 @@ def test_a_module_is_imported_where_the_user_names_it_alone(
     bring_rule("own_tasks:fallen")
     ends = rule(task(name), "own_tasks:fallen")
     assert ends(torch.tensor([[-0.5, 0, 0], [0.5, 0, 0]])).tolist() == [True, False]
+
+
+def test_a_module_of_this_folder_imports_its_neighbours_when_it_needs_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "near_tasks.py").write_text(
+        "import gymnasium as gym\n"
+        "gym.register('Near-v0', 'near_parts:Near', max_episode_steps=50)\n"
+        "def fallen(obs):\n    from near_rules import low\n    return low(obs)\n"
+    )
+    (tmp_path / "near_parts.py").write_text(
+        "from gymnasium.envs.classic_control import PendulumEnv\n"
+        "class Near(PendulumEnv):\n"
+        "    def reset(self, **given):\n"
+        "        import near_rules\n        return super().reset(**given)\n"
+    )
+    (tmp_path / "near_rules.py").write_text("def low(obs):\n    return obs[:, 0] < 0\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [each for each in sys.path if each not in ("", ".")])
+    bring("near_tasks:Near-v0")
+    known = task("near_tasks:Near-v0")
+    bring_rule("near_tasks:fallen")
+    assert rule(known, "near_tasks:fallen")(torch.full((1, 3), -1.0)).tolist() == [True]
+    assert sys.path.count(str(tmp_path)) == 1
 
 
 def test_a_rule_is_asked_in_the_tasks_units_and_tried_first():

@@ -1,7 +1,10 @@
 """A plug-in's learner: its answers are checked, and weights that cannot be used are uniform."""
 
+import io
+from collections import OrderedDict, defaultdict, deque
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from made import OBS, context, generator, rows
@@ -119,3 +122,67 @@ def test_what_is_no_learner_is_one_line():
         OwnLearner("mine", lambda: 3)  # pyright: ignore[reportArgumentType]
     with pytest.raises(OwnCodeError, match="'mine' fails: ZeroDivisionError"):
         OwnLearner("mine", lambda: 1 / 0)  # pyright: ignore[reportArgumentType]
+
+
+class Keeping(Answering):
+    """A learner with a state."""
+
+    def __init__(self, state: Any) -> None:
+        super().__init__(Weighting(weights()))
+        self.state = state
+
+
+@pytest.mark.parametrize(
+    ("state", "named"),
+    [
+        (None, "must return a dict .* not a NoneType"),
+        ([1], "must return a dict .* not a list"),
+        ({"mean": np.ones(3)}, r"state_dict\(\)\['mean'\] is a numpy.ndarray"),
+        ({"a": {"b": (1, np.float64(2))}}, r"\['a'\]\['b'\]\[1\] is a numpy.float64"),
+        ({"last": deque([1])}, "is a collections.deque"),
+        ({"count": defaultdict(int)}, "is a collections.defaultdict"),
+        ({"gen": torch.Generator()}, "Generator"),
+        ({np.int64(3): 1}, r"a key of state_dict\(\) is a numpy.int64"),
+    ],
+)
+def test_a_state_that_no_checkpoint_can_hold_is_refused_before_anything_is_trained(
+    state: Any, named: str
+):
+    with pytest.raises(OwnCodeError, match=named):
+        OwnLearner("mine", lambda: Keeping(state))
+
+
+def test_a_state_that_takes_such_a_form_later_is_refused_at_its_fit():
+    learner = Keeping({})
+    made = OwnLearner("mine", lambda: learner)
+    learner.state = {"mean": np.ones(3)}
+    with pytest.raises(OwnCodeError, match=r"numpy\.ndarray"):
+        made.weigh(context(rows(N)))
+
+
+def test_a_state_that_is_accepted_is_loaded_as_a_checkpoint_is():
+    net = torch.nn.Linear(2, 2)
+    state = {
+        "net": net.state_dict(),
+        "adam": torch.optim.Adam(net.parameters()).state_dict(),
+        "rest": [1, 2.0, None, True, "a", b"b", (1, {2}), OrderedDict(a=torch.ones(2))],
+        "own": torch.nn.Parameter(torch.ones(2)),
+    }
+    file = io.BytesIO()
+    torch.save(OwnLearner("mine", lambda: Keeping(state)).state_dict(), file)
+    file.seek(0)
+    loaded = torch.load(file, weights_only=True)
+    assert loaded["rest"][:-1] == state["rest"][:-1]
+    assert torch.equal(loaded["net"]["weight"], net.weight)
+
+
+def test_a_learner_that_changes_the_buffer_is_one_line():
+    class Centring(Answering):
+        def weigh(self, context: Any) -> Any:
+            reward = context.replay.reward
+            reward -= reward.mean()
+            return self.answer
+
+    learner = OwnLearner("mine", lambda: Centring(Weighting(weights())))
+    with pytest.raises(OwnCodeError, match=r"changes the replay buffer.*clone"):
+        learner.weigh(context(rows(N)))

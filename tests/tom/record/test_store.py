@@ -121,3 +121,18 @@ def test_recent_runs_are_those_whose_status_was_just_written(record, store: Stor
     long_ago = runs[0].status.heartbeat - 100
     os.utime(runs[0].path / "status.json", (long_ago, long_ago))
     assert store.recent(30) == ["new"]
+
+
+@pytest.mark.parametrize("name", [".hidden", "x" * 250, "ü" * 250, "..."])
+def test_a_weighings_folder_can_be_made_whatever_its_data_is_called(store: Store, name: str):
+    folder = store.new_weighing(name)
+    folder.mkdir(parents=True)
+    assert folder.parent == store.path / "weighings"
+    assert not folder.name.startswith(".")
+
+
+def test_a_store_that_cannot_be_reached_is_one_line(tmp_path: Path):
+    store = Store(tmp_path / ("x" * 300))
+    for look in (store.ensure_there, store.runs, lambda: store.resolve("one")):
+        with pytest.raises(UserError, match=r"cannot read the store .*name too long; name"):
+            look()
