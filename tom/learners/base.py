@@ -151,7 +151,7 @@ def heavy_row(starts: Tensor | None) -> tuple[tuple[str, str], ...]:
         return ()
     message = (
         f"{100 * share:.0f} % of the rollouts start from one row of {len(starts)}, which has that "
-        "share of the weight: --rollout.uniform_share S starts a share S of them anywhere"
+        "share of the weight: --rollout.uniform-share S starts a share S of them anywhere"
     )
     return (("heavy-row", message),)
 

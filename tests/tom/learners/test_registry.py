@@ -83,7 +83,7 @@ def test_a_row_that_most_rollouts_start_from_is_told():
     ((kind, message),) = heavy_row(weights)
     assert kind == "heavy-row"
     assert message.startswith("50 % of the rollouts start from one row of 20000")
-    assert "--rollout.uniform_share" in message
+    assert "--rollout.uniform-share" in message
     weights[7] = 1_000
     assert heavy_row(weights) == ()  # a tenth of the others together
     assert heavy_row(None) == ()  # uniform draws
