@@ -123,14 +123,14 @@ class Swimming(SwimmerEnv):
 
     def step(self, action):
         self.steps += 1
-        obs, *rest = super().step(action)
+        obs, reward, terminated, truncated, info = super().step(action)
         if self.steps == 5 and isinstance(self.wrong, BaseException):
             raise self.wrong
         if self.steps == 5 and self.wrong:
-            return obs[:-1], *rest
+            return obs[:-1], reward, terminated, truncated, info
         self.own = getattr(self, "own", obs)
         self.own[:] = obs
-        return self.own, *rest
+        return self.own, reward, terminated, truncated, info
 
     def close(self):
         raise ValueError("never opened")
