@@ -41,9 +41,10 @@ def rollouts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     """One row per environment and learner: the rollouts that its runs' policies were trained on.
 
     Rows, means and intervals as those of `exams`. "falls": the share of rollout steps that end an
-    episode over that of the policy's own last steps, the median fit of each run; above 1 the
-    rollouts fall more often than the policy. "heavy rows": the share of fits with a row that has
-    HEAVY or more of the weight, and so of the rollouts' starts if those are drawn by weight.
+    episode over that of the policy's own last steps, the median fit of each run among those whose
+    policy did fall; above 1 the rollouts fall more often than the policy. "heavy rows": the share
+    of fits with a row that has HEAVY or more of the weight, and so of the rollouts' starts if those
+    are drawn by weight.
     """
     return _table(cells, _rollouts)
 
@@ -88,8 +89,7 @@ def _rollouts(run: RunReader, until: float) -> Mapping[str, float] | None:
     here = metrics.loc[metrics["env_step"] <= until, needed].dropna()
     if here.empty:
         return None
-    fell = here[here[POLICY_FALLS] > 0]
-    falls = _median((fell[FALLS] / fell[POLICY_FALLS]).to_numpy())
+    falls = _median((here[FALLS] / here[POLICY_FALLS]).to_numpy())
     heavy = float((here[LARGEST] >= HEAVY * here[SIZE]).mean())
     return dict(zip(ROLLOUTS, (falls, heavy), strict=True))
 

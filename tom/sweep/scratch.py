@@ -40,14 +40,19 @@ def _held(url: str, run_id: str) -> tuple[Path, int | None]:
     path = _root() / f"{hashlib.sha256(url.encode()).hexdigest()[:12]}-{run_id}"
     path.mkdir(exist_ok=True)
     handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.path.samestat(os.fstat(handle), path.stat()) and _ended(path / run_id):
-            return path, handle
-    except OSError:  # another process has it, or has just removed it
-        pass
+    if _locked(path, handle) and _ended(path / run_id):
+        return path, handle
     os.close(handle)
     return _new(), None
+
+
+def _locked(path: Path, handle: int) -> bool:
+    """Lock the open folder; False if another process has it, or has just removed it."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except (BlockingIOError, FileNotFoundError):
+        return False
 
 
 def _ended(run: Path) -> bool:
