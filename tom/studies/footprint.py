@@ -17,14 +17,13 @@ UNIFORM = "uniform"
 def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """One row per way: its distance to the policy's footprint relative to uniform weights.
 
-    A recording's score is the median over its moments and seeds. The mean over tasks of the mean
-    over recordings has a stratified bootstrap interval over recordings.
+    Outcomes that say nothing (`telling`) do not count. A recording's score is the median over its
+    moments and seeds. The mean over tasks of the mean over recordings has a stratified bootstrap
+    interval over recordings.
     """
-    rows = []
+    rows, outcomes = [], telling(outcomes)
     for way in dict.fromkeys(one.way for one in outcomes):
-        of = [one for one in outcomes if one.way == way and np.isfinite(one.footprint)]
-        if not of:
-            continue
+        of = [one for one in outcomes if one.way == way]
         score = over_recordings((one.env, one.recording, one.footprint) for one in of)
         by_env = {
             env: median(one.footprint for one in of if one.env == env)
@@ -49,7 +48,8 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """One row per question of two ways: the difference of their distances, with its interval.
 
-    Without those about uniform weights, whose distance is 1: `summary` answers them.
+    Outcomes that say nothing (`telling`) do not count. Without questions about uniform weights,
+    whose distance is 1: `summary` answers them.
     """
     return [
         {
@@ -62,7 +62,7 @@ def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             "n": one.n,
             **one.by_recording,
         }
-        for one in comparisons(outcomes, lambda outcome: outcome.footprint)
+        for one in comparisons(telling(outcomes), lambda outcome: outcome.footprint)
         if one.against != UNIFORM
     ]
 
@@ -70,19 +70,28 @@ def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 def verdict(outcomes: Sequence[Outcome]) -> list[str]:
     """A summary of the table in words."""
     rows = [row for row in summary(outcomes) if row["way"] != UNIFORM]
-    moments = {(one.recording, one.step) for one in outcomes}
+    counted = telling(outcomes)
     said = [
-        f"{len(moments)} moments of {len({one.recording for one in outcomes})} runs in "
-        f"{len({one.env for one in outcomes})} tasks. 1 is no nearer to what the policy does than "
+        f"{len(_moments(counted))} moments of {len({one.recording for one in counted})} runs in "
+        f"{len({one.env for one in counted})} tasks. 1 is no nearer to what the policy does than "
         f"uniform weights, 0 the policy itself; two samples of the policy are "
-        f"{_noise(outcomes):.2f} apart (median)."
+        f"{_noise(counted):.2f} apart (median)."
     ]
-    said.append(f"Nearest: {_nearest(rows)}.")
-    said += _drowned(outcomes)
+    if rows:
+        said.append(f"Nearest: {_nearest(rows)}.")
+    said += _not_counted(outcomes)
     worse = [f"{row['way']} {row['distance']:.2f}" for row in rows if row["distance"] > 1]
     if worse:
         said.append(f"Further from the policy than no weights at all: {', '.join(worse)}.")
     return said + [_answer(row) for row in head_to_head(outcomes)]
+
+
+def telling(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """The outcomes whose distance was measured and is not lost in its noise (`informative`)."""
+    says = informative([one.footprint_noise for one in outcomes])
+    return [
+        one for one, kept in zip(outcomes, says, strict=True) if kept and np.isfinite(one.footprint)
+    ]
 
 
 def _nearest(rows: Sequence[dict[str, Any]]) -> str:
@@ -91,21 +100,20 @@ def _nearest(rows: Sequence[dict[str, Any]]) -> str:
     return ", ".join(f"{row['way']} {row['distance']:.2f} ({_bounds(row)})" for row in best)
 
 
-def _drowned(outcomes: Sequence[Outcome]) -> list[str]:
-    """A line on the moments whose noise drowns their distances, and the result without them."""
-    tells = informative([one.footprint_noise for one in outcomes])
-    kept = [one for one, says in zip(outcomes, tells, strict=True) if says]
-    lost = {(one.recording, one.step) for one in outcomes if np.isfinite(one.footprint_noise)}
-    lost -= {(one.recording, one.step) for one in kept}
+def _not_counted(outcomes: Sequence[Outcome]) -> list[str]:
+    """A line on the moments whose noise drowns their distances."""
+    lost = _moments(outcomes) - _moments(telling(outcomes))
     if not lost:
         return []
     where = ", ".join(f"{recording} at {step}" for recording, step in sorted(lost))
-    line = (
-        f"Two samples of the policy lie as far apart as the unweighted buffer from them ({where}): "
-        "distances there are noise, and count all the same."
-    )
-    rows = [row for row in summary(kept) if row["way"] != UNIFORM]
-    return [f"{line} Nearest without: {_nearest(rows)}." if rows else line]
+    return [
+        "Not counted, because two samples of the policy lie as far apart as the unweighted buffer "
+        f"from them and distances are noise: {where}."
+    ]
+
+
+def _moments(outcomes: Sequence[Outcome]) -> set[tuple[str, int]]:
+    return {(one.recording, one.step) for one in outcomes}
 
 
 def _answer(row: dict[str, Any]) -> str:

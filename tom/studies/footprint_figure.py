@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from statistics import median
 
-import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from tom.reports.colours import NEUTRAL, TEXT, learner_colour
 from tom.reports.style import STYLE, new_figure
-from tom.studies.footprint import UNIFORM
+from tom.studies.footprint import UNIFORM, telling
 from tom.studies.frozen import WAYS, Outcome
 
 LEAST = 0.03
@@ -18,12 +17,18 @@ LEAST = 0.03
 
 
 def footprint_figure(outcomes: Sequence[Outcome]) -> Figure:
-    """One panel per task: distance to the policy relative to uniform weights, log axis."""
-    outcomes = [one for one in outcomes if np.isfinite(one.footprint)]
+    """One panel per task: distance to the policy relative to uniform weights, log axis.
+
+    Outcomes that say nothing (`telling`) are left out.
+    """
+    outcomes = telling(outcomes)
     envs = list(dict.fromkeys(one.env for one in outcomes))
     ways = [way for way in WAYS if way != UNIFORM and any(one.way == way for one in outcomes)]
     with rc_context(STYLE):
         figure = new_figure(2.2 + 2.6 * len(envs), 0.7 + 0.24 * len(ways))
+        if not envs:
+            figure.text(0.5, 0.5, "every distance is lost in noise", ha="center", va="center")
+            return figure
         axes = figure.subplots(1, len(envs), squeeze=False, sharey=True)[0]
         for ax, env in zip(axes, envs, strict=True):
             ax.axvline(1.0, color=NEUTRAL, linewidth=0.8, linestyle="--")

@@ -87,16 +87,32 @@ def test_a_footprints_summary_by_hand():
     assert "Further from the policy than no weights at all: ratio 1.45" in said
 
 
-def test_moments_whose_noise_drowns_the_distances_are_named():
-    outcomes = [
+def drowned() -> list[Outcome]:
+    """Recording a tells .3 for recency; b's distances (4) are lost in noise."""
+    return [
         replace(BASE, way=way, recording=recording, footprint=distance, footprint_noise=noise)
         for recording, noise, distances in (("a", 0.1, (1.0, 0.3)), ("b", 7.0, (1.0, 4.0)))
         for way, distance in zip(("uniform", "recency"), distances, strict=True)
     ]
-    (line,) = (line for line in footprint.verdict(outcomes) if "noise" in line)
-    assert "(b at 100)" in line
-    assert "Nearest without: recency 0.30" in line
-    assert not any("noise" in line for line in footprint.verdict(outcomes[:2]))
+
+
+def test_moments_whose_noise_drowns_the_distances_do_not_count_and_are_named():
+    _, recency = footprint.summary(drowned())
+    assert (recency["distance"], recency["n"]) == (0.3, 1)
+    said = footprint.verdict(drowned())
+    assert said[0].startswith("1 moments of 1 runs in 1 tasks")
+    (line,) = (line for line in said if "Not counted" in line)
+    assert line.endswith("b at 100.")
+    assert not any("Not counted" in line for line in footprint.verdict(drowned()[:2]))
+    (panel,) = footprint_figure(drowned()).axes
+    assert np.asarray(panel.collections[0].get_offsets())[:, 0].tolist() == [0.3]
+
+
+def test_a_study_whose_every_moment_is_noise_says_so():
+    noise = drowned()[2:]
+    assert footprint.summary(noise) == footprint.head_to_head(noise) == []
+    assert any("Not counted" in line for line in footprint.verdict(noise))
+    assert not footprint_figure(noise).axes
 
 
 def test_a_capacitys_summary_by_hand():
@@ -239,6 +255,17 @@ def test_the_commands_write_their_reports(
             f"{name}.png", f"{name}.svg",
         }  # fmt: skip
         assert len(pd.read_csv(out / "moments.csv")) == 2 * 2
+        again = out / "again"
+        words = ["reproduce", name, "--from", str(out / "moments.csv"), "--out", str(again)]
+        assert main([*words, "--json"]) == 0
+        made_anew = json.loads(capsys.readouterr().out)
+        assert {**made_anew, "out": 0} == {**told, "out": 0}
+        assert (again / "moments.csv").read_text() == (out / "moments.csv").read_text()
+        first, second = (
+            json.loads((folder / "report.json").read_text())["origin"] for folder in (out, again)
+        )
+        assert second["measured: made"] == first["made"]
+        assert second["runs"] == first["runs"] == "frozen"
 
 
 @pytest.mark.parametrize(
@@ -248,6 +275,9 @@ def test_the_commands_write_their_reports(
         (["--moments", "0"], "--moments must be at least 1"),
         (["--env", "walker2d"], "no run with a buffer and policies"),
         (["nothing"], "no run 'nothing'"),
+        (["--from", "nowhere.csv"], "cannot read nowhere.csv"),
+        (["--from", __file__], "is no moments.csv of this study"),
+        (["--from", "nowhere.csv", "frozen"], "name no run beside it"),
     ],
 )
 def test_bad_input_is_one_line(

@@ -4,8 +4,10 @@ The options of moments are also those of `tom reproduce improvement`.
 """
 
 import argparse
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -33,7 +35,11 @@ from tom.studies.capacity_figure import capacity_figure
 from tom.studies.each import each
 from tom.studies.footprint_figure import footprint_figure
 from tom.studies.frozen import MODELS, WAYS, Outcome, cases, examined, moments
+from tom.studies.frozen_table import read_outcomes, write_outcomes
 from tom.studies.report import study_origin
+
+MEASURED = "measured: "
+"""begins what a report that was made anew says of the origin of its outcomes"""
 
 
 @dataclass(frozen=True)
@@ -102,6 +108,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         if study.models:
             known = ", ".join(f"'{name}'" for name in MODELS)
             parser.add_argument("--models", nargs="+", default=study.models, help=f"[{known}]")
+        parser.add_argument(
+            "--from", dest="table", type=Path, metavar="FILE",
+            help="moments.csv of an earlier report: only its tables and figures are made anew",
+        )  # fmt: skip
         add_output(parser, study.name)
         parser.set_defaults(run=stoppable(_command(study)))
 
@@ -130,6 +140,19 @@ def _command(study: FrozenStudy) -> Callable[[argparse.Namespace], int]:
 
 
 def _run(study: FrozenStudy, args: argparse.Namespace) -> int:
+    outcomes = _kept(study, args) if args.table else _measured(study, args)
+    rows, said = _write(study, args, outcomes)
+    if args.json:
+        print_json({"summary": rows, "verdict": said, "out": str(args.out)})
+        return 0
+    if rows:
+        show(study.title, tuple(rows[0]), [tuple(map(cell, row.values())) for row in rows])
+    print("\n".join([*said, str(args.out)]))
+    return 0
+
+
+def _measured(study: FrozenStudy, args: argparse.Namespace) -> list[Outcome]:
+    """The outcomes of all cases."""
     check_seeds(args.jobs, args.seeds)
     if args.rows < 100:
         raise UserError("--rows must be at least 100")
@@ -140,42 +163,52 @@ def _run(study: FrozenStudy, args: argparse.Namespace) -> int:
     for one in each(examined, asked, args.jobs, args.out):
         outcomes.append(one)
         say(f"{len(outcomes)} of {len(asked)}: {one.recording} at {one.step}: {one.way}")
-    rows, said = _write(study, args, outcomes, runs)
-    if args.json:
-        print_json({"summary": rows, "verdict": said, "out": str(args.out)})
-        return 0
-    show(study.title, tuple(rows[0]), [tuple(map(cell, row.values())) for row in rows])
-    print("\n".join([*said, str(args.out)]))
-    return 0
+    return outcomes
+
+
+def _kept(study: FrozenStudy, args: argparse.Namespace) -> list[Outcome]:
+    """The outcomes of an earlier report."""
+    if args.runs:
+        raise UserError("--from takes all outcomes of its file: name no run beside it")
+    outcomes = read_outcomes(args.table, bool(study.models))
+    out_folder(args.out)
+    return outcomes
+
+
+def _measurement(table: Path) -> dict[str, str]:
+    """How the outcomes of a table were measured, by the report beside it; empty without one."""
+    try:
+        told = json.loads((table.parent / "report.json").read_text())["origin"]
+        old = {key: str(text) for key, text in told.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+    first = {key: text for key, text in old.items() if key.startswith(MEASURED)}
+    return first or {MEASURED + key: text for key, text in old.items()}
 
 
 def _write(
-    study: FrozenStudy, args: argparse.Namespace, outcomes: list[Outcome], runs: list[RunReader]
+    study: FrozenStudy, args: argparse.Namespace, outcomes: list[Outcome]
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """Write the report; returns its table and its verdict."""
     rows, pairs = study.summary(outcomes), study.head_to_head(outcomes)
     said = study.verdict(outcomes)
-    write_csv(args.out / "summary.csv", rows)
-    write_csv(args.out / "head-to-head.csv", pairs)
-    write_csv(args.out / "moments.csv", [_flat(one) for one in outcomes])
-    png, _ = save(study.figure(outcomes), args.out, study.name)
-    n = f"{len({(one.recording, one.step) for one in outcomes})} moments of {len(runs)} runs"
-    made = study_origin(n=n, seeds=in_short(args.seeds), runs=", ".join(r.run_id for r in runs))
     tables = [("Every way", rows)]
     if pairs:
         tables.append(("Two ways at the same moments", pairs))
-    figures = [(study.caption, png)]
+    recordings = dict.fromkeys(one.recording for one in outcomes)
+    at = {(one.recording, one.step) for one in outcomes}
+    made = study_origin(
+        n=f"{len(at)} moments of {len(recordings)} runs",
+        seeds=in_short([one.seed for one in outcomes]),
+        runs=", ".join(recordings),
+        **(_measurement(args.table) if args.table else {}),
+    )
+    write_csv(args.out / "summary.csv", rows)
+    write_csv(args.out / "head-to-head.csv", pairs)
+    write_outcomes(args.out / "moments.csv", outcomes)
+    figures = [(study.caption, save(study.figure(outcomes), args.out, study.name)[0])]
     write_report(Report(study.title, study.claim, said, figures, tables, made), args.out)
     return rows, said
-
-
-def _flat(one: Outcome) -> dict[str, Any]:
-    """A row of the CSV file, with one column for each error."""
-    row = asdict(one)
-    for error in row.pop("errors"):
-        row[f"error {error['model']}"] = error["error"]
-        row[f"rollout error {error['model']}"] = error["rollout_error"]
-    return row
 
 
 def check_model(name: str) -> None:
