@@ -1,4 +1,4 @@
-"""docs/findings.md: its figures of whole runs on Hopper are those of the gallery's runs."""
+"""docs/findings.md: its tables are those of the gallery's studies and runs."""
 
 import re
 from functools import cache
@@ -9,6 +9,9 @@ import pytest
 
 from tom.analysis.scores import BEST, FINAL, HEIGHT
 from tom.record import Store
+from tom.studies import capacity, footprint
+from tom.studies.frozen import MODELS, Outcome
+from tom.studies.frozen_table import read_outcomes
 from tom.studies.returns import Cell, compared_from, select
 from tom.studies.returns_fits import EXAMS, exams, rollouts
 from tom.studies.returns_tables import improvement, summary
@@ -48,6 +51,60 @@ def spread(row: dict[str, Any], name: str, low: str, high: str, form: str = ".0f
 
 def whole(text: Any) -> str:
     return ", ".join(f"{value:.0f}" for value in text)
+
+
+def measured(study: str) -> list[Outcome]:
+    """The gallery's moments of a study on frozen buffers."""
+    return read_outcomes(ROOT / "runs/studies" / study / "moments.csv", study == "capacity")
+
+
+def signed(row: dict[str, Any]) -> str:
+    """-.05 [-.10, +.00]"""
+    value, *ends = (f"{row[key]:+.2f}".replace("0", "", 1) for key in ("difference", "low", "high"))
+    return f"{value} [{', '.join(ends)}]"
+
+
+def test_where_the_weights_lie() -> None:
+    columns = ("hopper", "walker2d", "halfcheetah", "ess", "ends over policy's")
+    made = {
+        row["way"]: [
+            f"{row['distance']:.2f}",
+            f"{row['low']:.2f} to {row['high']:.2f}",
+            *(f"{row[name]:.2f}" for name in columns),
+        ]
+        for row in footprint.summary(measured("footprint"))
+    }
+    assert {way: told for way, *told in rows("way")} == made
+
+
+def test_two_ways_at_the_same_moments() -> None:
+    made = {
+        f"`{row['way']}`, `{row['against']}`": [
+            signed(row),
+            f"{row['nearer at']} of {row['n']}",
+            f"{row['better on']} of {row['recordings']}",
+            share(row["p"]),
+        ]
+        for row in footprint.head_to_head(measured("footprint"))
+    }
+    assert {ways: told for _, ways, *told in rows("question | first")} == made
+
+
+def test_what_weights_do_for_models_of_each_size() -> None:
+    names = {
+        "tom-discounted": "TOM as printed",
+        "tom-mended": "`mended`",
+        "half-tom-mended": "half `mended`, half uniform",
+        "half-recency": "half recency, half uniform",
+    }
+    made: dict[str, list[str]] = {name: [] for name in names.values()}
+    for row in capacity.head_to_head(measured("capacity")):
+        if row["against"] == footprint.UNIFORM:
+            ratio, *ends = (f"{row[key]:.2f}".removeprefix("0") for key in ("ratio", "low", "high"))
+            less = f"{row['less at']} of {row['n']} p {share(row['p'])}"
+            made[names[row["way"]]].append(f"{ratio} [{', '.join(ends)}] {less}")
+    assert {name: told for name, *told in rows("weights | linear")} == made
+    assert all(len(told) == len(MODELS) for told in made.values())
 
 
 def test_the_scores_at_the_planned_end() -> None:

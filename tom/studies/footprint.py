@@ -75,7 +75,7 @@ def verdict(outcomes: Sequence[Outcome]) -> list[str]:
         f"{len(_moments(counted))} moments of {len({one.recording for one in counted})} runs in "
         f"{len({one.env for one in counted})} tasks. 1 is no nearer to what the policy does than "
         f"uniform weights, 0 the policy itself; two samples of the policy are "
-        f"{_noise(counted):.2f} apart (median)."
+        f"{_noise(counted):z.2f} apart (median)."
     ]
     if rows:
         said.append(f"Nearest: {_nearest(rows)}.")
@@ -135,8 +135,7 @@ def _ends(outcomes: Sequence[Outcome]) -> float:
 
 def _noise(outcomes: Sequence[Outcome]) -> float:
     """The median distance of two samples of the policy; NaN if it was never measured."""
-    found = [one.footprint_noise for one in outcomes if one.way == UNIFORM]
-    return median([noise for noise in found if np.isfinite(noise)] or [np.nan])
+    return median([one.footprint_noise for one in outcomes if one.way == UNIFORM] or [np.nan])
 
 
 def _bounds(row: dict[str, Any]) -> str:
