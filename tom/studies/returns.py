@@ -2,15 +2,16 @@
 
 A run belongs to its environment, learner, preset and seed; a learner with another than the first
 requested preset counts as a separate learner ("TOM, mended"). If runs differ in other settings, the
-largest group of each learner is used, and in it the longest run of each seed. The learners of an
-environment are compared at a step that all their runs reach, or at one that the user fixed before
-he looked, without the runs that end earlier; if the settings of their groups differ, the verdict
-says so. Runs are grouped and scored as on the Compare page
-(`tom/analysis/scores.py`).
+largest group of each learner is used, or every group counts as a separate learner, as the user
+likes ("TOM, mended, model.uniform_share 1"); in a group the longest run of each seed. The learners
+of an environment are compared at a step that all their runs reach, or at one that the user fixed
+before he looked, without the runs that end earlier; if the settings of their groups differ, the
+verdict says so. Runs are grouped and scored as on the Compare page (`tom/analysis/scores.py`).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from types import MappingProxyType
 
@@ -20,13 +21,14 @@ from numpy.typing import NDArray
 from tom.analysis.curves import Curve, curve_points
 from tom.analysis.grouping import Kind, kinds
 from tom.analysis.scores import BEST, begun, common_start, common_step, scores_of
+from tom.analysis.settings import changed
 from tom.envs import ENVS
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.record import RunReader
 
 Array = NDArray[np.float64]
 Recorded = tuple[RunReader, Curve]
-Method = tuple[str, str]  # learner, and preset if it is not the first requested one
+Method = tuple[str, str]  # learner and variant
 PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
 METRIC = "eval/return"
 FREE: Mapping[str, int] = MappingProxyType({})
@@ -41,16 +43,17 @@ class Cell:
     learner: str
     runs: tuple[RunReader, ...]
     curves: tuple[Curve, ...]
-    preset: str = ""  # if it is not the first requested one
+    variant: str = ""
+    """in what its runs differ from the learner's in the first requested preset, in words"""
 
     @property
     def label(self) -> str:
         name = LEARNERS[self.learner].label
-        return f"{name}, {self.preset}" if self.preset else name
+        return f"{name}, {self.variant}" if self.variant else name
 
     @property
     def method(self) -> Method:
-        return self.learner, self.preset
+        return self.learner, self.variant
 
     @property
     def n(self) -> int:
@@ -76,10 +79,11 @@ class Cell:
 
 
 def select(
-    runs: Sequence[RunReader], *presets: str, at: Mapping[str, int] = FREE
+    runs: Sequence[RunReader], *presets: str, at: Mapping[str, int] = FREE, apart: bool = False
 ) -> tuple[list[Cell], list[str]]:
     """The cells of the runs of `presets`, and the ids of runs that were left out.
 
+    If `apart`, runs that differ in settings from their preset have cells of their own.
     Curves of an environment in `at` end at that env step, and its runs without an evaluation there
     or later are left out. All runs of a learner are left out if one was first evaluated after the
     step of the comparison.
@@ -92,13 +96,13 @@ def select(
     kind_of = kinds(mine)
     recorded = [(run, _curve(run, kind_of[run.run_id])) for run in mine]
     reaching = [(run, _until(curve, at.get(run.env))) for run, curve in recorded]
-    usable = sorted(((r, c) for r, c in reaching if len(c.step)), key=_key)
+    method = partial(_method, presets[0], apart)
+    usable = sorted(((r, c) for r, c in reaching if len(c.step)), key=method)
     cells, left_out = [], [run.run_id for run, curve in reaching if not len(curve.step)]
-    for (env, learner, preset), group in groupby(usable, _key):
+    for (env, learner, variant), group in groupby(usable, method):
         every = list(group)
         chosen = _largest(every)
-        shown = "" if preset == presets[0] else preset
-        cells.append(Cell(env, learner, *zip(*chosen, strict=True), preset=shown))
+        cells.append(Cell(env, learner, *zip(*chosen, strict=True), variant=variant))
         used = {run.run_id for run, _ in chosen}
         left_out += [run.run_id for run, _ in every if run.run_id not in used]
     common = compared_at(cells)
@@ -106,7 +110,7 @@ def select(
     left_out += [run.run_id for cell in late for run in cell.runs]
     order = {name: i for i, name in enumerate((*ENVS, *LEARNER_NAMES))}
     kept = [cell for cell in cells if cell not in late]
-    return sorted(kept, key=lambda c: (order[c.env], order[c.learner], c.preset)), left_out
+    return sorted(kept, key=lambda c: (order[c.env], order[c.learner], c.variant)), left_out
 
 
 def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
@@ -129,8 +133,8 @@ def envs_of(cells: Sequence[Cell]) -> list[str]:
     return list(dict.fromkeys(cell.env for cell in cells))
 
 
-def cell_of(cells: Sequence[Cell], env: str, learner: str, preset: str = "") -> Cell | None:
-    return next((c for c in cells if (c.env, *c.method) == (env, learner, preset)), None)
+def cell_of(cells: Sequence[Cell], env: str, learner: str, variant: str = "") -> Cell | None:
+    return next((c for c in cells if (c.env, *c.method) == (env, learner, variant)), None)
 
 
 def _curve(run: RunReader, kind: Kind) -> Curve:
@@ -146,9 +150,13 @@ def _until(curve: Curve, at: int | None) -> Curve:
     return curve.until(at if reached else -1)
 
 
-def _key(recorded: Recorded) -> tuple[str, str, str]:
+def _method(usual: str, apart: bool, recorded: Recorded) -> tuple[str, str, str]:
+    """The environment, the learner, and its variant in words."""
     run, _ = recorded
-    return run.env, run.learner, run.preset
+    words = [run.preset] if run.preset != usual else []
+    if apart:
+        words += [f"{path} {value}" for path, value in sorted(changed(run).items())]
+    return run.env, run.learner, ", ".join(words)
 
 
 def _largest(every: Sequence[Recorded]) -> list[Recorded]:

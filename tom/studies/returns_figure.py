@@ -10,10 +10,11 @@ from matplotlib.ticker import EngFormatter
 from tom.analysis.curves import aggregate
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
-from tom.studies.returns import Cell, compared_at
+from tom.studies.returns import Cell, Method, compared_at
 
 COLUMNS = 3
 FEW_POINTS = 10
+SOLID, DASHES = "-", ("-.", "--", ":")
 
 
 def return_figure(cells: Sequence[Cell]) -> Figure:
@@ -21,7 +22,7 @@ def return_figure(cells: Sequence[Cell]) -> Figure:
 
     A dotted line marks the step at which learners are compared.
     """
-    at = compared_at(cells)
+    at, line = compared_at(cells), _lines(cells)
     columns = min(COLUMNS, len(at))
     rows = -(-len(at) // columns)
     with rc_context(STYLE):
@@ -29,7 +30,7 @@ def return_figure(cells: Sequence[Cell]) -> Figure:
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         for ax, env in zip(axes, at, strict=False):
             for cell in (c for c in cells if c.env == env):
-                _draw(ax, cell)
+                _draw(ax, cell, line[cell.method])
             ax.axvline(at[env], color=NEUTRAL, linestyle=":", linewidth=0.9)
             ax.set_title(env)
             ax.set_xlabel("env steps")
@@ -41,8 +42,17 @@ def return_figure(cells: Sequence[Cell]) -> Figure:
     return figure
 
 
-def _draw(ax: Axes, cell: Cell) -> None:
-    colour, line = learner_colour(cell.learner), "--" if cell.preset else "-"
+def _lines(cells: Sequence[Cell]) -> dict[Method, str]:
+    """The line style of each method: a learner's variants differ in it."""
+    lines: dict[Method, str] = {}
+    for learner, variant in sorted({cell.method for cell in cells}):
+        before = sum(known == learner for known, _ in lines)
+        lines[learner, variant] = DASHES[before % len(DASHES)] if variant else SOLID
+    return lines
+
+
+def _draw(ax: Axes, cell: Cell, line: str) -> None:
+    colour = learner_colour(cell.learner)
     group = aggregate([curve.best_so_far for curve in cell.curves])
     for curve in group.curves:
         ax.plot(curve.step, curve.value, color=colour, alpha=0.3, linewidth=0.7)

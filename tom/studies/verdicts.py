@@ -141,10 +141,10 @@ def _ranking(cells: Sequence[Cell]) -> list[str]:
         f"TOM has the highest mean in {len(first)} of {len(judged)} of the paper's environments"
         f"{_listed(first)}; the paper says 4 of 5."
     ]
-    for preset in sorted({c.preset for c in cells if c.learner == "tom" and c.preset}):
-        have = [env for env, group in judged.items() if cell_of(group, env, "tom", preset)]
-        first = [env for env in have if _tom_is_first(judged[env], at[env], preset)]
-        lines += [f"Its preset {preset} has it in {len(first)} of {len(have)}{_listed(first)}."]
+    for variant in sorted({c.variant for c in cells if c.learner == "tom" and c.variant}):
+        have = [env for env, group in judged.items() if cell_of(group, env, "tom", variant)]
+        first = [env for env in have if _tom_is_first(judged[env], at[env], variant)]
+        lines += [f"TOM, {variant}, has it in {len(first)} of {len(have)}{_listed(first)}."]
     few = min(c.n for cs in judged.values() for c in cs)
     if remark(few):
         lines.append(f"The smallest group: {remark(few)}.")
@@ -160,10 +160,10 @@ def _listed(envs: Sequence[str]) -> str:
     return f" ({', '.join(envs)})" if envs else ""
 
 
-def _tom_is_first(cells: Sequence[Cell], step: float, preset: str = "") -> bool:
-    """Whether TOM of this preset has the highest mean best return; its others are no rivals."""
+def _tom_is_first(cells: Sequence[Cell], step: float, variant: str = "") -> bool:
+    """Whether this TOM has the highest mean best return; its other variants are no rivals."""
     means = {cell.method: float(cell.scores(step).mean()) for cell in cells}
-    tom = means["tom", preset]
+    tom = means["tom", variant]
     return all(tom > mean for (learner, _), mean in means.items() if learner != "tom")
 
 

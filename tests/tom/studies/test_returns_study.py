@@ -15,6 +15,7 @@ from tom.studies import returns as study
 from tom.studies import returns_fits as fits
 from tom.studies import returns_tables as tables
 from tom.studies import verdicts
+from tom.studies.returns_figure import return_figure
 from tom.training.presets import resolve
 
 
@@ -59,6 +60,27 @@ def test_a_run_for_each_seed_of_the_largest_group_of_settings(store: Store):
         ("walker2d", "tom", [0]),
     ]
     assert len(left_out) == 2
+
+
+def test_runs_with_changed_settings_stand_beside_the_others_if_asked(store: Store):
+    for seed in range(3):
+        record(store, "hopper", "tom", seed, [7, 8, 9], updates_per_step=7)
+    record(store, "hopper", "tom", 0, [5, 5, 5], preset="mended", updates_per_step=7)
+    cells, left_out = study.select(store.runs(), "paper", "mended", apart=True)
+    of_hopper = [cell for cell in cells if cell.env == "hopper"]
+    assert {cell.label: cell.seeds for cell in of_hopper} == {
+        "MLE": [0],
+        "TOM": [0, 1],
+        "TOM, updates_per_step 7": [0, 1, 2],
+        "TOM, mended, updates_per_step 7": [0],
+    }
+    assert not left_out
+    (axes,) = return_figure(of_hopper).axes
+    means = [line for line in axes.lines if "n = " in str(line.get_label())]
+    styles = {str(line.get_label()): line.get_linestyle() for line in means}
+    assert styles["TOM (n = 2)"] == styles["MLE (n = 1)"] == "-"
+    assert len(set(styles.values())) == 3
+    assert any("differ in more than" in line for line in verdicts.returns(of_hopper))
 
 
 def test_a_run_that_was_never_evaluated_is_named(store: Store):
@@ -279,7 +301,7 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     assert wins["TOM, mended", "MLE", "area under the curve"] == 1
     first, preset, *_ = verdicts.returns(of_hopper)
     assert "mended" not in first
-    assert preset == "Its preset mended has it in 1 of 1 (hopper)."
+    assert preset == "TOM, mended, has it in 1 of 1 (hopper)."
     toms = [cell for cell in of_hopper if cell.learner == "tom"]
     assert "nothing to compare" in verdicts.returns(toms)[0]  # two presets of TOM are no rivals
 

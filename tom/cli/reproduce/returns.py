@@ -58,6 +58,11 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "earlier [what all runs reach]",
     )  # fmt: skip
     parser.add_argument("--seeds", nargs="+", type=seed_number, metavar="N", help="[all]")
+    parser.add_argument(
+        "--apart", action="store_true",
+        help="runs with settings other than their preset's are learners of their own [of each "
+        "learner and preset only the settings that most seeds share]",
+    )  # fmt: skip
     add_output(parser, "returns")
     parser.set_defaults(run=run)
 
@@ -72,14 +77,14 @@ def run(args: argparse.Namespace) -> int:
     every = [
         run for run in Store(args.store).runs() if run.env in envs and run.learner in args.learner
     ]
-    whole, _ = study.select(every, *args.preset)
+    whole, _ = study.select(every, *args.preset, apart=args.apart)
     if not whole:
         raise UserError(
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
             f"--learner {' '.join(args.learner)} --seeds 4 makes them"
         )
     runs = _with_seeds(every, args.seeds)
-    cells, left_out = study.select(runs, *args.preset, at=at)
+    cells, left_out = study.select(runs, *args.preset, at=at, apart=args.apart)
     if not cells:
         asked = ["--at", *args.at] if args.at else ["--seeds", *map(str, args.seeds)]
         raise UserError(
