@@ -74,6 +74,8 @@ def _pick(rows: Rows) -> int | None:
     last = rows.first + len(rows) - 1
     held = st.session_state.get(KEY, st.query_params.get(KEY, ""))
     asked = None if held is None else text.whole(held)
+    # Streamlit's own reading of the address fails at "inf".
+    bind = None if text.whole(st.query_params.get(KEY, 0)) is None else "query-params"
     if held is not None and (asked is None or not rows.first <= asked <= last):
         st.session_state.pop(KEY, None)
         st.query_params.pop(KEY, None)
@@ -83,7 +85,7 @@ def _pick(rows: Rows) -> int | None:
         if column.button(name, key=f"why {name}", disabled=row is None, width="stretch"):
             st.session_state[KEY] = rows.first + int(row or 0)
     chosen = columns[1].number_input(
-        "Number of the transition", rows.first, last, value=None, key=KEY, bind="query-params",
+        "Number of the transition", rows.first, last, value=None, key=KEY, bind=bind,
         placeholder="none yet",
         help="its row in the run's record, counted from 0: one less than its step",
     )  # fmt: skip

@@ -140,8 +140,10 @@ def test_a_row_is_heavier_than_those_of_less_weight_alone() -> None:
 
 
 @pytest.mark.usefixtures("studio")
-def test_a_row_that_is_no_number_is_dropped() -> None:
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row="\u00b2")
+@pytest.mark.parametrize("row", ["\u00b2", "inf", "nan", "1e400", "-inf"])
+def test_a_row_that_is_no_number_is_dropped(row: str) -> None:
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row=row)
+    assert not app.exception
     assert app.number_input(key="row").value is None
 
 
