@@ -18,7 +18,7 @@ from tom.data.sampling import uniform_indices
 from tom.data.transitions import Transitions
 from tom.dynamics.linear import LinearModel
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick
-from tom.learners import LEARNERS, make_learner
+from tom.learners import follows_value, make_learner
 from tom.learners.base import FitContext, Weighting
 from tom.learners.terms import of_recorded
 from tom.metrics import require_finite
@@ -98,7 +98,7 @@ class Offline:
 
     def follow(self) -> Iterator[Event]:
         """The record, after a new fit if the weights change with the value function."""
-        if LEARNERS[self.config.learner].follows_value:
+        if follows_value(self.config.learner):
             yield from self.fit(value_gradient=True)
         yield from self.record()
 
