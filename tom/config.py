@@ -196,7 +196,7 @@ class TomConfig(Config):
 
     @classmethod
     def preset(cls, name: Literal["paper", "exact"]) -> Self:
-        """`paper`: table 1 of the paper; `exact`: what matches exact weights best."""
+        """`paper`: the paper's table (appendix C.1); `exact`: what matches exact weights best."""
         return cls.model_validate(cls._presets[name])
 
     @property

@@ -271,8 +271,8 @@ class DualProblem:
         """The step of plain gradient descent on Q's output bias, in units of Q.
 
         A shift of Q by c changes y by only -c times the flow's `shift`, so that gradient descent is
-        slow; but its curvature is known, E[shift^2]. Under KL and under a stationary flow the
-        weights do not depend on such a shift.
+        slow; but its curvature is known: E[shift^2] under `chi2` where every weight is positive,
+        else less. Under a stationary flow, and but for ends under KL, weights do not depend on it.
         """
         free = self.config.divergence == "kl" or self.flow.normalised
         if free or self.config.q_bias_step == 0:

@@ -199,6 +199,7 @@ def buffer_at(run: RunReader, step: int) -> OrderedData:
 
 
 def config_of(run: RunReader, way: Way, seed: int) -> OnlineConfig:
+    """The settings of a way of weighing in the run's task."""
     config = resolve(run.env, way.learner or "mle", way.preset, {**way.settings, "seed": seed})
     assert isinstance(config, OnlineConfig)
     return config
