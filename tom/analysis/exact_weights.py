@@ -63,16 +63,6 @@ class OccupancyProblem:
         """The residual of the flow constraint at q w, (S A); stationary: last that of the mass."""
         return self.inflow + self.flow.T @ (self.replay * weights)
 
-    def fitted_model(self, weights: Array, mdp: Mdp) -> Array:
-        """The transition function that weighted maximum likelihood fits (eqs. 9, 18), (S, A, S).
-
-        NaN if a state and action has no weight.
-        """
-        mass = np.zeros_like(mdp.transition)
-        mass[self.index] = self.replay * weights
-        with np.errstate(invalid="ignore"):
-            return mass / mass.sum(2, keepdims=True)
-
 
 def _constraint(
     mdp: Mdp, policy: Array, index: tuple[NDArray[np.intp], ...], flow: FlowName

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from tom.config import RolloutConfig, TomConfig
-from tom.data.sampling import normalise
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, mixed_with_uniform
@@ -35,11 +34,6 @@ class Sum:
     def argument(self) -> float:
         """y - lambda."""
         return self.log_ratio + self.following + self.restart - self.now - self.level
-
-
-def weights_of(terms: Terms, config: TomConfig) -> Tensor:
-    """The weights (N,) that the terms make, mean 1."""
-    return normalise(terms.raw(config))[0]
 
 
 def sum_of(terms: Terms, config: TomConfig, row: int) -> Sum:

@@ -223,12 +223,6 @@ class DualProblem:
         return loss
 
     @torch.no_grad()
-    def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Weights f*'(y), not normalised, and Q(s, a) of every replay row, (N,) each."""
-        terms = self.terms(net, generator)
-        return terms.raw(self.config), terms.now
-
-    @torch.no_grad()
     def terms(self, net: StackedMLP, generator: torch.Generator) -> Terms:
         """The terms of y, for every replay row."""
         samples, size = self.config.action_samples, rows_at_once(self.log_ratio.device, CHUNK)
