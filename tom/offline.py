@@ -89,12 +89,12 @@ class Offline:
         if in_turn:
             yield from self.follow()
         elif self.env_step == config.steps:
-            before = self.streams.state_dict(), self.weighting, self.model
+            streams, weighting, model = self.streams.state_dict(), self.weighting, self.model
             if not evaluated:
                 yield from self.evaluate()
             yield from self.follow()
-            self.streams.load_state_dict(before[0])
-            self.weighting, self.model = before[1:]
+            self.streams.load_state_dict(streams)
+            self.weighting, self.model = weighting, model
 
     def follow(self) -> Iterator[Event]:
         """The record, after a new fit if the weights change with the value function."""

@@ -100,7 +100,7 @@ def improved(trial: Trial) -> Improvement:
     config = config_of(run, way, seed)
     data, arrays = buffer_at(run, case.step), _arrays(run, case.step)
     rows, (model,), policy = data.transitions, case.models, StoredPolicy(arrays)
-    weighting = weighting_of(data, policy, config, newest=way.learner is None)
+    weighting = weighting_of(data, policy, config, way)
     # Weights of 1 rather than none: without any, starts are drawn with other random numbers.
     even = torch.ones(len(rows))
     starts = weighting.for_starts(config.rollout)
