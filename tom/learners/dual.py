@@ -42,6 +42,7 @@ class Batch:
     ends: Tensor  # (B,), as the flow counts them
 
     def fields(self) -> tuple[Tensor, ...]:
+        """All fields in order, as `QFunction.step` takes them."""
         return self.inputs, self.next_probs, self.start_probs, self.log_ratio, self.ends
 
 
