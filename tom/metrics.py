@@ -71,7 +71,7 @@ METRICS: dict[str, str] = {
     "always 1 under KL, and under the stationary flow unless `tom.conjugate` is released",
     "weights/age_correlation": "rank correlation of weight and position in the buffer (1: newest count most)",
     "weights/ends": "share of the weight on transitions that end an episode in a terminal state",
-    "weights/ends_policy": "their share of the policy buffer (chi-square's optimum gives them less)",
+    "weights/ends_policy": "their share of the policy buffer (the discounted flow's optimum gives them less)",
     "weights/road_share": "share of the weight that lies on the road (road-and-rocks)",
     "weights/road_ratio": "mean weight on the road over mean weight on rocks, random data only",
     "weights/degenerate": "fits so far whose weights were unusable and fell back to uniform",
