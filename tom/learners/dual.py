@@ -228,10 +228,11 @@ class DualProblem:
         """The terms of y, for every replay row."""
         samples, size = self.config.action_samples, rows_at_once(self.log_ratio.device, CHUNK)
         now, following = torch.empty_like(self.log_ratio), torch.empty_like(self.log_ratio)
-        restart = torch.zeros_like(self.log_ratio)
-        flow = self.flow
-        start = self.start_values(net, samples, generator) if flow.restarts else now.new_zeros(1)
+        restart, flow = torch.zeros_like(self.log_ratio), self.flow
         ends = flow.ends(self.replay)
+        if flow.restarts:
+            start = self.start_values(net, samples, generator).mean(-1, keepdim=True)
+            restart = flow.restarting(start, ends)
         for i in range(0, len(now), size):
             part = slice(i, i + size)
             rows = self.replay[part]
@@ -241,8 +242,6 @@ class DualProblem:
             now[part] = q[: len(rows)]
             value = (probs * q[len(rows) :].view_as(probs)).sum(0)
             following[part] = flow.going_on(value, ends[part])
-            if flow.restarts:
-                restart[part] = flow.restarting(start.mean(-1, keepdim=True), ends[part])
         return Terms(self.log_ratio, now, following, restart)
 
     @torch.no_grad()
