@@ -137,7 +137,7 @@ class TomConfig(Config):
     discount: Discount = 0.99
     """of the flow (a stationary one has none)"""
     discriminator: bool = True
-    """off: r is 1 on the policy buffer and 0 elsewhere (the paper's ablation)"""
+    """off: r is 1 on the policy buffer and 0 elsewhere (an ablation of the released code)"""
     discriminator_input: Literal["transitions", "state-actions"] = "transitions"
     """what r is a ratio of: (s, a, s') as in the paper, or (s, a), which is the same r with less
     noise where one environment made both buffers"""
@@ -196,7 +196,7 @@ class TomConfig(Config):
 
     @classmethod
     def preset(cls, name: Literal["paper", "exact"]) -> Self:
-        """`paper`: table 1 of the paper; `exact`: what matches exact weights best."""
+        """`paper`: the paper's table (appendix C.1); `exact`: what matches exact weights best."""
         return cls.model_validate(cls._presets[name])
 
     @property

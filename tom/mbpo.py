@@ -1,5 +1,8 @@
 """Model-based policy optimisation with a learner's weights: Algorithm 2 of the paper.
 
+The lines named below are those of its print in appendix B. As in the released code, rollouts (lines
+21-23) are made once a fit and not at each step. Lines 3-14, the weights, are the learner's.
+
 `Mbpo.events()` is a generator. Its consumers do the recording, progress display, checkpoints and
 evaluation curves: this file uses no file, clock or socket. Heavy work goes through `do` and `call`,
 which do it at once, or in a fleet together with that of the other members (`tom.nn.lockstep`).
@@ -102,7 +105,7 @@ class Mbpo:
         yield TrainedPolicy(self.env_step, policy_arrays(config.env, self.sac))
 
     def fit_and_roll_out(self) -> Iterator[Event]:
-        """Lines 3-19: weights, weighted model fit, rollouts from weighted start states."""
+        """Lines 3-18 and 21-23: weights, weighted model fit, rollouts from weighted states."""
         yield Tick(self.env_step, "fit")
         self._sac_losses()  # ends the run here if the policy has diverged
         yield from self._flush_collected()
@@ -155,7 +158,7 @@ class Mbpo:
         )
 
     def roll_out_model(self, replay: TensorTransitions, weighting: Weighting) -> dict[str, float]:
-        """Lines 22-25: k-step rollouts from states drawn by weight, into D_model."""
+        """Lines 21-23: k-step rollouts from states drawn by weight, into D_model."""
         config, generator = self.config.rollout, self.streams.torch("rollout")
         self.model_buffer.resize(config.kept_at(self._on_policy_steps, self.config.fit_every))
         starts = start_states(replay, weighting.for_starts(config), config.starts, generator)
@@ -171,7 +174,7 @@ class Mbpo:
         )
 
     def step_environment(self, explore: bool) -> Iterator[Event]:
-        """Line 21: one step of pi in the environment, into D_env (whose end is D_pol)."""
+        """Lines 20 and 26: one step of pi in the environment, into D_env, whose end is D_pol."""
         if self.replay.total_added - self._flushed == self.replay.capacity:
             yield from self._flush_collected()  # the next row replaces one that is not recorded
         obs = self._begin_episode() if self._obs is None else self._obs
@@ -194,7 +197,7 @@ class Mbpo:
             self._obs = None
 
     def optimise_policy(self) -> None:
-        """Lines 26-28: G gradient steps of SAC on model and a few real transitions."""
+        """Lines 24-25: G gradient steps of SAC on model and a few real transitions."""
         config = self.config
         batches = mixed_batches(
             self.replay,

@@ -67,10 +67,11 @@ METRICS: dict[str, str] = {
     "weights/ess": "effective sample size (sum w)^2 / sum w^2, as a share of the buffer",
     "weights/zeros": "share of transitions with weight zero",
     "weights/max": "largest weight (mean weight is 1)",
-    "weights/raw_mean": "mean weight before normalisation: 1 at the exact optimum, less where episodes terminate; always 1 under KL",
+    "weights/raw_mean": "mean weight before normalisation: 1 at the exact optimum, less under the discounted flow where episodes terminate; "
+    "always 1 under KL, and under the stationary flow unless `tom.conjugate` is released",
     "weights/age_correlation": "rank correlation of weight and position in the buffer (1: newest count most)",
     "weights/ends": "share of the weight on transitions that end an episode in a terminal state",
-    "weights/ends_policy": "their share of the policy buffer (chi-square's optimum gives them less)",
+    "weights/ends_policy": "their share of the policy buffer (the discounted flow's optimum gives them less)",
     "weights/road_share": "share of the weight that lies on the road (road-and-rocks)",
     "weights/road_ratio": "mean weight on the road over mean weight on rocks, random data only",
     "weights/degenerate": "fits so far whose weights were unusable and fell back to uniform",

@@ -18,7 +18,7 @@ from tom.data.sampling import uniform_indices
 from tom.data.transitions import Transitions
 from tom.dynamics.linear import LinearModel
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Notice, Tick
-from tom.learners import LEARNERS, make_learner
+from tom.learners import follows_value, make_learner
 from tom.learners.base import FitContext, Weighting
 from tom.learners.terms import of_recorded
 from tom.metrics import require_finite
@@ -89,16 +89,16 @@ class Offline:
         if in_turn:
             yield from self.follow()
         elif self.env_step == config.steps:
-            before = self.streams.state_dict(), self.weighting, self.model
+            streams, weighting, model = self.streams.state_dict(), self.weighting, self.model
             if not evaluated:
                 yield from self.evaluate()
             yield from self.follow()
-            self.streams.load_state_dict(before[0])
-            self.weighting, self.model = before[1:]
+            self.streams.load_state_dict(streams)
+            self.weighting, self.model = weighting, model
 
     def follow(self) -> Iterator[Event]:
         """The record, after a new fit if the weights change with the value function."""
-        if LEARNERS[self.config.learner].follows_value:
+        if follows_value(self.config.learner):
             yield from self.fit(value_gradient=True)
         yield from self.record()
 

@@ -10,6 +10,7 @@ from tom.config import RoadConfig
 from tom.data.transitions import Transitions
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Weights
 from tom.road import task
+from tom.road.baselines import BASELINES
 from tom.road.measure import weight_shares
 from tom.training.presets import resolve
 
@@ -143,6 +144,14 @@ def test_baselines_weigh_only_the_rows_they_are_named_after(name: str):
     chosen = run.data.expert if name == "expert-only" else run.data.footprint
     assert torch.equal(weights > 0, chosen)
     assert weights.mean().item() == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_a_baseline_trains_to_the_end_with_the_weights_it_began_with(name: str):
+    events = list(offline.train(tiny(name)))
+    first, *later = (e for e in events if isinstance(e, Weights))
+    assert [e.env_step for e in later] == [30, 60]
+    assert all(np.array_equal(e.weight, first.weight) for e in later)
 
 
 def test_a_discriminator_alone_also_finds_the_road_and_swapped_labels_do_not():

@@ -2,7 +2,8 @@
 
 The weights of the region are multiplied by a factor, and all are scaled back to mean 1. One model
 is fitted with these weights and one with the original weights, on the same episodes, from the same
-initial parameters and with the same random draws. Both are tested on held-out episodes.
+initial parameters and with the same random draws; every learner's are clipped for the fit, as TOM's
+are in a training. Both are tested on held-out episodes.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -17,7 +17,8 @@ from tom.analysis.tabular import Array, FlowName, Mdp, transition_occupancy
 
 Name = Literal["chi2", "kl"]
 MAX_NEWTON_STEPS = 200
-GAP = 1e-11  # largest duality gap and flow residual of an exact solution
+CONVERGED = 1e-11  # flow residual at which Newton's method stops
+EXACT = 1e-8  # largest relative duality gap, and flow residual, of an exact solution
 
 
 @dataclass(frozen=True)
@@ -59,18 +60,8 @@ class OccupancyProblem:
         return OccupancyProblem(index, q, log_ratio, operator, inflow)
 
     def residual(self, weights: Array) -> Array:
-        """The residual of the flow constraint at q w, (S A), and last that of the mass."""
+        """The residual of the flow constraint at q w, (S A); stationary: last that of the mass."""
         return self.inflow + self.flow.T @ (self.replay * weights)
-
-    def fitted_model(self, weights: Array, mdp: Mdp) -> Array:
-        """The transition function that weighted maximum likelihood fits (eqs. 9, 18), (S, A, S).
-
-        NaN if a state and action has no weight.
-        """
-        mass = np.zeros_like(mdp.transition)
-        mass[self.index] = self.replay * weights
-        with np.errstate(invalid="ignore"):
-            return mass / mass.sum(2, keepdims=True)
 
 
 def _constraint(
@@ -109,7 +100,10 @@ def primal_value(problem: OccupancyProblem, weights: Array, name: Name) -> float
 
 
 def dual_value(problem: OccupancyProblem, q: Array, name: Name) -> float:
-    """(1-g) E[Q(s0, a0)] + E_q[f*(y)], or + log E_q[exp y] for KL, which the dual minimises."""
+    """(1-g) E[Q(s0, a0)] + E_q[f*(y)], or + log E_q[exp y] for KL, which the dual minimises.
+
+    Under a stationary flow the first term is lambda, the last of `q`.
+    """
     return float(problem.inflow @ q + _dual_terms(problem, q, name)[0])
 
 
@@ -126,7 +120,7 @@ def solve(problem: OccupancyProblem, name: Name) -> Solution:
     for _ in range(MAX_NEWTON_STEPS):
         _, weights, hessian = _dual_terms(problem, q, name)
         gradient = problem.residual(weights)
-        if np.abs(gradient).sum() < GAP:
+        if np.abs(gradient).sum() < CONVERGED:
             break
         # Rows of weight zero have no curvature: add a little, which shrinks with convergence.
         damped = hessian + min(1e-2, float(np.abs(gradient).sum())) * curvature
@@ -137,7 +131,7 @@ def solve(problem: OccupancyProblem, name: Name) -> Solution:
         weights, q, primal_value(problem, weights, name), dual_value(problem, q, name)
     )
     gap = abs(solution.dual - solution.primal) / max(1.0, abs(solution.dual))
-    if not (gap < 1e-8 and np.abs(problem.residual(weights)).sum() < 1e-8):
+    if not (gap < EXACT and np.abs(problem.residual(weights)).sum() < EXACT):
         raise ArithmeticError(f"no dual optimum (gap {gap:.1e}): does the replay cover the policy?")
     return solution
 

@@ -66,6 +66,11 @@ def load_data(
         )
     if env is None:
         raise UserError(f"{name} does not say which task it is of: add --env")
+    return _of_dataset(name, env)
+
+
+def _of_dataset(name: str, env: str) -> OrderedData:
+    """The transitions of a dataset, which were recorded in the own units of the task `env`."""
     known = task(env)
     rows = read_dataset(name)
     _check_dims(name, rows, known)

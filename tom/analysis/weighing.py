@@ -17,7 +17,7 @@ from tom.config import RunConfig
 from tom.envs import GymnasiumTask, Task
 from tom.errors import UserError, unknown
 from tom.exams.energy import footprint_match, step_scaling
-from tom.learners import LEARNERS, make_learner
+from tom.learners import LEARNERS, follows_value, make_learner
 from tom.learners.base import FitContext
 from tom.policy.collect import Footprint, footprint
 from tom.policy.foreign import ForeignPolicy, foreign_policy, is_foreign
@@ -114,7 +114,7 @@ def weigh(
     for name in learners:
         if name not in LEARNERS:
             raise unknown("learner", name, LEARNERS)
-        if LEARNERS[name].follows_value and policy.value_gradient is None:
+        if follows_value(name) and policy.value_gradient is None:
             raise UserError(
                 f"learner {name} follows a value function, and this policy comes without one: "
                 f"leave {name} out, or name the policy of a newer run"

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from tom.config import RolloutConfig, TomConfig
-from tom.data.sampling import normalise
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, mixed_with_uniform
@@ -37,11 +36,6 @@ class Sum:
         return self.log_ratio + self.following + self.restart - self.now - self.level
 
 
-def weights_of(terms: Terms, config: TomConfig) -> Tensor:
-    """The weights (N,) that the terms make, mean 1."""
-    return normalise(terms.raw(config))[0]
-
-
 def sum_of(terms: Terms, config: TomConfig, row: int) -> Sum:
     """The terms of one row, and the level and mean shared by all rows.
 
@@ -66,8 +60,8 @@ class Near:
 
 def nearest(replay: TensorTransitions, row: int, others: TensorTransitions, count: int = 5) -> Near:
     """The `others` nearest to a row of the buffer, in z-scores as the discriminator sees them."""
-    scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
-    here, there = (scaling(_transition(part)) for part in (replay[row : row + 1], others))
+    scaling = Scaling.of_moves(replay)
+    here, there = (scaling(part.moves()) for part in (replay[row : row + 1], others))
     distance = (there - here).square().mean(1).sqrt()
     closest = distance.topk(min(count, len(others)), largest=False)
     return Near(closest.indices, closest.values)
@@ -75,8 +69,8 @@ def nearest(replay: TensorTransitions, row: int, others: TensorTransitions, coun
 
 def usual_distance(replay: TensorTransitions, others: TensorTransitions, rows: Tensor) -> float:
     """The median distance of these rows (K,) of the buffer to the nearest of the `others`."""
-    scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
-    here, there = (scaling(_transition(part)) for part in (replay[rows], others))
+    scaling = Scaling.of_moves(replay)
+    here, there = (scaling(part.moves()) for part in (replay[rows], others))
     nearest_of_each = torch.cdist(here, there).amin(1) / here.shape[1] ** 0.5
     return float(nearest_of_each.median())
 
@@ -116,7 +110,3 @@ def rollouts(
         alive = alive & finite & ~terminated(following)
         obs = torch.where(alive[:, None], following, obs)
     return torch.stack(seen, 1)
-
-
-def _transition(rows: TensorTransitions) -> Tensor:
-    return torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), 1)

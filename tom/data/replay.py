@@ -91,9 +91,10 @@ class ReplayBuffer:
 
     def tail(self, n: int) -> dict[str, Tensor]:
         """The newest n rows (or all, if there are fewer) and their versions, for `restore_tail`."""
-        rows, versions = self._ordered(self._rows), self.policy_version()
-        start = max(len(rows) - n, 0)
-        return {"rows": rows[start:].clone(), "policy_version": versions[start:].clone()}
+        first, device = max(self._size - n, 0), self._rows.device
+        newest = self._physical(torch.arange(first, self._size, device=device))
+        parts = {"rows": self._rows, "policy_version": self._versions}
+        return {name: stored.index_select(0, newest) for name, stored in parts.items()}
 
     def restore_tail(self, tail: dict[str, Tensor]) -> None:
         """Append the rows of `tail`."""
@@ -118,11 +119,7 @@ class ReplayBuffer:
 
     def state_dict(self) -> dict[str, Any]:
         """Tensors and integers only: the held rows, oldest first."""
-        return {
-            "rows": self._ordered(self._rows).clone(),
-            "policy_version": self.policy_version().clone(),
-            "total_added": self.total_added,
-        }
+        return {**self.tail(self._size), "total_added": self.total_added}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the buffer that `state_dict` was taken from (its rows must fit)."""

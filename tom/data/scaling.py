@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tom.data.transitions import TensorTransitions
+
 MIN_STD = 1e-6  # a constant column is centred and left unscaled
 AT_ONCE = 4  # columns gathered at once, which bounds the memory to a few columns
 
@@ -38,6 +40,11 @@ class Scaling:
         return Scaling(
             torch.cat(mean), torch.where(spread < MIN_STD, torch.ones_like(spread), spread)
         )
+
+    @staticmethod
+    def of_moves(rows: TensorTransitions) -> Scaling:
+        """The scaling of `rows.moves()`, (s, a, s' - s)."""
+        return Scaling.of((rows.obs, rows.action), (rows.next_obs, rows.obs))
 
     @staticmethod
     def identity(dim: int, device: torch.device) -> Scaling:

@@ -70,6 +70,10 @@ class TensorTransitions(Transitions):
         """Some rows; `[None]` puts a member axis of one in front."""
         return TensorTransitions(*(getattr(self, f.name)[index] for f in fields(self)))
 
+    def moves(self) -> Tensor:
+        """(s, a, s' - s) of every row, (N, 2 O + A)."""
+        return torch.cat((self.obs, self.action, self.next_obs - self.obs), 1)
+
     def copy(self) -> TensorTransitions:
         """A copy of the rows (a buffer's rows are views that may change)."""
         return TensorTransitions(*(getattr(self, f.name).clone() for f in fields(self)))

@@ -22,6 +22,11 @@ from tom.nn.graphs import captured_step
 from tom.nn.lockstep import Rank, Work, do
 
 BLOCK, GPU_BLOCK = 10, 100  # minibatches gathered at once
+UNWEIGHTED = (
+    "fit-unweighted",
+    "all of the weight lies on rows that this fit of the model holds out: it uses uniform weights",
+)
+"""kind of the notice about a fit whose training rows have no weight"""
 
 Step = Callable[..., Tensor]
 """(x, y, *scales), (E, B, ...) each -> each network's loss (E,): `NeuralDynamics.step`."""
@@ -74,7 +79,8 @@ def fit(works: Sequence[Fit], step: Step) -> list[FitReport]:
     Weights have mean 1. They draw the minibatches or scale the loss, never both. A round is
     `batches_per_round` minibatches. A gain is a weighted holdout loss that is `min_gain` (relative)
     below that of the last gain; the first round counts as one. A fit stops after more than
-    `patience` rounds in a row without a gain. `step` updates the networks of all works at once;
+    `patience` rounds in a row without a gain. If no row to train on has any weight, all have the
+    same, and a notice says so. `step` updates the networks of all works at once;
     their configs are equal.
     """
     members = [_Member(work) for work in works]
@@ -127,6 +133,9 @@ class _Member:
         self.weights = work.weights
         self.per_dim = work.per_dim
         self.train, held = split(len(self.data), self.config, self.generator)
+        self._notices: tuple[tuple[str, str], ...] = ()
+        if not bool(self.weights[self.train].any()):
+            self.weights, self._notices = torch.ones_like(self.weights), (UNWEIGHTED,)
         self.model.fit_scales(self.data, self.train)
         rows = self.data[held]
         self._held = self.model.inputs(rows), self.model.scaled_targets(rows)
@@ -201,7 +210,8 @@ class _Member:
                 "model/rounds": float(self._rounds),
                 "model/holdout_nll_uniform": float(uniform),
                 "model/holdout_mse": float(error.square().mean()),
-            }
+            },
+            self._notices,
         )
 
     def _dims(self, index: Tensor) -> Tensor | None:

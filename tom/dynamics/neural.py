@@ -88,6 +88,7 @@ class NeuralDynamics:
         return 0.0
 
     def uses_dim_weights(self, first_round: bool) -> bool:
+        """Whether per-dimension weights scale the loss, in the first round of a fit or later."""
         return True
 
     # Fitting

@@ -76,9 +76,9 @@ def rolled_out(
 ) -> tuple[Tensor, Tensor]:
     """The last (reward (K,), next_obs (K, O)) of `steps` (1 or more) of the model's mean.
 
-    Under the recorded actions: `rows` are in order of collection, and at least `steps` rows of the
-    same episode follow each of `starts` (K,). So the recording shows what the real environment did
-    from the same state.
+    Under the recorded actions: `rows` are in order of collection, and `steps` rows of one episode
+    begin at each of `starts` (K,). So the recording shows what the real environment did from the
+    same state.
     """
     obs, reward = rows.obs[starts], rows.reward[starts]
     for step in range(steps):
@@ -103,7 +103,7 @@ def ending_metrics(
 
 
 def unbroken(rows: TensorTransitions) -> Tensor:
-    """The rows (K,) that are followed by `HORIZON` steps without an end of the episode."""
+    """The rows (K,) at which `HORIZON` rows of one episode begin."""
     ended = ((rows.terminated + rows.truncated) > 0).to(torch.float32)
     if len(rows) < HORIZON:
         return torch.empty(0, dtype=torch.int64)

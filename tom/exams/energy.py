@@ -54,8 +54,7 @@ def drawn_distance(x: Tensor, rows: Tensor) -> Tensor:
 
 def step_scaling(buffer: TensorTransitions) -> Scaling:
     """The scaling of z = (s, a, s' - s), 2 O + A columns, from `MOMENTS` rows at most."""
-    rows = buffer[_stride(len(buffer), MOMENTS)]
-    return Scaling.of((rows.obs, rows.action), (rows.next_obs, rows.obs))
+    return Scaling.of_moves(buffer[_stride(len(buffer), MOMENTS)])
 
 
 def footprint_match(
@@ -76,7 +75,7 @@ def footprint_match(
     """
     every = _stride(len(footprint), DRAWS)
     # The halves are those of all rows: few of the thinned ones end an episode.
-    z, first = _steps(footprint[every], scaling).double(), first_half(footprint)[every]
+    z, first = scaling(footprint[every].moves()).double(), first_half(footprint)[every]
     u = torch.rand(DRAWS, dtype=torch.float64, generator=generator, device=generator.device)
     u = (torch.arange(DRAWS, device=u.device) // 2 + u) / (DRAWS // 2)  # `drawn_distance`
     apart, kept = torch.cdist(z, z), _selections(len(z), z.device)
@@ -84,7 +83,7 @@ def footprint_match(
     def distances(by: Tensor) -> Tensor:
         """Both use the same random numbers, so that equal weights give exactly equal distances."""
         rows = WeightedSampler(by, generator).at(u)
-        x = _steps(buffer[rows], scaling).double()
+        x = scaling(buffer[rows].moves()).double()
         count = kept.sum(0)
         within = (kept * (apart @ kept)).sum(0) / (count * (count - 1))
         cross = torch.cdist(x, z).mean(0) @ kept / count
@@ -140,11 +139,6 @@ def first_half(rows: TensorTransitions) -> Tensor:
     return torch.tensor(first, device=device).repeat_interleave(
         torch.tensor(lengths, device=device)
     )
-
-
-def _steps(rows: TensorTransitions, scaling: Scaling) -> Tensor:
-    """z-scored (s, a, s' - s), (N, 2 O + A)."""
-    return scaling(torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), 1))
 
 
 def _stride(n: int, most: int) -> slice:

@@ -89,7 +89,11 @@ SUBJECT = "tom"
 WEIGHED_FIRST = (SUBJECT, "pmac", "mle")
 """the default learners of a weighing"""
 WITH_TERMS = tuple(name for name, entry in LEARNERS.items() if entry.has_terms)
-FOLLOW_THE_VALUE = tuple(name for name, entry in LEARNERS.items() if entry.follows_value)
+
+
+def follows_value(learner: str) -> bool:
+    """Whether its weights change with a value function; those of a baseline, no learner, do not."""
+    return learner in LEARNERS and LEARNERS[learner].follows_value
 
 
 def others_groups(learner: str) -> frozenset[str]:

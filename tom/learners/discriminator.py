@@ -91,8 +91,7 @@ class RatioProblem:
         inputs: Inputs = "transitions",
     ) -> "RatioProblem":
         """The problem with inputs z-scored by the replay buffer's moments."""
-        scaling = Scaling.of((replay.obs, replay.action), (replay.next_obs, replay.obs))
-        return cls(policy_buffer, replay, scaling, inputs)
+        return cls(policy_buffer, replay, Scaling.of_moves(replay), inputs)
 
     def solve(
         self, discriminator: Discriminator, generator: torch.Generator
@@ -130,7 +129,7 @@ class RatioProblem:
         if self.inputs == "state-actions":
             now = torch.cat((rows.obs, rows.action), dim=1)
             return self.scaling.first(now.shape[1])(now)
-        return self.scaling(torch.cat((rows.obs, rows.action, rows.next_obs - rows.obs), dim=1))
+        return self.scaling(rows.moves())
 
 
 @dataclass

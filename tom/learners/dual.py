@@ -42,6 +42,7 @@ class Batch:
     ends: Tensor  # (B,), as the flow counts them
 
     def fields(self) -> tuple[Tensor, ...]:
+        """All fields in order, as `QFunction.step` takes them."""
         return self.inputs, self.next_probs, self.start_probs, self.log_ratio, self.ends
 
 
@@ -223,20 +224,15 @@ class DualProblem:
         return loss
 
     @torch.no_grad()
-    def solution(self, net: StackedMLP, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Weights f*'(y), not normalised, and Q(s, a) of every replay row, (N,) each."""
-        terms = self.terms(net, generator)
-        return terms.raw(self.config), terms.now
-
-    @torch.no_grad()
     def terms(self, net: StackedMLP, generator: torch.Generator) -> Terms:
         """The terms of y, for every replay row."""
         samples, size = self.config.action_samples, rows_at_once(self.log_ratio.device, CHUNK)
         now, following = torch.empty_like(self.log_ratio), torch.empty_like(self.log_ratio)
-        restart = torch.zeros_like(self.log_ratio)
-        flow = self.flow
-        start = self.start_values(net, samples, generator) if flow.restarts else now.new_zeros(1)
+        restart, flow = torch.zeros_like(self.log_ratio), self.flow
         ends = flow.ends(self.replay)
+        if flow.restarts:
+            start = self.start_values(net, samples, generator).mean(-1, keepdim=True)
+            restart = flow.restarting(start, ends)
         for i in range(0, len(now), size):
             part = slice(i, i + size)
             rows = self.replay[part]
@@ -246,8 +242,6 @@ class DualProblem:
             now[part] = q[: len(rows)]
             value = (probs * q[len(rows) :].view_as(probs)).sum(0)
             following[part] = flow.going_on(value, ends[part])
-            if flow.restarts:
-                restart[part] = flow.restarting(start.mean(-1, keepdim=True), ends[part])
         return Terms(self.log_ratio, now, following, restart)
 
     @torch.no_grad()
@@ -271,8 +265,8 @@ class DualProblem:
         """The step of plain gradient descent on Q's output bias, in units of Q.
 
         A shift of Q by c changes y by only -c times the flow's `shift`, so that gradient descent is
-        slow; but its curvature is known, E[shift^2]. Under KL and under a stationary flow the
-        weights do not depend on such a shift.
+        slow; but its curvature is known: E[shift^2] under `chi2` where every weight is positive,
+        else less. Under a stationary flow, and but for ends under KL, weights do not depend on it.
         """
         free = self.config.divergence == "kl" or self.flow.normalised
         if free or self.config.q_bias_step == 0:

@@ -62,5 +62,5 @@ class Flow:
         return self.discount * ends * start
 
     def shift(self, ends: Tensor) -> Tensor:
-        """The decrease of F Q when Q is raised by one everywhere, (N,)."""
+        """The decrease of F Q when Q is raised by one everywhere, (N,); () if ends restart."""
         return 1 - self.discount * (ends.new_ones(()) if self.restarts else 1 - ends)

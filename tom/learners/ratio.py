@@ -10,11 +10,7 @@ import torch
 from tom.config import TomConfig
 from tom.data.sampling import normalise
 from tom.learners.base import DEGENERATE, FitContext, Weighting, uniform
-from tom.learners.discriminator import (
-    Discriminator,
-    RatioProblem,
-    discriminator_net,
-)
+from tom.learners.discriminator import Discriminator, RatioProblem, discriminator_net
 
 
 class RatioLearner:

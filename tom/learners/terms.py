@@ -60,9 +60,9 @@ class Terms:
 
 def slope(z: Tensor, config: TomConfig) -> Tensor:
     """f*'(z) elementwise: the weight of a transition with z = y - lambda."""
-    if config.divergence == "kl":
+    if config.divergence == "kl":  # whose weights of a whole buffer are normalised
         return z.exp()
-    return (1 + (z / 2 if config.divergence == "full-chi2" else z)).clamp(min=0)
+    return divergence(config.divergence, config.conjugate).weights(z)
 
 
 def of_recorded(columns: Mapping[str, Tensor]) -> Terms | None:

@@ -1,6 +1,6 @@
 """Transition occupancy matching: the replay buffer is weighted towards the policy's occupancy.
 
-Discriminator, dual Q, weights: lines 3-11 of the paper's Algorithm 2.
+Discriminator, dual Q, weights: lines 3-14 of the paper's Algorithm 2.
 `occupancy_weights` is the function for other programs; `TomLearner` is used by trainings.
 """
 

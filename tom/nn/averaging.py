@@ -10,7 +10,7 @@ from tom.nn.mlp import StackedMLP
 class Average:
     """Averages `net`'s parameters; `Average.net` is the average, or `net` itself if decay is 0.
 
-    The decay of the t-th step is at most t / (t + 10), so that the initial parameters are soon
+    The decay of step t = 0, 1, ... is at most t / (t + 10), so that the initial parameters are soon
     forgotten.
     """
 

@@ -173,11 +173,6 @@ class Sac:
         noise = normal(generators, mean.shape[1:])
         return torch.tanh(mean + log_std.exp() * noise)
 
-    @torch.no_grad()
-    def act_mean(self, obs: Tensor) -> Tensor:
-        """Mean actions for obs (M, B, O): (M, B, A)."""
-        return torch.tanh(self._gaussian(self.actor(obs))[0])
-
     def member(self, index: int = 0) -> "MemberPolicy":
         """Member `index` alone, without the member axis."""
         return MemberPolicy(self.actor, self.critic, index)

@@ -33,8 +33,7 @@ def labels_swapped(data: OfflineData, context: FitContext, config: TomConfig) ->
     problem = DualProblem(replay, -log_ratio, context.initial_obs, context.policy, config, scaling)
     q = QFunction(q_net(*_dims(context), config, generator), config)
     net = problem.minimise(q, generator).net
-    raw, _ = problem.solution(net, generator)
-    weights, _ = normalise(raw)
+    weights, _ = normalise(problem.terms(net, generator).raw(config))
     return Weighting(weights, log_ratio=-log_ratio, metrics=metrics)
 
 

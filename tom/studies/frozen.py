@@ -160,7 +160,7 @@ def examined(case: Case) -> Outcome:
     run, way = RunReader(case.run), WAYS[case.way]
     data, policy = buffer_at(run, case.step), read_policy(case.run / layout.policy(case.step))
     config = config_of(run, way, case.seed)
-    weighting = weighting_of(data, policy, config, newest=way.learner is None)
+    weighting = weighting_of(data, policy, config, way)
     rows, streams = data.transitions, Streams(case.seed)
     start, generator = streams.integer("test env"), streams.torch("test")
     anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
@@ -199,17 +199,18 @@ def buffer_at(run: RunReader, step: int) -> OrderedData:
 
 
 def config_of(run: RunReader, way: Way, seed: int) -> OnlineConfig:
+    """The settings of a way of weighing in the run's task."""
     config = resolve(run.env, way.learner or "mle", way.preset, {**way.settings, "seed": seed})
     assert isinstance(config, OnlineConfig)
     return config
 
 
 def weighting_of(
-    data: OrderedData, policy: StoredPolicy, config: OnlineConfig, newest: bool
+    data: OrderedData, policy: StoredPolicy, config: OnlineConfig, way: Way
 ) -> Weighting:
-    """The weights of an online fit, with newly initialised networks; `newest`: way `newest`."""
+    """The weights of an online fit with `config` (`config_of`), from newly initialised networks."""
     rows, streams = data.transitions, Streams(config.seed)
-    if newest:
+    if way.learner is None:
         weights = torch.zeros(len(rows))
         weights[-NEWEST:] = len(rows) / NEWEST
         return Weighting(weights)

@@ -2,8 +2,8 @@
 
 At a moment of a frozen buffer (`tom.studies.frozen`) soft actor-critic goes on from the stored
 policy and critics, on rollouts in a model fitted to this buffer. A learner's weights act in two
-places: the fit of the model (Algorithm 2, lines 3-19) and the start states of its rollouts (lines
-22-25). So every way of weighing acts in the model alone, in the starts alone, and in both, with
+places: the fit of the model (Algorithm 2, lines 15-18) and the start states of its rollouts (line
+22). So every way of weighing acts in the model alone, in the starts alone, and in both, with
 the same random numbers each time. Whole runs differ in data as well, and take hours.
 
 It differs from a training: the networks of the model are new, so are SAC's optimisers and target
@@ -100,7 +100,7 @@ def improved(trial: Trial) -> Improvement:
     config = config_of(run, way, seed)
     data, arrays = buffer_at(run, case.step), _arrays(run, case.step)
     rows, (model,), policy = data.transitions, case.models, StoredPolicy(arrays)
-    weighting = weighting_of(data, policy, config, newest=way.learner is None)
+    weighting = weighting_of(data, policy, config, way)
     # Weights of 1 rather than none: without any, starts are drawn with other random numbers.
     even = torch.ones(len(rows))
     starts = weighting.for_starts(config.rollout)
@@ -168,7 +168,7 @@ def _return_during(
     config: OnlineConfig,
     trial: Trial,
 ) -> float:
-    """Mean of `PARTS` evaluations during the updates on rollouts in the model (lines 22-28)."""
+    """Mean of `PARTS` evaluations during the updates on rollouts in the model (lines 21-25)."""
     streams, known = Streams(config.seed), task(config.env)
     dims, rollout = (known.obs_dim, known.action_dim), config.rollout
     replay = ReplayBuffer(len(rows), *dims)

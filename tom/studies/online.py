@@ -67,7 +67,7 @@ def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
     """The longest run of each environment and learner that weighed, in the registry's order."""
     longest: dict[tuple[str, str], RunReader] = {}
     for run in sorted(runs, key=lambda run: (run.status.env_step, run.created)):
-        if run.config.get("preset") == preset:
+        if run.preset == preset:
             longest[run.env, run.learner] = run
     pairs = [(env, name) for env in ENVS for name in LEARNER_NAMES if (env, name) in longest]
     every = [_panel(longest[pair]) for pair in pairs]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tom import offline
 from tom.config import RoadConfig
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
-from tom.learners import FOLLOW_THE_VALUE
+from tom.learners import follows_value
 from tom.road.measure import returns
 from tom.studies.checks import Check, at_least, at_most
 
@@ -107,7 +107,7 @@ def tell(case: Case) -> Story:
         turn=case.config.turn,
         **{name: values[path] for name, path in _PATHS.items()},
     )
-    if case.config.learner in FOLLOW_THE_VALUE:
+    if follows_value(case.config.learner):
         result = replace(result, planner_return=nan, planner_success=nan)
     if case.optimise and last is not None:
         sac_return, sac_success = returns(last.episodes)

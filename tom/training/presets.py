@@ -1,8 +1,9 @@
 """From (env, learner, preset) to the configuration of a run: the published tables as data.
 
-`paper` is the paper's table 1 with the released code's schedule, `mended` the same with TOM's
-objective mended and `released` with the released code's choices (docs/learners/tom.md), `mbpo`
-Janner's MBPO with our fit (docs/learners/mle.md), `smoke` a small and quick run of the same code.
+`paper` is the paper's table (appendix C.1) with the released code's schedule, `mended` the same
+with TOM's objective mended and `released` with the released code's choices (docs/learners/tom.md),
+`mbpo` Janner's MBPO with our fit (docs/learners/mle.md), `smoke` a small and quick run of the same
+code.
 An environment's values override the preset's, and the user's override both.
 """
 

@@ -48,9 +48,9 @@ def panel() -> None:
             "Preset",
             list(PRESETS),
             key="start preset",
-            help="paper: table 1 of the paper; mended: the same with TOM's objective mended; "
-            "released: with the released code's choices; mbpo: Janner's MBPO; smoke: small and "
-            "quick",
+            help="paper: the paper's table (appendix C.1); mended: the same with TOM's objective "
+            "mended; released: with the released code's choices; mbpo: Janner's MBPO; smoke: small "
+            "and quick",
         )
         seeds = row[3].text_input(
             "Seeds", "0", key="start seeds", help="one training each: 0, or 0-2, or 0, 3"

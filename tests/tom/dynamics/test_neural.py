@@ -222,6 +222,24 @@ def test_holdout_rows_keep_their_own_weights():
     assert float(holdout_loss(model, x, y, own, None)) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.parametrize("use", ["sample", "scale"])
+def test_a_fit_whose_weight_is_all_held_out_is_uniform_and_says_so(use: str):
+    data, config = rows(400), SMALL.but(weights=use, rounds=2, batches_per_round=20)
+    train, held = split(400, config, generator(5))
+    found = []
+    for only in (train[0], held[0], slice(None)):
+        weights = torch.zeros(400)
+        weights[only] = 1.0
+        model = Mdn(2, 1, config, generator())
+        report = model.fit(data, weights / weights.mean(), None, generator(5))
+        found.append((model.predict(data.obs, data.action)[1], report.notices))
+    (one, none_said), (fallen_back, said), (uniform, _) = found
+    assert none_said == ()
+    assert [kind for kind, _ in said] == ["fit-unweighted"]
+    assert torch.equal(fallen_back, uniform)
+    assert not torch.equal(one, uniform)
+
+
 def test_dimension_weights_leave_the_reward_column_at_one():
     data = rows(1200)
     per_dim = torch.zeros(1200, 2)  # no state dimension counts: only the reward is learnt

@@ -53,6 +53,11 @@ def net(config: TomConfig = QUICK) -> StackedMLP:
     return q_net(OBS, ACTION, config, generator(7))
 
 
+def weights_of(found: DualProblem, q: StackedMLP) -> Tensor:
+    """The weights (N,) at Q, not normalised."""
+    return found.terms(q, generator()).raw(found.config)
+
+
 def batch(terminated: float = 0.0) -> Batch:
     r = torch.tensor([0.5, -0.5])
     return Batch(torch.empty(0), torch.empty(0), torch.empty(0), r, torch.full((2,), terminated))
@@ -105,7 +110,7 @@ def test_the_level_of_q_moves_nothing_in_a_stationary_flow():
     with torch.no_grad():
         raised.layers[-1][1].add_(3.0)
     found = problem(replay, config, TwoActions())
-    weights, level = (found.solution(one, generator())[0] for one in (q, raised))
+    weights, level = (weights_of(found, one) for one in (q, raised))
     torch.testing.assert_close(weights, level, atol=1e-4, rtol=1e-4)
     assert float(weights.mean()) == pytest.approx(1.0, abs=1e-5)
 
@@ -139,7 +144,7 @@ def test_what_a_validated_q_draws_does_not_depend_on_when_it_stops():
 def test_truncation_masks_nothing_and_termination_does():
     replay = rows(64)
     plain, truncated, terminated = (
-        problem(r, policy=TwoActions()).solution(net(), generator())[0]
+        weights_of(problem(r, policy=TwoActions()), net())
         for r in (replay, ended(replay, "truncated"), ended(replay, "terminated"))
     )
     assert torch.equal(plain, truncated)
@@ -149,7 +154,7 @@ def test_truncation_masks_nothing_and_termination_does():
 def test_the_exact_expectation_weighs_every_action_by_its_probability():
     replay, q = rows(64), net()
     found = problem(replay, QUICK.but(discount=0.9), TwoActions())
-    weights, now = found.solution(q, generator())
+    weights, now = weights_of(found, q), found.terms(q, generator()).now
 
     def value(obs: Tensor, action: Tensor) -> Tensor:
         return q(found.scaling(torch.cat((obs, action), 1))[None])[0, :, 0].detach()
@@ -187,14 +192,13 @@ def test_minimising_lowers_the_dual_and_lets_the_flow_hold():
     early = replace(found, config=config.but(q_steps=10)).minimise(trained, generator()).loss
     late = found.minimise(trained, generator()).loss
     assert late < early - 0.01
-    raw, _ = found.solution(q, generator())
-    assert float(raw.mean()) == pytest.approx(1.0, abs=0.05)
+    assert float(weights_of(found, q).mean()) == pytest.approx(1.0, abs=0.05)
 
 
 def test_q_is_never_negative_where_the_paper_prints_it_so():
     config = QUICK.but(q_non_negative=True)
-    _, q = problem(rows(64), config).solution(net(config), generator())
-    assert (q >= 0).all()
+    terms = problem(rows(64), config).terms(net(config), generator())
+    assert (terms.now >= 0).all()
 
 
 def test_start_gap_tells_uncovered_starts_from_covered_ones():
@@ -205,7 +209,8 @@ def test_start_gap_tells_uncovered_starts_from_covered_ones():
         q = net(config)
         found = replace(problem(replay, config), initial_obs=starts)
         fitted = found.minimise(QFunction(q, config), generator()).net
-        gaps.append(found.start_gap(fitted, found.solution(fitted, generator())[1], generator()))
+        q_now = found.terms(fitted, generator()).now
+        gaps.append(found.start_gap(fitted, q_now, generator()))
     assert gaps[0] < 0.1
     assert gaps[1] > 1
 

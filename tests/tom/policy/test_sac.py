@@ -140,9 +140,9 @@ def test_a_member_learns_the_same_alone_and_in_a_fleet():
     for step in range(5):
         alone.update(batch(1, seed=step))
         fleet.update(batch(3, seed=step))
-    obs = torch.randn(1, 4, OBS)
+    obs = torch.randn(4, OBS)
     torch.testing.assert_close(
-        fleet.act_mean(obs.expand(3, -1, -1))[1], alone.act_mean(obs)[0], rtol=1e-4, atol=1e-5
+        fleet.member(1).mean(obs), alone.member().mean(obs), rtol=1e-4, atol=1e-5
     )
 
 
@@ -164,13 +164,13 @@ def test_members_that_were_joined_learn_as_they_did_alone():
         for sac in alone:
             sac.update(batch(seed=step))
         fleet.update(batch(2, seed=step))
-    obs = torch.randn(1, 4, OBS)
+    obs = torch.randn(4, OBS)
     for a, b in zip(alone, joined, strict=True):
-        torch.testing.assert_close(b.act_mean(obs), a.act_mean(obs), rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(b.member().mean(obs), a.member().mean(obs), rtol=1e-4, atol=1e-5)
         torch.testing.assert_close(b.log_temperature, a.log_temperature)
         for x, y in zip(a.target_critic.parameters(), b.target_critic.parameters(), strict=True):
             torch.testing.assert_close(x, y, rtol=1e-4, atol=1e-6)
-    torch.testing.assert_close(fleet.act_mean(obs.expand(2, -1, -1))[1:], joined[1].act_mean(obs))
+    torch.testing.assert_close(fleet.member(1).mean(obs), joined[1].member().mean(obs))
 
 
 def test_value_gradient_matches_finite_differences_for_each_head():
@@ -205,7 +205,7 @@ def test_learns_a_one_step_bandit():
         zeros, ones = torch.zeros(1, 128, 1), torch.ones(1, 128)
         reward = -10 * (action.squeeze(-1) - 0.5).square()
         sac.update(TensorTransitions(zeros, action, reward, zeros, ones, 0 * ones))
-    assert abs(float(sac.act_mean(torch.zeros(1, 1, 1))) - 0.5) < 0.1
+    assert abs(float(sac.member().mean(torch.zeros(1, 1))) - 0.5) < 0.1
 
 
 def test_a_members_draws_and_values_are_those_that_its_critics_are_trained_on():

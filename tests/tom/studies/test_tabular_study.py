@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tom.analysis.exact_weights import solve
-from tom.analysis.tabular import FlowName, occupancy
+from tom.analysis.exact_weights import OccupancyProblem, solve
+from tom.analysis.tabular import Array, FlowName, Mdp, occupancy
 from tom.config import TomConfig
 from tom.studies.tabular import Score, counted, estimate
 from tom.studies.tabular_flows import exact_flows
@@ -126,6 +126,17 @@ def test_only_the_variant_differs_between_rows_of_a_case():
     assert c.score != a.score
 
 
+def fitted_model(problem: OccupancyProblem, weights: Array, mdp: Mdp) -> Array:
+    """The transition function that weighted maximum likelihood fits (eqs. 9, 18), (S, A, S).
+
+    NaN if a state and action has no weight.
+    """
+    mass = np.zeros_like(mdp.transition)
+    mass[problem.index] = problem.replay * weights
+    with np.errstate(invalid="ignore"):
+        return mass / mass.sum(2, keepdims=True)
+
+
 def model_bias(case: Case) -> float:
     """The distance of the model fitted with the *exact* weights from the true one.
 
@@ -134,7 +145,7 @@ def model_bias(case: Case) -> float:
     """
     mdp, target, behaviour = draw(case, np.random.default_rng(case.seed))
     problem = problem_of(case, mdp, target, behaviour)
-    model = problem.fitted_model(solve(problem, case.divergence).weights, mdp)
+    model = fitted_model(problem, solve(problem, case.divergence).weights, mdp)
     distance = np.abs(model - mdp.transition).sum(2) / 2
     seen = np.isfinite(distance)
     return float(np.average(distance[seen], weights=occupancy(mdp, target)[seen]))
