@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from tom.config import ADDED, OnlineConfig, RolloutConfig, TomConfig, completed, flat
 from tom.envs import task
-from tom.training.plan import Trial
+from tom.training.plan import Plan, Trial, trials
 from tom.training.presets import resolve
 
 
@@ -26,10 +26,33 @@ def test_but_changes_one_value_of_a_group_and_keeps_the_others():
 
 
 def test_the_papers_single_action_sample_is_a_preset_and_the_default_is_not():
-    assert resolve("hopper", "tom").tom.action_samples == 1
+    assert resolve("hopper", "tom", "paper").tom.action_samples == 1
     assert TomConfig.preset("paper").action_samples == 1
     assert resolve("hopper", "tom", "mbpo").tom.action_samples == TomConfig().action_samples == 4
     assert TomConfig.preset("exact").action_samples == 10
+
+
+@pytest.mark.parametrize("env", ["hopper", "inverted-pendulum", "gymnasium:Pendulum-v1"])
+def test_without_a_preset_tom_has_the_mended_objective_and_the_others_the_papers(env: str):
+    assert resolve(env, "tom") == resolve(env, "tom", "mended")
+    for learner in ("mle", "pmac", "ratio", "vagram"):
+        assert resolve(env, learner) == resolve(env, learner, "paper")
+
+
+def test_on_road_and_rocks_the_default_is_the_paper():
+    assert resolve("road-and-rocks", "tom") == resolve("road-and-rocks", "tom", "paper")
+
+
+def test_a_plan_without_a_preset_has_each_learners_own_and_its_run_is_that_of_the_preset():
+    plan = Plan(env=["hopper", "road-and-rocks"], learner=["mle", "tom"])
+    assert [(trial.env, trial.learner, trial.preset) for trial in trials(plan)] == [
+        ("hopper", "mle", "paper"),
+        ("hopper", "tom", "mended"),
+        ("road-and-rocks", "mle", "paper"),
+        ("road-and-rocks", "tom", "paper"),
+    ]
+    named = Plan(env=["hopper"], learner=["tom"], preset="mended")
+    assert trials(plan)[1].run_id == trials(named)[0].run_id
 
 
 def test_rollout_length_follows_janners_schedule():
@@ -68,7 +91,7 @@ def test_the_model_buffer_holds_what_janners_pool_holds():
 
 
 def test_settings_that_came_later_are_what_was_done_before():
-    now = resolve("hopper", "tom").model_dump(mode="json")
+    now = resolve("hopper", "tom", "paper").model_dump(mode="json")
     then = {k: dict(v) if isinstance(v, dict) else v for k, v in now.items()}
     for group, added in ADDED.items():
         for name in added:

@@ -34,7 +34,7 @@ def checkpoint_costs(train_s: float) -> list[CheckpointCost]:
 
 
 def _cost(env: str, train_s: float | None) -> CheckpointCost:
-    config = resolve(env, "tom")
+    config = resolve(env, "tom", "paper")
     assert isinstance(config, OnlineConfig)
     training = _full(config)
     with tempfile.TemporaryDirectory() as folder:

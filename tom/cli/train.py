@@ -41,7 +41,6 @@ from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import AnyConfig, Stop, train
 
 OWN_OPTIONS = ("env", "learner", "preset")
-PRESET = "paper"
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -74,7 +73,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         help="several trainings: processes, one a core [on a CPU], or a fleet, all in one process "
         "with their networks stacked [on a GPU]. The same command goes on where they were stopped",
     )
-    parser.add_argument("--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [{PRESET}]")
+    parser.add_argument(
+        "--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [mended for TOM, else paper]"
+    )
     parser.add_argument(
         "--model", dest=DEST + "model.kind", metavar="KIND", help="short for --model.kind"
     )
@@ -98,7 +99,6 @@ def run(args: argparse.Namespace) -> int:
     if args.resume and args.resume != "auto":
         _refuse_others(args)
         return _resume(args, args.resume, _steps(_without_rule(given, args.resume, args.store)))
-    args.preset = args.preset or PRESET
     if not (args.env and args.learner):
         raise UserError("--resume auto needs the --env and --learner of the run")
     if len(args.learner) > 1 or args.seeds or args.engine or given.get("device", "cpu") != "cpu":

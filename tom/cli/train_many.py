@@ -17,6 +17,7 @@ from tom.harmless import terminal
 from tom.record import RunReader, Store
 from tom.training.fleet import check, train_fleet
 from tom.training.plan import Trial
+from tom.training.presets import default_preset
 from tom.training.run import Stop
 
 ENGINES = ("processes", "fleet")
@@ -35,7 +36,7 @@ def trials_of(args: argparse.Namespace) -> list[Trial]:
         raise UserError(f"--seed {seed}: must be a whole number, 0 or more")
     seeds = args.seeds or [int(seed)]
     trials = [
-        Trial(args.env, learner, seed, args.preset, settings)
+        Trial(args.env, learner, seed, args.preset or default_preset(args.env, learner), settings)
         for learner in dict.fromkeys(args.learner)
         for seed in dict.fromkeys(seeds)
     ]

@@ -140,6 +140,7 @@ def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str])
             cell, steps = cell_of(cells, env, learner), task(env).steps
             full = [c for c in cell.curves if c.step[-1] >= steps] if cell else []
             if len(full) < PAPER_SEEDS:
+                wanted = f"--env {env} --learner {learner} --preset paper --seeds {PAPER_SEEDS}"
                 rows.append(
                     {
                         "env": env,
@@ -147,7 +148,7 @@ def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str])
                         "runs of full length": f"{len(full)} of {PAPER_SEEDS}",
                         "longest": int(cell.longest) if cell else 0,
                         "of": steps,
-                        "command": f"tom sweep --env {env} --learner {learner} --seeds 4",
+                        "command": f"tom sweep {wanted}",
                     }
                 )
     return rows

@@ -15,7 +15,7 @@ from tom.config import Config, OnlineConfig, RoadConfig, completed, flat
 from tom.errors import UserError
 from tom.record import RunReader
 from tom.record.layout import in_a_name
-from tom.training.presets import resolve
+from tom.training.presets import default_preset, resolve
 
 Seed = Annotated[int, Field(ge=0)]
 FILE_BYTES = 100_000  # a plan is a page long; larger files are refused
@@ -28,7 +28,8 @@ class Plan(Config):
     learner: Annotated[list[str], Field(min_length=1)]
     seeds: Annotated[int, Field(ge=1)] | Annotated[list[Seed], Field(min_length=1)] = 1
     steps: Annotated[int, Field(ge=1)] | None = None
-    preset: str = "paper"
+    preset: str | None = None
+    """without one that of `default_preset`, for each learner its own"""
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -83,7 +84,7 @@ def trials(plan: Plan) -> list[Trial]:
     if fixed:
         raise UserError(f"settings.{min(fixed)}: name it outside of the settings")
     every = [
-        Trial(env, learner, seed, plan.preset, overrides)
+        Trial(env, learner, seed, plan.preset or default_preset(env, learner), overrides)
         for seed in dict.fromkeys(seeds)
         for env in dict.fromkeys(plan.env)
         for learner in dict.fromkeys(plan.learner)

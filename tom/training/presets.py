@@ -13,7 +13,7 @@ from tom.config import OnlineConfig, RoadConfig
 from tom.envs import ENV_NAMES, OTHERS, is_known, task
 from tom.envs.ends import rule
 from tom.errors import unknown
-from tom.learners import LEARNERS, with_own_settings
+from tom.learners import LEARNERS, SUBJECT, with_own_settings
 from tom.road.baselines import BASELINES
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -101,9 +101,9 @@ ROAD: dict[str, dict[str, Any]] = {
 
 
 def resolve(
-    env: str, learner: str, preset: str = "paper", overrides: dict[str, Any] | None = None
+    env: str, learner: str, preset: str | None = None, overrides: dict[str, Any] | None = None
 ) -> OnlineConfig | RoadConfig:
-    """The frozen configuration of a run.
+    """The frozen configuration of a run; without a preset that of `default_preset`.
 
     Raises UserError for an unknown environment, learner, preset or rule; pydantic's ValidationError
     for an unknown or impossible value among `overrides` (nested dicts of field values).
@@ -112,6 +112,7 @@ def resolve(
         raise unknown("environment", env, (*ENV_NAMES, *OTHERS))
     if learner not in learners(env):
         raise unknown("learner", learner, learners(env))
+    preset = preset or default_preset(env, learner)
     if preset not in PRESETS:
         raise unknown("preset", preset, PRESETS)
     config = _road(preset) if env == "road-and-rocks" else _online(env, learner, preset)
@@ -121,6 +122,14 @@ def resolve(
     if isinstance(config, OnlineConfig) and config.model.termination is not None:
         rule(task(env), config.model.termination)
     return config
+
+
+def default_preset(env: str, learner: str) -> str:
+    """The preset of a training that names none: TOM's objective is the mended one.
+
+    On road-and-rocks all presets but `smoke` are the paper's.
+    """
+    return "mended" if learner == SUBJECT and env != "road-and-rocks" else "paper"
 
 
 def learners(env: str) -> tuple[str, ...]:

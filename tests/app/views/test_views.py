@@ -235,11 +235,24 @@ def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
     app.text_input(key="start set sac.lr").input("0.001").run()
     assert app.button(key="start").label == "Start 2 trainings"
     shown = next(code.value for code in app.code if "tom train" in code.value)
-    assert shown.startswith("tom train --env hopper --learner tom --preset paper --seed 0")
+    assert shown.startswith("tom train --env hopper --learner tom --preset mended --seed 0")
     assert shown.endswith(f"--sac.lr=0.001 --store {store}")
     app.text_input(key="start set sac.discount").input("2").run()
     assert "discount" in app.error[0].value
     assert not [button for button in app.button if button.key == "start"]
+
+
+def test_the_forms_preset_is_the_learners_own_until_another_is_chosen(store: Path) -> None:
+    app = draw("live")
+    app.session_state[start.FOLD] = True
+    app.run().selectbox(key="start env").select("hopper").run()
+    preset, learner = "start preset", "start learner"
+    assert app.selectbox(key=preset).value == "mended"
+    assert app.selectbox(key=learner).select("mle").run().selectbox(key=preset).value == "paper"
+    app.selectbox(key=preset).select("smoke").run()
+    assert app.selectbox(key=learner).select("tom").run().selectbox(key=preset).value == "smoke"
+    assert not app.warning
+    assert not app.exception
 
 
 def test_live_changes_nothing_where_others_can_open_it(

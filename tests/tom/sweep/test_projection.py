@@ -106,7 +106,7 @@ def test_slurms_time_is_projected_as_well(tmp_path: Path, capsys):
 def test_only_toms_own_work_is_toms(tmp_path: Path):
     ms = {}
     for learner in ("tom", "mle", "vagram-ensemble"):
-        config = resolve("hopper", learner)
+        config = resolve("hopper", learner, "paper")
         assert isinstance(config, OnlineConfig)
         ms[learner] = per_step_ms(config, ENVS["hopper"], MS)
     assert ms["tom"] - ms["mle"] == pytest.approx((1000 + 100 + 125_000 / 2 / 1000) / 250)

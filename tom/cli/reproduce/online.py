@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     if not profiles:
         raise UserError(
             f"{args.store}/ has no such run that weighed its buffer: tom sweep --env "
-            f"{' '.join(envs)} --learner tom pmac vagram makes them"
+            f"{' '.join(envs)} --learner tom pmac vagram --preset {args.preset[0]} makes them"
         )
     out_folder(args.out)
     rows, said = study.rows(profiles), study.verdict(profiles)

@@ -50,7 +50,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "one fixed beforehand, and list what is missing. Nothing is trained: `tom sweep` makes the "
         "runs.",
     )
-    add_stored(parser, "+")
+    add_stored(parser, several=True)
     parser.add_argument("--learner", nargs="+", default=list(LEARNER_NAMES), metavar="LEARNER")
     parser.add_argument(
         "--at", nargs="+", default=[], metavar="[ENV=]STEP",
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     if not whole:
         raise UserError(
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
-            f"--learner {' '.join(args.learner)} --seeds 4 makes them"
+            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds 4 makes them"
         )
     runs = _with_seeds(every, args.seeds)
     cells, left_out = study.select(runs, *args.preset, at=at, apart=args.apart)

@@ -51,13 +51,14 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
     add_jobs(parser)
 
 
-def add_stored(parser: argparse.ArgumentParser, presets: str | int = 1) -> None:
-    """Add the options that choose runs of the store; `presets` is argparse's `nargs`."""
+def add_stored(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the options that choose runs of the store, of one preset or of `several`."""
     parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
     parser.add_argument(
-        "--preset", nargs=presets, default=["paper"], metavar="PRESET",
-        help="[paper]" if presets == 1 else
-        "runs of the first are called by their learner alone, those of others by both [paper]",
+        "--preset", nargs="+" if several else 1, metavar="PRESET",
+        default=["paper", "mended"] if several else ["paper"],
+        help="[paper mended]: runs of the first are called by their learner alone, those of others "
+        "by both" if several else "[paper]",
     )  # fmt: skip
     add_store(parser)
 

@@ -48,7 +48,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--learner", nargs="+", metavar="LEARNER", help=", ".join(LEARNERS))
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 to N - 1 [1]")
     parser.add_argument("--steps", type=int, metavar="N", help="env steps of each run")
-    parser.add_argument("--preset", metavar="PRESET", help=", ".join(PRESETS) + " [paper]")
+    parser.add_argument(
+        "--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [mended for TOM, else paper]"
+    )
     parser.add_argument("--file", type=Path, help="the same in YAML; options here come on top")
     parser.add_argument(
         "--store", type=place, default=Path("runs"), help="run store, or s3://... (runs/)"
