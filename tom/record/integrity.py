@@ -16,6 +16,7 @@ from tom.config import RunConfig, SacRecordingConfig
 from tom.errors import reason
 from tom.record import checkpoint, digests, layout
 from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
+from tom.record.aside import copy_aside, set_aside
 from tom.record.decode import is_whole
 from tom.record.files import modified, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
@@ -155,7 +156,7 @@ def _mend_lines(reader: RunReader, name: str, table: pd.DataFrame | None = None)
     mended = mend_lines(content, table)
     if mended.content == content:
         return None
-    aside = f"; {_set_aside(reader, path)}" if there else ""
+    aside = f"; {_kept(reader, copy_aside(reader.path, path))}" if there else ""
     replace_file(path, lambda file: file.write(mended.content), sync=True)
     back = f", {mended.put_back} rows put back from {layout.METRICS_TABLE}"
     return (
@@ -175,13 +176,10 @@ def _table(reader: RunReader) -> pd.DataFrame | None:
 
 def _set_aside(reader: RunReader, path: Path) -> str:
     """Move a file into the run's `damaged/` folder; returns a line that says where."""
-    place = reader.path / layout.DAMAGED / path.relative_to(reader.path)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    number = 1
-    while os.path.lexists(place):
-        number += 1
-        place = place.with_name(f"{path.name}~{number}")
-    path.rename(place)
+    return _kept(reader, set_aside(reader.path, path))
+
+
+def _kept(reader: RunReader, place: Path) -> str:
     return f"what was there is kept as {_name(reader, place)}"
 
 

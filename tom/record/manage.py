@@ -72,6 +72,17 @@ def trashed(store: Store) -> list[str]:
 def restore(store: Store, run_id: str) -> Path:
     """Move the run that was trashed last under that id back into the store.
 
+    Raises the errors of `check_restorable`.
+    """
+    place, trashed_place = store.resolve(run_id), check_restorable(store, run_id)
+    with _refused(f"cannot restore run '{run_id}'"):
+        trashed_place.rename(place)
+    return place
+
+
+def check_restorable(store: Store, run_id: str) -> Path:
+    """The run that was trashed last under that id, in the trash.
+
     Raises UserError if there is none, or if the store has another run of that id.
     """
     place, folder = store.resolve(run_id), _trash_folder(store)
@@ -81,9 +92,7 @@ def restore(store: Store, run_id: str) -> Path:
         raise UserError(f"no run '{run_id}' in the trash of {store.path}/ (it holds {known})")
     if os.path.lexists(place):
         raise UserError(f"{store.path}/ holds another run '{run_id}': trash that one first")
-    with _refused(f"cannot restore run '{run_id}'"):
-        _place(folder, run_id, newest).rename(place)
-    return place
+    return _place(folder, run_id, newest)
 
 
 @contextmanager

@@ -65,10 +65,10 @@ def resume(
         training, watch = make_training(config), Watch(config)
         said.append(("settings", check_training(reader, held, config, training)))
         mark = _go_on(reader, held, training, watch)
+        held.set_unusable_aside(reader.path)
     except BaseException:
         writer.close()
         raise
-    held.drop_unusable()
     sink = open_sink(writer) if options.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
         writer.resumed(config, options.get("command", ""))

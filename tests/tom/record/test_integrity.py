@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -343,20 +344,23 @@ def test_a_run_that_is_written_is_not_touched(store: Store):
             repair(store.run("run"))
 
 
-def test_sizes_and_pruning_checkpoints(record):
+def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
     run = record("run", events()[:200])
     for step in (100, 200, 300):
-        folder = run.path / "checkpoint" / f"{step:09d}"
-        folder.mkdir(parents=True)
-        (folder / "state.pt").write_bytes(bytes(1000))
-    assert sizes.sizes(run)["checkpoint"] == 3000
+        one = checkpoint.save(tmp_path / str(step), step, {"step": step})
+        shutil.copytree(one, run.path / checkpoint.FOLDER / one.name)
+    each = [sum(p.stat().st_size for p in path.iterdir()) for path in sizes.checkpoints(run)]
+    assert sizes.sizes(run)["checkpoint"] == sum(each)
     assert sum(sizes.sizes(run).values()) == sum(
         p.stat().st_size for p in run.path.rglob("*") if p.is_file()
     )
-    assert sizes.prune(run, keep=1, dry_run=True) == 2000
+    assert sizes.prune(run, keep=1, dry_run=True) == sum(each[1:])
     assert len(sizes.checkpoints(run)) == 3
-    assert sizes.prune(run, keep=1) == 2000
-    assert [p.name for p in sizes.checkpoints(run)] == ["000000300"]
+    truncate(sizes.checkpoints(run)[0] / checkpoint.STATE)
+    assert sizes.prune(run, keep=1) == each[2]
+    assert [p.name for p in sizes.checkpoints(run)] == ["000000300", "000000200"]
+    truncate(sizes.checkpoints(run)[1] / checkpoint.STATE)
+    assert sizes.prune(run, keep=1) == 0, "none is whole: a part of one may be saved by hand"
 
 
 def test_a_part_that_leads_elsewhere_is_not_mended(record, tmp_path: Path):
