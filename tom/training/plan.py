@@ -14,7 +14,7 @@ from ruamel.yaml import YAML, YAMLError
 from tom.config import Config, OnlineConfig, RoadConfig, completed, flat
 from tom.errors import UserError
 from tom.record import RunReader
-from tom.record.layout import in_a_name
+from tom.record.layout import run_name
 from tom.training.presets import resolve
 
 Seed = Annotated[int, Field(ge=0)]
@@ -57,7 +57,7 @@ class Trial:
         """Depends only on the settings, so that a repeated sweep finds the run again."""
         text = json.dumps(self.settings, sort_keys=True).encode()
         digest = hashlib.sha256(text).hexdigest()[:8]
-        return f"{in_a_name(self.env)}-{self.learner}-s{self.seed}-{digest}"
+        return run_name(self.env, self.learner, self.seed, digest)
 
     def options(self) -> tuple[str, ...]:
         """The options of `tom train` for this training."""
