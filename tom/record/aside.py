@@ -17,7 +17,11 @@ def set_aside(run: Path, path: Path) -> Path:
 def copy_aside(run: Path, path: Path) -> Path:
     """`set_aside` for a file that is replaced next, so that no kill finds the run without it."""
     place = _place(run, path)
-    shutil.copy2(path, place)
+    try:
+        shutil.copy2(path, place)
+    except BaseException:
+        place.unlink(missing_ok=True)
+        raise
     return place
 
 

@@ -20,7 +20,7 @@ from tom.record.aside import copy_aside, set_aside
 from tom.record.decode import is_whole
 from tom.record.files import modified, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
-from tom.record.manage import unwritten
+from tom.record.manage import refused, unwritten
 from tom.record.mend import mend_lines
 from tom.record.opening import refuse_links
 from tom.record.reader import RunReader
@@ -67,7 +67,8 @@ def verify(reader: RunReader) -> list[str]:
 def repair(reader: RunReader) -> list[str]:
     """Repair a run; returns what was done, one line each.
 
-    Raises UserError while the run is being written, and if a part of it is a link.
+    Raises UserError while the run is being written, if a part of it is a link, or if the disk is
+    full: what is mended by then stays mended.
 
     Damaged lines become blank, rows of metrics come back from the Parquet copy if that is whole,
     else the copy is made again. Damaged arrays are set aside, the state of a dead run becomes
@@ -75,7 +76,7 @@ def repair(reader: RunReader) -> list[str]:
     """
     done: list[str] = []
     refuse_links(reader.path)
-    with unwritten(reader):
+    with unwritten(reader), refused(f"cannot repair run '{reader.run_id}'"):
         for path in _left(reader):
             path.unlink()
             done.append(f"{_name(reader, path)}: removed, it was never whole")

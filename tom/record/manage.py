@@ -48,7 +48,7 @@ def trash(store: Store, run_id: str) -> Path:
     Raises UserError if it is not a run folder of this store, or the run is being written.
     """
     reader = store.run(run_id)
-    with unwritten(reader), _refused(f"cannot trash run '{run_id}'"):
+    with unwritten(reader), refused(f"cannot trash run '{run_id}'"):
         return into_trash(store, run_id, reader.path)
 
 
@@ -75,7 +75,7 @@ def restore(store: Store, run_id: str) -> Path:
     Raises the errors of `check_restorable`.
     """
     place, trashed_place = store.resolve(run_id), check_restorable(store, run_id)
-    with _refused(f"cannot restore run '{run_id}'"):
+    with refused(f"cannot restore run '{run_id}'"):
         trashed_place.rename(place)
     return place
 
@@ -114,7 +114,7 @@ def unwritten(reader: RunReader) -> Iterator[None]:
 def _changing(store: Store, run_id: str) -> Iterator[tuple[Path, Labels]]:
     """The folder of a run and its labels, locked against other changes inside the block."""
     path = store.run(run_id).path
-    with _refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
+    with refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
         yield path, _held(path)
 
 
@@ -162,7 +162,8 @@ def _place(folder: Path, run_id: str, number: int) -> Path:
 
 
 @contextmanager
-def _refused(what: str) -> Iterator[None]:
+def refused(what: str) -> Iterator[None]:
+    """Raises UserError, which begins with `what`, for an OSError inside the block."""
     try:
         yield
     except OSError as error:

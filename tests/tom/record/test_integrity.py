@@ -2,7 +2,10 @@
 
 import json
 import os
+import resource
 import shutil
+import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -342,6 +345,61 @@ def test_a_run_that_is_written_is_not_touched(store: Store):
         assert verify(store.run("run")) == []
         with pytest.raises(UserError, match="being written"):
             repair(store.run("run"))
+
+
+def killed_at_rename(number: int, run: RunReader) -> None:
+    """In a process of its own: repair the run; the n-th rename kills it."""
+    if child := os.fork():
+        os.waitpid(child, 0)
+        return
+    renames: list[object] = []
+
+    def watch(event: str, args: tuple[object, ...]) -> None:
+        if event == "os.rename":
+            renames.append(args)
+            if len(renames) == number:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(watch)
+    try:
+        repair(run)
+    finally:
+        os._exit(0)
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_repair_killed_at_a_rename__leaves_every_row_and_the_next_one_mends_it(
+    record, number: int
+):
+    run = record()
+    rows = run.path / "notices.jsonl"
+    rows.write_bytes(b"damaged\n" + rows.read_bytes())
+    held = run.notices()
+    killed_at_rename(number, run)
+    assert run.notices() == held
+    repair(run)
+    assert run.notices() == held
+    assert verify(run) == []
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_a_disk_that_is_full_during_a_repair__is_named_and_the_rows_stay(record):
+    run = record()
+    rows = run.path / "metrics.jsonl"
+    rows.write_bytes(b"damaged\n" + rows.read_bytes())
+    held = rows.read_bytes()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
+    try:
+        with pytest.raises(UserError, match="cannot repair run 'run'"):
+            repair(run)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert rows.read_bytes() == held
+    assert [path for path in (run.path / "damaged").rglob("*") if path.is_file()] == []
 
 
 def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
