@@ -80,9 +80,10 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
     # Imported here because most commands do not need it.
     # Its SummaryWriter writes from a thread, and waits for good for one that died of a full disk.
     from tensorboardX.event_file_writer import EventsWriter
-    from tensorboardX.proto.event_pb2 import Event
+    from tensorboardX.proto import event_pb2
     from tensorboardX.summary import scalar
 
+    event = vars(event_pb2)["Event"]  # made when it is imported
     begun = _unix(reader.created)
     with whole_folder(folder) as unfinished, closing(EventsWriter(f"{unfinished}/events")) as file:
         for row in reader.metrics().to_dict("records"):
@@ -92,7 +93,7 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
             for name, value in row.items():
                 if not isnan(value):  # else this metric has no value at this step
                     summary = scalar(str(name), value)
-                    file.write_event(Event(wall_time=at, step=step, summary=summary))
+                    file.write_event(event(wall_time=at, step=step, summary=summary))
 
 
 def _rrd(reader: RunReader, path: Path) -> None:

@@ -176,8 +176,12 @@ class Driver:
         if self.backend.written(run):
             job.state, job.note = "elsewhere", "another process is writing it"
             return
-        self._forgive(job)
         at = checkpoint.newest(run.path / checkpoint.FOLDER)
+        if at is None and job.run_id != job.trial.run_id:
+            job.run_id = job.trial.run_id  # it cannot go on; what has the own name perhaps can
+            self._start(job)
+            return
+        self._forgive(job)
         job.attempts += 1
         job.step = -1 if at is None else at
         try:

@@ -174,6 +174,18 @@ def test_a_run_that_was_given_fewer_steps_gets_the_rest(tmp_path: Path, capsys):
     assert run.config["config"]["steps"] == 250
 
 
+def test_a_longer_run_is_not_thrown_away_for_one_that_never_got_anywhere(tmp_path: Path):
+    (trial,) = trials(checked(PLAN))
+    store, more = Store(tmp_path), trial.config.but(steps=2 * trial.config.steps)
+    with Recorder(RunWriter.create(store, trial.run_id, more)) as recorder:
+        recorder.consume(Tick(more.steps, "optimise"))
+    RunWriter.create(store, "by-hand", trial.config).close()
+    driver = Driver(FolderBackend(store), [trial], LocalEngine(1))
+    assert driver.poll()
+    assert (driver.jobs[0].state, driver.jobs[0].run_id) == ("finished", trial.run_id)
+    assert sorted(run.run_id for run in store.runs()) == ["by-hand", trial.run_id]
+
+
 def finished(store: Store, trial: Trial) -> Path:
     """A run of the trial that is finished, with its last checkpoint."""
     with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
