@@ -114,6 +114,7 @@ def test_a_damaged_checkpoint__is_named_and_the_one_before_used_to_the_same_end(
             (newest / "manifest.json").write_text('{"schema": 99}')
     done = resume(store, "stopped", rerun=False)
     assert any(newest.name in text for text in done.status.warnings)
+    assert (done.path / "damaged" / checkpoint.FOLDER / newest.name).is_dir()
     assert_same_record(store.run("whole"), done)
 
 

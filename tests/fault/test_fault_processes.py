@@ -25,7 +25,7 @@ from same_records import assert_same_record
 
 from tom.errors import UserError
 from tom.events import Metrics, Tick
-from tom.record import RunReader, Store, lock
+from tom.record import RunReader, Store, lock, manage
 from tom.record.lock import LostError
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
@@ -75,10 +75,12 @@ def test_a_run_that_is_being_written__resume_is_refused_and_the_run_unharmed(tmp
     assert (run.status.state, run.problems) == ("finished", [])
 
 
-def test_a_run_written_on_another_machine__resume_is_refused_while_its_heart_beats(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("ahead_s", [0.0, -3600.0, 3600.0])
+def test_a_run_written_on_another_machine_with_any_clock__resume_is_refused_while_its_heart_beats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead_s: float
 ):
     monkeypatch.setattr("tom.training.resume.BEAT_S", 0.1)
+    monkeypatch.setattr("tom.record.manage.BEAT_S", 0.1)
     run = stopped(Store(tmp_path), 130)
     (run.path / ".writer").write_text("the boot of another machine")
     status = json.loads((run.path / "status.json").read_text())
@@ -86,16 +88,18 @@ def test_a_run_written_on_another_machine__resume_is_refused_while_its_heart_bea
 
     def beat() -> None:
         while not stop.wait(0.02):
-            beating = {**status, "state": "running", "heartbeat": time.time()}
+            beating = {**status, "state": "running", "heartbeat": time.time() + ahead_s}
             (run.path / "status.tmp").write_text(json.dumps(beating))
             (run.path / "status.tmp").replace(run.path / "status.json")
 
     heart = threading.Thread(target=beat)
     heart.start()
-    wait_until(lambda: run.status.alive)
+    wait_until(lambda: run.status.state == "running")
     try:
         with pytest.raises(UserError, match="on another machine: stop it there"):
             resume(Store(tmp_path), "a", rerun=False)
+        with pytest.raises(UserError, match="on another machine: stop it there"):
+            manage.trash(Store(tmp_path), "a")
     finally:
         stop.set()
         heart.join()

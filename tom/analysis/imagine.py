@@ -60,7 +60,10 @@ def stored_model(run: RunReader) -> StoredModel:
     """The model in the newest checkpoint or in a small copy. Raises UserError if there is none."""
     if not run.fits_model:
         raise UserError(f"run '{run.run_id}' has no dynamics model: SAC learns none")
-    held = checkpoint.load_model(run.path)
+    try:
+        held = checkpoint.load_model(run.path)
+    except MemoryError as error:
+        raise UserError(f"not enough memory for the model of run '{run.run_id}': {error}") from None
     if held is None:
         small = "model" in run.left_out
         why = "left out of this small copy" if small else "it has no checkpoint that is whole"

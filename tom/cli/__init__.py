@@ -10,7 +10,7 @@ from contextlib import suppress
 from tom import __version__, plugins
 from tom.cli.named import bring_named
 from tom.cli.parser import Parser
-from tom.errors import UserError
+from tom.errors import UserError, reason
 from tom.harmless import terminal
 
 COMMANDS = (
@@ -50,6 +50,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         print("tom: stopped", file=sys.stderr)
+        return 1
+    except MemoryError as error:
+        print(f"tom: not enough memory ({reason(error)}): free some", file=sys.stderr)
         return 1
 
 

@@ -71,8 +71,8 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     if args.what == "learn":
         _check_learn(args)
-        on_stopping(signal.default_int_handler)  # its trainings must end with it
-        rows = learn(args.learner, args.seeds, args.steps, args.store)
+        with on_stopping(signal.default_int_handler):  # its trainings must end with it
+            rows = learn(args.learner, args.seeds, args.steps, args.store)
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         reached = [row for row in rows if row["reached_at"] is not None]
         return 0 if len(reached) == len(args.learner) * len(args.seeds) else 1

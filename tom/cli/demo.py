@@ -38,18 +38,22 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 def run(args: argparse.Namespace) -> int:
     store = Store(args.store)
-    on_stopping(signal.default_int_handler)
     try:
-        if args.headless:
-            return _train_all(store, args)
-        with _studio(args) as studio:
-            code = _train_all(store, args)
-            print("Look at Compare (both learners' returns), Weights (where TOM looks) and Road")
-            print("and rocks (the heatmap). The studio stays up until Ctrl-C.", flush=True)
-            studio.wait()
-            return code
+        with on_stopping(signal.default_int_handler):
+            return _demonstrate(store, args)
     except KeyboardInterrupt:
         return 0
+
+
+def _demonstrate(store: Store, args: argparse.Namespace) -> int:
+    if args.headless:
+        return _train_all(store, args)
+    with _studio(args) as studio:
+        code = _train_all(store, args)
+        print("Look at Compare (both learners' returns), Weights (where TOM looks) and Road")
+        print("and rocks (the heatmap). The studio stays up until Ctrl-C.", flush=True)
+        studio.wait()
+        return code
 
 
 def commands(store: Path, seed: int, headless: bool) -> list[Command]:

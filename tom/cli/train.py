@@ -131,8 +131,9 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
 def _train_many(args: argparse.Namespace) -> int:
     trials, store = train_many.trials_of(args), Store(args.store)
     if train_many.wants_fleet(args, trials):
-        stop, rerun = _stop_on_signals(), not args.no_rerun
-        return train_many.run_fleets(args, [trials], stop, rerun=rerun)
+        stop, rerun = Stop(), not args.no_rerun
+        with on_stopping(stop):
+            return train_many.run_fleets(args, [trials], stop, rerun=rerun)
     store.ensure_writable()
     engine = LocalEngine(len(os.sched_getaffinity(0)))
     home = FolderBackend(store)
@@ -162,10 +163,10 @@ def _watched(
     args: argparse.Namespace, config: AnyConfig, training: Callable[..., RunReader]
 ) -> int:
     """Run `training` with progress on the terminal; a signal stops it cleanly."""
-    stop = _stop_on_signals()
+    stop = Stop()
     label = f"{config.env} {config.learner} seed {config.seed}"
     stream = sys.stderr if args.json else sys.stdout
-    with ProgressReport(label, config.total_steps, stream) as progress:
+    with on_stopping(stop), ProgressReport(label, config.total_steps, stream) as progress:
         try:
             done = training(
                 rerun=not args.no_rerun,
@@ -186,13 +187,6 @@ def _watched(
             return 1
     _print_summary(done, args.json)
     return 0 if done.status.state == "finished" else 1
-
-
-def _stop_on_signals() -> Stop:
-    """A stop request that signals set: the training then writes a checkpoint and ends."""
-    stop = Stop()
-    on_stopping(stop)
-    return stop
 
 
 def _refuse_others(args: argparse.Namespace) -> None:

@@ -11,6 +11,8 @@ import json
 import os
 import pickle
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -19,7 +21,9 @@ import torch
 
 from tom.data.unpack import DAMAGE, check_tensors, check_views, open_file
 from tom.errors import reason
+from tom.machine.memory import ran_out
 from tom.record import layout
+from tom.record.aside import set_aside
 from tom.record.files import read_json, sync
 
 SCHEMA = 1
@@ -41,10 +45,13 @@ class Checkpoint:
     problems: list[str] = field(default_factory=list)
     unusable: list[Path] = field(default_factory=list)
 
-    def drop_unusable(self) -> None:
-        """Remove the unusable checkpoints, so that they are not among the two that are kept."""
+    def set_unusable_aside(self, run: Path) -> None:
+        """Move the unusable checkpoints away, so that they are not among the two that are kept.
+
+        They may be whole: of a newer version, or on a disk that failed for a moment.
+        """
         for path in self.unusable:
-            shutil.rmtree(path, ignore_errors=True)
+            set_aside(run, path)
 
 
 def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
@@ -75,13 +82,18 @@ def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
 
 
 def load(folder: Path) -> Checkpoint | None:
-    """The newest undamaged checkpoint, or None."""
+    """The newest undamaged checkpoint, or None.
+
+    Raises MemoryError if there is not enough memory for one: that says nothing about its content.
+    """
     problems: list[str] = []
     unusable: list[Path] = []
     for path in folders(folder):
         try:
             state = _load_one(path)
         except UNUSABLE as error:
+            if ran_out(error):
+                raise MemoryError(f"checkpoint {path.name}: {reason(error)}") from error
             problems.append(f"checkpoint {path.name} cannot be used: {reason(error)}")
             unusable.append(path)
             continue
@@ -90,9 +102,21 @@ def load(folder: Path) -> Checkpoint | None:
 
 
 def load_model(run: Path) -> Checkpoint | None:
-    """The newest undamaged checkpoint that has the run's model; a small copy has it alone."""
+    """The newest undamaged checkpoint that has the run's model; a small copy has it alone.
+
+    Raises MemoryError as `load` does.
+    """
     checkpoints = (load(run / place) for place in MODEL_PLACES)
     return next((one for one in checkpoints if one is not None), None)
+
+
+def is_whole(path: Path) -> bool:
+    """Whether the content of the checkpoint `path` is what its manifest says."""
+    try:
+        with _whole(path):
+            return True
+    except UNUSABLE:
+        return False
 
 
 def newest(folder: Path) -> int | None:
@@ -136,13 +160,20 @@ def _save_state(folder: Path, state: dict[str, Any]) -> dict[str, Any]:
     return {"sha256": hashing.digest.hexdigest(), "bytes": hashing.bytes}
 
 
-def _load_one(path: Path) -> dict[str, Any]:
+@contextmanager
+def _whole(path: Path) -> Iterator[BinaryIO]:
+    """The open state of a checkpoint. Raises one of UNUSABLE unless it is as its manifest says."""
     manifest = read_json(path / MANIFEST)
     if manifest.get("schema") != SCHEMA:
         raise ValueError(f"schema {manifest.get('schema')} is not {SCHEMA}")
     with open_file(path / STATE) as file:
         if hashlib.file_digest(file, "sha256").hexdigest() != manifest.get("sha256"):
             raise ValueError("its content is torn or was altered (sha256 differs)")
+        yield file
+
+
+def _load_one(path: Path) -> dict[str, Any]:
+    with _whole(path) as file:
         check_tensors(file)
         # On the CPU, so that it can be read on a machine without GPU.
         state = torch.load(file, map_location="cpu", weights_only=True)

@@ -5,6 +5,7 @@ Everything is made from the run's files and written under a temporary name first
 
 import os
 from collections.abc import Callable, Collection
+from contextlib import closing
 from dataclasses import asdict
 from datetime import datetime
 from math import isnan
@@ -77,17 +78,22 @@ def _json(reader: RunReader, path: Path) -> None:
 def _tensorboard(reader: RunReader, folder: Path) -> None:
     """Write a scalar for each metric, with the run's own clock."""
     # Imported here because most commands do not need it.
-    from tensorboardX import SummaryWriter
+    # Its SummaryWriter writes from a thread, and waits for good for one that died of a full disk.
+    from tensorboardX.event_file_writer import EventsWriter
+    from tensorboardX.proto import event_pb2
+    from tensorboardX.summary import scalar
 
+    event = vars(event_pb2)["Event"]  # made when it is imported
     begun = _unix(reader.created)
-    with whole_folder(folder) as unfinished, SummaryWriter(str(unfinished)) as writer:
+    with whole_folder(folder) as unfinished, closing(EventsWriter(f"{unfinished}/events")) as file:
         for row in reader.metrics().to_dict("records"):
             step = int(row.pop("env_step"))
             wall = row.get("time/wall_s", 0.0)
             at = begun + (0.0 if isnan(wall) else wall)
             for name, value in row.items():
                 if not isnan(value):  # else this metric has no value at this step
-                    writer.add_scalar(str(name), value, step, walltime=at)
+                    summary = scalar(str(name), value)
+                    file.write_event(event(wall_time=at, step=step, summary=summary))
 
 
 def _rrd(reader: RunReader, path: Path) -> None:

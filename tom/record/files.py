@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import os
+import secrets
 import shutil
 import stat
 from collections.abc import Callable, Iterator, Mapping
@@ -40,9 +41,10 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """A temporary folder that is renamed to `path` at the end of the block.
 
     After an error nothing of it remains. Raises OSError if it cannot be made, or if `path` has
-    content already: of two writers one wins.
+    content already: of two writers one wins. What a killed process left is in nobody's way, also in
+    a container, where the next one may have its id.
     """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         unfinished.mkdir(parents=True)
         yield unfinished

@@ -16,10 +16,11 @@ from tom.config import RunConfig, SacRecordingConfig
 from tom.errors import reason
 from tom.record import checkpoint, digests, layout
 from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
+from tom.record.aside import copy_aside, set_aside
 from tom.record.decode import is_whole
 from tom.record.files import modified, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
-from tom.record.manage import unwritten
+from tom.record.manage import refused, unwritten
 from tom.record.mend import mend_lines
 from tom.record.opening import refuse_links
 from tom.record.reader import RunReader
@@ -66,7 +67,8 @@ def verify(reader: RunReader) -> list[str]:
 def repair(reader: RunReader) -> list[str]:
     """Repair a run; returns what was done, one line each.
 
-    Raises UserError while the run is being written, and if a part of it is a link.
+    Raises UserError while the run is being written, if a part of it is a link, or if the disk is
+    full: what is mended by then stays mended.
 
     Damaged lines become blank, rows of metrics come back from the Parquet copy if that is whole,
     else the copy is made again. Damaged arrays are set aside, the state of a dead run becomes
@@ -74,7 +76,7 @@ def repair(reader: RunReader) -> list[str]:
     """
     done: list[str] = []
     refuse_links(reader.path)
-    with unwritten(reader):
+    with unwritten(reader), refused(f"cannot repair run '{reader.run_id}'"):
         for path in _left(reader):
             path.unlink()
             done.append(f"{_name(reader, path)}: removed, it was never whole")
@@ -155,7 +157,7 @@ def _mend_lines(reader: RunReader, name: str, table: pd.DataFrame | None = None)
     mended = mend_lines(content, table)
     if mended.content == content:
         return None
-    aside = f"; {_set_aside(reader, path)}" if there else ""
+    aside = f"; {_kept(reader, copy_aside(reader.path, path))}" if there else ""
     replace_file(path, lambda file: file.write(mended.content), sync=True)
     back = f", {mended.put_back} rows put back from {layout.METRICS_TABLE}"
     return (
@@ -175,13 +177,10 @@ def _table(reader: RunReader) -> pd.DataFrame | None:
 
 def _set_aside(reader: RunReader, path: Path) -> str:
     """Move a file into the run's `damaged/` folder; returns a line that says where."""
-    place = reader.path / layout.DAMAGED / path.relative_to(reader.path)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    number = 1
-    while os.path.lexists(place):
-        number += 1
-        place = place.with_name(f"{path.name}~{number}")
-    path.rename(place)
+    return _kept(reader, set_aside(reader.path, path))
+
+
+def _kept(reader: RunReader, place: Path) -> str:
     return f"what was there is kept as {_name(reader, place)}"
 
 

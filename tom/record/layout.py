@@ -1,11 +1,14 @@
 """Names of files and folders in a store and in a run folder (docs/run-folder.md)."""
 
+import hashlib
 import re
 from pathlib import Path
 
 SCHEMA = 1
 
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+LONGEST_NAME = 95
+"""letters of a generated run id, of 100; the rest is for a number, where the id is taken"""
 
 CONFIG = "config.json"
 STATUS = "status.json"
@@ -33,9 +36,19 @@ _NUMBERED = re.compile(r"(?:(?P<name>.+)-)?(?P<number>\d{9,18})")
 _RRD = re.compile(r"run(?:-(\d+))?\.rrd")
 
 
-def in_a_name(env: str) -> str:
-    """A task's name in a run's: `gymnasium:Swimmer-v5` becomes `gymnasium-Swimmer-v5`."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", env).strip("-._") or "task"
+def run_name(env: str, learner: str, seed: int, end: str) -> str:
+    """`<env>-<learner>-s<seed>-<end>` as a run id, with room for a number at its end.
+
+    `gymnasium:Swimmer-v5` becomes `gymnasium-Swimmer-v5`. What is too long of a task's name is cut
+    off, with a digest of the whole name in its place.
+    """
+    task = re.sub(r"[^A-Za-z0-9._-]+", "-", env).strip("-._") or "task"
+    rest = f"-{learner}-s{seed}-{end}"
+    room = LONGEST_NAME - len(rest)
+    if len(task) > room:
+        digest = hashlib.sha256(env.encode(errors="surrogateescape")).hexdigest()[:8]
+        task = f"{task[: room - len(digest) - 1]}-{digest}"
+    return task + rest
 
 
 def snapshot(step: int) -> str:

@@ -48,7 +48,7 @@ def trash(store: Store, run_id: str) -> Path:
     Raises UserError if it is not a run folder of this store, or the run is being written.
     """
     reader = store.run(run_id)
-    with unwritten(reader), _refused(f"cannot trash run '{run_id}'"):
+    with unwritten(reader), refused(f"cannot trash run '{run_id}'"):
         return into_trash(store, run_id, reader.path)
 
 
@@ -72,6 +72,17 @@ def trashed(store: Store) -> list[str]:
 def restore(store: Store, run_id: str) -> Path:
     """Move the run that was trashed last under that id back into the store.
 
+    Raises the errors of `check_restorable`.
+    """
+    place, trashed_place = store.resolve(run_id), check_restorable(store, run_id)
+    with refused(f"cannot restore run '{run_id}'"):
+        trashed_place.rename(place)
+    return place
+
+
+def check_restorable(store: Store, run_id: str) -> Path:
+    """The run that was trashed last under that id, in the trash.
+
     Raises UserError if there is none, or if the store has another run of that id.
     """
     place, folder = store.resolve(run_id), _trash_folder(store)
@@ -81,9 +92,7 @@ def restore(store: Store, run_id: str) -> Path:
         raise UserError(f"no run '{run_id}' in the trash of {store.path}/ (it holds {known})")
     if os.path.lexists(place):
         raise UserError(f"{store.path}/ holds another run '{run_id}': trash that one first")
-    with _refused(f"cannot restore run '{run_id}'"):
-        _place(folder, run_id, newest).rename(place)
-    return place
+    return _place(folder, run_id, newest)
 
 
 @contextmanager
@@ -92,7 +101,7 @@ def unwritten(reader: RunReader) -> Iterator[None]:
 
     Raises UserError if one is writing it.
     """
-    if reader.status.alive:
+    if reader.status.state == "running":  # alive or not: its machine's clock may be another
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
     held = lock.acquire(reader.path)
     try:
@@ -105,7 +114,7 @@ def unwritten(reader: RunReader) -> Iterator[None]:
 def _changing(store: Store, run_id: str) -> Iterator[tuple[Path, Labels]]:
     """The folder of a run and its labels, locked against other changes inside the block."""
     path = store.run(run_id).path
-    with _refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
+    with refused(f"cannot label run '{run_id}'"), lock.alone_in(path):
         yield path, _held(path)
 
 
@@ -153,7 +162,8 @@ def _place(folder: Path, run_id: str, number: int) -> Path:
 
 
 @contextmanager
-def _refused(what: str) -> Iterator[None]:
+def refused(what: str) -> Iterator[None]:
+    """Raises UserError, which begins with `what`, for an OSError inside the block."""
     try:
         yield
     except OSError as error:

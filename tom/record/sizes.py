@@ -30,18 +30,30 @@ def checkpoints(reader: RunReader) -> list[Path]:
 
 
 def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:
-    """Delete all but the `keep` newest checkpoints of a run; returns the freed bytes.
+    """Delete the checkpoints of a run before its `keep` newest whole ones; returns the freed bytes.
 
     A dry run deletes nothing. Raises UserError while the run is being written.
     """
     if dry_run:
-        return _bytes(checkpoints(reader)[keep:])
+        return _bytes(_old(reader, keep))
     with unwritten(reader):
-        old = checkpoints(reader)[keep:]
+        old = _old(reader, keep)
         freed = _bytes(old)
         for path in old:
             shutil.rmtree(path)
     return freed
+
+
+def _old(reader: RunReader, keep: int) -> list[Path]:
+    """The checkpoints before the `keep` newest whole ones: a damaged one replaces none."""
+    held = checkpoints(reader)
+    if len(held) <= keep:
+        return []
+    for place, path in enumerate(held):
+        if keep == 0:
+            return held[place:]
+        keep -= checkpoint.is_whole(path)
+    return []
 
 
 def _bytes(folders: Sequence[Path]) -> int:

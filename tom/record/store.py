@@ -14,9 +14,12 @@ NAME_BYTES = 200
 """of a folder's name; file systems take 255, with the date and a temporary name's ends"""
 
 
-def free_name(folder: Path, name: str) -> str:
-    """`<name>-<yymmdd-hhmmss>`, with a number if that name is taken in the folder."""
-    dated = f"{name}-{datetime.now():%y%m%d-%H%M%S}"
+def _now() -> str:
+    return f"{datetime.now():%y%m%d-%H%M%S}"
+
+
+def free_name(folder: Path, dated: str) -> str:
+    """`dated`, with a number if that name is taken in the folder."""
     free, number = dated, 1
     while os.path.lexists(folder / free):
         number += 1
@@ -109,7 +112,7 @@ class Store:
 
     def new_run_id(self, env: str, learner: str, seed: int) -> str:
         """A free run id: `<env>-<learner>-s<seed>-<yymmdd-hhmmss>`, with a number if taken."""
-        return free_name(self.path, f"{layout.in_a_name(env)}-{learner}-s{seed}")
+        return free_name(self.path, layout.run_name(env, learner, seed, _now()))
 
     def new_weighing(self, name: str) -> Path:
         """A free folder for a new weighing of that name, with date, and a number if taken.
@@ -118,7 +121,8 @@ class Store:
         """
         folder = self.path / layout.WEIGHINGS
         short = name.lstrip(".").encode(errors="surrogateescape")[:NAME_BYTES]
-        return folder / free_name(folder, short.decode(errors="ignore") or "data")
+        named = short.decode(errors="ignore") or "data"
+        return folder / free_name(folder, f"{named}-{_now()}")
 
     def ensure_there(self) -> None:
         """Raises UserError if there is no such folder: a mistyped name is not an empty store."""

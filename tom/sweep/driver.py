@@ -22,7 +22,7 @@ from tom.record.versions import ACCEPT
 from tom.sweep.backend import LOGS, Backend
 from tom.sweep.engine import Engine, Exit, Process, lives
 from tom.sweep.watchdog import lost
-from tom.training.plan import Trial, given_more, is_done, same_run
+from tom.training.plan import Trial, given_fewer, given_more, is_done, same_run
 
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
 
@@ -48,6 +48,7 @@ class Job:
     not_before: float = 0.0
     anew: bool = False  # its checkpoints cannot be resumed
     note: str = ""
+    ended: str = ""  # why its last process ended, if that is not judged yet
     process: Process | None = field(default=None, repr=False)
 
 
@@ -126,8 +127,7 @@ class Driver:
             job.process = None
             with suppress(OSError):  # out of reach: its last known state counts
                 self.backend.look(job.run_id, now=True)
-            finished = self._reader(job).status.state == "finished"
-            job.state = "finished" if finished else "stopped"
+            job.state = "finished" if is_done(job.trial, self._reader(job)) else "stopped"
 
     def _reached(self, look: Callable[[Job], None], job: Job) -> bool:
         """Call `look`; False if the training cannot be reached, which is then checked last."""
@@ -170,15 +170,18 @@ class Driver:
     def _start(self, job: Job) -> None:
         self.backend.look(job.run_id, now=True)
         run = self._reader(job)
-        if run.status.state == "finished":
+        if is_done(job.trial, run):
             job.state, job.note = "finished", "by another process"
             return
         if self.backend.written(run):
             job.state, job.note = "elsewhere", "another process is writing it"
             return
         at = checkpoint.newest(run.path / checkpoint.FOLDER)
-        if job.attempts and at is not None and at > job.step:
-            job.attempts = 0  # it got further, so its failures are not always the same
+        if at is None and job.run_id != job.trial.run_id:
+            job.run_id = job.trial.run_id  # it cannot go on; what has the own name perhaps can
+            self._start(job)
+            return
+        self._forgive(job)
         job.attempts += 1
         job.step = -1 if at is None else at
         try:
@@ -192,7 +195,9 @@ class Driver:
         """The arguments of `tom train` that resume a training, or start it."""
         named = [f"{plugins.OPTION}={word}" for word in plugins.wanted_here()]
         if at is not None and not job.anew:
-            return [f"--resume={job.run_id}", *job.trial.code(), *named, *self._accepted]
+            run, steps = self._reader(job), job.trial.config.steps
+            rest = [f"--steps={steps}"] if given_fewer(job.trial, run) else []
+            return [f"--resume={job.run_id}", *rest, *job.trial.code(), *named, *self._accepted]
         job.run_id, job.anew = job.trial.run_id, False
         if (self.store.path / job.run_id).is_dir():  # it has no checkpoint to resume from
             where = self.backend.begin_anew(job.run_id)
@@ -206,36 +211,47 @@ class Driver:
         return self.engine.start(words, log)
 
     def _ended(self, job: Job, ended: Exit) -> None:
-        run = self._reader(job)
-        if run.status.state == "finished":  # even if nobody saw its process end
+        run, said = self._reader(job), _tail(job.log)
+        why = f"{ended.why or run.status.reason or f'exit code {ended.code}'}\n{said}"
+        if is_done(job.trial, run):  # even if nobody saw its process end
             job.state, job.note = "finished", ""
         elif self.backend.written(run):
             job.state, job.note = "elsewhere", "another process is writing it"
+            # Or it is its own last heartbeat, on another machine. A refusal was for the other.
+            job.ended = why if ended.code != 2 else ""
         else:
-            why = ended.why or run.status.reason or f"exit code {ended.code}"
-            said = _tail(job.log)
             # Hours of training may be in it: only if it can never go on does it begin anew.
             never = START_AGAIN in said and ACCEPT not in said
             job.anew = ended.code == 2 and job.step >= 0 and never
-            refused = ended.code == 2 and not job.anew
-            self._judge(job, f"{why}\n{said}", refused)
+            self._judge(job, why, ended.code == 2 and not job.anew)
 
     def _judge(self, job: Job, why: str, hopeless: bool) -> None:
         """Decide about a training that ended early: try again later, or give it up."""
-        job.note = why.strip()
+        job.note, job.ended = why.strip(), ""
+        self._forgive(job)
         full = shutil.disk_usage(self.store.path).free < self.low_bytes
         if full:
-            job.attempts -= 1  # not its own fault, even if it was refused: it waits for disk space
+            # Not its own fault, even if it was refused: it waits for disk space.
+            job.attempts = max(job.attempts - 1, 0)
         given_up = not full and (hopeless or job.attempts >= ATTEMPTS)
         job.state = "failed" if given_up else "waiting"
         job.not_before = time.monotonic() + self.back_off_s * 2 ** max(job.attempts - 1, 0)
 
     def _watch(self, job: Job) -> None:
         run = self._reader(job)
-        if run.status.state == "finished":
+        if is_done(job.trial, run):
             job.state, job.note = "finished", "by another process"
         elif not self.backend.written(run) and not run.status.alive:
-            job.state, job.note = "waiting", ""
+            if job.ended:
+                self._judge(job, job.ended, hopeless=False)
+            else:
+                job.state, job.note = "waiting", ""
+
+    def _forgive(self, job: Job) -> None:
+        """Forget the attempts of a training that has got further: its failures are not the same."""
+        at = checkpoint.newest(self.store.path / job.run_id / checkpoint.FOLDER)
+        if at is not None and at > job.step:
+            job.attempts = 0
 
     def _reader(self, job: Job) -> RunReader:
         return RunReader(self.store.path / job.run_id)

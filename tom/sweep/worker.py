@@ -27,7 +27,7 @@ from tom.sweep.engine import LocalProcess, lives, spawn
 PUT_S = 10.0  # the heartbeat in the store is at most this much older than the run's
 LAST_PUTS, AGAIN_S = 30, 20.0  # attempts to put the end of a run, and the wait between them
 
-KEPT = (ACCEPT, "--env=", "--termination=", f"{plugins.OPTION}=")
+KEPT = (ACCEPT, "--env=", "--steps=", "--termination=", f"{plugins.OPTION}=")
 """beginnings of the options that also apply to a resumed run"""
 
 

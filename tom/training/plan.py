@@ -14,7 +14,7 @@ from ruamel.yaml import YAML, YAMLError
 from tom.config import Config, OnlineConfig, RoadConfig, completed, flat
 from tom.errors import UserError
 from tom.record import RunReader
-from tom.record.layout import in_a_name
+from tom.record.layout import run_name
 from tom.training.presets import default_preset, resolve
 
 Seed = Annotated[int, Field(ge=0)]
@@ -58,7 +58,7 @@ class Trial:
         """Depends only on the settings, so that a repeated sweep finds the run again."""
         text = json.dumps(self.settings, sort_keys=True).encode()
         digest = hashlib.sha256(text).hexdigest()[:8]
-        return f"{in_a_name(self.env)}-{self.learner}-s{self.seed}-{digest}"
+        return run_name(self.env, self.learner, self.seed, digest)
 
     def options(self) -> tuple[str, ...]:
         """The options of `tom train` for this training."""
@@ -152,16 +152,28 @@ def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
 
 def given_more(trial: Trial, run: RunReader) -> bool:
     """Whether the run is this training with more steps (`tom train --resume RUN --steps N`)."""
-    given, planned = run.config.get("config"), completed(trial.settings)
-    if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
-        return False  # damaged
-    return given["steps"] > planned["steps"] and {**given, "steps": planned["steps"]} == planned
+    return _steps_beyond(trial, run) > 0
+
+
+def given_fewer(trial: Trial, run: RunReader) -> bool:
+    """Whether the run is this training with fewer steps, which can be given the rest."""
+    return _steps_beyond(trial, run) < 0
 
 
 def is_done(trial: Trial, run: RunReader) -> bool:
     """Whether the run has all steps of the training: up to them a longer one is the same."""
-    reached = given_more(trial, run) and run.status.env_step >= trial.config.total_steps
-    return reached or run.status.state == "finished"
+    status = run.status
+    reached = given_more(trial, run) and status.env_step >= trial.config.total_steps
+    return reached or (status.state == "finished" and not given_fewer(trial, run))
+
+
+def _steps_beyond(trial: Trial, run: RunReader) -> int:
+    """The run's steps less those of the training; 0 if anything else of them differs, too."""
+    given, planned = run.config.get("config"), completed(trial.settings)
+    if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
+        return 0  # damaged
+    same = {**given, "steps": planned["steps"]} == planned
+    return given["steps"] - planned["steps"] if same else 0
 
 
 def _word(value: Any) -> str:

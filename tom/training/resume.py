@@ -55,7 +55,7 @@ def resume(
         config = _with_steps(config, steps)
     _require_own_device(reader, config)
     said = [("versions", check_versions(reader, accept_versions))]
-    if reader.status.alive:
+    if reader.status.state == "running":  # alive or not: its machine's clock may be another
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
@@ -65,10 +65,10 @@ def resume(
         training, watch = make_training(config), Watch(config)
         said.append(("settings", check_training(reader, held, config, training)))
         mark = _go_on(reader, held, training, watch)
+        held.set_unusable_aside(reader.path)
     except BaseException:
         writer.close()
         raise
-    held.drop_unusable()
     sink = open_sink(writer) if options.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
         writer.resumed(config, options.get("command", ""))

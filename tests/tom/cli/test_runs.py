@@ -10,6 +10,7 @@ import pytest
 from commands import code_of
 
 from tom.cli import main
+from tom.record import lock
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
 
@@ -70,6 +71,25 @@ def test_trash_and_restore(store: Path, capsys):
     assert [row["run_id"] for row in ask(capsys, store)] == ["two"]
     ask(capsys, store, "restore", "one")
     assert told(capsys, store, "trash") == "nothing\n"
+
+
+def test_a_run_that_is_named_twice_is_one_run(store: Path, capsys, tmp_path: Path):
+    assert len(ask(capsys, store, "trash", "one", "one")) == 1
+    assert ask(capsys, store, "restore", "one", "one") == [str(store / "one")]
+    assert len(ask(capsys, store, "export", "one", "one", "--out", str(tmp_path))) == 1
+
+
+def test_trash_and_restore_move_all_or_nothing(store: Path, capsys):
+    writer = lock.acquire(store / "two")
+    assert main(["runs", "trash", "one", "two", "--store", str(store)]) == 2
+    assert "run 'two' is being written" in capsys.readouterr().err
+    writer.close()
+    assert ask(capsys, store, "trash") == []
+    ask(capsys, store, "trash", "one")
+    assert main(["runs", "restore", "one", "three", "--store", str(store)]) == 2
+    assert "no run 'three' in the trash" in capsys.readouterr().err
+    assert ask(capsys, store, "trash") == ["one"]
+    ask(capsys, store, "restore", "one")
 
 
 def test_verify_and_repair(store: Path, capsys):

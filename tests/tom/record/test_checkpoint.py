@@ -1,3 +1,6 @@
+"""Checkpoints are written whole, and checked before they are used."""
+
+import resource
 from pathlib import Path
 
 import pytest
@@ -43,6 +46,25 @@ def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path,
     assert loaded is not None
     assert loaded.env_step == 1
     assert "000000002" in loaded.problems[0]
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_no_memory_for_a_checkpoint__is_no_damage_of_it(tmp_path: Path):
+    for step in (1, 2):
+        checkpoint.save(tmp_path, step, {"x": torch.zeros(25_000_000)})
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    status = Path("/proc/self/status").read_text()
+    [held] = [line.split()[1] for line in status.splitlines() if line.startswith("VmData:")]
+    resource.setrlimit(resource.RLIMIT_DATA, (1024 * int(held) + 30_000_000, before[1]))
+    try:
+        with pytest.raises(MemoryError, match="checkpoint 000000002"):
+            checkpoint.load(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+    loaded = checkpoint.load(tmp_path)
+    assert loaded is not None
+    assert (loaded.env_step, loaded.problems) == (2, [])
 
 
 def test_code_in_a_checkpoint_is_not_executed(tmp_path: Path):

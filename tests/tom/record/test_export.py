@@ -1,7 +1,9 @@
 """Exports of a run that was recorded for real, read back as other tools read them."""
 
 import json
+import resource
 import struct
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from recorded import STEPS
 from tensorboardX.proto import event_pb2
 
 from tom.errors import UserError
+from tom.events import Metrics, Tick
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_small
 from tom.record.rounding import coarse
@@ -56,6 +59,32 @@ def test_tensorboard_events_hold_every_number(record, tmp_path: Path):
     assert len(scalars) == int(table.notna().sum().sum())
     for name, step, value in scalars:
         assert value == pytest.approx(table.loc[step, name], rel=1e-6)
+
+
+def _export_within(run: RunReader, kind: str, folder: Path, size: int) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+    with pytest.raises(UserError, match="cannot write"):
+        export(run, kind, folder)
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+@pytest.mark.parametrize("kind", ["csv", "parquet", "json", "tensorboard"])
+def test_a_disk_that_is_full_during_an_export__is_named_and_nothing_is_left(
+    record, tmp_path: Path, kind: str
+):
+    steps = range(1, 1000)
+    run = record(given=[e for s in steps for e in (Metrics(s, {"a": 0.1 * s}), Tick(s, "explore"))])
+    out = tmp_path / "out"
+    child = get_context("fork").Process(target=_export_within, args=(run, kind, out, 9000))
+    child.start()
+    child.join(60)
+    alive = child.is_alive()
+    child.kill()
+    child.join()
+    assert not alive
+    assert child.exitcode == 0
+    assert list(out.iterdir()) == []
 
 
 def test_a_recording_is_made_from_the_files(record, tmp_path: Path):

@@ -1,4 +1,5 @@
 import json
+import os
 import resource
 import shutil
 import signal
@@ -9,7 +10,15 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
-from tom.record.files import JsonLines, files_in, read_json_lines, replace, replace_json, size_of
+from tom.record.files import (
+    JsonLines,
+    files_in,
+    read_json_lines,
+    replace,
+    replace_json,
+    size_of,
+    whole_folder,
+)
 
 
 def test_a_replacement_that_fails_leaves_the_old_file_alone(tmp_path):
@@ -84,6 +93,15 @@ def test_a_row_that_does_not_fit_the_disk_leaves_no_part_of_itself(tmp_path: Pat
     writer.join()
     assert writer.exitcode == 0
     assert read_json_lines(tmp_path / "m") == ([{"env_step": 1}, {"env_step": 3}], [])
+
+
+def test_what_a_killed_process_of_the_same_id_left_is_in_nobodys_way(tmp_path: Path):
+    left = tmp_path / f".made.{os.getpid()}.tmp"  # in a container every process may be the first
+    left.mkdir()
+    with whole_folder(tmp_path / "made") as unfinished:
+        (unfinished / "a").touch()
+    assert (tmp_path / "made" / "a").exists()
+    assert left.is_dir()
 
 
 def test_files_are_counted_while_others_come_and_go(tmp_path: Path):

@@ -2,6 +2,10 @@
 
 import json
 import os
+import resource
+import shutil
+import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -343,20 +347,78 @@ def test_a_run_that_is_written_is_not_touched(store: Store):
             repair(store.run("run"))
 
 
-def test_sizes_and_pruning_checkpoints(record):
+def killed_at_rename(number: int, run: RunReader) -> None:
+    """In a process of its own: repair the run; the n-th rename kills it."""
+    if child := os.fork():
+        os.waitpid(child, 0)
+        return
+    renames: list[object] = []
+
+    def watch(event: str, args: tuple[object, ...]) -> None:
+        if event == "os.rename":
+            renames.append(args)
+            if len(renames) == number:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(watch)
+    try:
+        repair(run)
+    finally:
+        os._exit(0)
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_repair_killed_at_a_rename__leaves_every_row_and_the_next_one_mends_it(
+    record, number: int
+):
+    run = record()
+    rows = run.path / "notices.jsonl"
+    rows.write_bytes(b"damaged\n" + rows.read_bytes())
+    held = run.notices()
+    killed_at_rename(number, run)
+    assert run.notices() == held
+    repair(run)
+    assert run.notices() == held
+    assert verify(run) == []
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_a_disk_that_is_full_during_a_repair__is_named_and_the_rows_stay(record):
+    run = record()
+    rows = run.path / "metrics.jsonl"
+    rows.write_bytes(b"damaged\n" + rows.read_bytes())
+    held = rows.read_bytes()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
+    try:
+        with pytest.raises(UserError, match="cannot repair run 'run'"):
+            repair(run)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert rows.read_bytes() == held
+    assert [path for path in (run.path / "damaged").rglob("*") if path.is_file()] == []
+
+
+def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
     run = record("run", events()[:200])
     for step in (100, 200, 300):
-        folder = run.path / "checkpoint" / f"{step:09d}"
-        folder.mkdir(parents=True)
-        (folder / "state.pt").write_bytes(bytes(1000))
-    assert sizes.sizes(run)["checkpoint"] == 3000
+        one = checkpoint.save(tmp_path / str(step), step, {"step": step})
+        shutil.copytree(one, run.path / checkpoint.FOLDER / one.name)
+    each = [sum(p.stat().st_size for p in path.iterdir()) for path in sizes.checkpoints(run)]
+    assert sizes.sizes(run)["checkpoint"] == sum(each)
     assert sum(sizes.sizes(run).values()) == sum(
         p.stat().st_size for p in run.path.rglob("*") if p.is_file()
     )
-    assert sizes.prune(run, keep=1, dry_run=True) == 2000
+    assert sizes.prune(run, keep=1, dry_run=True) == sum(each[1:])
     assert len(sizes.checkpoints(run)) == 3
-    assert sizes.prune(run, keep=1) == 2000
-    assert [p.name for p in sizes.checkpoints(run)] == ["000000300"]
+    truncate(sizes.checkpoints(run)[0] / checkpoint.STATE)
+    assert sizes.prune(run, keep=1) == each[2]
+    assert [p.name for p in sizes.checkpoints(run)] == ["000000300", "000000200"]
+    truncate(sizes.checkpoints(run)[1] / checkpoint.STATE)
+    assert sizes.prune(run, keep=1) == 0, "none is whole: a part of one may be saved by hand"
 
 
 def test_a_part_that_leads_elsewhere_is_not_mended(record, tmp_path: Path):

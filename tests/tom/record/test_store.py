@@ -6,7 +6,7 @@ import pytest
 from recorded import Config
 
 from tom.errors import UserError
-from tom.record import RunReader, Store
+from tom.record import RunReader, Store, layout
 from tom.record.writer import RunWriter
 
 
@@ -104,6 +104,19 @@ def test_new_ids_are_free_and_say_what_they_are(store: Store):
         RunWriter.create(store, run_id, Config).close()
         taken.add(run_id)
     assert len(taken) == 3
+
+
+@pytest.mark.parametrize("length", [60, 81, 500])
+def test_a_task_with_a_long_name_has_runs_with_ids_of_their_own(store: Store, length: int):
+    taken = set()
+    for last in ("a", "b", "b"):
+        env = f"my_tasks:{'Hopper' * (length // 6)}{last}"
+        run_id = store.new_run_id(env, "a-learner-of-a-plug-in-with-a-long-name", 2**63 - 1)
+        RunWriter.create(store, run_id, Config).close()
+        assert run_id.startswith("my_tasks-H")
+        taken |= {run_id, layout.run_name(env, "mle", 0, "1a2b3c4d")}
+    assert len(taken) == 5
+    assert all(layout.RUN_ID.fullmatch(name) for name in taken)
 
 
 def test_weighings_of_the_same_second_have_folders_of_their_own(store: Store):

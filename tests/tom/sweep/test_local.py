@@ -1,6 +1,8 @@
 """A sweep's driver without and with real trainings; what is slow or violent is in test_faults."""
 
 import json
+import time
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Literal
 
@@ -9,12 +11,13 @@ from commands import code_of
 from sweeping import until
 
 from tom.events import Metrics, Tick
-from tom.record import Store, checkpoint, lock
+from tom.record import Store, checkpoint, layout, lock
 from tom.record.export import export_small
+from tom.record.files import replace_json
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.sweep.backend import FolderBackend
-from tom.sweep.driver import Driver
+from tom.sweep.driver import ATTEMPTS, Driver
 from tom.sweep.engine import LocalEngine
 from tom.sweep.projection import cost
 from tom.training.plan import Trial, checked, trials
@@ -160,6 +163,29 @@ def test_a_run_that_was_given_more_steps_and_has_those_of_the_plan_is_done(tmp_p
     assert len(Store(tmp_path).runs()) == 1
 
 
+def test_a_run_that_was_given_fewer_steps_gets_the_rest(tmp_path: Path, capsys):
+    words = ("--run-id", trials(checked(PLAN))[0].run_id, "--no-rerun", "--store", str(tmp_path))
+    assert code_of(["train", *SMOKE[:-1], "210", *words]) == 0
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--json")
+    assert code == 0
+    (row,) = json.loads(out)
+    assert (row["state"], row["env_step"]) == ("finished", 250)
+    (run,) = Store(tmp_path).runs()
+    assert run.config["config"]["steps"] == 250
+
+
+def test_a_longer_run_is_not_thrown_away_for_one_that_never_got_anywhere(tmp_path: Path):
+    (trial,) = trials(checked(PLAN))
+    store, more = Store(tmp_path), trial.config.but(steps=2 * trial.config.steps)
+    with Recorder(RunWriter.create(store, trial.run_id, more)) as recorder:
+        recorder.consume(Tick(more.steps, "optimise"))
+    RunWriter.create(store, "by-hand", trial.config).close()
+    driver = Driver(FolderBackend(store), [trial], LocalEngine(1))
+    assert driver.poll()
+    assert (driver.jobs[0].state, driver.jobs[0].run_id) == ("finished", trial.run_id)
+    assert sorted(run.run_id for run in store.runs()) == ["by-hand", trial.run_id]
+
+
 def finished(store: Store, trial: Trial) -> Path:
     """A run of the trial that is finished, with its last checkpoint."""
     with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
@@ -188,6 +214,38 @@ def test_a_finished_run_is_done_however_its_process_ended(tmp_path: Path):
     until(lambda: job.process is None, driver.poll)
     assert "no_such_module" in job.log.read_text()
     assert (job.state, job.note) == ("finished", "")
+
+
+@pytest.mark.parametrize("further", [False, True])
+def test_a_training_that_dies_on_another_machine_is_given_up_like_any_other(
+    further: bool, tmp_path: Path
+):
+    """Its last heartbeat is fresh for a while, and then nobody writes it."""
+    (trial,) = trials(checked(PLAN))
+    store = Store(tmp_path)
+    driver = Driver(FolderBackend(store), [trial], LocalEngine(1), back_off_s=1e6)
+    (job,) = driver.jobs
+    with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
+        recorder.consume(Tick(10, "explore"))
+        recorder.finish("stopped")
+    run = store.run(trial.run_id)
+    (run.path / layout.LOCK).write_text("another machine")
+    for attempt in range(1, ATTEMPTS + 1):
+        job.log.parent.mkdir(exist_ok=True)
+        job.log.write_text(f"$ attempt {attempt}\n")
+        job.state, job.process = "running", driver.engine.start(["no_such_module"], job.log)
+        job.attempts, job.step = attempt, -1
+        status = replace(run.status, state="running", heartbeat=time.time())
+        replace_json(run.path / layout.STATUS, asdict(status), sync=False)
+        until(lambda: job.process is None, driver.poll)
+        assert job.state == "elsewhere"
+        if further and attempt == ATTEMPTS:
+            checkpoint.save(run.path / checkpoint.FOLDER, 10, {})
+        silent = replace(status, heartbeat=time.time() - 1e3)
+        replace_json(run.path / layout.STATUS, asdict(silent), sync=False)
+        driver.poll()
+        assert "no_such_module" in job.note
+    assert job.state == ("waiting" if further else "failed")
 
 
 def test_nothing_is_started_on_a_full_disk(tmp_path: Path):

@@ -12,7 +12,7 @@ from tom.record import Store
 from tom.record.export import export_small
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
-from tom.training.plan import checked, is_done, read_plan, same_run, trials
+from tom.training.plan import checked, given_fewer, is_done, read_plan, same_run, trials
 from tom.training.presets import resolve
 
 SMALL = {"env": ["inverted-pendulum"], "learner": ["mle", "tom"], "seeds": 2, "preset": "smoke"}
@@ -148,3 +148,13 @@ def test_a_run_that_was_given_more_steps_is_done_once_it_has_those_of_the_trial(
     found = same_run(trial, store.runs())
     assert found is not None
     assert found.run_id == "by-hand"
+
+
+def test_a_finished_run_of_fewer_steps_is_not_done(tmp_path: Path):
+    trial = trials(checked(SMALL))[0]
+    fewer = trial.config.but(steps=trial.config.steps - 1)
+    with Recorder(RunWriter.create(Store(tmp_path), trial.run_id, fewer)) as recorder:
+        recorder.consume(Tick(fewer.steps, "optimise"))
+    (run,) = Store(tmp_path).runs()
+    assert given_fewer(trial, run)
+    assert not is_done(trial, run)

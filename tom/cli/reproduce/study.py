@@ -13,6 +13,7 @@ from typing import Any
 
 from tom.cli.parser import folder
 from tom.cli.progress import ProgressReport
+from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.config import SacRecordingConfig
 from tom.envs import ENVS, task
@@ -108,9 +109,9 @@ def stoppable(work: Callable[[argparse.Namespace], int]) -> Callable[[argparse.N
     finished (a process was killed, the disk is full)."""
 
     def run(args: argparse.Namespace) -> int:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
-            return work(args)
+            with on_stopping(signal.default_int_handler, [signal.SIGTERM]):
+                return work(args)
         except KeyboardInterrupt:
             say("stopped")
         except BrokenProcessPool:

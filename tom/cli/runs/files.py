@@ -159,9 +159,13 @@ def prune(args: argparse.Namespace) -> int:
 
 
 def _chosen(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
-    """The named runs, or all. Raises UserError for an unknown name, before anything is done."""
+    """The named runs, each once, or all.
+
+    Raises UserError for an unknown name, before anything is done.
+    """
     store.ensure_there()
-    return [store.run(run_id) for run_id in run_ids] if run_ids else store.runs()
+    named = dict.fromkeys(run_ids)
+    return [store.run(run_id) for run_id in named] if named else store.runs()
 
 
 def _finished(store: Store, run_ids: Sequence[str]) -> list[RunReader]:

@@ -45,14 +45,19 @@ def trash(args: argparse.Namespace) -> int:
     store.ensure_there()
     if not args.run_ids:
         return _list(args, manage.trashed(store))
-    for run_id in args.run_ids:
-        store.run(run_id)  # an unknown name is an error before any run is changed
-    return _list(args, [str(manage.trash(store, run_id)) for run_id in args.run_ids])
+    run_ids = list(dict.fromkeys(args.run_ids))
+    for run_id in run_ids:  # what is refused is refused before any run is moved
+        with manage.unwritten(store.run(run_id)):
+            pass
+    return _list(args, [str(manage.trash(store, run_id)) for run_id in run_ids])
 
 
 def restore(args: argparse.Namespace) -> int:
     store = Store(args.store)
-    return _list(args, [str(manage.restore(store, run_id)) for run_id in args.run_ids])
+    run_ids = list(dict.fromkeys(args.run_ids))
+    for run_id in run_ids:
+        manage.check_restorable(store, run_id)
+    return _list(args, [str(manage.restore(store, run_id)) for run_id in run_ids])
 
 
 def _say(args: argparse.Namespace, labels: Labels) -> int:

@@ -106,8 +106,8 @@ def run(args: argparse.Namespace) -> int:
             return 0
         if args.engine == "fleet" or on_gpu:
             stop = Stop()
-            on_stopping(stop)
-            return run_fleets(args, _by_env(planned), stop, rerun=False)
+            with on_stopping(stop):
+                return run_fleets(args, _by_env(planned), stop, rerun=False)
         with open_engine(args.engine, args.address, args.jobs) as engine:
             backend.store.ensure_writable()
             driver = Driver(backend, planned, engine, accept_versions=args.accept_versions)
@@ -151,9 +151,8 @@ def _by_env(planned: list[Trial]) -> list[list[Trial]]:
 
 def drive(args: argparse.Namespace, driver: Driver) -> int:
     """Run the sweep to its end with a table of its progress; returns the exit code."""
-    on_stopping(signal.default_int_handler)
     stream = sys.stderr if args.json else sys.stdout
-    with Watcher(driver, stream) as watcher:
+    with on_stopping(signal.default_int_handler), Watcher(driver, stream) as watcher:
         try:
             while not driver.poll():
                 watcher.look()

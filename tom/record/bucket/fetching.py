@@ -12,6 +12,7 @@ from tom.record.reader import RunReader
 from tom.record.store import Store
 
 FETCHED, SAME, AHEAD, BUSY = "fetched", "is up to date", "is further here", "is being written here"
+FETCHED_ANEW = "fetched; another run of that name that was here is in the trash"
 
 
 def run_ids(bucket: Bucket) -> list[str]:
@@ -43,7 +44,10 @@ def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
 
 
 def _replace(held: RunReader, fetched: RunReader) -> str:
-    """Replace the store's run by the fetched one if that is further."""
+    """Replace the store's run by the fetched one if that is further.
+
+    An older copy of it is deleted; another run of that name goes to the trash.
+    """
     if lock.held(held.path):
         return BUSY
     if held.status == fetched.status:
@@ -52,6 +56,10 @@ def _replace(held: RunReader, fetched: RunReader) -> str:
         return AHEAD
     labels = held.path / layout.LABELS
     with manage.unwritten(held):
+        if held.config.get("created") != fetched.config.get("created"):
+            manage.into_trash(Store(held.path.parent), held.run_id, held.path)
+            fetched.path.rename(held.path)
+            return FETCHED_ANEW
         if labels.is_file() and not labels.is_symlink():
             shutil.copy2(labels, fetched.path / layout.LABELS)
         _swap(held.path, fetched.path)

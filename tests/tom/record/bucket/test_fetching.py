@@ -15,7 +15,7 @@ from tom.errors import UserError
 from tom.record import RunReader, Store, manage
 from tom.record.bucket import fetching
 from tom.record.bucket.attempts import Attempt
-from tom.record.bucket.fetching import FETCHED, SAME, fetch_run
+from tom.record.bucket.fetching import FETCHED, FETCHED_ANEW, SAME, fetch_run
 from tom.record.bucket.objects import Bucket
 
 STATES = {2: "stopped", 3: "finished"}  # of the older copy, of the newer one
@@ -75,3 +75,17 @@ def test_a_fetch_killed_between_two_renames__loses_nothing_and_the_next_one_mend
     assert here.run("run").labels.tags == ("mine",)
     assert manage.trashed(here) == ([] if number == 2 else ["run"])
     assert not list(here.path.glob(".run.*old"))
+
+
+def test_another_run_of_that_name_is_kept_in_the_trash(here: Store, store: Store, bucket_url: str):
+    """It may have been trained here, with the settings of the one in the object store."""
+    path = here.path / "run" / "config.json"
+    other = json.loads(path.read_text()) | {"created": "2026-01-01T00:00:00+00:00"}
+    path.write_text(json.dumps(other))
+    bucket = Bucket.open(bucket_url)
+    Attempt.claim(bucket, "run").put(store.path / "run")
+    assert fetch_run(bucket, "run", here) == FETCHED_ANEW
+    assert (here.run("run").created, here.run("run").labels.tags) == (store.run("run").created, ())
+    manage.trash(here, "run")
+    kept = RunReader(here.path / ".trash" / "run")
+    assert (kept.created, kept.labels.tags) == (other["created"], ("mine",))

@@ -1,0 +1,72 @@
+"""Signals that ask a command to stop, and what they are after it."""
+
+import signal
+from pathlib import Path
+
+import pytest
+from commands import code_of
+
+from tom.cli.signals import STOPPING, on_stopping
+from tom.training.run import Stop
+
+HUP, TERM, INT = signal.SIGHUP, signal.SIGTERM, signal.SIGINT
+SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "20")
+
+
+@pytest.fixture
+def heard() -> list[int]:
+    return []
+
+
+@pytest.mark.parametrize(
+    ("sent", "requests"),
+    [
+        ((INT, INT), 2),
+        ((HUP, HUP), 1),  # a terminal that closes
+        ((TERM, HUP), 1),  # the end of a session
+        ((HUP, TERM), 1),
+        ((TERM, TERM), 1),  # from a batch system and from the sweep
+        ((TERM, INT), 2),
+    ],
+)
+def test_only_ctrl_c_hurries(sent: tuple[int, ...], requests: int, heard: list[int]):
+    before = signal.signal(HUP, signal.SIG_DFL)  # the tests may run under nohup
+    try:
+        with on_stopping(lambda number, _: heard.append(number)):
+            for number in sent:
+                signal.raise_signal(number)
+    finally:
+        signal.signal(HUP, before)
+    assert len(heard) == requests
+
+
+def test_nohup_stays_nohup(heard: list[int]):
+    before = signal.signal(HUP, signal.SIG_IGN)
+    try:
+        with on_stopping(lambda number, _: heard.append(number)):
+            signal.raise_signal(HUP)
+    finally:
+        signal.signal(HUP, before)
+    assert heard == []
+
+
+def test_a_second_ctrl_c_ends_at_once():
+    with on_stopping(Stop()):
+        signal.raise_signal(INT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(INT)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("train", *SMOKE),
+        ("train", *SMOKE, "--seeds", "0", "--engine", "fleet"),
+        ("sweep", *SMOKE),
+        ("train", *SMOKE, "--sac.lr", "-1"),
+    ],
+)
+def test_handlers_are_put_back_after_a_command(words: tuple[str, ...], tmp_path: Path, capsys):
+    before = [signal.getsignal(number) for number in STOPPING]
+    code_of([*words, "--store", str(tmp_path / "store")])
+    assert [signal.getsignal(number) for number in STOPPING] == before
