@@ -4,13 +4,12 @@ import json
 import os
 import resource
 import shutil
-import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from killed import killed_at_rename
 from recorded import Config, events
 
 from tom.config import SacRecordingConfig
@@ -347,26 +346,6 @@ def test_a_run_that_is_written_is_not_touched(store: Store):
             repair(store.run("run"))
 
 
-def killed_at_rename(number: int, run: RunReader) -> None:
-    """In a process of its own: repair the run; the n-th rename kills it."""
-    if child := os.fork():
-        os.waitpid(child, 0)
-        return
-    renames: list[object] = []
-
-    def watch(event: str, args: tuple[object, ...]) -> None:
-        if event == "os.rename":
-            renames.append(args)
-            if len(renames) == number:
-                os.kill(os.getpid(), signal.SIGKILL)
-
-    sys.addaudithook(watch)
-    try:
-        repair(run)
-    finally:
-        os._exit(0)
-
-
 @pytest.mark.fault
 @pytest.mark.quick
 @pytest.mark.parametrize("number", [1, 2, 3])
@@ -377,7 +356,7 @@ def test_a_repair_killed_at_a_rename__leaves_every_row_and_the_next_one_mends_it
     rows = run.path / "notices.jsonl"
     rows.write_bytes(b"damaged\n" + rows.read_bytes())
     held = run.notices()
-    killed_at_rename(number, run)
+    killed_at_rename(number, lambda: repair(run))
     assert run.notices() == held
     repair(run)
     assert run.notices() == held

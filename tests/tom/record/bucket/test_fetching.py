@@ -1,14 +1,12 @@
 """A fetch that is killed while it puts the newer copy of a run in the place of the older one."""
 
 import json
-import os
 import shutil
-import signal
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from killed import killed_at_rename
 from recorded import events
 
 from tom.errors import UserError
@@ -24,26 +22,6 @@ STATES = {2: "stopped", 3: "finished"}  # of the older copy, of the newer one
 def say(run: RunReader, state: str, env_step: int) -> None:
     content = asdict(run.status) | {"state": state, "env_step": env_step}
     (run.path / "status.json").write_text(json.dumps(content))
-
-
-def killed_at_rename(number: int, store: Store, fetched: Path) -> None:
-    """In a process of its own: put `fetched` in the place of the run; the n-th rename kills it."""
-    if child := os.fork():
-        assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
-        return
-    renames: list[object] = []
-
-    def watch(event: str, args: tuple[object, ...]) -> None:
-        if event == "os.rename":
-            renames.append(args)
-            if len(renames) == number:
-                os.kill(os.getpid(), signal.SIGKILL)
-
-    sys.addaudithook(watch)
-    try:
-        fetching._replace(store.run("run"), RunReader(fetched))
-    finally:
-        os._exit(0)
 
 
 @pytest.fixture
@@ -62,7 +40,8 @@ def here(tmp_path: Path, record) -> Store:
 def test_a_fetch_killed_between_two_renames__loses_nothing_and_the_next_one_mends_it(
     number: int, here: Store, store: Store, bucket_url: str
 ):
-    killed_at_rename(number, here, shutil.copytree(store.path / "run", here.path / ".run.1.tmp"))
+    fetched = shutil.copytree(store.path / "run", here.path / ".run.1.tmp")
+    assert killed_at_rename(number, lambda: fetching._replace(here.run("run"), RunReader(fetched)))
     assert here.names() == ([] if number == 2 else ["run"])
     bucket = Bucket.open(bucket_url)
     with pytest.raises(UserError, match="no run 'run'"):  # nothing newer is to be had
