@@ -26,7 +26,6 @@ def limited() -> None:
         "--model.hidden=10000000",
         "--replay-capacity=1000000000000",
         "--rollout.starts=100000000000",
-        "--bins=100000000000",
         "--evaluation.episodes=10000000000000",
     ],
 )

@@ -65,7 +65,7 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    planned, bucket = plan(learner=["mle"], seeds=1, steps=1500), Bucket.open(bucket_url)
+    planned, bucket = plan(learner=["mle"], seeds=1, steps=4000), Bucket.open(bucket_url)
     with BucketBackend(bucket, planned) as backend:
         driver = Driver(backend, planned, LocalEngine(1), back_off_s=0.1)
         (job,) = driver.jobs
