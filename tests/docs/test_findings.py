@@ -125,14 +125,26 @@ def test_the_scores_at_the_planned_end() -> None:
 
 @pytest.mark.parametrize("row", rows("TOM, mended beats MLE"), ids=lambda row: row[0])
 def test_how_often_mended_beats_mle(row: list[str]) -> None:
+    check_wins(row, "MLE")
+
+
+@pytest.mark.parametrize("row", rows("TOM, mended beats TOM as printed"), ids=lambda row: row[0])
+def test_how_often_mended_beats_tom_as_printed(row: list[str]) -> None:
+    check_wins(row, "TOM")
+
+
+def check_wins(row: list[str], against: str) -> None:
+    """A line of the page's table of wins is what the gallery's runs give."""
     name, *told = row
     first, last, at = map(int, re.findall(r"\d+", name.replace(" 000", "000")))
     made = improvement(cells(at, "mle", "tom", seeds=tuple(range(first, last + 1))))
     mine = {
-        one["by"]: one for one in made if (one["learner"], one["against"]) == ("TOM, mended", "MLE")
+        one["by"]: one
+        for one in made
+        if (one["learner"], one["against"]) == ("TOM, mended", against)
     }
     for by, wins, p in zip(MEASURES, told[::2], told[1::2], strict=True):
-        assert p == share(mine[by]["p"])
+        assert p == (share(mine[by]["p"]) if mine[by]["p"] >= 0.005 else "<.01")
         value, *ends = (share(mine[by][key]) for key in ("wins", "low", "high"))
         assert wins in (value, f"{value} [{', '.join(ends)}]")
 

@@ -71,13 +71,15 @@ def verdict(outcomes: Sequence[Outcome]) -> list[str]:
     """A summary of the table in words."""
     rows = [row for row in summary(outcomes) if row["way"] != UNIFORM]
     counted = telling(outcomes)
+    if not counted:
+        return _not_counted(outcomes)
     said = [
         f"{len(_moments(counted))} moments of {len({one.recording for one in counted})} runs in "
         f"{len({one.env for one in counted})} tasks. 1 is no nearer to what the policy does than "
         f"uniform weights, 0 the policy itself; two samples of the policy are "
         f"{_noise(counted):z.2f} apart (median)."
     ]
-    if rows:
+    if rows:  # weights other than uniform ones
         said.append(f"Nearest: {_nearest(rows)}.")
     said += _not_counted(outcomes)
     worse = [f"{row['way']} {row['distance']:.2f}" for row in rows if row["distance"] > 1]
@@ -107,8 +109,8 @@ def _not_counted(outcomes: Sequence[Outcome]) -> list[str]:
         return []
     where = ", ".join(f"{recording} at {step}" for recording, step in sorted(lost))
     return [
-        "Not counted, because two samples of the policy lie as far apart as the unweighted buffer "
-        f"from them and distances are noise: {where}."
+        "Not counted, because the unweighted buffer is no farther from the policy than two samples "
+        f"of it are from each other, and distances are noise: {where}."
     ]
 
 
@@ -134,7 +136,7 @@ def _ends(outcomes: Sequence[Outcome]) -> float:
 
 
 def _noise(outcomes: Sequence[Outcome]) -> float:
-    """The median distance of two samples of the policy; NaN if it was never measured."""
+    """The median distance of two samples of the policy; NaN without uniform weights."""
     return median([one.footprint_noise for one in outcomes if one.way == UNIFORM] or [np.nan])
 
 

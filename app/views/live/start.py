@@ -44,9 +44,9 @@ def panel() -> None:
         learner = row[1].selectbox(
             "Learner", names, names.index(SUBJECT), key="start learner", format_func=learner_label
         )
-        usual = default_preset(env, learner)
-        st.session_state.setdefault("start preset", usual)
-        address.follow("start preset", usual)
+        own = default_preset(env, learner)
+        st.session_state.setdefault("start preset", own)
+        address.follow("start preset", own)
         preset = row[2].selectbox(
             "Preset",
             list(PRESETS),
@@ -58,12 +58,11 @@ def panel() -> None:
         seeds = row[3].text_input(
             "Seeds", "0", key="start seeds", help="one training each: 0, or 0-2, or 0, 3"
         )
-        all_steps = form.default_steps(env, learner, preset)
+        usual = form.default_steps(env, learner, preset)
         steps = row[4].number_input(
-            "Steps", 1, None, all_steps, key=f"start steps {env} {preset}",
-            help="env steps of each run",
-        )  # fmt: skip
-        given = {"steps": str(steps)} if steps != all_steps else {}
+            "Steps", 1, None, usual, key=f"start steps {env} {preset}", help="env steps of each run"
+        )
+        given = {"steps": str(steps)} if steps != usual else {}
         with st.expander("More settings: empty means the preset's value"):
             given |= _settings(env, learner, preset)
         _begin(env, learner, preset, seeds, given)

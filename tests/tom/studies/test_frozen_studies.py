@@ -111,7 +111,8 @@ def test_moments_whose_noise_drowns_the_distances_do_not_count_and_are_named():
 def test_a_study_whose_every_moment_is_noise_says_so():
     noise = drowned()[2:]
     assert footprint.summary(noise) == footprint.head_to_head(noise) == []
-    assert any("Not counted" in line for line in footprint.verdict(noise))
+    (line,) = footprint.verdict(noise)
+    assert "Not counted" in line
     assert not footprint_figure(noise).axes
 
 
@@ -277,14 +278,16 @@ def test_the_commands_write_their_reports(
         (["nothing"], "no run 'nothing'"),
         (["--from", "nowhere.csv"], "cannot read nowhere.csv"),
         (["--from", __file__], "is no moments.csv of this study"),
-        (["--from", "nowhere.csv", "frozen"], "name no run beside it"),
+        (["--from", "nowhere.csv", "frozen"], "leave out frozen"),
+        (["--from", "nowhere.csv", "--ways", "ratio"], "leave out --ways"),
     ],
 )
 def test_bad_input_is_one_line(
     run: RunReader, words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     out = tmp_path / "report"
-    asked = [*words, "--store", str(run.path.parent), "--out", str(out)]
+    store = [] if "--from" in words else ["--store", str(run.path.parent)]
+    asked = [*words, *store, "--out", str(out)]
     assert main(["reproduce", "footprint", *asked]) == 2
     assert says in capsys.readouterr().err
     assert not out.exists()

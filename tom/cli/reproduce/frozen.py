@@ -5,7 +5,7 @@ The options of moments are also those of `tom reproduce improvement`.
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,8 @@ from tom.studies.frozen import MODELS, WAYS, Outcome, cases, examined, moments
 from tom.studies.frozen_table import read_outcomes, write_outcomes
 from tom.studies.report import study_origin
 
+OF_MEASURING = ("env", "moments", "seeds", "ways", "store", "jobs", "rows", "models")
+"""the options that say what is measured and how"""
 MEASURED = "measured: "
 """begins what a report that was made anew says of the origin of its outcomes"""
 
@@ -67,7 +69,8 @@ FOOTPRINT = FrozenStudy(
     "current policy (section 4). The paper measures the match on road-and-rocks alone.",
     "Energy distance of (s, a, s' - s), z-scored, between the weighted buffer and fresh episodes "
     "of the policy, over that of the unweighted buffer (1: no better than no weights). A point a "
-    "moment of a run, the stroke is their median; points below 0.03 are drawn there.",
+    "moment of a run, the stroke is their median; points below 0.03 are drawn there. Moments whose "
+    "distances are lost in noise are left out.",
     tuple(WAYS),
     (),
     footprint_figure,
@@ -113,7 +116,8 @@ def add_parser(subparsers, arguments: list[str]) -> None:
             help="moments.csv of an earlier report: only its tables and figures are made anew",
         )  # fmt: skip
         add_output(parser, study.name)
-        parser.set_defaults(run=stoppable(_command(study)))
+        usual = {name: parser.get_default(name) for name in OF_MEASURING}
+        parser.set_defaults(run=stoppable(_command(study, usual)))
 
 
 def add_moments(parser: argparse.ArgumentParser, ways: Sequence[str]) -> None:
@@ -129,14 +133,27 @@ def add_moments(parser: argparse.ArgumentParser, ways: Sequence[str]) -> None:
     add_jobs(parser)
 
 
-def _command(study: FrozenStudy) -> Callable[[argparse.Namespace], int]:
+def _command(study: FrozenStudy, usual: Mapping[str, Any]) -> Callable[[argparse.Namespace], int]:
+    """The command of a study; `usual` are the defaults of the options OF_MEASURING."""
+
     def run(args: argparse.Namespace) -> int:
+        if args.table:
+            given = [name for name in usual if getattr(args, name, None) != usual[name]]
+            _refuse_beside_a_table(given, args.runs)
         models = getattr(args, "models", study.models)
         for name in models:
             check_model(name)
         return _run(replace(study, ways=tuple(chosen_ways(args)), models=tuple(models)), args)
 
     return run
+
+
+def _refuse_beside_a_table(given: Sequence[str], runs: Sequence[str]) -> None:
+    """Raises UserError for options that have no meaning if nothing is measured."""
+    for name in (*(f"--{option}" for option in given), *runs):
+        raise UserError(
+            f"--from takes all that its file holds, as it was measured: leave out {name}"
+        )
 
 
 def _run(study: FrozenStudy, args: argparse.Namespace) -> int:
@@ -168,8 +185,6 @@ def _measured(study: FrozenStudy, args: argparse.Namespace) -> list[Outcome]:
 
 def _kept(study: FrozenStudy, args: argparse.Namespace) -> list[Outcome]:
     """The outcomes of an earlier report."""
-    if args.runs:
-        raise UserError("--from takes all outcomes of its file: name no run beside it")
     outcomes = read_outcomes(args.table, bool(study.models))
     out_folder(args.out)
     return outcomes
