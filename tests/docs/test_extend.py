@@ -154,6 +154,30 @@ def test_plugins_work_as_the_page_says(home: Path):
     assert json.loads(said)["config"]["surprise"]["steps"] == 50  # as it was trained with
 
 
+def test_the_studies_know_plugins_tasks_and_learners(home: Path):
+    longer = TRAIN.replace("320", "1300")
+    works(f"{longer} --env swimmer --learner surprise --run-id mine {PLUGINS}", home)
+    asked = f"--env swimmer --preset smoke --store runs --json {PLUGINS}"
+    said = works(f"reproduce returns --learner surprise {asked} --out returns", home)
+    (row,) = json.loads(said)["summary"]
+    assert (row["env"], row["learner"], row["n"]) == ("swimmer", "Surprise", 1)
+    assert json.loads(said)["missing"] == []  # of the paper's figure, which has neither
+    said = works(f"reproduce returns {asked} --out returns".replace("--json", ""), home)
+    assert "nan" not in said
+    said = refused("reproduce returns --learner surprise --store runs", home)
+    assert "unknown learner 'surprise'" in said
+
+    quick = "--moments 1 --rows 100 --ways uniform recency --store runs"
+    said = refused(f"reproduce footprint mine {quick}", home)
+    assert "unknown environment 'swimmer'" in said
+    works(f"reproduce footprint mine {quick} {PLUGINS} --out study", home)
+    kept = sorted((home / "study/cases").iterdir())
+    with (home / "tasks.py").open("a") as file:
+        file.write("# another task, maybe\n")
+    works(f"reproduce footprint mine {quick} {PLUGINS} --out study", home)
+    assert len(list((home / "study/cases").iterdir())) == 2 * len(kept) == 4
+
+
 def test_a_sweep_hands_its_plugins_on_and_changes_no_other_run(home: Path):
     words = "sweep --env inverted-pendulum --preset smoke --steps 210 --store runs --jobs 1"
     works(f"{words} --learner mle", home)

@@ -17,7 +17,7 @@ ANY = "or any Gymnasium task: gymnasium:Swimmer-v5, my_package:MyTask-v0"
 
 __all__ = [
     "ANY", "ENVS", "ENV_NAMES", "OTHERS", "ROAD", "GymnasiumTask", "MujocoTask", "Task",
-    "Termination", "bring", "is_code", "is_known", "task",
+    "Termination", "bring", "brought", "is_code", "is_known", "task", "task_rank",
 ]  # fmt: skip
 
 
@@ -50,6 +50,16 @@ def bring(name: str | None) -> None:
         return
     known = describe(name)
     OTHERS[name] = lambda: known
+
+
+def brought() -> list[str]:
+    """The tasks whose modules the user named to this process."""
+    return [name for name in OTHERS if is_code(name)]
+
+
+def task_rank(name: str) -> tuple[int, str]:
+    """The place of a task in a table: ours as in the registry, then others by name."""
+    return (ENV_NAMES.index(name) if name in ENV_NAMES else len(ENV_NAMES)), name
 
 
 def is_code(name: str) -> bool:

@@ -29,6 +29,11 @@ def bring_rule(name: str | None) -> None:
     RULES[name] = cast(Termination, given)  # what it answers is tried in `rule`
 
 
+def brought_rules() -> list[str]:
+    """The rules whose modules the user named to this process."""
+    return [name for name in RULES if ":" in name]
+
+
 def learns_ends(known: Task, name: str | None) -> bool:
     """Whether a head of the model learns the ends: on request, or if there is no rule."""
     return name == LEARNT or (name is None and not known.knows_ends)

@@ -23,6 +23,8 @@ _NOT_THE_USERS = (
     str(Path(__file__).parents[1]),
 )
 """parts of the paths of libraries, of Python itself and of this package"""
+USERS: dict[str, ModuleType] = {}
+"""the modules that the user named to this process, by name; not what they import in turn"""
 
 
 @contextmanager
@@ -59,7 +61,7 @@ def import_named(module: str, option: str) -> ModuleType:
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     try:
-        return importlib.import_module(module)
+        USERS[module] = importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise UserError(
             f"{option}: no module '{error.name}': install it, or start from the folder it is in"
@@ -69,6 +71,7 @@ def import_named(module: str, option: str) -> ModuleType:
             f"{option}: module '{module}' cannot be imported: "
             f"{type(error).__name__}: {reason(error)}{place(error)}"
         ) from error
+    return USERS[module]
 
 
 def tried(given: Termination, known: Task, name: str) -> Termination:

@@ -91,6 +91,11 @@ WEIGHED_FIRST = (SUBJECT, "pmac", "mle")
 WITH_TERMS = tuple(name for name, entry in LEARNERS.items() if entry.has_terms)
 
 
+def learner_rank(learner: str) -> int:
+    """The place of a learner in a table: as in the registry, unknown ones last."""
+    return list(LEARNERS).index(learner) if learner in LEARNERS else len(LEARNERS)
+
+
 def follows_value(learner: str) -> bool:
     """Whether its weights change with a value function; those of a baseline, no learner, do not."""
     return learner in LEARNERS and LEARNERS[learner].follows_value

@@ -11,7 +11,7 @@ from typing import Any
 from tom.data.unpack import read_bytes
 from tom.errors import UserError
 from tom.harmless import code, fenced, markdown
-from tom.learners import LEARNER_NAMES, LEARNERS
+from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
 from tom.record.files import read_json, replace
 from tom.reports.origin import run_hours, seeds
@@ -35,7 +35,7 @@ wall-clock hours of one process, as the run recorded them, whatever else the mac
 def small_copies(store: Store) -> list[RunReader]:
     """The small copies in a store, by task, learner and seed."""
     runs = [run for run in store.runs() if run.small_copy]
-    return sorted(runs, key=lambda run: (run.env, _rank(run.learner), run.seed, run.run_id))
+    return sorted(runs, key=lambda run: (run.env, learner_rank(run.learner), run.seed, run.run_id))
 
 
 def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
@@ -142,10 +142,6 @@ def _commits(run: RunReader) -> list[str]:
 def _commit(commit: object) -> str:
     text = str(commit or "unknown")
     return markdown(text[:COMMIT]) + ("-dirty" if text.endswith("-dirty") else "")
-
-
-def _rank(learner: str) -> int:
-    return LEARNER_NAMES.index(learner) if learner in LEARNER_NAMES else len(LEARNER_NAMES)
 
 
 def _label(learner: str) -> str:

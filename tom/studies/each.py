@@ -1,7 +1,8 @@
 """Run the cases of a study, each in its own process; outcomes are stored, so a study can resume.
 
 An outcome is stored under a key of the case, the code and the package versions, so that an outcome
-of other code is never used.
+of other code is never used. The processes load the plug-ins and modules that the user named, and
+their files count as code.
 """
 
 import os
@@ -15,6 +16,10 @@ from typing import TypeVar, get_type_hints
 
 import torch
 
+from tom import plugins
+from tom.envs import bring, brought
+from tom.envs.ends import bring_rule, brought_rules
+from tom.envs.user_code import USERS
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
 from tom.record.versions import versions
@@ -43,7 +48,8 @@ def each(
     kind = get_type_hints(work)["return"]
     stored = {path: load(path, kind) for path in paths}
     others = set(active_children())
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare, (os.getpid(),))
+    named = (os.getpid(), brought(), brought_rules())
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _prepare, named)
     try:
         ahead = {
             path: pool.submit(_keep, work, case, path)
@@ -59,11 +65,15 @@ def each(
 
 
 def code_hash() -> str:
-    """A hash of what affects an outcome besides its case: this package's files and versions."""
+    """A hash of what affects an outcome besides its case: this package's files and versions, and
+    the files of plug-ins and modules that the user named (not what these import in turn)."""
     digest = sha256(repr(versions()).encode())
     root = Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    for name in sorted(USERS):
+        file = USERS[name].__file__
+        digest.update(name.encode() + (Path(file).read_bytes() if file else b""))
     return digest.hexdigest()
 
 
@@ -78,10 +88,15 @@ def _keep(work: Callable[[Case], Outcome], case: Case, path: Path) -> Outcome:
     return outcome
 
 
-def _prepare(parent: int) -> None:
+def _prepare(parent: int, tasks: Sequence[str], rules: Sequence[str]) -> None:
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles Ctrl-C and ends this process
     if os.getppid() != parent:
         raise SystemExit  # the caller was killed before
     torch.set_num_threads(1)
     choose_matmul()
+    plugins.load()
+    for name in tasks:
+        bring(name)
+    for name in rules:
+        bring_rule(name)

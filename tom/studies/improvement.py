@@ -9,6 +9,8 @@ the same random numbers each time. Whole runs differ in data as well, and take h
 It differs from a training: the networks of the model are new, so are SAC's optimisers and target
 critics, all modelled rows come from this one model (a training keeps those of four fits), and
 settings other than SAC's are those of the `paper` preset, as for the other studies of moments.
+What ends a modelled episode is the rule of the run; if it has none, a head fitted to the whole
+buffer, unweighted.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,8 +29,9 @@ from tom.data.replay import ReplayBuffer
 from tom.data.transitions import TensorTransitions
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.dynamics import DynamicsModel
-from tom.envs import task
-from tom.envs.ends import rule
+from tom.dynamics.ending import EndingHead
+from tom.envs import Termination, task
+from tom.envs.ends import learns_ends, rule
 from tom.errors import UserError, reason
 from tom.learners.base import Weighting
 from tom.nn.lockstep import do
@@ -91,6 +94,11 @@ def goes_on(run: RunReader) -> bool:
     return all(f"{CRITIC}weight_0" in _arrays(run, step) for step in run.policy_steps())
 
 
+def rule_of(run: RunReader) -> str | None:
+    """The name of the rule that ended the run's modelled episodes; None: the task's own."""
+    return run.config["config"].get("model", {}).get("termination")
+
+
 def improved(trial: Trial) -> Improvement:
     """Update the policy of a moment in models and from starts with these weights, or without."""
     case, way = trial.case, WAYS[trial.case.way]
@@ -105,10 +113,10 @@ def improved(trial: Trial) -> Improvement:
     even = torch.ones(len(rows))
     starts = weighting.for_starts(config.rollout)
     starts = even if starts is None else starts
-    sac = _resumed(run, case.step, arrays)
+    sac, ends = _resumed(run, case.step, arrays), _ends(run, rows, config)
 
     def during(fit: DynamicsModel, weights: Tensor) -> float:
-        return _return_during(sac(config), fit, rows, weights, config, trial)
+        return _return_during(sac(config), fit, ends, rows, weights, config, trial)
 
     weighted = fitted(model, rows, weighting, config)
     both = during(weighted, starts)
@@ -160,9 +168,21 @@ def temperature_at(step: int, steps: NDArray[Any], values: NDArray[Any]) -> floa
     return float(np.exp(np.interp(step, steps, np.log(values))))
 
 
+def _ends(run: RunReader, rows: TensorTransitions, config: OnlineConfig) -> Termination:
+    """What ends a modelled episode."""
+    known, named = task(run.env), rule_of(run)
+    if not learns_ends(known, named):
+        return rule(known, named)
+    streams = Streams(config.seed)
+    head = EndingHead(known.obs_dim, config.model, streams.torch("ends"))
+    head.fit(rows, torch.ones(len(rows)), len(rows), streams.torch("fit ends"))
+    return head
+
+
 def _return_during(
     sac: Sac,
     model: DynamicsModel,
+    ends: Termination,
     rows: TensorTransitions,
     weights: Tensor,
     config: OnlineConfig,
@@ -176,7 +196,6 @@ def _return_during(
     modelled = ReplayBuffer(rollout.starts * rollout.length, *dims)
     generator, policy = streams.torch("rollout"), sac.member(0)
     starts = start_states(rows, weights, rollout.starts, generator)
-    ends = rule(known, config.model.termination)
     roll_out(model, policy, ends, starts, rollout.length, rollout, modelled, generator)
     evaluator, returns, generator = Evaluator(known, trial.episodes), [], streams.torch("batches")
     size, real = sac.config.batch_size, config.real_ratio

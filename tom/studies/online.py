@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tom.envs import ENVS
-from tom.learners import LEARNER_NAMES, LEARNERS
+from tom.envs import ROAD, task_rank
+from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader
 
 STEPS = 5
@@ -67,10 +67,10 @@ def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
     """The longest run of each environment and learner that weighed, in the registry's order."""
     longest: dict[tuple[str, str], RunReader] = {}
     for run in sorted(runs, key=lambda run: (run.status.env_step, run.created)):
-        if run.preset == preset:
+        if run.preset == preset and run.env != ROAD and run.learner in LEARNERS:
             longest[run.env, run.learner] = run
-    pairs = [(env, name) for env in ENVS for name in LEARNER_NAMES if (env, name) in longest]
-    every = [_panel(longest[pair]) for pair in pairs]
+    order = sorted(longest, key=lambda pair: (task_rank(pair[0]), learner_rank(pair[1])))
+    every = [_panel(longest[pair]) for pair in order]
     return [panel for panel in every if panel is not None]
 
 

@@ -7,7 +7,7 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tom.learners import LEARNER_NAMES, LEARNERS
+from tom.learners import LEARNERS, learner_rank
 from tom.reports.colours import NEUTRAL
 from tom.reports.style import STYLE, new_figure
 from tom.studies.online import RunProfiles
@@ -16,7 +16,7 @@ from tom.studies.online import RunProfiles
 def online_figure(panels: Sequence[RunProfiles]) -> Figure:
     """Mean weight in each hundredth of the buffer, oldest first; later fits are darker."""
     envs = list(dict.fromkeys(panel.run.env for panel in panels))
-    learners = [name for name in LEARNER_NAMES if any(p.run.learner == name for p in panels)]
+    learners = sorted({panel.run.learner for panel in panels}, key=learner_rank)
     with rc_context(STYLE):
         figure = new_figure(2.9 * len(learners) + 0.4, 2.2 * len(envs) + 0.3)
         axes = figure.subplots(len(envs), len(learners), squeeze=False)

@@ -22,8 +22,8 @@ from tom.analysis.curves import Curve, curve_points
 from tom.analysis.grouping import Kind, kinds
 from tom.analysis.scores import BEST, begun, common_start, common_step, scores_of
 from tom.analysis.settings import changed
-from tom.envs import ENVS
-from tom.learners import LEARNER_NAMES, LEARNERS
+from tom.envs import ENVS, task_rank
+from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader
 
 Array = NDArray[np.float64]
@@ -88,11 +88,7 @@ def select(
     or later are left out. All runs of a learner are left out if one was first evaluated after the
     step of the comparison.
     """
-    mine = [
-        run
-        for run in runs
-        if run.env in ENVS and run.learner in LEARNER_NAMES and run.preset in presets
-    ]
+    mine = [run for run in runs if run.learner in LEARNERS and run.preset in presets]
     kind_of = kinds(mine)
     recorded = [(run, _curve(run, kind_of[run.run_id])) for run in mine]
     reaching = [(run, _until(curve, at.get(run.env))) for run, curve in recorded]
@@ -108,9 +104,7 @@ def select(
     common = compared_at(cells)
     late = [cell for cell in cells if not begun(cell.curves, common[cell.env])]
     left_out += [run.run_id for cell in late for run in cell.runs]
-    order = {name: i for i, name in enumerate((*ENVS, *LEARNER_NAMES))}
-    kept = [cell for cell in cells if cell not in late]
-    return sorted(kept, key=lambda c: (order[c.env], order[c.learner], c.variant)), left_out
+    return sorted((cell for cell in cells if cell not in late), key=_place), left_out
 
 
 def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
@@ -135,6 +129,10 @@ def envs_of(cells: Sequence[Cell]) -> list[str]:
 
 def cell_of(cells: Sequence[Cell], env: str, learner: str, variant: str = "") -> Cell | None:
     return next((c for c in cells if (c.env, *c.method) == (env, learner, variant)), None)
+
+
+def _place(cell: Cell) -> tuple[int, str, int, str]:
+    return *task_rank(cell.env), learner_rank(cell.learner), cell.variant
 
 
 def _curve(run: RunReader, kind: Kind) -> Curve:

@@ -9,7 +9,7 @@ import numpy as np
 from tom.analysis.scores import BEST, FINAL, HEIGHT, beats, chance, interval, steps_to
 from tom.analysis.statistics import corrected, remark
 from tom.envs import task
-from tom.learners import LEARNERS
+from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.studies.returns import (
     PAPER_ENVS,
     Array,
@@ -136,7 +136,7 @@ def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str])
     """The paper's seeds and steps that the store lacks, with the command that adds them."""
     rows = []
     for env in (env for env in envs if env in PAPER_ENVS):
-        for learner in learners:
+        for learner in (name for name in learners if name in LEARNER_NAMES):
             cell, steps = cell_of(cells, env, learner), task(env).steps
             full = [c for c in cell.curves if c.step[-1] >= steps] if cell else []
             if len(full) < PAPER_SEEDS:

@@ -11,7 +11,7 @@ from app.data.readers import RunInfo
 from app.data.trainings import Started
 from app.parts import address, form
 from app.theme import learner_label
-from tom.envs import ENV_NAMES
+from tom.envs import ENV_NAMES, OTHERS
 from tom.errors import UserError
 from tom.learners import SUBJECT
 from tom.training.presets import PRESETS, default_preset, learners
@@ -39,7 +39,7 @@ def panel() -> None:
             st.caption(why)
             return
         row = st.columns([3, 3, 2, 2, 2])
-        env = row[0].selectbox("Environment", ENV_NAMES, key="start env")
+        env = row[0].selectbox("Environment", [*ENV_NAMES, *OTHERS], key="start env")
         names = learners(env)
         learner = row[1].selectbox(
             "Learner", names, names.index(SUBJECT), key="start learner", format_func=learner_label

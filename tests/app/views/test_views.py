@@ -21,6 +21,7 @@ from app.parts import replay_link
 from app.parts.cards import figures as figures_of
 from app.views.live import now, start, usual, watched
 from app.views.weights import newest_fifth, play
+from tom.envs import ENVS, OTHERS
 from tom.record import layout
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
@@ -240,6 +241,16 @@ def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
     app.text_input(key="start set sac.discount").input("2").run()
     assert "discount" in app.error[0].value
     assert not [button for button in app.button if button.key == "start"]
+
+
+def test_the_form_offers_the_tasks_of_plugins(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(OTHERS, "swimmer", lambda: replace(ENVS["hopper"], name="swimmer"))
+    app = draw("live")
+    app.session_state[start.FOLD] = True
+    app.run().selectbox(key="start env").select("swimmer").run()
+    assert not app.exception
+    shown = next(code.value for code in app.code if "tom train" in code.value)
+    assert shown.startswith("tom train --env swimmer --learner tom")
 
 
 def test_the_forms_preset_is_the_learners_own_until_another_is_chosen(store: Path) -> None:

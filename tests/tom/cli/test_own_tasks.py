@@ -108,6 +108,23 @@ def test_a_task_and_a_rule_of_ones_own(home: Path):
     assert len(json.loads(said)["results"]) == 2
 
 
+def test_the_studies_take_a_task_and_a_rule_of_ones_own(home: Path):
+    assert tom(f"{TRAIN} {RULE} --steps 1300 --run-id own", home)[0] == 0
+    asked = "--moments 1 --ways uniform --store runs"
+    code, said = tom(f"reproduce footprint own {asked} --out study", home)
+    assert (code, "add --env own_tasks:Own-v0" in said) == (2, True), said
+    asked += " --env own_tasks:Own-v0"
+    code, said = tom(f"reproduce footprint {asked} --rows 100 --json --out study", home)
+    assert (code, "own at 1200" in said) == (0, True), said
+
+    trial = f"reproduce improvement own {asked} --updates 5 --episodes 1 --json --out trial"
+    code, said = tom(trial, home)
+    assert (code, "add --termination own_tasks:fallen" in said) == (2, True), said
+    assert not (home / "trial").exists()
+    code, said = tom(f"{trial} {RULE}", home)
+    assert (code, "1 moments of 1 runs" in said) == (0, True), said
+
+
 @pytest.mark.parametrize("env", ["own_tasks:Own-v0", "gymnasium:Reacher-v5"])
 def test_a_buffer_of_another_task_is_brushed(home: Path, env: str):
     """Reacher's robot has joints that its observations do not hold: there are no ghosts."""

@@ -23,7 +23,7 @@ from tom.cli.reproduce.study import (
     stoppable,
 )
 from tom.cli.tables import cell, show
-from tom.envs import ENVS, task
+from tom.envs import ENVS, ROAD, task, task_rank
 from tom.errors import UserError, unknown
 from tom.record import RunReader, Store
 from tom.reports.files import write_csv
@@ -123,7 +123,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def add_moments(parser: argparse.ArgumentParser, ways: Sequence[str]) -> None:
     """Add the options that choose runs, their moments, and ways of weighing."""
     parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
-    parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
+    parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all of ours]")
     parser.add_argument("--moments", type=int, default=8, help="of each run at most [8]")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="[0]")
     parser.add_argument(
@@ -244,13 +244,18 @@ def chosen_ways(args: argparse.Namespace) -> list[str]:
 
 
 def chosen_runs(args: argparse.Namespace) -> list[RunReader]:
-    """The runs with moments. Raises UserError if there are none, or a named run has none."""
+    """The runs with moments, of any task.
+
+    Raises UserError if there are none, or a named run has none or is of a task that is not known.
+    """
     if args.moments < 1:
         raise UserError("--moments must be at least 1")
     store, envs = Store(args.store), {task(env).name for env in args.env}
     named = [store.run(name) for name in dict.fromkeys(args.runs)]
     for run in named:
-        if not _usable(run):
+        if _usable(run):
+            task(run.env)
+        else:
             raise UserError(
                 f"run {run.run_id} has no moment: it kept no policy of its fits, or no buffer"
             )
@@ -260,9 +265,9 @@ def chosen_runs(args: argparse.Namespace) -> list[RunReader]:
             f"{args.store}/ has no run with a buffer and policies of its fits: "
             "tom record-sac --env hopper --steps 20000 makes one"
         )
-    return sorted(runs, key=lambda run: (list(ENVS).index(run.env), run.run_id))
+    return sorted(runs, key=lambda run: (task_rank(run.env), run.run_id))
 
 
 def _usable(run: RunReader) -> bool:
     has_both = not {"buffer", "policies"} & set(run.left_out)
-    return run.is_run and run.env in ENVS and has_both and bool(moments(run, 1))
+    return run.is_run and run.env != ROAD and has_both and bool(moments(run, 1))

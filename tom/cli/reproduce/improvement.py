@@ -4,6 +4,7 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
+from tom.cli.named import add_termination
 from tom.cli.reproduce.frozen import add_moments, check_model, chosen_runs, chosen_ways
 from tom.cli.reproduce.study import (
     add_output,
@@ -14,6 +15,8 @@ from tom.cli.reproduce.study import (
     stoppable,
 )
 from tom.cli.tables import cell, show
+from tom.envs import task
+from tom.envs.ends import rule
 from tom.errors import UserError
 from tom.record import RunReader
 from tom.reports.files import write_csv
@@ -52,6 +55,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "whole, or small copies made with --keep buffer policies.",
     )
     add_moments(parser, WAYS)
+    add_termination(parser)
     known = ", ".join(f"'{name}'" for name in MODELS)
     parser.add_argument("--model", default="200 x 4", help=f"{known} [%(default)s]")
     parser.add_argument(
@@ -86,12 +90,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _runs(args: argparse.Namespace) -> list[RunReader]:
-    """The runs with moments from which SAC can go on. Raises UserError if there are none."""
+    """The runs with moments from which SAC can go on.
+
+    Raises UserError if there are none, or the rule that ended a run's modelled episodes is unknown.
+    """
     runs = chosen_runs(args)
     able = [run for run in runs if study.goes_on(run)]
     if not able or (args.runs and len(able) < len(runs)):
         lacking = next(run.run_id for run in runs if run not in able)
         raise UserError(f"run {lacking} kept no critics with its policies: name others")
+    for run in able:
+        rule(task(run.env), study.rule_of(run))
     return able
 
 

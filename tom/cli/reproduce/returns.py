@@ -17,7 +17,7 @@ from tom.cli.reproduce.study import (
 from tom.cli.tables import show
 from tom.envs import task
 from tom.errors import UserError, unknown
-from tom.learners import LEARNER_NAMES
+from tom.learners import LEARNERS
 from tom.record import RunReader, Store
 from tom.reports.files import write_csv
 from tom.reports.html import Report, write_report
@@ -51,7 +51,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "runs.",
     )
     add_stored(parser, several=True)
-    parser.add_argument("--learner", nargs="+", default=list(LEARNER_NAMES), metavar="LEARNER")
+    parser.add_argument(
+        "--learner", nargs="+", default=list(LEARNERS), metavar="LEARNER",
+        help="ours, or a plug-in's [all]",
+    )  # fmt: skip
     parser.add_argument(
         "--at", nargs="+", default=[], metavar="[ENV=]STEP",
         help="compare at this env step, in ENV alone if it is named, without the runs that end "
@@ -71,8 +74,8 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     envs = check_stored(args)
     for learner in args.learner:
-        if learner not in LEARNER_NAMES:
-            raise unknown("learner", learner, LEARNER_NAMES)
+        if learner not in LEARNERS:
+            raise unknown("learner", learner, tuple(LEARNERS))
     at = _steps(args.at, envs)
     every = [
         run for run in Store(args.store).runs() if run.env in envs and run.learner in args.learner
@@ -224,6 +227,5 @@ def _interval(value: float, low: float, high: float) -> str:
 
 
 def _range(row: dict[str, Any], name: str) -> str:
-    if row[name] != row[name]:
-        return "-"
-    return f"{row[name]:.3g} [{row[f'{name} low']:.3g}, {row[f'{name} high']:.3g}]"
+    value, low, high = row[name], row[f"{name} low"], row[f"{name} high"]
+    return _cell(value, ".3g") if low != low else f"{value:.3g} [{low:.3g}, {high:.3g}]"

@@ -54,7 +54,7 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
 
 def add_stored(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the options that choose runs of the store, of one preset or of `several`."""
-    parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all]")
+    parser.add_argument("--env", nargs="+", default=list(ENVS), metavar="ENV", help="[all of ours]")
     parser.add_argument(
         "--preset", nargs="+" if several else 1, metavar="PRESET",
         default=["paper", "mended"] if several else ["paper"],
