@@ -112,7 +112,8 @@ def rollouts(run: RunInfo, rows: Rows, row: int, step: int) -> Rollouts | str:
     A text with the reason if there are none.
     """
     reader = readers.reader(run)
-    version = stamps.model(reader.path), stamps.policies(reader.path, step)
+    stored = stamps.model(reader.path), stamps.policies(reader.path, step)
+    version = *stored, reader.has_policy()
     key = run.path, rows.first + row, step, version
     return _ROLLOUTS.get(key, lambda: _rollouts(run, reader, rows, row, step))
 

@@ -185,15 +185,15 @@ def _stored(name: str, store: Store, step: int | None) -> StoredPolicy:
     if run is None:
         _no_step(name, step)
         return read_policy(Path(name))
-    if step is None:
-        return read_policy(run.path / NAME)
-    kept = run.policy_steps()
-    if step not in kept:
-        advice = "--step takes one of " + ", ".join(map(str, kept))
-        if not kept:
-            advice = "it kept none of its fits (nor did any run of an earlier version): omit --step"
-        raise UserError(f"run {run.run_id} kept no policy of step {step}: {advice}")
-    return read_policy(run.path / layout.policy(step))
+    if run.has_policy(step):
+        return read_policy(run.path / (NAME if step is None else layout.policy(step)))
+    kept, of = run.policy_steps(), "its end" if step is None else f"step {step}"
+    advice = "--step takes one of " + ", ".join(map(str, kept))
+    if not kept:
+        advice = "it kept none of its fits (nor did any run of an earlier version): omit --step"
+    if not kept and step is None:
+        advice = "train it to its end, or name another run"
+    raise UserError(f"run {run.run_id} kept no policy of {of}: {advice}")
 
 
 def _no_step(name: str, step: int | None) -> None:

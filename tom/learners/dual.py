@@ -206,7 +206,12 @@ class DualProblem:
         return do(Minimise(self, q, generator))
 
     def split(self, generator: torch.Generator) -> "tuple[DualProblem, DualProblem]":
-        """The same problem on the training episodes, and on the held-out ones."""
+        """The same problem on the training episodes, and on the held-out ones.
+
+        A buffer of one row is both.
+        """
+        if len(self.replay) == 1:
+            return self, self
         held_out = held_out_rows(self.replay, self.config.q_holdout, generator)
         parts = (~held_out).nonzero().squeeze(1), held_out.nonzero().squeeze(1)
         return replace(self, drawn_from=parts[0]), replace(self, drawn_from=parts[1])

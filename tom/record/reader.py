@@ -180,9 +180,13 @@ class RunReader:
         return layout.numbers(self.path / layout.POLICIES, ".npz")
 
     def has_policy(self, step: int | None = None) -> bool:
-        """Whether the policy of interest of the fit at `step` was stored (None: the final one)."""
-        name = layout.POLICY if step is None else layout.policy(step)
-        return (self.path / name).is_file()
+        """Whether the policy of interest of the fit at `step` was stored (None: the final one).
+
+        Only a finished run has a final one: if it was given more steps, its file is of earlier.
+        """
+        if step is None:
+            return self.status.state == "finished" and (self.path / layout.POLICY).is_file()
+        return (self.path / layout.policy(step)).is_file()
 
     def evaluation_steps(self) -> list[int]:
         return layout.numbers(self.path / "episodes", ".npz")

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from math import isfinite
 
 import pytest
 import torch
@@ -129,6 +130,14 @@ def test_a_validated_q_is_the_best_on_episodes_that_it_never_saw():
     assert 0 < work.metrics["dual/steps"] < 600
     loss = held_out.loss_of(2000, generator(5))
     assert loss(work.net) < loss(q)
+
+
+def test_a_buffer_of_one_row_is_validated_on_itself():
+    config = QUICK.but(q_steps=20, q_holdout=0.25, q_check_every=5)
+    q = net(config)
+    work = Minimise(problem(rows(1), config), QFunction(q, config), generator())
+    Minimise.do([work], work.subject)
+    assert isfinite(work.loss)
 
 
 def test_what_a_validated_q_draws_does_not_depend_on_when_it_stops():

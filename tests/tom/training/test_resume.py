@@ -13,9 +13,11 @@ import pytest
 import torch
 from same_records import assert_same_record
 
+from tom.analysis.weighing import load_policy
 from tom.cli import main
 from tom.config import OnlineConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
+from tom.envs import task
 from tom.errors import UserError
 from tom.events import Collected, Evaluation, Event, Field, Metrics, Tick, TrainedPolicy, Weights
 from tom.learners import LEARNER_NAMES
@@ -250,6 +252,27 @@ def test_a_run_that_ended_between_its_last_checkpoint_and_its_end_goes_on_to_it(
     assert unfinished(store, short()) is None
     with pytest.raises(UserError, match="is complete at step 200"):
         resume(store, "a", rerun=False)
+
+
+def test_a_run_that_goes_on_has_no_last_policy_until_it_has_ended_again(tmp_path: Path):
+    store, known, stop = Store(tmp_path), task("inverted-pendulum"), Stop()
+
+    def watch(event: Event) -> None:
+        if event.env_step == 270 and not stop.asked:
+            stop()
+
+    first = train(short(), store, "a", rerun=False)
+    before = load_policy("a", store, known)
+    assert first.has_policy()
+    resume(store, "a", 300, rerun=False, watchers=[watch], stop=stop)
+    assert not store.run("a").has_policy()
+    kept = ", ".join(map(str, store.run("a").policy_steps()))
+    with pytest.raises(UserError, match=f"kept no policy of its end: --step takes one of {kept}"):
+        load_policy("a", store, known)
+    assert resume(store, "a", rerun=False).has_policy()
+    after = load_policy("a", store, known)
+    obs = torch.zeros(1, known.obs_dim)
+    assert not torch.equal(before.mean(obs), after.mean(obs))
 
 
 def test_a_finished_run_without_its_last_checkpoint_is_none_that_goes_on(tmp_path: Path):
