@@ -85,6 +85,16 @@ def chance(first: Sequence[Floats], second: Sequence[Floats]) -> float:
     return statistics.exchangeable(_matrix(first), _matrix(second), statistics.draws())
 
 
+def contrast(groups: Sequence[Floats], signs: Sequence[float]) -> Interval:
+    """A weighted sum of the means of groups of scores (n,), and its bootstrap interval."""
+
+    def total(*groups: Floats, axis: int = -1) -> Floats:
+        means = [sign * group.mean(axis) for sign, group in zip(signs, groups, strict=True)]
+        return np.sum(means, axis=0)
+
+    return statistics.interval(_matrix(groups), total, statistics.draws())
+
+
 def _matrix(tasks: Sequence[Floats]) -> Floats:
     """(runs, tasks), padded with NaN if a task has fewer runs."""
     matrix = np.full((max(map(len, tasks)), len(tasks)), np.nan)

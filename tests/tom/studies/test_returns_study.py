@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.studies import returns as study
+from tom.studies import returns_factors as factors
 from tom.studies import returns_fits as fits
 from tom.studies import returns_tables as tables
 from tom.studies import verdicts
@@ -26,7 +28,7 @@ def record(
     seed: int,
     returns: Sequence[float],
     preset: str = "paper",
-    **changes: int,
+    **changes: Any,
 ) -> None:
     """A run with these returns at steps 1 000, 2 000 and so on."""
     config = resolve(env, learner, preset, {"seed": seed, **changes})
@@ -355,3 +357,34 @@ def test_what_is_missing_is_named_with_its_command(store: Store):
         ("ant", 0, 300_000),
     ]
     assert rows[0]["command"] == ("tom sweep --env hopper --learner tom --preset paper --seeds 4")
+
+
+def test_what_weights_do_in_either_place_is_the_mean_over_the_others_levels(tmp_path: Path):
+    store = Store(tmp_path)
+    cells = {  # what is weighted, and the returns of three seeds
+        ("mle", "paper", ""): (10, 11, 12),
+        ("tom", "mended", "model"): (20, 21, 22),  # with weighted starts alone
+        ("tom", "mended", "rollout"): (10, 11, 12),  # with a weighted model alone
+        ("tom", "mended", "none"): (50, 51, 52),
+    }
+    for (learner, preset, uniform), returns in cells.items():
+        changes = {uniform: {"uniform_share": 1.0}} if uniform in ("model", "rollout") else {}
+        for seed, value in enumerate(returns):
+            record(store, "hopper", learner, seed, [value, value], preset, **changes)
+    chosen, _ = study.select(store.runs(), "paper", "mended", apart=True)
+    rows = {(row["effect of"], row["by"]): row for row in factors.factors(chosen)}
+    assert len(rows) == 3 * len(tables.MEASURES)
+    area = "area under the curve"
+    model, starts = rows["weighted model", area], rows["weighted starts", area]
+    assert model["learner"] == "TOM, mended"
+    assert model["effect"] == ((51 - 21) + (11 - 11)) / 2
+    assert starts["effect"] == ((51 - 11) + (21 - 11)) / 2
+    assert rows["both beyond their sum", area]["effect"] == 51 - 21 - 11 + 11
+    assert model["low"] < model["effect"] < model["high"]
+    assert model["wins"] == (1 + 0.5) / 2
+    assert starts["wins"] == 1
+    assert starts["p"] == pytest.approx(2 / 20**2, abs=0.002)  # 3 against 3, twice
+    assert model["p of all"] >= model["p"]
+    assert np.isnan(rows["both beyond their sum", area]["p"])
+    assert not factors.factors([cell for cell in chosen if cell.learner != "mle"])
+    assert not factors.factors([cell for cell in chosen if "rollout" not in cell.variant])

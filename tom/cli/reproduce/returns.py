@@ -24,7 +24,7 @@ from tom.reports.html import Report, write_report
 from tom.reports.origin import origin_of, seeds
 from tom.reports.style import save
 from tom.studies import returns as study
-from tom.studies import returns_fits, returns_tables, verdicts
+from tom.studies import returns_factors, returns_fits, returns_tables, verdicts
 from tom.studies.returns_figure import return_figure
 
 CLAIM = (
@@ -33,6 +33,10 @@ CLAIM = (
     "4 seeds, running maximum of the mean of 10 test episodes (section 5.2)."
 )
 WINS = "How often a run of one learner beats one of another"
+FACTORS = (
+    "What weights in the model, and in the rollouts' starts, do for the return: each the mean over "
+    "both levels of the other"
+)
 EXAMS = "Exams: the median fit of each run, on new steps of its own policy; mean over runs"
 ROLLOUTS = (
     "Rollouts: how often they fall over how often the policy does (median fit of each run), and "
@@ -128,6 +132,7 @@ def _findings(cells: list[study.Cell]) -> dict[str, Any]:
         "verdict": verdicts.returns(cells),
         "summary": returns_tables.summary(cells),
         "improvement": returns_tables.improvement(cells),
+        "factors": returns_factors.factors(cells),
         "exams": returns_fits.exams(cells),
         "rollouts": returns_fits.rollouts(cells),
     }
@@ -145,7 +150,7 @@ def _write(
         for step, value, best in zip(curve.step, curve.value, curve.best_so_far.value, strict=True)
     )  # fmt: skip
     write_csv(out / "returns.csv", curves)
-    for name in ("summary", "improvement", "exams", "rollouts", "missing"):
+    for name in ("summary", "improvement", "factors", "exams", "rollouts", "missing"):
         write_csv(out / f"{name}.csv", findings[name])
     png, _ = save(return_figure(cells), out, "returns")
     runs = [run for cell in cells for run in cell.runs]
@@ -159,6 +164,7 @@ def _write(
             findings["summary"],
         ),
         (WINS, findings["improvement"]),
+        *([(FACTORS, findings["factors"])] if findings["factors"] else []),
         (EXAMS, findings["exams"]),
         (ROLLOUTS, findings["rollouts"]),
         ("What is missing for the paper's figure", findings["missing"]),
@@ -189,6 +195,17 @@ def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[st
         names = ("learner", "against", "by", "wins", "low", "high", "p", "p of all", "tasks")
         rows = [[_cell(row[name], ".2g") for name in names] for row in findings["improvement"]]
         show(WINS, names, rows)
+    if findings["factors"]:
+        names = ("learner", "effect of", "by", "effect", "wins", "p", "p of all")
+        rows = [
+            [
+                row["learner"], row["effect of"], row["by"],
+                _interval(row["effect"], row["low"], row["high"]),
+                *(_cell(row[name], ".2g") for name in names[4:]),
+            ]
+            for row in findings["factors"]
+        ]  # fmt: skip
+        show(FACTORS, names, rows)
     for key, title, of_fits in (
         ("exams", EXAMS, returns_fits.EXAMS.values()),
         ("rollouts", ROLLOUTS, returns_fits.ROLLOUTS),
