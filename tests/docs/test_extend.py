@@ -157,11 +157,11 @@ def test_plugins_work_as_the_page_says(home: Path):
 def test_the_studies_know_plugins_tasks_and_learners(home: Path):
     longer = TRAIN.replace("320", "1300")
     works(f"{longer} --env swimmer --learner surprise --run-id mine {PLUGINS}", home)
-    asked = f"--env swimmer --preset smoke --store runs --json {PLUGINS}"
+    asked = f"--env swimmer hopper --preset smoke --store runs --json {PLUGINS}"
     said = works(f"reproduce returns --learner surprise {asked} --out returns", home)
     (row,) = json.loads(said)["summary"]
     assert (row["env"], row["learner"], row["n"]) == ("swimmer", "Surprise", 1)
-    assert json.loads(said)["missing"] == []  # of the paper's figure, which has neither
+    assert json.loads(said)["missing"] == []  # of the paper's figure, which has no such learner
     said = works(f"reproduce returns {asked} --out returns".replace("--json", ""), home)
     assert "nan" not in said
     said = refused("reproduce returns --learner surprise --store runs", home)
