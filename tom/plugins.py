@@ -34,7 +34,7 @@ from tom.config import (
 from tom.envs import ENV_NAMES, OTHERS, Task, Termination
 from tom.envs.ends import LEARNT, RULES
 from tom.envs.gymnasium_task import STEPS, look_at
-from tom.envs.user_code import USERS, import_named
+from tom.envs.user_code import import_named, remember
 from tom.errors import OF_USERS, UserError, reason
 from tom.harmless import terminal
 from tom.learners import LEARNERS, LearnerEntry
@@ -265,7 +265,7 @@ def _load_installed(point: EntryPoint) -> None:
     try:
         module = point.load()
         _register(getattr(module, "register", module), point.name)
-        USERS[point.module] = sys.modules[point.module]
+        remember(point.module, sys.modules[point.module])
     except OF_USERS as error:  # a broken package must not stop every command
         del _LOADED[key]
         said = f"tom: the installed plug-in {point.name} is left out: {reason(error)}"
@@ -285,7 +285,7 @@ def _of_file(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except OF_USERS as error:  # the user's own code
         raise UserError(_failure(str(path), error)) from error
-    USERS[name] = module
+    remember(str(path), module)
     return module
 
 

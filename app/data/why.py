@@ -223,6 +223,8 @@ def _rollouts(run: RunInfo, reader: RunReader, rows: Rows, row: int, step: int) 
     try:
         known, kept = task(run.env), stored_model(reader)
         policy_step = step if reader.has_policy(step) else None
+        if not reader.has_policy(policy_step):
+            return "the policy of this fit was not kept, and the run has no last one"
         policy = load_policy(run.path, Store(Path(run.path).parent), known, policy_step)
     except UserError as error:
         return str(error)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from tom.config import Settings, in_words
+from tom.errors import UserError
 from tom.learners import others_groups
 from tom.training.presets import resolve
 
@@ -52,22 +53,31 @@ def variants(runs: Sequence[Made]) -> dict[str, str]:
     """For each run id, its differences from the runs of the same environment, learner and preset.
 
     Empty if only the seed differs. Settings that a run's version did not have yet do not count, nor
-    do settings of other learners.
+    do settings of other learners. A value that is the preset's own is not named.
     """
     kinds: dict[tuple[str, str, str], list[Made]] = {}
     for run in runs:
         kinds.setdefault((run.env, run.learner, run.preset), []).append(run)
     variant_of: dict[str, str] = {}
-    for (_, learner, _), members in kinds.items():
+    for (env, learner, preset), members in kinds.items():
         apart = {
             path: words
             for path, words in differences(members).items()
             if matters(path, learner) and len(set(words) - {NONE}) > 1
         }
+        own = _known_preset(env, learner, preset) if apart else {}
         for i, run in enumerate(members):
-            words = [f"{path} {values[i]}" for path, values in apart.items()]
+            words = [f"{path} {of[i]}" for path, of in apart.items() if of[i] != own.get(path)]
             variant_of[run.run_id] = ", ".join(words)
     return variant_of
+
+
+def _known_preset(env: str, learner: str, preset: str) -> Settings:
+    """The settings of a preset; empty if the task, learner or preset is not known here."""
+    try:
+        return in_words(resolve(env, learner, preset).model_dump(mode="json"))
+    except UserError:
+        return {}
 
 
 def changed(run: Made) -> dict[str, str]:

@@ -22,7 +22,7 @@ from tom.learners.base import FitContext
 from tom.policy.collect import Footprint, footprint
 from tom.policy.foreign import ForeignPolicy, foreign_policy, is_foreign
 from tom.policy.stored import NAME, StoredPolicy, UniformPolicy, read_policy
-from tom.record import Store, layout
+from tom.record import RunReader, Store, layout
 from tom.rng import Streams
 
 RANDOM = "random"
@@ -187,13 +187,19 @@ def _stored(name: str, store: Store, step: int | None) -> StoredPolicy:
         return read_policy(Path(name))
     if run.has_policy(step):
         return read_policy(run.path / (NAME if step is None else layout.policy(step)))
-    kept, of = run.policy_steps(), "its end" if step is None else f"step {step}"
-    advice = "--step takes one of " + ", ".join(map(str, kept))
-    if not kept:
-        advice = "it kept none of its fits (nor did any run of an earlier version): omit --step"
-    if not kept and step is None:
-        advice = "train it to its end, or name another run"
-    raise UserError(f"run {run.run_id} kept no policy of {of}: {advice}")
+    of = "its end" if step is None else f"step {step}"
+    raise UserError(f"run {run.run_id} kept no policy of {of}: {_advice(run, step)}")
+
+
+def _advice(run: RunReader, step: int | None) -> str:
+    """What to do where a run has no policy of `step` (None: of its end)."""
+    if run.fits_model and (kept := run.policy_steps()):
+        return "--step takes one of " + ", ".join(map(str, kept))
+    if step is not None and run.has_policy():
+        return "it kept none of its fits (nor did any run of an earlier version): omit --step"
+    if run.status.state == "finished":
+        return "name another run"
+    return "train it to its end, or name another run"
 
 
 def _no_step(name: str, step: int | None) -> None:

@@ -23,8 +23,8 @@ _NOT_THE_USERS = (
     str(Path(__file__).parents[1]),
 )
 """parts of the paths of libraries, of Python itself and of this package"""
-USERS: dict[str, ModuleType] = {}
-"""the modules that the user named to this process, by name; not what they import in turn"""
+_USERS: dict[str, ModuleType] = {}
+"""the modules that the user named to this process, by what he wrote"""
 
 
 @contextmanager
@@ -61,7 +61,7 @@ def import_named(module: str, option: str) -> ModuleType:
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     try:
-        USERS[module] = importlib.import_module(module)
+        remember(module, found := importlib.import_module(module))
     except ModuleNotFoundError as error:
         raise UserError(
             f"{option}: no module '{error.name}': install it, or start from the folder it is in"
@@ -71,7 +71,22 @@ def import_named(module: str, option: str) -> ModuleType:
             f"{option}: module '{module}' cannot be imported: "
             f"{type(error).__name__}: {reason(error)}{place(error)}"
         ) from error
-    return USERS[module]
+    return found
+
+
+def remember(name: str, module: ModuleType) -> None:
+    """Keep a module that the user named by `name`, for `users_code`."""
+    _USERS[name] = module
+
+
+def users_code() -> list[Path]:
+    """The files, and the folders of packages, of the modules that the user named, in order."""
+    found: set[Path] = set()
+    for module in _USERS.values():
+        top = sys.modules.get(module.__name__.partition(".")[0], module)
+        places = getattr(top, "__path__", None) or [getattr(top, "__file__", None)]
+        found.update(Path(place) for place in places if place and Path(place).exists())
+    return sorted(found)
 
 
 def tried(given: Termination, known: Task, name: str) -> Termination:

@@ -19,7 +19,7 @@ import torch
 from tom import plugins
 from tom.envs import bring, brought
 from tom.envs.ends import bring_rule, brought_rules
-from tom.envs.user_code import USERS
+from tom.envs.user_code import users_code
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
 from tom.record.versions import versions
@@ -66,14 +66,11 @@ def each(
 
 def code_hash() -> str:
     """A hash of what affects an outcome besides its case: this package's files and versions, and
-    the files of plug-ins and modules that the user named (not what these import in turn)."""
+    the files or packages that the user named (not what these import in turn)."""
     digest = sha256(repr(versions()).encode())
-    root = Path(__file__).parents[1]
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    for name in sorted(USERS):
-        file = USERS[name].__file__
-        digest.update(name.encode() + (Path(file).read_bytes() if file else b""))
+    for root in (Path(__file__).parents[1], *users_code()):
+        for path in sorted(root.rglob("*.py")) if root.is_dir() else [root]:
+            digest.update(path.relative_to(root.parent).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()
 
 

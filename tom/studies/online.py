@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tom.envs import ROAD, task_rank
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader
+from tom.studies.returns import PAPER_ENVS
 
 STEPS = 5
 UNIFORM = 0.999  # effective sample size (share) from which weights count as uniform
@@ -96,7 +97,7 @@ def verdict(panels: Sequence[RunProfiles]) -> list[str]:
     """For each learner, how much of its weight is not at the newest end of the buffer.
 
     That is also true of even weights. So the paper's claim is tested on profiles that are not even,
-    and on their excess over even weights.
+    and on their excess over even weights, in the paper's tasks.
     """
     lines = []
     for name in dict.fromkeys(panel.run.learner for panel in panels):
@@ -109,8 +110,9 @@ def verdict(panels: Sequence[RunProfiles]) -> list[str]:
             f"and in {int((peak < 1 - NEWEST).sum())} the peak does; {len(own)} runs, "
             f"{len(own)} environments, one seed each."
         )
-        if name == "tom":
-            lines[-1] += _held_against_paper(own)
+        of_paper = [panel for panel in own if panel.run.env in PAPER_ENVS]
+        if name == "tom" and of_paper:
+            lines[-1] += _held_against_paper(of_paper)
     return lines
 
 

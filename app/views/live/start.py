@@ -58,7 +58,11 @@ def panel() -> None:
         seeds = row[3].text_input(
             "Seeds", "0", key="start seeds", help="one training each: 0, or 0-2, or 0, 3"
         )
-        usual = form.default_steps(env, learner, preset)
+        try:
+            usual = form.default_steps(env, learner, preset)
+        except UserError as error:  # a plug-in's task that cannot be made
+            st.error(str(error))
+            return
         steps = row[4].number_input(
             "Steps", 1, None, usual, key=f"start steps {env} {preset}", help="env steps of each run"
         )

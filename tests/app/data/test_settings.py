@@ -51,6 +51,22 @@ def test_runs_are_apart_by_settings_that_matter() -> None:
     assert variants(runs) == {"a": "sac.lr 1", "b": "sac.lr 1", "c": "sac.lr 2"}
 
 
+def test_the_presets_own_value_is_not_named() -> None:
+    def run(name: str, share: str, env: str = "hopper") -> Run:
+        return Run(name, {"model.uniform_share": share, "tom.q_lr": "1"}, env=env, preset="mended")
+
+    assert variants([run("a", "0.0"), run("b", "1.0"), run("c", "0.5")]) == {
+        "a": "",
+        "b": "model.uniform_share 1.0",
+        "c": "model.uniform_share 0.5",
+    }
+    # No code of this task is here to say what its preset is.
+    assert variants([run("a", "0.0", "nowhere:Task-v0"), run("b", "1.0", "nowhere:Task-v0")]) == {
+        "a": "model.uniform_share 0.0",
+        "b": "model.uniform_share 1.0",
+    }
+
+
 def test_a_preset_is_told_where_its_learner_has_several() -> None:
     runs = [
         Run("a", {}),

@@ -21,7 +21,8 @@ from app.parts import replay_link
 from app.parts.cards import figures as figures_of
 from app.views.live import now, start, usual, watched
 from app.views.weights import newest_fifth, play
-from tom.envs import ENVS, OTHERS
+from tom.envs import ENVS, OTHERS, Task
+from tom.errors import UserError
 from tom.record import layout
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
@@ -251,6 +252,20 @@ def test_the_form_offers_the_tasks_of_plugins(store: Path, monkeypatch: pytest.M
     assert not app.exception
     shown = next(code.value for code in app.code if "tom train" in code.value)
     assert shown.startswith("tom train --env swimmer --learner tom")
+
+
+def test_the_form_says_why_a_task_cannot_be_trained_in(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken() -> Task:
+        raise UserError("task broken cannot be made")
+
+    monkeypatch.setitem(OTHERS, "broken", broken)
+    app = draw("live")
+    app.session_state[start.FOLD] = True
+    app.run().selectbox(key="start env").select("broken").run()
+    assert not app.exception
+    assert "task broken cannot be made" in [error.value for error in app.error]
 
 
 def test_the_forms_preset_is_the_learners_own_until_another_is_chosen(store: Path) -> None:

@@ -121,6 +121,8 @@ def test_the_studies_take_a_task_and_a_rule_of_ones_own(home: Path):
     code, said = tom(trial, home)
     assert (code, "add --termination own_tasks:fallen" in said) == (2, True), said
     assert not (home / "trial").exists()
+    code, said = tom(f"{trial} --termination own_tasks:numbers", home)
+    assert (code, "no run here was trained with it" in said) == (2, True), said
     code, said = tom(f"{trial} {RULE}", home)
     assert (code, "1 moments of 1 runs" in said) == (0, True), said
 

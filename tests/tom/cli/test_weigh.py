@@ -392,3 +392,20 @@ def test_reproduce_knows_its_studies(capsys, tmp_path: Path):
         assert named in message
         assert message.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("run_id", "without", "advice"),
+    [
+        ("trained", ["policy.npz"], "--step takes one of "),
+        ("trained", ["policy.npz", "policies"], "name another run"),
+        ("sac", ["policy.npz"], "name another run"),  # a recording has no fits to name
+    ],
+)
+def test_a_run_without_its_last_policy(store, tmp_path, run_id, without, advice, capsys):
+    shutil.copytree(store / run_id, tmp_path / run_id)
+    for name in without:
+        path = tmp_path / run_id / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert weigh(tmp_path, run_id, "--policy", run_id) == 2
+    assert f"{run_id} kept no policy of its end: {advice}" in capsys.readouterr().err

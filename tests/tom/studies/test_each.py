@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from tom.analysis.weighing import Weighed
+from tom.envs import user_code
 from tom.studies import each as module
 from tom.studies.each import FOLDER, each
 from tom.studies.focus import Focus
@@ -97,6 +98,23 @@ def test_the_hash_of_the_code_is_of_its_files(tmp_path: Path, monkeypatch: pytes
     empty = module.code_hash()
     (copy / "each.py").write_text("x")
     assert len({before, empty, module.code_hash()}) == 3
+
+
+def test_the_packages_and_files_that_the_user_named_are_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "own_package" / "envs").mkdir(parents=True)
+    for name in ("__init__.py", "envs/__init__.py", "envs/task.py"):
+        (tmp_path / "own_package" / name).touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(user_code, "_USERS", {})
+    before = module.code_hash()
+    user_code.import_named("time", "--env time:Task-v0")  # has no file
+    assert module.code_hash() == before
+    user_code.import_named("own_package.envs", "--env own_package.envs:Task-v0")
+    named = module.code_hash()
+    (tmp_path / "own_package/envs/task.py").write_text("x = 1")
+    assert len({before, named, module.code_hash()}) == 3
 
 
 class Evil:

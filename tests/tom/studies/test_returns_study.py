@@ -359,19 +359,43 @@ def test_what_is_missing_is_named_with_its_command(store: Store):
     assert rows[0]["command"] == ("tom sweep --env hopper --learner tom --preset paper --seeds 4")
 
 
+def two_by_two(
+    store: Store, preset: str, means: Sequence[float], seeds: int = 3, **changes: Any
+) -> list[study.Cell]:
+    """Cells with these means: TOM, that with uniform starts, with a uniform model, and MLE."""
+    for uniform, mean in zip(("", "rollout", "model", "mle"), means, strict=True):
+        learner = "mle" if uniform == "mle" else "tom"
+        own = {uniform: {"uniform_share": 1.0}} if uniform in ("rollout", "model") else {}
+        for seed in range(seeds):
+            returns = [mean + seed - (seeds - 1) / 2] * 2
+            shared = {name: of for name, of in changes.items() if (learner, name) != ("mle", "tom")}
+            used = "paper" if (learner, preset) == ("mle", "mended") else preset
+            record(store, "hopper", learner, seed, returns, used, **shared, **own)
+    return study.select(store.runs(), "paper", preset, apart=True)[0]
+
+
+def test_what_weights_do_is_asked_of_runs_that_are_alike_in_all_else(tmp_path: Path):
+    store, other = Store(tmp_path / "a"), Store(tmp_path / "b")
+    for seed in range(3):  # an MLE of another preset, or with other settings, is no part of it
+        record(store, "hopper", "mle", seed, [100, 100])
+        record(other, "hopper", "mle", seed, [100, 100])
+    found = factors.factors(two_by_two(store, "mbpo", (11, 11, 11, 11)))
+    assert {row["effect"] for row in found} == {0}
+    assert {row["learner"] for row in found} == {"TOM, mbpo"}
+    settings = {"fit_every": 500, "tom": {"q_steps": 500}}
+    found = factors.factors(two_by_two(other, "mended", (11, 11, 11, 11), **settings))
+    assert {row["effect"] for row in found} == {0}
+    assert {row["learner"] for row in found} == {"TOM, mended, fit_every 500, tom.q_steps 500"}
+
+
+def test_of_single_runs_an_effect_has_no_p(tmp_path: Path):
+    found = factors.factors(two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11), seeds=1))
+    assert [row["effect"] for row in found[:3]] == [15, 25, 30]
+    assert all(np.isnan(row["p"]) and np.isnan(row["low"]) for row in found)
+
+
 def test_what_weights_do_in_either_place_is_the_mean_over_the_others_levels(tmp_path: Path):
-    store = Store(tmp_path)
-    cells = {  # what is weighted, and the returns of three seeds
-        ("mle", "paper", ""): (10, 11, 12),
-        ("tom", "mended", "model"): (20, 21, 22),  # with weighted starts alone
-        ("tom", "mended", "rollout"): (10, 11, 12),  # with a weighted model alone
-        ("tom", "mended", "none"): (50, 51, 52),
-    }
-    for (learner, preset, uniform), returns in cells.items():
-        changes = {uniform: {"uniform_share": 1.0}} if uniform in ("model", "rollout") else {}
-        for seed, value in enumerate(returns):
-            record(store, "hopper", learner, seed, [value, value], preset, **changes)
-    chosen, _ = study.select(store.runs(), "paper", "mended", apart=True)
+    chosen = two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11))
     rows = {(row["effect of"], row["by"]): row for row in factors.factors(chosen)}
     assert len(rows) == 3 * len(tables.MEASURES)
     area = "area under the curve"

@@ -150,9 +150,10 @@ def _command(study: FrozenStudy, usual: Mapping[str, Any]) -> Callable[[argparse
 
 def _refuse_beside_a_table(given: Sequence[str], runs: Sequence[str]) -> None:
     """Raises UserError for options that have no meaning if nothing is measured."""
-    for name in (*(f"--{option}" for option in given), *runs):
+    if too_many := [*(f"--{option}" for option in given), *runs]:
         raise UserError(
-            f"--from takes all that its file holds, as it was measured: leave out {name}"
+            "--from takes all that its file holds, as it was measured: leave out "
+            f"{' '.join(too_many)}"
         )
 
 
@@ -263,7 +264,7 @@ def chosen_runs(args: argparse.Namespace) -> list[RunReader]:
     if not runs:
         raise UserError(
             f"{args.store}/ has no run with a buffer and policies of its fits: "
-            "tom record-sac --env hopper --steps 20000 makes one"
+            f"tom record-sac --env {min(envs, key=task_rank)} --steps 20000 makes one"
         )
     return sorted(runs, key=lambda run: (task_rank(run.env), run.run_id))
 

@@ -4,7 +4,8 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from tom.cli.named import add_termination
+from tom.cli.named import TERMINATION
+from tom.cli.parser import DEST
 from tom.cli.reproduce.frozen import add_moments, check_model, chosen_runs, chosen_ways
 from tom.cli.reproduce.study import (
     add_output,
@@ -55,7 +56,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "whole, or small copies made with --keep buffer policies.",
     )
     add_moments(parser, WAYS)
-    add_termination(parser)
+    parser.add_argument(
+        "--termination", dest=DEST + TERMINATION, metavar="module:function",
+        help="the rule that runs were trained with, if it is code of yours; it is used for these",
+    )  # fmt: skip
     known = ", ".join(f"'{name}'" for name in MODELS)
     parser.add_argument("--model", default="200 x 4", help=f"{known} [%(default)s]")
     parser.add_argument(
@@ -99,6 +103,9 @@ def _runs(args: argparse.Namespace) -> list[RunReader]:
     if not able or (args.runs and len(able) < len(runs)):
         lacking = next(run.run_id for run in runs if run not in able)
         raise UserError(f"run {lacking} kept no critics with its policies: name others")
+    given, known = getattr(args, DEST + TERMINATION), {study.rule_of(run) for run in able}
+    if given is not None and given not in known:
+        raise UserError(f"--termination {given}: no run here was trained with it, leave it out")
     for run in able:
         rule(task(run.env), study.rule_of(run))
     return able

@@ -45,8 +45,8 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 @stoppable
 def run(args: argparse.Namespace) -> int:
     envs = check_stored(args)
-    profiles = study.panels(Store(args.store).runs(), *args.preset)
-    profiles = [panel for panel in profiles if panel.run.env in envs]
+    runs = [run for run in Store(args.store).runs() if run.env in envs]
+    profiles = study.panels(runs, *args.preset)
     if not profiles:
         raise UserError(
             f"{args.store}/ has no such run that weighed its buffer: tom sweep --env "
