@@ -13,11 +13,13 @@ from tom.studies import capacity, footprint
 from tom.studies.frozen import MODELS, Outcome
 from tom.studies.frozen_table import read_outcomes
 from tom.studies.returns import Cell, compared_from, select
+from tom.studies.returns_factors import factors
 from tom.studies.returns_fits import EXAMS, exams, rollouts
 from tom.studies.returns_tables import improvement, summary
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/findings.md").read_text()
+FOUR = (0, 1, 2, 3)
 MEASURES = ("area under the curve", "best return", "last return")
 
 
@@ -28,14 +30,14 @@ def rows(head: str) -> list[list[str]]:
 
 
 @cache
-def cells(at: int, *learners: str, seeds: tuple[int, ...] = ()) -> list[Cell]:
+def cells(at: int, *learners: str, seeds: tuple[int, ...] = (), apart: bool = False) -> list[Cell]:
     """Hopper's runs as `tom reproduce returns --preset paper mended` compares them."""
     runs = [
         run
         for run in Store(ROOT / "runs").runs()
         if run.env == "hopper" and run.learner in learners and (not seeds or run.seed in seeds)
     ]
-    return select(runs, "paper", "mended", at={"hopper": at})[0]
+    return select(runs, "paper", "mended", at={"hopper": at}, apart=apart)[0]
 
 
 def share(value: float) -> str:
@@ -108,19 +110,41 @@ def test_what_weights_do_for_models_of_each_size() -> None:
 
 
 def test_the_scores_at_the_planned_end() -> None:
-    mine = cells(40000, "mle", "pmac", "tom", "vagram")
+    made = scored(cells(40000, "mle", "pmac", "tom", "vagram"), 40000)
+    assert {label: told for label, *told in rows("Hopper, step 40 000")} == made
+
+
+def test_the_scores_of_the_two_by_two() -> None:
+    made = scored(cells(20000, "mle", "tom", seeds=FOUR, apart=True), 20000)
+    assert {label: told for label, *told in rows("Hopper, 2 x 2")} == {
+        label: told for label, told in made.items() if label != "TOM"
+    }
+
+
+@pytest.mark.parametrize("row", rows("effect, the mean"), ids=lambda row: row[0])
+def test_the_effects_of_the_two_by_two(row: list[str]) -> None:
+    place, *told = row
+    made = factors(cells(20000, "mle", "tom", seeds=FOUR, apart=True))
+    mine = {one["by"]: one for one in made if one["effect of"] == place}
+    for i, by in enumerate(MEASURES):
+        value, *ends = (f"{mine[by][key]:+.0f}" for key in ("effect", "low", "high"))
+        effect = f"{value} [{', '.join(ends)}]"
+        assert told[3 * i : 3 * i + 3] == [effect, *(share(mine[by][key]) for key in ("wins", "p"))]
+
+
+def scored(mine: list[Cell], at: int) -> dict[str, list[str]]:
+    """The areas with their interval and of each seed, and the best and last returns, by learner."""
     since = compared_from(mine)["hopper"]
-    made = {
+    assert since == 6000
+    return {
         cell.label: [
             spread(row, "area", "area low", "area high"),
-            whole(cell.scores(40000, HEIGHT, since)),
-            whole(cell.scores(40000, BEST)),
-            whole(cell.scores(40000, FINAL)),
+            whole(cell.scores(at, HEIGHT, since)),
+            whole(cell.scores(at, BEST)),
+            whole(cell.scores(at, FINAL)),
         ]
         for cell, row in zip(mine, summary(mine), strict=True)
     }
-    assert since == 6000
-    assert {label: told for label, *told in rows("Hopper, step 40 000")} == made
 
 
 @pytest.mark.parametrize("row", rows("TOM, mended beats MLE"), ids=lambda row: row[0])

@@ -35,7 +35,7 @@ CLAIM = (
 WINS = "How often a run of one learner beats one of another"
 FACTORS = (
     "What weights in the model, and in the rollouts' starts, do for the return: each the mean over "
-    "both levels of the other; p of all is corrected for this table's"
+    "both levels of the other; p of all is corrected for the tests of this table"
 )
 EXAMS = "Exams: the median fit of each run, on new steps of its own policy; mean over runs"
 ROLLOUTS = (
