@@ -88,7 +88,8 @@ def test_it_has_every_learner_side_by_side() -> None:
     assert pendulum["tom"] == 10  # of two presets
     assert {pendulum[name] for name in ("ratio", "vagram", "vagram-ensemble")} == {3}
     hopper = {name: found["hopper", name] for name in HOPPER}
-    assert hopper == {"mle": 6, "pmac": 6, "tom": 6 + 6, "vagram": 2}  # TOM of two presets
+    # TOM of two presets, and with weights in the model or in the starts alone.
+    assert hopper == {"mle": 6, "pmac": 6, "tom": 6 + 6 + 4 + 4, "vagram": 2}
     assert WEIGHINGS
 
 
@@ -131,10 +132,10 @@ def test_live_draws_its_returns(run: RunReader) -> None:
 @pytest.mark.parametrize("run", EACH)
 @pytest.mark.usefixtures("shown")
 def test_compare_takes_all_seeds_of_it(run: RunReader) -> None:
-    presets = sorted({r.preset for r in COPIES if (r.env, r.learner) == (run.env, run.learner)})
+    own = [r for r in COPIES if (r.env, r.learner) == (run.env, run.learner)]
     table = draw("compare", env=run.env).dataframe[0].value.set_index("learner")
     rows = table.loc[[learner_label(run.learner)]]
-    groups = [[r for r in COPIES if alike(r, run, preset)] for preset in presets]
+    groups = [[r for r in own if trained(r) == kind] for kind in set(map(trained, own))]
     assert sorted(rows["n"]) == sorted(len(group) for group in groups)
     finals = [np.mean(last_values(group, "eval/return")) for group in groups]
     assert sorted(rows["final"]) == pytest.approx(sorted(finals))
@@ -147,8 +148,10 @@ def last_values(group: list[RunReader], metric: str) -> list[float]:
     return [value[np.searchsorted(steps, common, "right") - 1] for steps, value in curves]
 
 
-def alike(run: RunReader, other: RunReader, preset: str) -> bool:
-    return (run.env, run.learner, run.preset) == (other.env, other.learner, preset)
+def trained(run: RunReader) -> tuple[str, ...]:
+    """In what runs of a learner differ in the gallery: the preset, and where weights act."""
+    shares = (run.settings.get(f"{place}.uniform_share", "0.0") for place in ("model", "rollout"))
+    return (run.preset, *shares)
 
 
 @pytest.mark.usefixtures("shown")

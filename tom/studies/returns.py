@@ -22,7 +22,7 @@ from tom.analysis.curves import Curve, curve_points
 from tom.analysis.grouping import Kind, kinds
 from tom.analysis.scores import BEST, begun, common_start, common_step, scores_of
 from tom.analysis.settings import changed
-from tom.envs import ENVS, task_rank
+from tom.envs import ENVS, ROAD, task_rank
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader
 
@@ -88,7 +88,9 @@ def select(
     or later are left out. All runs of a learner are left out if one was first evaluated after the
     step of the comparison.
     """
-    mine = [run for run in runs if run.learner in LEARNERS and run.preset in presets]
+    mine = [
+        run for run in runs if run.env != ROAD and run.learner in LEARNERS and run.preset in presets
+    ]
     kind_of = kinds(mine)
     recorded = [(run, _curve(run, kind_of[run.run_id])) for run in mine]
     reaching = [(run, _until(curve, at.get(run.env))) for run, curve in recorded]

@@ -14,6 +14,8 @@ from tom.studies.returns import Cell, Method, compared_at
 
 COLUMNS = 3
 FEW_POINTS = 10
+LONG = 26
+"""letters of a name, of which two do not fit beside each other"""
 SOLID, DASHES = "-", ("-.", "--", ":")
 
 
@@ -35,7 +37,9 @@ def return_figure(cells: Sequence[Cell]) -> Figure:
             ax.set_title(env)
             ax.set_xlabel("env steps")
             ax.xaxis.set_major_formatter(EngFormatter(sep=""))  # 40k
-            ax.legend(fontsize=7.5, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+            names = ax.get_legend_handles_labels()[1]
+            ncols = 2 if max(map(len, names)) <= LONG else 1
+            ax.legend(fontsize=7.5, ncols=ncols, loc="upper center", bbox_to_anchor=(0.5, -0.2))
         for ax in axes[len(at) :]:
             ax.set_visible(False)
         axes[0].set_ylabel("best return so far")
