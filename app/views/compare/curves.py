@@ -216,6 +216,7 @@ def in_words(table: pd.DataFrame) -> pd.DataFrame:
 def columns() -> dict:
     number = st.column_config.NumberColumn
     return {
+        "settings": st.column_config.TextColumn("settings", width="medium"),
         "n": number("n", help="runs in the group"),
         "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
         "final": number(
