@@ -9,6 +9,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from hashlib import sha256
 from multiprocessing import active_children, get_context
 from pathlib import Path
@@ -20,6 +21,7 @@ from tom import plugins
 from tom.envs import bring, brought
 from tom.envs.ends import bring_rule, brought_rules
 from tom.envs.user_code import users_code
+from tom.errors import UserError
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
 from tom.record.versions import versions
@@ -92,8 +94,11 @@ def _prepare(parent: int, tasks: Sequence[str], rules: Sequence[str]) -> None:
         raise SystemExit  # the caller was killed before
     torch.set_num_threads(1)
     choose_matmul()
-    plugins.load()
+    with suppress(UserError):  # the case that needs what cannot be had says so
+        plugins.load()
     for name in tasks:
-        bring(name)
+        with suppress(UserError):
+            bring(name)
     for name in rules:
-        bring_rule(name)
+        with suppress(UserError):
+            bring_rule(name)

@@ -12,7 +12,8 @@ import torch
 from numpy.typing import NDArray
 
 from tom.analysis.weighing import Weighed
-from tom.envs import user_code
+from tom.envs import ENVS, OTHERS, user_code
+from tom.envs.ends import RULES
 from tom.studies import each as module
 from tom.studies.each import FOLDER, each
 from tom.studies.focus import Focus
@@ -115,6 +116,15 @@ def test_the_packages_and_files_that_the_user_named_are_code(
     named = module.code_hash()
     (tmp_path / "own_package/envs/task.py").write_text("x = 1")
     assert len({before, named, module.code_hash()}) == 3
+
+
+def test_a_module_that_is_gone_stops_no_case_that_does_not_need_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setitem(OTHERS, "gone_since:Task-v0", lambda: ENVS["hopper"])
+    monkeypatch.setitem(RULES, "gone_since:fallen", lambda obs: obs[:, 0] > 0)
+    (made,) = each(write, [Step("a", tmp_path / "log")], 1, tmp_path)
+    assert made.text == "aa"
 
 
 class Evil:
