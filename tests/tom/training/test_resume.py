@@ -23,6 +23,7 @@ from tom.events import Collected, Evaluation, Event, Field, Metrics, Tick, Train
 from tom.learners import LEARNER_NAMES
 from tom.mbpo import Mbpo
 from tom.offline import Offline
+from tom.policy.stored import StoredPolicy
 from tom.record import Store, checkpoint
 from tom.record.writer import RunWriter
 from tom.training.presets import resolve
@@ -271,6 +272,8 @@ def test_a_run_that_goes_on_has_no_last_policy_until_it_has_ended_again(tmp_path
         load_policy("a", store, known)
     assert resume(store, "a", rerun=False).has_policy()
     after = load_policy("a", store, known)
+    assert isinstance(before, StoredPolicy)
+    assert isinstance(after, StoredPolicy)
     obs = torch.zeros(1, known.obs_dim)
     assert not torch.equal(before.mean(obs), after.mean(obs))
 
