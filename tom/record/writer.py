@@ -81,7 +81,7 @@ class RunWriter:
         return {
             "lines": [lines.size for lines in self._lines()],
             "segment": self._tail_first,
-            "segment_rows": sum(len(part["policy_version"]) for part in self._tail),
+            "segment_rows": self._tail_rows(),
             "latest_snapshot": self._latest_snapshot,
         }
 
@@ -93,8 +93,8 @@ class RunWriter:
         (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
         self._latest_snapshot = mark["latest_snapshot"]
         self._tail_first, self._tail = mark["segment"], []
-        for first in layout.numbers(self.path / "buffer", ".npz"):
-            if first > self._tail_first:
+        for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
+            if first >= mark["segment"] + mark["segment_rows"]:
                 (self.path / layout.segment(first)).unlink()
         if mark["segment_rows"]:
             path = self.path / layout.segment(self._tail_first)
@@ -102,14 +102,18 @@ class RunWriter:
             self._tail = [{name: held[name][: mark["segment_rows"]] for name in held}]
 
     def sync(self) -> None:
-        """Wait until the rows that a checkpoint relies on are on the disk."""
+        """Wait until the rows that a checkpoint relies on are on the disk.
+
+        Later rows begin a new segment: one that is written anew could be lost with its old rows.
+        """
         self._lock.check()
         for lines in self._lines():
             lines.sync()
         for path in self._unsynced:
             sync(path)
-        sync(self.path / "buffer")
+        sync(self.path / layout.BUFFER)
         self._unsynced.clear()
+        self._end_segment()
 
     def throw_off_ballast(self) -> None:
         """Free the space that is reserved for the final status on a full disk."""
@@ -197,11 +201,9 @@ class RunWriter:
         joined = {n: np.concatenate([part[n] for part in self._tail]) for n in self._tail[0]}
         self._arrays(layout.segment(self._tail_first), joined)
         self._unsynced.add(self.path / layout.segment(self._tail_first))
-        length = len(joined["policy_version"])
-        if length >= SEGMENT_ROWS:
-            self._tail, self._tail_first = [], self._tail_first + length
-        else:
-            self._tail = [joined]
+        self._tail = [joined]
+        if self._tail_rows() >= SEGMENT_ROWS:
+            self._end_segment()
 
     def kept_policy(self, env_step: int, arrays: Mapping[str, NDArray]) -> None:
         """Write the policy at `env_step`."""
@@ -232,6 +234,12 @@ class RunWriter:
             lines.close()
         self.throw_off_ballast()
         self._lock.close()
+
+    def _tail_rows(self) -> int:
+        return sum(len(part["policy_version"]) for part in self._tail)
+
+    def _end_segment(self) -> None:
+        self._tail, self._tail_first = [], self._tail_first + self._tail_rows()
 
     def _append(self, lines: JsonLines, row: Mapping[str, Any]) -> None:
         self._lock.check()

@@ -1,0 +1,87 @@
+"""What a checkpoint counts on outlives a power loss at any later moment."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import Config, transitions
+
+from tom.record import Store, layout
+from tom.record.reader import RunReader
+from tom.record.writer import RunWriter
+
+
+class Disk:
+    """Which content of which file has reached the disk: as it was when it was last synced."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._held: dict[int, bytes] = {}
+        self._sync = os.fsync
+        monkeypatch.setattr(os, "fsync", self._synced)
+
+    def _synced(self, handle: int) -> None:
+        self._sync(handle)
+        path = Path(f"/proc/self/fd/{handle}")
+        if path.is_file():
+            self._held[path.stat().st_ino] = path.read_bytes()
+
+    def lose_power(self, folder: Path) -> None:
+        """Every file of the folder is as it was last synced: one that never was is empty."""
+        for path in folder.iterdir():
+            path.write_bytes(self._held.get(path.stat().st_ino, b""))
+
+
+def write(writer: RunWriter, first: int, count: int) -> None:
+    writer.rows(transitions(first, count), np.zeros(count, np.int64))
+
+
+def held(run: Path) -> list[float]:
+    return RunReader(run).buffer()[0].reward.tolist()
+
+
+def test_rows_that_a_checkpoint_counts_on_outlive_a_power_loss_long_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    disk = Disk(monkeypatch)
+    writer = RunWriter.create(Store(tmp_path), "a", Config)
+    write(writer, 0, 30)
+    write(writer, 30, 30)
+    writer.sync()
+    mark = writer.mark()
+    write(writer, 60, 40)
+    writer.close()
+    disk.lose_power(writer.path / layout.BUFFER)
+    assert held(writer.path)[:60] == list(range(60))
+    again = RunWriter(writer.path, Config)
+    again.rewind(mark)
+    assert held(again.path) == list(range(60))
+    write(again, 60, 10)
+    again.close()
+    assert held(again.path) == list(range(70))
+
+
+@pytest.mark.parametrize("before", [0, 60])
+def test_a_rewound_record_has_no_row_from_after_its_mark(tmp_path: Path, before: int):
+    writer = RunWriter.create(Store(tmp_path), "a", Config)
+    if before:
+        write(writer, 0, before)
+    writer.sync()
+    mark = writer.mark()
+    write(writer, before, 40)
+    writer.sync()
+    write(writer, before + 40, 40)
+    writer.rewind(mark)
+    assert held(writer.path) == list(range(before))
+    writer.close()
+
+
+def test_a_mark_in_the_middle_of_a_segment_is_gone_back_to(tmp_path: Path):
+    writer = RunWriter.create(Store(tmp_path), "a", Config)
+    write(writer, 0, 60)
+    mark = writer.mark()
+    write(writer, 60, 40)
+    writer.rewind(mark)
+    write(writer, 60, 5)
+    assert held(writer.path) == list(range(65))
+    writer.close()
