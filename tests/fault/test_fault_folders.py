@@ -1,5 +1,6 @@
 """Damaged, foreign and strange run folders: named, and never in the way of the others."""
 
+import errno
 import json
 import os
 import shutil
@@ -20,7 +21,7 @@ from same_records import assert_same_record
 
 from app.parts import shortlinks
 from tom.cli import main
-from tom.errors import UserError
+from tom.errors import START_AGAIN, UserError
 from tom.record import RunReader, Store, checkpoint
 from tom.record.export import export_small
 from tom.record.integrity import repair, verify
@@ -146,6 +147,31 @@ def test_a_lost_piece_of_the_buffer__resume_says_so_and_touches_nothing(store: S
     with pytest.raises(UserError, match="lost rows of its buffer"):
         resume(store, "stopped", rerun=False)
     assert sorted(path.name for path in (store.path / "stopped").rglob("*")) == before
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("folder", ["buffer", checkpoint.FOLDER])
+@pytest.mark.parametrize("fault", [errno.EIO, errno.EACCES])
+def test_a_disk_that_cannot_be_read_for_now__resume_says_so_and_touches_nothing(
+    store: Store, monkeypatch: pytest.MonkeyPatch, folder: str, fault: int
+):
+    run, really = store.path / "stopped", os.open
+
+    def failing(path: str | Path, flags: int, *more: int) -> int:
+        if Path(path).is_relative_to(run / folder) and not flags & os.O_CREAT:
+            raise OSError(fault, os.strerror(fault), str(path))
+        return really(path, flags, *more)
+
+    before = sorted(path for path in run.rglob("*") if path.is_file())
+    monkeypatch.setattr(os, "open", failing)
+    with pytest.raises(UserError, match="cannot be read for now") as error:
+        resume(store, "stopped", rerun=False)
+    assert START_AGAIN not in str(error.value)
+    assert folder in str(error.value)
+    assert main(["train", "--resume", "stopped", "--store", str(store.path), "--no-rerun"]) == 2
+    monkeypatch.undo()
+    assert sorted(path for path in run.rglob("*") if path.is_file()) == before
+    assert resume(store, "stopped", rerun=False).status.state == "finished"
 
 
 @pytest.mark.quick

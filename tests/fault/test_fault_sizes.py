@@ -90,9 +90,9 @@ def spoilt(name: str, how: str) -> Callable[[Path], None]:
     return inflate if how == "inflates" else lambda path: declare(path, (10**11, 4))
 
 
-def first(run: RunReader, part: str) -> str:
-    """The name of the first file of a part of a run."""
-    path = min((run.path / part).iterdir()) if (run.path / part).is_dir() else run.path / part
+def last(run: RunReader, part: str) -> str:
+    """The name of the last file of a part of a run: nothing comes after it."""
+    path = max((run.path / part).iterdir()) if (run.path / part).is_dir() else run.path / part
     return str(path.relative_to(run.path))
 
 
@@ -102,7 +102,7 @@ def test_a_file_of_arrays_larger_than_its_run_can_have__is_named_before_anything
     store: Store, part: str, how: str, capsys: pytest.CaptureFixture[str]
 ):
     run = store.run("whole")
-    name = first(run, part) if part != "weights" else f"weights/{_snapshot(run)}"
+    name = last(run, part) if part != "weights" else f"weights/{_snapshot(run)}"
     spoilt(name, how)(run.path / name)
     tracemalloc.start()
     problems = verify(run)
@@ -271,7 +271,7 @@ def read(run: Path, path: Path) -> None:
 @pytest.mark.parametrize("part", ["episodes", "buffer", "policy.npz", "weights"])
 def test_a_cut_array_file__is_left_out_of_a_small_copy(store: Store, tmp_path: Path, part: str):
     run = store.run("whole")
-    path = run.path / (first(run, part) if part != "weights" else f"weights/{_snapshot(run)}")
+    path = run.path / (last(run, part) if part != "weights" else f"weights/{_snapshot(run)}")
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     copy = RunReader(export_small(run, tmp_path / "copies"))
     assert copy.status.state == "finished"

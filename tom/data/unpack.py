@@ -4,6 +4,7 @@ Nothing here trusts a file's own sizes. A header that declares more than the fil
 file that inflates to more than a run can have, raises ValueError before memory is allocated.
 """
 
+import errno
 import lzma
 import math
 import os
@@ -22,6 +23,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 from numpy.typing import NDArray
+
+from tom.machine.memory import ran_out
 
 DAMAGE = (
     OSError,
@@ -42,6 +45,11 @@ DAMAGE = (
 )
 """errors that reading a damaged file may raise"""
 
+_FOR_NOW = (
+    errno.EIO, errno.EACCES, errno.EPERM, errno.ESTALE, errno.ETIMEDOUT, errno.ENOTCONN,
+    errno.ENODEV, errno.ENXIO, errno.EREMOTEIO, errno.EHOSTDOWN, errno.EMFILE, errno.ENFILE,
+)  # fmt: skip
+
 MOST = 256 * 2**20
 """bytes that a file may unpack to if no run sets a bound"""
 
@@ -53,6 +61,11 @@ NUMBERS = {"BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE"}
 """Parquet's physical types of a fixed width"""
 
 BATCH_ROWS = 65_536
+
+
+def cannot_read_now(error: BaseException) -> bool:
+    """Whether the error says nothing of a file's content: a disk, a right or memory was lacking."""
+    return ran_out(error) or (isinstance(error, OSError) and error.errno in _FOR_NOW)
 
 
 def open_file(path: Path) -> BufferedReader:

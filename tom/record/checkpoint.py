@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, cast
 
 import torch
 
-from tom.data.unpack import DAMAGE, check_tensors, check_views, open_file
+from tom.data.unpack import DAMAGE, cannot_read_now, check_tensors, check_views, open_file
 from tom.errors import reason
 from tom.machine.memory import ran_out
 from tom.record import layout
@@ -108,6 +108,18 @@ def load_model(run: Path) -> Checkpoint | None:
     """
     checkpoints = (load(run / place) for place in MODEL_PLACES)
     return next((one for one in checkpoints if one is not None), None)
+
+
+def unread(folder: Path) -> str | None:
+    """The problem of a checkpoint that cannot be read for now; None if there is no such one."""
+    for path in folders(folder):
+        try:
+            with _whole(path):
+                pass
+        except UNUSABLE as error:
+            if cannot_read_now(error):
+                return f"checkpoint {path.name} cannot be read: {reason(error)}"
+    return None
 
 
 def is_whole(path: Path) -> bool:

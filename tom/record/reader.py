@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tom.config import SAC_ALONE, Settings, completed, in_words
 from tom.data.transitions import Transitions
+from tom.data.unpack import cannot_read_now
 from tom.errors import reason
 from tom.events import Episode
 from tom.record import bounds, decode, labels, layout, small_copy, status
@@ -46,6 +47,8 @@ class RunReader:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self.problems: list[str] = []
+        self.unread: list[str] = []
+        """problems of files that cannot be read for now: nothing is known of their content"""
 
     @property
     def run_id(self) -> str:
@@ -292,7 +295,10 @@ class RunReader:
             if needed:
                 self._problem(f"{name} is missing")
         except DAMAGE as error:
-            self._problem(f"{name} cannot be read: {reason(error)}")
+            problem = f"{name} cannot be read: {reason(error)}"
+            self._problem(problem)
+            if cannot_read_now(error):
+                self.unread.append(problem)
         return None
 
     def _leads_out(self, name: str) -> bool:

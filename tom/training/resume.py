@@ -149,6 +149,7 @@ def _require_own_device(reader: RunReader, config: AnyConfig) -> None:
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
     held = checkpoint.load(reader.path / checkpoint.FOLDER)
     if held is None:
+        _refuse_unread(reader, checkpoint.unread(reader.path / checkpoint.FOLDER))
         raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: {START_AGAIN}")
     if _complete(reader, held, config):
         raise UserError(
@@ -189,7 +190,17 @@ def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch
 def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
     rows, versions = reader.buffer()
     if len(rows) < n:
+        _refuse_unread(reader, next(iter(reader.unread), None))
         raise UserError(
             f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): {START_AGAIN}"
         )
     return rows[:n], versions[:n]
+
+
+def _refuse_unread(reader: RunReader, problem: str | None) -> None:
+    """Raises UserError for a file that cannot be read for now: the run may well go on later."""
+    if problem is not None:
+        raise UserError(
+            f"run '{reader.run_id}' cannot be read for now ({problem}): nothing was changed; see "
+            "to its disk and try again"
+        )
