@@ -28,8 +28,12 @@ def page() -> None:
 
 
 def left_out(run: RunInfo, *parts: str) -> bool:
-    """Show which of these parts a small copy lacks; returns False if none."""
-    lacking = [part for part in parts if part in run.left_out]
+    """Show which of these parts a small copy lacks; returns False if none.
+
+    One that lacks `other snapshots` may lack all of them.
+    """
+    names = [name for part in parts for name in (part, part.removeprefix("other "))]
+    lacking = [name for name in dict.fromkeys(names) if name in run.left_out]
     if lacking:
         st.caption(f"Left out of this small copy: {', '.join(lacking)}.")
     return bool(lacking)

@@ -31,9 +31,11 @@ def export(reader: RunReader, kind: str, folder: Path) -> Path:
     return _written(folder / (reader.run_id + suffix), lambda path: write(reader, path))
 
 
-def export_small(reader: RunReader, folder: Path, keep: Collection[str] = ()) -> Path:
-    """Write a small copy of the run into `folder`; see `thin` for `keep`, `export` for errors."""
-    return _written(folder / reader.run_id, lambda path: thin(reader, path, keep))
+def export_small(
+    reader: RunReader, folder: Path, keep: Collection[str] = (), without: Collection[str] = ()
+) -> Path:
+    """Write a small copy of the run into `folder`; see `thin`, and `export` for errors."""
+    return _written(folder / reader.run_id, lambda path: thin(reader, path, keep, without))
 
 
 def _written(path: Path, write: Callable[[Path], object]) -> Path:

@@ -1,8 +1,8 @@
 """Make a small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
 
-Numbers have fewer digits and series fewer points. Checkpoints and recordings are left out, and
-large parts of OPTIONAL unless requested. The copy's `config.json` lists the missing parts under
-`thinned`.
+Numbers have fewer digits and series fewer points. Checkpoints and recordings are left out, large
+parts of OPTIONAL unless requested, and those of SERIES that are not wanted. The copy's
+`config.json` lists the missing parts under `thinned`.
 """
 
 import json
@@ -34,20 +34,27 @@ SHRINKS = 20
 """smallest share to which a part can shrink; larger parts are not even tried"""
 
 
-def thin(reader: RunReader, path: Path, keep: Collection[str] = ()) -> None:
+SERIES = ("snapshots", "evaluations")
+"""parts that are thinned to a few steps, or left out whole: single weights, and episodes"""
+
+
+def thin(
+    reader: RunReader, path: Path, keep: Collection[str] = (), without: Collection[str] = ()
+) -> None:
     """Write a small copy of the run to `path`, which appears whole or not at all.
 
-    Parts of OPTIONAL that are in `keep` are kept at any size.
+    Parts of OPTIONAL that are in `keep` are kept at any size, those of SERIES in `without` are not.
     """
     status = reader.status  # read first, because a training may end meanwhile
     with whole_folder(path) as unfinished:
         for folder in layout.FOLDERS:
             (unfinished / folder).mkdir()
-        _copy(reader, unfinished)
+        _copy(reader, unfinished, without)
         lacks = [part for part in OPTIONAL if _leave_out(reader, unfinished, part, keep)]
         lost_parts = _lost(reader, RunReader(unfinished))
         lacks += [part for part, lost in lost_parts.items() if lost]
-        left_out = dict.fromkeys([*reader.left_out, *lacks])  # or lacked before
+        before = [part for part in reader.left_out if part.removeprefix("other ") not in lacks]
+        left_out = dict.fromkeys([*before, *lacks])
         replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
         if status.state in ("running", "stopped") and not reader.small_copy:
             _settle(status, unfinished)
@@ -61,16 +68,17 @@ def _settle(status: Status, copy: Path) -> None:
     replace_json(copy / layout.STATUS, asdict(settled), sync=False)
 
 
-def _copy(reader: RunReader, to: Path) -> None:
+def _copy(reader: RunReader, to: Path, without: Collection[str]) -> None:
     for name in (layout.STATUS, layout.LABELS, layout.NOTICES, layout.SCENE):
         if (reader.path / name).is_file() and not (reader.path / name).is_symlink():
             shutil.copyfile(reader.path / name, to / name)
     _lines(to / layout.METRICS, _chosen_rows(reader))
     _lines(to / layout.PROFILES, _profile_rows(reader.profiles()))
-    snapshots = _spread(reader.snapshot_steps(), SNAPSHOTS)
+    snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)
+    evaluations = [] if "evaluations" in without else reader.evaluation_steps()
     for step in snapshots:
         _snapshot(reader, step, to)
-    for step in _spread(reader.evaluation_steps(), EVALUATIONS):
+    for step in _spread(evaluations, EVALUATIONS):
         _arrays(reader, to, layout.episodes(step), first_episode=True)
     for name in reader.field_names():
         for step in _beside(reader.field_steps(name), snapshots):
@@ -80,15 +88,18 @@ def _copy(reader: RunReader, to: Path) -> None:
 def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
     """The parts besides OPTIONAL that the copy lacks; `other`: it has some of them."""
     snapshots, evaluations = copy.snapshot_steps(), copy.evaluation_steps()
-    fields = run.field_names()
+    fields, other_snapshots = run.field_names(), run.snapshot_steps() != snapshots
+    other_evaluations = run.evaluation_steps() != evaluations
     return {
         "checkpoint": checkpoint.newest(run.path / checkpoint.FOLDER) is not None,
         "recording": bool(run.rrd_files()),
         "simulator states": len(copy.buffer()[0]) > 0 and bool(run.buffer_state()),
-        "other snapshots": run.snapshot_steps() != snapshots,
+        "snapshots": other_snapshots and not snapshots,
+        "other snapshots": other_snapshots and bool(snapshots),
         "other policies": 0 < len(copy.policy_steps()) < len(run.policy_steps()),
         "per-dimension weights": any("dim_0" in run.snapshot(step) for step in snapshots),
-        "other evaluations": run.evaluation_steps() != evaluations,
+        "evaluations": other_evaluations and not evaluations,
+        "other evaluations": other_evaluations and bool(evaluations),
         "other episodes": any(len(run.episodes(step)) > 1 for step in evaluations),
         "other pictures": any(run.field_steps(name) != copy.field_steps(name) for name in fields),
     }

@@ -149,6 +149,23 @@ def test_all_that_a_copy_lacks_is_named_also_in_a_copy_of_it(record, tmp_path: P
     assert again.left_out == small.left_out
 
 
+def test_a_copy_without_single_weights_and_episodes_says_so_and_reads_well(record, tmp_path: Path):
+    run = record()
+    copy = RunReader(export_small(run, tmp_path / "a", without=["snapshots", "evaluations"]))
+    assert (copy.snapshot_steps(), copy.evaluation_steps()) == ([], [])
+    assert len(copy.profiles().env_step) == len(run.profiles().env_step)
+    assert {"snapshots", "evaluations"} <= {*copy.left_out}
+    assert not {"other snapshots", "other evaluations", "other episodes"} & {*copy.left_out}
+    assert verify(copy) == []
+    some = RunReader(export_small(run, tmp_path / "b"))
+    assert not {"snapshots", "evaluations"} & {*some.left_out}
+    assert {"other snapshots"} <= {*some.left_out}
+    less = RunReader(export_small(some, tmp_path / "c", without=["snapshots"]))
+    assert {"snapshots"} <= {*less.left_out}
+    assert "other snapshots" not in less.left_out
+    assert less.evaluation_steps() == some.evaluation_steps()
+
+
 def test_weights_that_cannot_be_read_are_left_out_and_named(record, tmp_path: Path):
     run = record()
     first = run.snapshot_steps()[0]

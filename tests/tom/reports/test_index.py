@@ -47,6 +47,7 @@ def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys
     assert str(run.config["git_commit"])[:10] in page
     assert f"torch {run.config['versions']['torch']}" in page
     assert main(["runs", "export", "--keep", "buffer", "--store", str(store)]) == 2
+    assert main(["runs", "export", "--without", "snapshots", "--store", str(store)]) == 2
 
 
 def test_a_page_that_a_person_wrote_stays(tmp_path: Path):

@@ -14,7 +14,7 @@ from tom.record import RunReader, Store, sizes
 from tom.record.export import EXPORTERS, export, export_small
 from tom.record.integrity import repair, verify
 from tom.record.layout import WEIGHINGS
-from tom.record.thin import OPTIONAL
+from tom.record.thin import OPTIONAL, SERIES
 from tom.reports.index import NAME as README
 from tom.reports.index import index, small_copies, write
 from tom.reports.weighing_files import copy_small, of_run
@@ -40,6 +40,10 @@ def add_verbs(verbs, add_verb) -> None:
     verb.add_argument(
         "--keep", nargs="+", choices=tuple(OPTIONAL), default=[], metavar="PART",
         help="what a small copy keeps whatever its size: " + ", ".join(OPTIONAL),
+    )  # fmt: skip
+    verb.add_argument(
+        "--without", nargs="+", choices=SERIES, default=[], metavar="PART",
+        help="what a small copy leaves out, of which it else has a few: " + ", ".join(SERIES),
     )  # fmt: skip
     verb.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
     text = "write the store's README.md: its small copies, and how each was made"
@@ -82,6 +86,8 @@ def repair_runs(args: argparse.Namespace) -> int:
 def export_runs(args: argparse.Namespace) -> int:
     if args.keep and not args.small:
         raise UserError("--keep says what a small copy keeps: add --small")
+    if args.without and not args.small:
+        raise UserError("--without says what a small copy leaves out: add --small")
     runs = _finished(Store(args.store), args.run_ids)
     if not runs:
         raise UserError(f"{args.store}/ has no finished runs: name those to export")
@@ -97,7 +103,7 @@ def export_runs(args: argparse.Namespace) -> int:
 def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
     """Export a run; a small copy brings copies of the weighings of its buffer."""
     if args.small:
-        yield export_small(run, args.out, args.keep)
+        yield export_small(run, args.out, args.keep, args.without)
         yield from copy_small(args.store, run.run_id, args.out)
     else:
         yield export(run, args.format, args.out)
