@@ -193,12 +193,16 @@ def test_labels_a_run_and_moves_it_to_the_trash_and_back(visitor: Visit, own_sto
     until(page, lambda: store.run("pendulum-tom-1").labels.name, "no name was kept")
     assert store.run("pendulum-tom-1").labels.name == "the steady one"
     page.get_by_role("button", name="Move it to the trash").click()
-    page.get_by_role("button", name="Yes, move it").click()
+    move = page.get_by_role("button", name="Yes, move it")
+    move.click()
+    move.wait_for(state="detached")  # drawn anew: what is chosen before would be lost
     page.get_by_text("1 in the trash").click()
     assert manage.trashed(store) == ["pendulum-tom-1"]
+    bring_back = page.get_by_role("button", name="Bring back", include_hidden=True)
     choose(page, "Runs to bring back", "pendulum-tom-1")
+    until(page, bring_back.is_enabled, "the choice was not taken")
     page.keyboard.press("Escape")
-    page.get_by_role("button", name="Bring back").click()
+    bring_back.click()
     page.get_by_text("1 in the trash").wait_for(state="detached")
     assert store.run("pendulum-tom-1").labels.name == "the steady one"
 
