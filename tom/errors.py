@@ -10,6 +10,9 @@ OF_USERS = (Exception, SystemExit)
 START_AGAIN = "start it again"
 """the advice for a run that can never go on; a sweep follows it"""
 
+NOT_NOW = "cannot be read for now"
+"""of a run that may well go on later; a sweep tries again"""
+
 
 class UserError(Exception):
     """Bad input. The command line prints its one line and exits with code 2."""

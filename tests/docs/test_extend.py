@@ -239,3 +239,12 @@ def test_a_plugin_that_cannot_be_used_is_one_line(home: Path, content: str | Non
     said = refused(f"{TRAIN} --env odd --learner mle --plugin own.py", home)
     assert named in said
     assert not (home / "runs").exists()
+
+
+def test_a_wrong_setting_of_a_plugins_task_is_one_line(home: Path):
+    (home / "own.py").write_text(
+        "def register(r): r.task('odd', 'Pendulum-v1', settings={'sac': {'hiden': 3}})"
+    )
+    said = refused("train --env odd --learner mle --plugin own.py", home)
+    assert "task odd: its setting sac.hiden: Extra inputs are not permitted" in said
+    assert not (home / "runs").exists()

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from threading import Event as Flag
 
@@ -21,13 +22,13 @@ from same_records import assert_same_record
 
 from app.parts import shortlinks
 from tom.cli import main
-from tom.errors import START_AGAIN, UserError
+from tom.errors import NOT_NOW, START_AGAIN, UserError
 from tom.record import RunReader, Store, checkpoint
 from tom.record.export import export_small
 from tom.record.integrity import repair, verify
 from tom.record.manage import restore, trash
 from tom.record.rerun.feed import stream
-from tom.training.resume import resume
+from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import train
 
 pytestmark = pytest.mark.fault
@@ -149,21 +150,30 @@ def test_a_lost_piece_of_the_buffer__resume_says_so_and_touches_nothing(store: S
     assert sorted(path.name for path in (store.path / "stopped").rglob("*")) == before
 
 
+def fail(
+    monkeypatch: pytest.MonkeyPatch, name: str, folder: Path, fault: int, times: int = 10**6
+) -> None:
+    """The first `times` calls of `os.open` or `os.listdir` for what lies in `folder` fail."""
+    really, calls = getattr(os, name), count()
+
+    def failing(path: str | Path = ".", *more: int) -> object:
+        writes = bool(more) and more[0] & os.O_CREAT
+        if Path(path).is_relative_to(folder) and not writes and next(calls) < times:
+            raise OSError(fault, os.strerror(fault), str(path))
+        return really(path, *more)
+
+    monkeypatch.setattr(os, name, failing)
+
+
 @pytest.mark.quick
 @pytest.mark.parametrize("folder", ["buffer", checkpoint.FOLDER])
 @pytest.mark.parametrize("fault", [errno.EIO, errno.EACCES])
 def test_a_disk_that_cannot_be_read_for_now__resume_says_so_and_touches_nothing(
     store: Store, monkeypatch: pytest.MonkeyPatch, folder: str, fault: int
 ):
-    run, really = store.path / "stopped", os.open
-
-    def failing(path: str | Path, flags: int, *more: int) -> int:
-        if Path(path).is_relative_to(run / folder) and not flags & os.O_CREAT:
-            raise OSError(fault, os.strerror(fault), str(path))
-        return really(path, flags, *more)
-
+    run = store.path / "stopped"
     before = sorted(path for path in run.rglob("*") if path.is_file())
-    monkeypatch.setattr(os, "open", failing)
+    fail(monkeypatch, "open", run / folder, fault)
     with pytest.raises(UserError, match="cannot be read for now") as error:
         resume(store, "stopped", rerun=False)
     assert START_AGAIN not in str(error.value)
@@ -172,6 +182,39 @@ def test_a_disk_that_cannot_be_read_for_now__resume_says_so_and_touches_nothing(
     monkeypatch.undo()
     assert sorted(path for path in run.rglob("*") if path.is_file()) == before
     assert resume(store, "stopped", rerun=False).status.state == "finished"
+
+
+@pytest.mark.quick
+def test_a_buffer_that_cannot_be_listed_for_now__is_not_taken_for_an_empty_one(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
+    fail(monkeypatch, "listdir", store.path / "stopped" / "buffer", errno.ESTALE)
+    with pytest.raises(UserError, match=NOT_NOW):
+        resume(store, "stopped", rerun=False)
+    monkeypatch.undo()
+    assert resume(store, "stopped", rerun=False).status.state == "finished"
+
+
+@pytest.mark.quick
+def test_checkpoints_that_could_not_be_read_a_moment_ago__are_not_taken_for_lost(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
+    folder = store.path / "stopped" / checkpoint.FOLDER
+    fail(monkeypatch, "open", folder, errno.EIO, times=len(checkpoint.folders(folder)))
+    with pytest.raises(UserError, match=NOT_NOW):
+        resume(store, "stopped", rerun=False)
+
+
+@pytest.mark.quick
+def test_a_run_whose_checkpoints_cannot_be_read_for_now__is_not_begun_beside_itself(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
+    run = store.run("stopped")
+    fail(monkeypatch, "open", run.path / checkpoint.FOLDER, errno.EIO)
+    with pytest.raises(UserError, match=NOT_NOW):
+        unfinished(store, recorded_config(run))
+    assert "cannot be read: " in "\n".join(verify(run))
+    assert "cannot go on" not in "\n".join(verify(run))
 
 
 @pytest.mark.quick

@@ -82,12 +82,19 @@ def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
 
 
 def load(folder: Path) -> Checkpoint | None:
-    """The newest undamaged checkpoint, or None.
+    """The newest undamaged checkpoint, or None. Raises MemoryError as `look_for` does."""
+    return look_for(folder)[0]
 
-    Raises MemoryError if there is not enough memory for one: that says nothing about its content.
+
+def look_for(folder: Path) -> tuple[Checkpoint | None, str]:
+    """The newest undamaged checkpoint, or None; and the problem of one that may be undamaged.
+
+    That one could not be read for now; "" if there is no such one. Raises MemoryError if there is
+    not enough memory for one: that says nothing about its content.
     """
     problems: list[str] = []
     unusable: list[Path] = []
+    unread = ""
     for path in folders(folder):
         try:
             state = _load_one(path)
@@ -96,9 +103,11 @@ def load(folder: Path) -> Checkpoint | None:
                 raise MemoryError(f"checkpoint {path.name}: {reason(error)}") from error
             problems.append(f"checkpoint {path.name} cannot be used: {reason(error)}")
             unusable.append(path)
+            if cannot_read_now(error):
+                unread = unread or f"checkpoint {path.name} cannot be read: {reason(error)}"
             continue
-        return Checkpoint(int(path.name), state, problems, unusable)
-    return None
+        return Checkpoint(int(path.name), state, problems, unusable), unread
+    return None, unread
 
 
 def load_model(run: Path) -> Checkpoint | None:
@@ -108,18 +117,6 @@ def load_model(run: Path) -> Checkpoint | None:
     """
     checkpoints = (load(run / place) for place in MODEL_PLACES)
     return next((one for one in checkpoints if one is not None), None)
-
-
-def unread(folder: Path) -> str | None:
-    """The problem of a checkpoint that cannot be read for now; None if there is no such one."""
-    for path in folders(folder):
-        try:
-            with _whole(path):
-                pass
-        except UNUSABLE as error:
-            if cannot_read_now(error):
-                return f"checkpoint {path.name} cannot be read: {reason(error)}"
-    return None
 
 
 def is_whole(path: Path) -> bool:

@@ -53,10 +53,10 @@ def verify(reader: RunReader) -> list[str]:
         if not any(name in problem for problem in problems):
             problems.append(f"{name} {what}")
     folder = fresh.path / checkpoint.FOLDER
-    held = checkpoint.load(folder)
+    held, unread = checkpoint.look_for(folder)
     problems += held.problems if held else []
     if held is None and checkpoint.newest(folder) is not None:
-        problems.append("no checkpoint is whole: the run cannot go on")
+        problems.append(unread or "no checkpoint is whole: the run cannot go on")
     if (fresh.path / layout.MODEL).is_dir() and checkpoint.load(fresh.path / layout.MODEL) is None:
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
     if not status.alive:

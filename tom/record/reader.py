@@ -3,6 +3,7 @@
 Unreadable parts are left out and listed in `problems`; bad content never raises an error.
 """
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -258,6 +259,7 @@ class RunReader:
             return decode.transitions_of(arrays), decode.state_of(arrays)
 
         row, widths = 0, None
+        self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one
         for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
             name = layout.segment(first)
             if first != row:

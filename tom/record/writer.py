@@ -97,9 +97,11 @@ class RunWriter:
             if first >= mark["segment"] + mark["segment_rows"]:
                 (self.path / layout.segment(first)).unlink()
         if mark["segment_rows"]:
-            path = self.path / layout.segment(self._tail_first)
-            held = read_arrays(path, RunReader(self.path).most_bytes)
-            self._tail = [{name: held[name][: mark["segment_rows"]] for name in held}]
+            name = layout.segment(self._tail_first)
+            held = read_arrays(self.path / name, RunReader(self.path).most_bytes)
+            self._tail = [{of: held[of][: mark["segment_rows"]] for of in held}]
+            # Its later rows would overlap the next segment's.
+            self._arrays(name, self._tail[0], sync=True)
 
     def sync(self) -> None:
         """Wait until the rows that a checkpoint relies on are on the disk.
@@ -245,12 +247,12 @@ class RunWriter:
         self._lock.check()
         lines.append(row)
 
-    def _arrays(self, name: str, arrays: Mapping[str, NDArray]) -> None:
+    def _arrays(self, name: str, arrays: Mapping[str, NDArray], *, sync: bool = False) -> None:
         def write(file: BinaryIO) -> None:
             np.savez(file, allow_pickle=False, **arrays)
 
         self._lock.check()
-        replace(self.path / name, write, sync=False)
+        replace(self.path / name, write, sync=sync)
 
     def _table(self, name: str, table: pa.Table, *, sync: bool = False) -> None:
         def write(file: BinaryIO) -> None:

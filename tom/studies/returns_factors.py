@@ -61,12 +61,17 @@ def factors(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 def _designs(cells: Sequence[Cell]) -> list[Design]:
     found = []
-    for both in (cell for cell in cells if cell.learner != RIVAL):
+    for both in (cell for cell in cells if cell.learner != RIVAL and _weighs_in_both(cell)):
         model, starts = (_uniform(cells, both, place) for place in (UNIFORM_STARTS, UNIFORM_MODEL))
         neither = next((cell for cell in cells if _is_rival(cell, both)), None)
         if model and starts and neither:
             found.append(Design(both, model, starts, neither))
     return found
+
+
+def _weighs_in_both(cell: Cell) -> bool:
+    settings = changed(cell.runs[0])
+    return all(settings.get(place) != "1.0" for place in (UNIFORM_MODEL, UNIFORM_STARTS))
 
 
 def _uniform(cells: Sequence[Cell], both: Cell, place: str) -> Cell | None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from tom import plugins
-from tom.errors import START_AGAIN, UserError
+from tom.errors import NOT_NOW, START_AGAIN, UserError
 from tom.record import RunReader, checkpoint
 from tom.record.versions import ACCEPT
 from tom.sweep.backend import LOGS, Backend
@@ -223,7 +223,8 @@ class Driver:
             # Hours of training may be in it: only if it can never go on does it begin anew.
             never = START_AGAIN in said and ACCEPT not in said
             job.anew = ended.code == 2 and job.step >= 0 and never
-            self._judge(job, why, ended.code == 2 and not job.anew)
+            refused = ended.code == 2 and NOT_NOW not in said
+            self._judge(job, why, refused and not job.anew)
 
     def _judge(self, job: Job, why: str, hopeless: bool) -> None:
         """Decide about a training that ended early: try again later, or give it up."""

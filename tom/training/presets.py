@@ -9,10 +9,13 @@ An environment's values override the preset's, and the user's override both.
 
 from typing import Any
 
+from pydantic import ValidationError
+
 from tom.config import OnlineConfig, RoadConfig
 from tom.envs import ENV_NAMES, OTHERS, is_known, task
 from tom.envs.ends import rule
-from tom.errors import unknown
+from tom.envs.task import Task
+from tom.errors import UserError, unknown
 from tom.learners import LEARNERS, SUBJECT, with_own_settings
 from tom.road.baselines import BASELINES
 
@@ -142,8 +145,18 @@ def _online(env: str, learner: str, preset: str) -> OnlineConfig:
     steps = 600 if preset == "smoke" else known.steps
     config = OnlineConfig(env=env, learner=learner, steps=steps).but(**PRESETS[preset])
     if preset != "smoke":
-        config = config.but(**BY_ENV[preset].get(env, {})).but(**known.settings)
+        config = _of_task(known, config.but(**BY_ENV[preset].get(env, {})))
     return config.but(**LEARNERS[learner].settings)
+
+
+def _of_task(known: Task, config: OnlineConfig) -> OnlineConfig:
+    """The preset with the task's own settings. Raises UserError for a wrong one."""
+    try:
+        return config.but(**known.settings)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UserError(f"task {known.name}: its setting {where}: {first['msg']}") from None
 
 
 def _road(preset: str) -> RoadConfig:

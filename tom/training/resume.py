@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from tom import plugins
 from tom.config import SacRecordingConfig, completed
 from tom.data.transitions import Transitions
-from tom.errors import START_AGAIN, UserError, reason
+from tom.errors import NOT_NOW, START_AGAIN, UserError, reason
 from tom.events import Notice
 from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
@@ -84,7 +84,7 @@ def unfinished(
     """The newest resumable run with these settings, or if `shorter` with fewer steps.
 
     Runs that are being written, and those without an undamaged checkpoint, are skipped, and with a
-    `run_id` all others.
+    `run_id` all others. Raises UserError for one whose checkpoints cannot be read for now.
     """
     wanted = completed(config.model_dump(mode="json"))
     for reader in store.runs():
@@ -101,7 +101,7 @@ def unfinished(
             continue  # although its last checkpoint may be of an earlier step, if the disk was full
         if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
             continue
-        held = checkpoint.load(reader.path / checkpoint.FOLDER)
+        held = _newest(reader)
         if held is not None and not _complete(reader, held, config):
             return reader.run_id
     return None
@@ -146,10 +146,17 @@ def _require_own_device(reader: RunReader, config: AnyConfig) -> None:
         ) from None
 
 
+def _newest(reader: RunReader) -> Checkpoint | None:
+    """The run's newest undamaged checkpoint. Raises UserError if it may have one, unread."""
+    held, unread = checkpoint.look_for(reader.path / checkpoint.FOLDER)
+    if held is None and unread:
+        raise _not_now(reader, unread)
+    return held
+
+
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
-    held = checkpoint.load(reader.path / checkpoint.FOLDER)
+    held = _newest(reader)
     if held is None:
-        _refuse_unread(reader, checkpoint.unread(reader.path / checkpoint.FOLDER))
         raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: {START_AGAIN}")
     if _complete(reader, held, config):
         raise UserError(
@@ -190,17 +197,17 @@ def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch
 def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
     rows, versions = reader.buffer()
     if len(rows) < n:
-        _refuse_unread(reader, next(iter(reader.unread), None))
+        if reader.unread:
+            raise _not_now(reader, reader.unread[0])
         raise UserError(
             f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): {START_AGAIN}"
         )
     return rows[:n], versions[:n]
 
 
-def _refuse_unread(reader: RunReader, problem: str | None) -> None:
-    """Raises UserError for a file that cannot be read for now: the run may well go on later."""
-    if problem is not None:
-        raise UserError(
-            f"run '{reader.run_id}' cannot be read for now ({problem}): nothing was changed; see "
-            "to its disk and try again"
-        )
+def _not_now(reader: RunReader, problem: str) -> UserError:
+    """The refusal of a run that has a file which cannot be read for now."""
+    return UserError(
+        f"run '{reader.run_id}' {NOT_NOW} ({problem}): nothing was changed; see to its disk and "
+        "try again"
+    )

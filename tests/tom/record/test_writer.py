@@ -85,3 +85,18 @@ def test_a_mark_in_the_middle_of_a_segment_is_gone_back_to(tmp_path: Path):
     write(writer, 60, 5)
     assert held(writer.path) == list(range(65))
     writer.close()
+
+
+def test_a_record_that_goes_back_into_a_segment_and_is_stopped_at_once_loses_no_row(tmp_path: Path):
+    writer = RunWriter.create(Store(tmp_path), "a", Config)
+    write(writer, 0, 60)
+    mark = writer.mark()  # as checkpoints had it when they did not end the segment
+    write(writer, 60, 40)
+    writer.rewind(mark)
+    writer.sync()
+    stopped = writer.mark()
+    writer.rewind(stopped)
+    write(writer, 60, 5)
+    writer.close()
+    assert held(writer.path) == list(range(65))
+    assert RunReader(writer.path).problems == []

@@ -388,6 +388,19 @@ def test_what_weights_do_is_asked_of_runs_that_are_alike_in_all_else(tmp_path: P
     assert {row["learner"] for row in found} == {"TOM, mended, fit_every 500, tom.q_steps 500"}
 
 
+def test_cells_without_weights_are_no_design_of_their_own(tmp_path: Path):
+    """A sweep over both learners and both shares has cells that differ in nothing that weighs."""
+    store = Store(tmp_path)
+    model, rollout = ({place: {"uniform_share": 1.0}} for place in ("model", "rollout"))
+    for seed in range(3):
+        for none in (model, rollout, {**model, **rollout}):
+            record(store, "hopper", "mle", seed, [11, 11], "paper", **none)
+        record(store, "hopper", "tom", seed, [11, 11], "mended", **model, **rollout)
+    found = factors.factors(two_by_two(store, "mended", (51, 11, 21, 11)))
+    assert {row["learner"] for row in found} == {"TOM, mended"}
+    assert len(found) == 3 * len(tables.MEASURES)
+
+
 def test_of_single_runs_an_effect_has_no_p(tmp_path: Path):
     found = factors.factors(two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11), seeds=1))
     assert [row["effect"] for row in found[:3]] == [15, 25, 30]

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,7 +22,8 @@ from sweeping import (
     until,
 )
 
-from tom.record import Store
+from tom.errors import NOT_NOW
+from tom.record import Store, checkpoint
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import ATTEMPTS, Driver
 from tom.sweep.engine import LocalEngine
@@ -148,6 +150,27 @@ def test_a_run_that_is_refused_for_now__is_reported_and_kept(tmp_path: Path):
     assert not (tmp_path / ".trash").exists()
     path.write_text(whole)
     third = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1))
+    finish(third)
+    assert third.jobs[0].state == "finished"
+    assert third.store.run(trial.run_id).config["resumes"]
+
+
+def test_a_run_that_cannot_be_read_for_now__is_tried_again_and_kept(tmp_path: Path):
+    trial = stopped(tmp_path)
+    store = Store(tmp_path)
+    for folder in checkpoint.folders(tmp_path / trial.run_id / checkpoint.FOLDER):
+        (folder / "manifest.json").rename(folder / "kept")
+        with socket.socket(socket.AF_UNIX) as there:  # to open one is an error of the device
+            there.bind(str(tmp_path / "socket"))
+        (tmp_path / "socket").rename(folder / "manifest.json")
+    second = Driver(FolderBackend(store), [trial], LocalEngine(1), back_off_s=0.1)
+    finish(second)
+    assert (second.jobs[0].state, second.jobs[0].attempts) == ("failed", ATTEMPTS)
+    assert NOT_NOW in second.jobs[0].note
+    assert not (tmp_path / ".trash").exists()
+    for folder in checkpoint.folders(tmp_path / trial.run_id / checkpoint.FOLDER):
+        (folder / "kept").rename(folder / "manifest.json")
+    third = Driver(FolderBackend(store), [trial], LocalEngine(1))
     finish(third)
     assert third.jobs[0].state == "finished"
     assert third.store.run(trial.run_id).config["resumes"]

@@ -196,12 +196,12 @@ def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[st
         rows = [[_cell(row[name], ".2g") for name in names] for row in findings["improvement"]]
         show(WINS, names, rows)
     if findings["factors"]:
-        names = ("learner", "effect of", "by", "effect", "wins", "p", "p of all")
+        names = ("env", "learner", "effect of", "by", "effect", "wins", "p", "p of all", "remark")
         rows = [
             [
-                row["learner"], row["effect of"], row["by"],
+                row["env"], row["learner"], row["effect of"], row["by"],
                 _interval(row["effect"], row["low"], row["high"]),
-                *(_cell(row[name], ".2g") for name in names[4:]),
+                *(_cell(row[name], ".2g") for name in names[5:8]), row["remark"],
             ]
             for row in findings["factors"]
         ]  # fmt: skip
