@@ -30,14 +30,20 @@ def rows(head: str) -> list[list[str]]:
 
 
 @cache
-def cells(at: int, *learners: str, seeds: tuple[int, ...] = (), apart: bool = False) -> list[Cell]:
-    """Hopper's runs as `tom reproduce returns --preset paper mended` compares them."""
+def cells(
+    at: int,
+    *learners: str,
+    seeds: tuple[int, ...] = (),
+    apart: bool = False,
+    env: str = "hopper",
+) -> list[Cell]:
+    """A task's runs as `tom reproduce returns --preset paper mended` compares them."""
     runs = [
         run
         for run in Store(ROOT / "runs").runs()
-        if run.env == "hopper" and run.learner in learners and (not seeds or run.seed in seeds)
+        if run.env == env and run.learner in learners and (not seeds or run.seed in seeds)
     ]
-    return select(runs, "paper", "mended", at={"hopper": at}, apart=apart)[0]
+    return select(runs, "paper", "mended", at={env: at}, apart=apart)[0]
 
 
 def share(value: float) -> str:
@@ -114,6 +120,13 @@ def test_the_scores_at_the_planned_end() -> None:
     assert {label: told for label, *told in rows("Hopper, step 40 000")} == made
 
 
+def test_what_halfcheetahs_runs_returned_and_how_they_passed_their_exams() -> None:
+    mine = cells(15000, "mle", "tom", env="halfcheetah")
+    made = scored(mine, 15000)
+    assert {label: told for label, *told in rows("HalfCheetah, step 15 000")} == made
+    assert {label: told for label, *told in rows("HalfCheetah, exams")} == passed(mine)
+
+
 def test_the_scores_of_the_two_by_two() -> None:
     made = scored(cells(20000, "mle", "tom", seeds=FOUR, apart=True), 20000)
     assert {label: told for label, *told in rows("Hopper, 2 x 2")} == {
@@ -134,7 +147,7 @@ def test_the_effects_of_the_two_by_two(row: list[str]) -> None:
 
 def scored(mine: list[Cell], at: int) -> dict[str, list[str]]:
     """The areas with their interval and of each seed, and the best and last returns, by learner."""
-    since = compared_from(mine)["hopper"]
+    since = compared_from(mine)[mine[0].env]
     assert since == 6000
     return {
         cell.label: [
@@ -145,6 +158,19 @@ def scored(mine: list[Cell], at: int) -> dict[str, list[str]]:
         ]
         for cell, row in zip(mine, summary(mine), strict=True)
     }
+
+
+def passed(mine: list[Cell]) -> dict[str, list[str]]:
+    """The number of runs with exams, and what they say, by learner."""
+    made = {
+        row["learner"]: [
+            str(row["n"]),
+            *(spread(row, name, f"{name} low", f"{name} high", ".2f") for name in EXAMS.values()),
+        ]
+        for row in exams(mine)
+    }
+    made["MLE"][1] = "1"  # by definition, so without an interval
+    return made
 
 
 @pytest.mark.parametrize("row", rows("TOM, mended beats MLE"), ids=lambda row: row[0])
@@ -175,16 +201,9 @@ def check_wins(row: list[str], against: str) -> None:
 
 def test_every_learner_with_six_seeds() -> None:
     mine = cells(20000, "mle", "pmac", "tom")
-    made = {
-        row["learner"]: [
-            str(row["n"]),
-            *(spread(row, name, f"{name} low", f"{name} high", ".2f") for name in EXAMS.values()),
-        ]
-        for row in exams(mine)
-    }
+    made = passed(mine)
     for row in rollouts(mine):
         made[row["learner"]].append(spread(row, "falls", "falls low", "falls high", ".2f"))
-    made["MLE"][1] = "1"  # by definition, so without an interval
     areas = {row["learner"]: spread(row, "area", "area low", "area high") for row in summary(mine)}
     told = {label: (area, tuple(rest)) for label, area, *rest in rows("Hopper, step 20 000")}
     assert told == {label: (areas[label], tuple(rest)) for label, rest in made.items()}
