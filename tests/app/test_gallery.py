@@ -88,8 +88,9 @@ def test_it_has_every_learner_side_by_side() -> None:
     assert pendulum["tom"] == 10  # of two presets
     assert {pendulum[name] for name in ("ratio", "vagram", "vagram-ensemble")} == {3}
     hopper = {name: found["hopper", name] for name in HOPPER}
-    # TOM of two presets, and with weights in the model or in the starts alone.
-    assert hopper == {"mle": 6, "pmac": 6, "tom": 6 + 6 + 4 + 4, "vagram": 2}
+    # TOM of two presets, and with weights in the model or in the starts alone; small models.
+    assert hopper == {"mle": 6 + 3, "pmac": 6, "tom": 6 + 6 + 4 + 4 + 2, "vagram": 2}
+    assert [found["halfcheetah", name] for name in ("mle", "tom")] == [3, 3 + 3]
     assert WEIGHINGS
 
 
@@ -149,9 +150,9 @@ def last_values(group: list[RunReader], metric: str) -> list[float]:
 
 
 def trained(run: RunReader) -> tuple[str, ...]:
-    """In what runs of a learner differ in the gallery: the preset, and where weights act."""
+    """In what runs of a learner differ in the gallery: preset, model, and where weights act."""
     shares = (run.settings.get(f"{place}.uniform_share", "0.0") for place in ("model", "rollout"))
-    return (run.preset, *shares)
+    return (run.preset, run.settings.get("model.hidden", ""), *shares)
 
 
 @pytest.mark.usefixtures("shown")

@@ -42,6 +42,7 @@ def cells(
         run
         for run in Store(ROOT / "runs").runs()
         if run.env == env and run.learner in learners and (not seeds or run.seed in seeds)
+        if run.settings["model.hidden"] != "8"  # begun, and not yet to be compared
     ]
     return select(runs, "paper", "mended", at={env: at}, apart=apart)[0]
 
