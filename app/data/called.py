@@ -1,11 +1,12 @@
 """The names of runs that are shown together."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from app.theme import learner_label
-from tom.analysis.settings import telling_presets
+from tom.analysis.settings import telling_presets, variants
+from tom.config import Settings
 from tom.record.labels import Labels
 
 
@@ -24,20 +25,22 @@ class Named(Protocol):
     def preset(self) -> str: ...
     @property
     def seed(self) -> int: ...
+    @property
+    def settings(self) -> Settings: ...
 
 
 def told_apart(runs: Sequence[Named]) -> dict[str, str]:
     """`TOM s0` for each run id, plus a distinction from runs of the same name.
 
-    The distinction is the preset if the learner has several, else the id.
+    The distinction is the preset if the learner has several, then the settings in which a run
+    differs from the others and from its preset, then the id.
     """
     presets = telling_presets(runs)
-    return _apart(
-        {
-            run.run_id: " ".join(filter(None, (learner_label(run.learner), preset, f"s{run.seed}")))
-            for run, preset in zip(runs, presets, strict=True)
-        }
+    short = (
+        " ".join(filter(None, (learner_label(run.learner), preset, f"s{run.seed}")))
+        for run, preset in zip(runs, presets, strict=True)
     )
+    return _apart(runs, list(short))
 
 
 def names(runs: Sequence[Named]) -> dict[str, str]:
@@ -47,13 +50,15 @@ def names(runs: Sequence[Named]) -> dict[str, str]:
     """
     presets = telling_presets(runs)
     return _apart(
-        {run.run_id: run.labels.name or _name(run, p) for run, p in zip(runs, presets, strict=True)}
+        runs, [run.labels.name or _name(run, p) for run, p in zip(runs, presets, strict=True)]
     )
 
 
 def task(env: str) -> str:
     """A task's name for a heading: `inverted-pendulum` becomes Inverted pendulum."""
-    return env if ":" in env else env.replace("-", " ").capitalize()
+    if ":" in env:
+        return env
+    return "HalfCheetah" if env == "halfcheetah" else env.replace("-", " ").capitalize()
 
 
 def _name(run: Named, preset: str) -> str:
@@ -61,9 +66,17 @@ def _name(run: Named, preset: str) -> str:
     return f"{task(run.env)} · {learner} · seed {run.seed}"
 
 
-def _apart(short: Mapping[str, str]) -> dict[str, str]:
-    count = Counter(short.values())
+def _apart(runs: Sequence[Named], short: Sequence[str]) -> dict[str, str]:
+    """Each run's name by its id; where several share one, with their settings, else their ids."""
+    shared = Counter(short)
+    alike = [run for run, name in zip(runs, short, strict=True) if shared[name] > 1]
+    variant = variants(alike) if alike else {}
+    longer = [
+        ", ".join(filter(None, (name, variant.get(run.run_id))))
+        for run, name in zip(runs, short, strict=True)
+    ]
+    still = Counter(longer)
     return {
-        run_id: words if count[words] == 1 else f"{words}, {run_id}"
-        for run_id, words in short.items()
+        run.run_id: name if still[name] == 1 else f"{name}, {run.run_id}"
+        for run, name in zip(runs, longer, strict=True)
     }

@@ -9,6 +9,8 @@ from app.data.pictures import ENV as OFFLINE
 from app.theme import NEUTRAL
 
 ENV_STEPS = "env steps"
+ROW, ENTRY, LETTER = 19, 45, 5.5
+"""pixels: a row of a legend, an entry of it without its title, and a letter of the title"""
 DASHES = ("solid", "dash", "dot", "dashdot")
 """for lines of one colour"""
 GRID = "rgba(128, 138, 158, 0.22)"
@@ -17,7 +19,10 @@ LAYOUT = {
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
     "hovermode": "closest",
-    "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.0, "x": 0, "xanchor": "left"},
+    "legend": {
+        **{"orientation": "h", "yanchor": "bottom", "y": 1.0, "x": 0, "xanchor": "left"},
+        "tracegroupgap": 0,  # rows of groups lie no farther apart than others
+    },
     "font": {"size": 12},
 }
 _AXIS = {"gridcolor": GRID, "zeroline": False, "automargin": True}
@@ -61,6 +66,17 @@ def upright(x: float, width: float, dash: str | None = None) -> dict[str, Any]:
     """A vertical line at `x`."""
     ends = {"x0": x, "x1": x, "xref": "x", "y0": 0, "y1": 1, "yref": "y domain"}
     return {"type": "line", **ends, "line": {"color": NEUTRAL, "width": width, "dash": dash}}
+
+
+def legend_rows(titles: Iterable[str], width: int) -> int:
+    """Rows that a legend with these titles fills in a figure of `width` pixels, about."""
+    rows, left = 0, 0.0
+    for title in titles:
+        needs = ENTRY + LETTER * len(title)
+        if needs > left:
+            rows, left = rows + 1, float(width)
+        left -= needs
+    return rows
 
 
 def note(figure: go.Figure, text: str, right: float = 1) -> go.Figure:

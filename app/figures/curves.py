@@ -9,7 +9,15 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import DASHES, ENV_STEPS, note, steps_in_words, styled
+from app.figures.base import (
+    DASHES,
+    ENV_STEPS,
+    ROW,
+    legend_rows,
+    note,
+    steps_in_words,
+    styled,
+)
 from app.figures.logs import cut_bands, left_out
 from app.figures.looks import Look
 from app.figures.looks import looks as usual_looks
@@ -21,6 +29,8 @@ from tom.metrics import describe
 
 POINTS = 1500
 """maximum number of points of a line; the figure says if points were left out"""
+ROWS = 2
+"""rows of the legend that a figure's height has room for"""
 LONGEST = 40
 """maximum number of characters of a group's title in the hover text"""
 
@@ -104,12 +114,14 @@ def group_curves(
     window: int = 1,
     looks: Mapping[Kind, Look] | None = None,
     hidden: Collection[Kind] = (),
+    width: int = 0,
 ) -> go.Figure:
     """One line per group with its band, thin lines for single runs, dots if runs are missing.
 
     Lines and bands are averaged over `window` points, and the figure says so. `looks` are those of
     all groups of a comparison, also of those in other figures. `hidden` groups appear only in the
-    legend.
+    legend. A figure that is at least `width` pixels wide is higher by the legend's rows beyond
+    `ROWS`, which would else take the lines' room; 0: no higher.
     """
     figure = go.Figure()
     drawn: list[tuple[NDArray, NDArray]] = []
@@ -130,6 +142,8 @@ def group_curves(
         drawn.append((smooth.step, smooth.mean))
         if singles and group.n > 1:
             drawn += [(curve.step, curve.value) for curve in group.curves]
+    if width:
+        height += _rows_beyond(figure, width) * ROW
     _draw_axes(figure, metric, height, axes, [group.env for group in groups])
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
@@ -141,6 +155,11 @@ def group_curves(
     cut_bands(figure, log_x=axes.log_x, log_y=axes.log_y)
     words += left_out(drawn, log_x=axes.log_x, log_y=axes.log_y)
     return note(figure, "<br>".join(words)) if words else figure
+
+
+def _rows_beyond(figure: go.Figure, width: int) -> int:
+    traces: list[Any] = list(figure.data)
+    return max(0, legend_rows((trace.name for trace in traces if trace.showlegend), width) - ROWS)
 
 
 def _identity(group: Group | Curve) -> str:

@@ -11,12 +11,14 @@ from app import session, text
 from app.data import trainings
 from app.data.readers import RunInfo
 from app.theme import learner_colour, learner_label
-from tom.analysis.settings import telling_presets
+from tom.analysis.settings import changed, telling_presets
 from tom.errors import UserError
 from tom.record import small_copy
 from tom.record.store import Store
 
 COLUMNS = 3
+NAMED = 3
+"""maximum number of changed settings that a card names"""
 _STATE_TINTS = {
     "running": "#1f9d55",
     "failed": "#d2383f",
@@ -24,15 +26,16 @@ _STATE_TINTS = {
 }
 
 
-def cards(runs: Sequence[RunInfo]) -> None:
-    """One card per run, in rows."""
+def cards(runs: Sequence[RunInfo], among: Sequence[RunInfo]) -> None:
+    """One card per run, in rows; it names the preset where a learner has several `among` runs."""
     width = 2 if len(runs) == 4 else min(len(runs), COLUMNS)
-    presets = telling_presets(runs)
+    telling = telling_presets(among)
+    preset = {run.run_id: words for run, words in zip(among, telling, strict=True)}
     for first in range(0, len(runs), width or 1):
         row = st.columns(width)
         for column, i in zip(row, range(first, min(first + width, len(runs))), strict=False):
             with column, st.container(border=True, gap="small"):
-                card(runs[i], presets[i])
+                card(runs[i], preset.get(runs[i].run_id, ""))
 
 
 def card(run: RunInfo, preset: str = "") -> None:
@@ -52,7 +55,7 @@ def card(run: RunInfo, preset: str = "") -> None:
     st.progress(status.share, text=text.markdown(progress_line(run)))
     for column, (label, value) in zip(st.columns(4, gap="small"), figures(run), strict=False):
         column.metric(label, value)
-    for words in (status.reason, *status.warnings):
+    for words in (settings_line(run), status.reason, *status.warnings):
         if words:
             st.caption(text.markdown(words))
 
@@ -107,6 +110,17 @@ def progress_line(run: RunInfo) -> str:
     if status.shown == "dead":
         return f"{steps} · no sign of life for {text.duration(time.time() - status.heartbeat)}"
     return steps
+
+
+def settings_line(run: RunInfo) -> str:
+    """The settings in which the run differs from its preset; empty if that is not known here."""
+    try:
+        new = changed(run)
+    except UserError:
+        return ""
+    words = [f"{path} {value}" for path, value in new.items()]
+    more = [f"and {len(words) - NAMED} more"] if len(words) > NAMED else []
+    return ", ".join(words[:NAMED] + more)
 
 
 def head(run: RunInfo, preset: str = "") -> str:

@@ -77,7 +77,7 @@ def verdict(outcomes: Sequence[Outcome]) -> list[str]:
         f"{len(_moments(counted))} moments of {len({one.recording for one in counted})} runs in "
         f"{len({one.env for one in counted})} tasks. 1 is no nearer to what the policy does than "
         f"uniform weights, 0 the policy itself; two samples of the policy are "
-        f"{_noise(counted):z.2f} apart (median)."
+        f"{_near(_noise(counted))} apart (median)."
     ]
     if rows:  # weights other than uniform ones
         said.append(f"Nearest: {_nearest(rows)}.")
@@ -138,6 +138,10 @@ def _ends(outcomes: Sequence[Outcome]) -> float:
 def _noise(outcomes: Sequence[Outcome]) -> float:
     """The median distance of two samples of the policy; NaN without uniform weights."""
     return median([one.footprint_noise for one in outcomes if one.way == UNIFORM] or [np.nan])
+
+
+def _near(distance: float) -> str:
+    return "less than 0.01" if distance < 0.005 else f"{distance:.2f}"
 
 
 def _bounds(row: dict[str, Any]) -> str:

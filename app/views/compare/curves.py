@@ -98,7 +98,8 @@ def _figures(
         with layout[i % len(layout)], st.container(border=True):
             words = text.markdown(metric_title(how.metric))
             st.markdown(f"**{text.markdown(task(env))}**, {words}")
-            _figure(env, grouped, curves, how, comparison, views, 460 if wide else 360)
+            size = (460, 840) if wide else (360, 400)
+            _figure(env, grouped, curves, how, comparison, views, size)
     if grouped and how.axes.x == measure.STEPS:
         st.caption("Click a point of a line for the replay nearest to it.")
 
@@ -110,13 +111,15 @@ def _figure(
     how: Measure,
     comparison: Comparison,
     views: Mapping[str, View],
-    height: int,
+    size: tuple[int, int],
 ) -> None:
+    """The figure of one environment; `size` is its height and least width in pixels."""
+    height, width = size
     off, looks = comparison.hidden_kinds, comparison.looks
     if here := [group for group in grouped if group.env == env]:
         figure = group_curves(
             here, how.metric, height, singles=how.singles, axes=how.axes, window=how.window,
-            looks=looks, hidden=off,
+            looks=looks, hidden=off, width=width,
         )  # fmt: skip
         entries = {line_uid(group): looks[group.kind].title for group in here}
     else:

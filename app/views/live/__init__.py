@@ -110,7 +110,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     alive = sum(run.status.alive for run in runs)
     st.caption(_headline(alive, shown, chosen))
     start.failures(runs)
-    cards(shown)
+    cards(shown, runs)
     for run in shown:
         widgets.show_problems(run)
     if not shown:

@@ -10,6 +10,7 @@ import pytest
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import pictures, readers
+from app.figures.base import ROW
 from app.figures.curves import POINTS, Axes, group_curves, run_curves
 from app.figures.observations import moments_figure
 from app.figures.probe import RunErrors, errors_by_age, focus, probe_profiles
@@ -30,7 +31,7 @@ from app.figures.weights import (
 from app.figures.why import waterfall
 from app.parts import widgets
 from app.theme import learner_colour
-from tom.analysis.curves import GRID, Curve, aggregate
+from tom.analysis.curves import GRID, Curve, Group, aggregate
 from tom.analysis.statistics import Interval
 from tom.analysis.why import Sum
 from tom.record.profiles import Profiles
@@ -118,6 +119,20 @@ def test_a_group_has_single_runs_a_band_and_a_mean() -> None:
     assert mean.y.tolist() == group.mean.tolist()
     assert band.y.tolist() == [*group.high, *group.low[::-1]]
     assert len(traces(group_curves([group], "x", 300, singles=False))) == 2
+
+
+def test_the_rows_of_a_long_legend_do_not_take_the_lines_room() -> None:
+    many = [replace(aggregate([long_curve(5)]), variant=f"model.hidden {i}") for i in range(6)]
+
+    def height(groups: list[Group], width: int) -> int:
+        return group_curves(groups, "x", 300, singles=False, width=width).to_dict()["layout"][
+            "height"
+        ]
+
+    assert height(many, width=400) == 300 + 4 * ROW  # a row each, two of which have room
+    assert height(many, width=700) == 300 + ROW
+    assert height(many[:2], width=400) == 300
+    assert height(many, width=0) == 300
 
 
 def test_one_seed_is_said_to_be_one() -> None:

@@ -11,7 +11,7 @@ from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
 
 from app.data import pictures
-from app.data.called import told_apart
+from app.data.called import names, task, told_apart
 from app.links import Links
 from app.scenes.colours import rgb
 from app.theme import COLUMNS, DIVERGING
@@ -68,6 +68,10 @@ def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
         ROAD_MLE: "MLE s0",
         "twin": "TOM s0, twin",
     }
+    other = replace(twin, settings={**twin.settings, "tom.flow": "restart"})
+    assert told_apart([tom, other]) == {ROAD_TOM: "TOM s0", "twin": "TOM s0, tom.flow restart"}
+    assert names([tom, other])["twin"] == "Road and rocks · TOM · seed 0, tom.flow restart"
+    assert [task(env) for env in ("halfcheetah", "ant")] == ["HalfCheetah", "Ant"]
 
 
 def test_in_either_theme_the_scene_and_the_map_agree_on_what_is_bright() -> None:

@@ -18,6 +18,7 @@ from app.data.called import names
 from app.data.readers import RunInfo
 from app.links import Links
 from app.parts import replay_link
+from app.parts.cards import NAMED, settings_line
 from app.parts.cards import figures as figures_of
 from app.views.live import now, start, usual, watched
 from app.views.weights import newest_fifth, play
@@ -26,6 +27,7 @@ from tom.errors import UserError
 from tom.record import layout
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
+from tom.training.presets import resolve
 
 pytestmark = pytest.mark.usefixtures("studio")
 
@@ -147,6 +149,27 @@ def test_live_shows_chosen_curves(store: Path) -> None:
     app = draw("live", runs=PENDULUM_TOM, curves="model/holdout_nll")
     line = figures(app)[3]["data"][0]
     assert array(line["y"]).tolist() == recorded(store, PENDULUM_TOM, "model/holdout_nll")[1]
+
+
+def test_a_card_names_the_preset_and_the_settings_that_make_a_run_another(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = resolve("inverted-pendulum", "tom", "mended").model_dump(mode="json")
+    units = usual["model"]["hidden"]
+    for name, preset, hidden in (("a", "paper", 8), ("b", "mended", 8), ("c", "mended", units)):
+        folder = shutil.copytree(store / PENDULUM_TOM, tmp_path / name)
+        config = json.loads((folder / "config.json").read_text())
+        chosen = {**usual, "model": {**usual["model"], "hidden": hidden}}
+        config |= {"run_id": name, "preset": preset, "config": chosen}
+        (folder / "config.json").write_text(json.dumps(config))
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("live", runs=["b"])  # the only one on the page, but not in the store
+    assert "TOM mended" in app.get("html")[0].proto.body
+    assert r"model\.hidden 8" in [caption.value for caption in app.caption]
+    runs = {name: info(tmp_path, name) for name in "abc"}
+    assert settings_line(runs["c"]) == ""
+    assert settings_line(runs["a"]).endswith(" more")
+    assert len(settings_line(runs["a"]).split(", ")) == NAMED + 1
 
 
 def test_live_charts_no_speed_of_a_run_that_only_explores(store: Path, tmp_path: Path) -> None:

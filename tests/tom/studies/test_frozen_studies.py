@@ -189,6 +189,8 @@ def test_a_moment_without_a_footprint_does_not_move_the_others():
         for step, (distance, noise) in enumerate([(0.9, 0.02), (0.3, 0.05), (np.nan, np.nan)])
     ]
     assert f"{0.035:.2f} apart (median)" in footprint.verdict(outcomes)[0]
+    silent = [replace(one, footprint_noise=0.001) for one in outcomes[:1]]
+    assert "less than 0.01 apart (median)" in footprint.verdict(silent)[0]
     (panel,) = footprint_figure(outcomes).axes
     points, (_, bar) = panel.collections[0].get_offsets(), panel.lines
     assert sorted(np.asarray(points)[:, 0]) == [0.3, 0.9]
