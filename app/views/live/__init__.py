@@ -70,14 +70,16 @@ def page() -> None:
 def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
     """The chosen runs; else the training ones; else each learner's newest run of one task.
 
-    It is the task of the newest run, of a recording of SAC only if no run has weights to show.
+    It is the task of the newest run, of a recording of SAC only if no run has weights to show. Runs
+    whose evaluations were kept go before those without.
     """
     picked = [run for run in runs if run.run_id in chosen]
     picked = picked or [run for run in runs if run.status.alive or _just_died(run)]
     if not picked and runs:
         last = next((run for run in runs if run.learner != SAC_ALONE), runs[0])
-        newest = {run.learner: run for run in reversed(runs) if run.env == last.env}
-        picked = list(newest.values())
+        oldest_first = [run for run in reversed(runs) if run.env == last.env]
+        oldest_first.sort(key=lambda run: now.EVALUATIONS not in run.left_out)
+        picked = list({run.learner: run for run in oldest_first}.values())
     return sorted(picked, key=lambda run: (run.env, run.learner, run.seed, run.run_id))
 
 
@@ -115,7 +117,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
         widgets.show_problems(run)
     if not shown:
         return
-    keep = " ".join(run.run_id for run in shown)
+    keep, called = " ".join(run.run_id for run in shown), names(runs)
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown(f"**Return**: {describe(MAIN_METRIC)}")
@@ -127,12 +129,12 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
         )
         replay_link.show(shown)
     with right, st.container(border=True):
-        followed = now.pick_followed(shown)
+        followed = now.pick_followed(shown, called)
         now.robot(followed)
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
-        called = text.markdown(names(shown)[followed.run_id])
-        st.markdown(f"**Weights of {called}**: every fit, oldest transitions at the bottom")
+        whose = text.markdown(called[followed.run_id])
+        st.markdown(f"**Weights of {whose}**: every fit, oldest transitions at the bottom")
         now.weights(followed)
     with right, st.container(border=True):
         _last_profiles(shown)

@@ -1,16 +1,15 @@
 """The current state of one of the watched runs: its weight map and newest evaluation in 3D."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import streamlit as st
 
 from app import session
 from app.data import pictures, readers
-from app.data.called import names
 from app.data.readers import RunInfo
 from app.figures.base import steps_in_words
 from app.figures.weights import weight_map
-from app.parts import pick, widgets
+from app.parts import empty, pick, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import Choice, ReplayChoice, RoadChoice
@@ -20,16 +19,22 @@ HEIGHT = 330
 NO_MODEL = "SAC alone fits no model, so there are no weights: Probe weighs its buffer."
 WITHOUT_GHOST = 0
 """no ghost, because the run's model would be read again after each checkpoint"""
+EVALUATIONS = "evaluations"
+"""what a small copy lacks that has no replay"""
 SEEN = "live evaluation"
 """the evaluation on the stage, and a count of them, so that each new one is played"""
 
 
-def pick_followed(runs: Sequence[RunInfo]) -> RunInfo:
-    """The run whose weights and robot are shown; training runs with uneven weights come first."""
+def pick_followed(runs: Sequence[RunInfo], called: Mapping[str, str]) -> RunInfo:
+    """The run whose weights and robot are shown; training runs with uneven weights come first.
+
+    `called` are the runs' names by id.
+    """
     by_id = {run.run_id: run for run in runs}
     alive = [run for run in runs if run.status.alive]
     first = widgets.most_telling(alive or runs)
-    return by_id[pick.one("Weights and robot of", names(runs), first.run_id, "follow")]
+    offered = {run_id: called[run_id] for run_id in by_id}
+    return by_id[pick.one("Weights and robot of", offered, first.run_id, "follow")]
 
 
 def weights(run: RunInfo) -> None:
@@ -49,7 +54,8 @@ def robot(run: RunInfo) -> None:
     """The newest evaluation, played once; for road-and-rocks its newest map."""
     choice = _newest(run)
     if choice is None:
-        st.caption("No evaluation yet: the robot comes with the first.")
+        if not empty.left_out(run, EVALUATIONS):
+            st.caption("No evaluation yet: the robot comes with the first.")
         return
     stage(choice, HEIGHT, "live", compact=True)
 

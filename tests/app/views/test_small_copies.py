@@ -59,6 +59,16 @@ def test_what_was_left_out_is_named(view: str, run: RunReader, words: str) -> No
     assert words in said(draw(view, run=run.run_id))
 
 
+def test_live_says_that_evaluations_were_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    export_small(PENDULUM, tmp_path, without=("evaluations",))
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    words = said(draw("live", runs=PENDULUM.run_id))
+    assert "Left out of this small copy: evaluations." in words
+    assert "comes with the first" not in words
+
+
 def test_of_a_whole_run_nothing_was_left_out(bare: Path) -> None:
     shown = info(bare, PENDULUM.run_id)
     assert not empty.left_out(shown, "episodes")

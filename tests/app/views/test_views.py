@@ -100,6 +100,9 @@ def test_live_without_a_training_prefers_runs_with_weights_to_a_recording(store:
     recording = replace(trained, run_id="recorded", env="hopper", learner="sac")
     assert watched([recording, trained], []) == [trained]
     assert watched([recording], []) == [recording]
+    bare = replace(trained, run_id="bare", left_out=(now.EVALUATIONS,))
+    assert watched([bare, trained], []) == [trained]  # the newest, but without a replay
+    assert watched([bare], []) == [bare]
 
 
 def test_runs_of_two_presets_have_two_names_on_live(
