@@ -66,12 +66,16 @@ def profiles(
 
 @dataclass(frozen=True)
 class Improvement:
-    """How often a run of the first group beats a run of the second, and the p of that."""
+    """How often a run of the first group beats a run of the second, and the p of that.
+
+    `corrected` is that p among the other pairs'.
+    """
 
     first: str
     second: str
     probability: Interval
     p: float
+    corrected: float
 
 
 def improvement(
@@ -85,7 +89,9 @@ def improvement(
     value = np.array([pair.probability.value for pair in pairs])
     low = np.array([pair.probability.low for pair in pairs])
     high = np.array([pair.probability.high for pair in pairs])
-    chance = [f"p {pair.p:.2g}" for pair in pairs]
+    chance = [f"p {pair.p:.2g}, corrected {pair.corrected:.2g}" for pair in pairs]
+    if len(pairs) == 1:
+        chance = [f"p {pairs[0].p:.2g}"]
     figure = go.Figure(
         go.Scatter(
             x=value,
@@ -109,6 +115,8 @@ def improvement(
     figure.add_scatter(x=np.full(len(pairs), 1.03), y=names, mode="text", text=chance, **column)
     marks = [upright(0.5, 1.5, "dash")]
     styled(figure, "probability of improvement", height, keep=f"improvement {keep}", marks=marks)
-    figure.update_xaxes(range=[-0.03, 1.13], showgrid=True)
+    right = 1.13 if len(pairs) == 1 else 1.35  # room for the column of p
+    ticks = [0, 0.2, 0.4, 0.6, 0.8, 1]
+    figure.update_xaxes(range=[-0.03, right], tickvals=ticks, showgrid=True)
     figure.update_yaxes(autorange="reversed", showgrid=False)
     return figure

@@ -115,13 +115,14 @@ def profile_band(
     rng: np.random.Generator,
     resamples: int = RESAMPLES,
 ) -> tuple[Array, Array]:
-    """The bootstrap interval of `performance_profile`: low (T,) and high (T,), NaN for one run."""
+    """The bootstrap interval of `performance_profile`: low (T,) and high (T,), NaN for one run.
+
+    All thresholds have the same resamples, so that the band never rises.
+    """
     at, tasks = np.asarray(thresholds, np.float64), _columns(scores)
     if min(map(len, tasks)) < 2:
         return np.full(len(at), np.nan), np.full(len(at), np.nan)
-    pairs = [_bootstrap(tasks, _shares(at[[i]]), rng, resamples) for i in range(len(at))]
-    low, high = np.array(pairs)[:, :, 0].T
-    return low, high
+    return _bootstrap(tasks, _shares(at), rng, resamples)
 
 
 def probability_of_improvement(x: ArrayLike, y: ArrayLike, rng: np.random.Generator) -> Interval:

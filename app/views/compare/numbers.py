@@ -72,11 +72,10 @@ def draw(comparison: Comparison) -> None:
     keep = " ".join([env, name, *(curve.run_id for group in grouped for curve in group.curves)])
     _profiles(drawn, scores, score, keep)
     both = list(combinations(range(len(grouped)), 2))
+    ps = [chance([scores[i]], [scores[j]]) for i, j in both]
     pairs = [
-        Improvement(
-            names[i], names[j], beats([scores[i]], [scores[j]]), chance([scores[i]], [scores[j]])
-        )
-        for i, j in both
+        Improvement(names[i], names[j], beats([scores[i]], [scores[j]]), p, of_all)
+        for (i, j), p, of_all in zip(both, ps, statistics.corrected(ps), strict=True)
     ]
     _improvement(pairs, [drawn[i].colour for i, _ in both], f"{score} {keep}")
     table = reached(grouped, names, level, until)
@@ -139,8 +138,8 @@ def _improvement(pairs: Sequence[Improvement], colours: Sequence[str], keep: str
         st.markdown(
             "**Probability of improvement**: that a run of the first beats a run of the second",
             help="ties count half; bars: 95 % bootstrap interval, too narrow for few runs, none "
-            "where a group has one; p: by permutation of the runs, right for few, and not "
-            "corrected for the number of pairs",
+            "where a group has one; p: by permutation of the runs, right for few; corrected: for "
+            "the number of pairs (Holm), and not for other pages and steps that were looked at",
         )
         figure = improvement(pairs, colours, 90 + 34 * len(pairs), keep)
         chart(figure, "improvement", "probability that a run of one group beats one of another")
@@ -168,7 +167,8 @@ def _pairs(pairs: Sequence[Improvement]) -> pd.DataFrame:
     return pd.DataFrame(
         [
             {"first": pair.first, "second": pair.second, "probability": pair.probability.value,
-             "low": pair.probability.low, "high": pair.probability.high, "p": pair.p}
+             "low": pair.probability.low, "high": pair.probability.high, "p": pair.p,
+             "p corrected": pair.corrected}
             for pair in pairs
         ]
     )  # fmt: skip

@@ -285,7 +285,7 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     curve = replace(long_curve(len(bins)), run_id=run_id)
     map_of = weight_map(profiles, last, "light", 300, relative=True)
     errors = {"TOM": [RunErrors(run_id, "tom", float(last), 1.0)]}
-    wins = Improvement("TOM", "MLE", Interval(0.5, 0.1, 0.9), 1.0)
+    wins = Improvement("TOM", "MLE", Interval(0.5, 0.1, 0.9), 1.0, 1.0)
     drawn = [
         weight_map(profiles, last, "light", 300, relative=True, keep=run_id),
         with_returns(map_of, curve, last),
@@ -301,6 +301,21 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
         improvement([wins], ["red"], 200, run_id),
     ]
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
+
+
+def test_a_p_among_several_is_shown_with_its_correction() -> None:
+    wins = [
+        Improvement(first, "MLE", Interval(0.9, 0.7, 1.0), p, corrected)
+        for first, p, corrected in (("TOM", 0.03, 0.06), ("PMAC", 0.4, 0.4))
+    ]
+    said = [
+        traces(improvement(shown, ["red"] * len(shown), 200, "a"))[1].text
+        for shown in (wins, wins[:1])
+    ]
+    assert [list(words) for words in said] == [
+        ["p 0.03, corrected 0.06", "p 0.4, corrected 0.4"],
+        ["p 0.03"],
+    ]
 
 
 def test_a_zoom_lasts_while_its_run_grows_and_is_none_of_another_run(profiles: Profiles) -> None:
