@@ -1,7 +1,7 @@
 """Make a small copy of a run: what its pages show, in well under a megabyte. The run itself stays.
 
 Numbers have fewer digits and series fewer points. Checkpoints and recordings are left out, large
-parts of OPTIONAL unless requested, and those of SERIES that are not wanted. The copy's
+parts of OPTIONAL unless requested, and what is not wanted of OPTIONAL and SERIES. The copy's
 `config.json` lists the missing parts under `thinned`.
 """
 
@@ -43,14 +43,15 @@ def thin(
 ) -> None:
     """Write a small copy of the run to `path`, which appears whole or not at all.
 
-    Parts of OPTIONAL that are in `keep` are kept at any size, those of SERIES in `without` are not.
+    Parts of OPTIONAL that are in `keep` are kept at any size. What is in `without`, of OPTIONAL or
+    SERIES, is not kept.
     """
     status = reader.status  # read first, because a training may end meanwhile
     with whole_folder(path) as unfinished:
         for folder in layout.FOLDERS:
             (unfinished / folder).mkdir()
         _copy(reader, unfinished, without)
-        lacks = [part for part in OPTIONAL if _leave_out(reader, unfinished, part, keep)]
+        lacks = [part for part in OPTIONAL if _leave_out(reader, unfinished, part, keep, without)]
         lost_parts = _lost(reader, RunReader(unfinished))
         lacks += [part for part, lost in lost_parts.items() if lost]
         before = [part for part in reader.left_out if part.removeprefix("other ") not in lacks]
@@ -208,9 +209,16 @@ OPTIONAL: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
 """parts that are left out if they are not small: the path and the writer of each"""
 
 
-def _leave_out(reader: RunReader, to: Path, part: str, keep: Collection[str]) -> bool:
-    """Write one of OPTIONAL; returns True if the run has it but it is neither small nor wanted."""
+def _leave_out(
+    reader: RunReader, to: Path, part: str, keep: Collection[str], without: Collection[str]
+) -> bool:
+    """Write one of OPTIONAL; returns True if the run has it, but the copy will not.
+
+    That is, if it is in `without`, or if it is not small and not in `keep`.
+    """
     name, write = OPTIONAL[part]
+    if part in without:
+        return _bytes(reader.path / name) > 0
     hopeless = _bytes(reader.path / name) > SHRINKS * SMALL
     if hopeless and part not in keep:
         return True

@@ -150,6 +150,11 @@ def test_an_export_that_is_refused_leaves_nothing_behind(store: Path, capsys, tm
         (["lst"], "lst"),
         (["trash", "one", "three"], "no run 'three'"),
         (["export", "one", "--format", "xls"], "xls"),
+        (["export", "one", "--without", "buffer"], "add --small"),
+        (
+            ["export", "one", "--small", "--keep", "buffer", "--without", "buffer"],
+            "both name buffer",
+        ),
         (["prune", "--keep", "-1"], "--keep -1"),
         (["rename", "one", "x" * 100], "80 at most"),
         (["list", "--env", "inverted-pendulm"], "did you mean 'inverted-pendulum'"),

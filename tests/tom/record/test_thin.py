@@ -15,6 +15,7 @@ from tom.record.export import export_small
 from tom.record.integrity import verify
 from tom.record.recorder import Recorder
 from tom.record.rounding import half
+from tom.record.thin import OPTIONAL
 from tom.record.writer import RunWriter
 
 
@@ -164,6 +165,23 @@ def test_a_copy_without_single_weights_and_episodes_says_so_and_reads_well(recor
     assert {"snapshots"} <= {*less.left_out}
     assert "other snapshots" not in less.left_out
     assert less.evaluation_steps() == some.evaluation_steps()
+
+
+def test_a_copy_without_small_parts_says_so_and_reads_well(record, tmp_path: Path):
+    rows, weight = transitions(0, 9), np.ones(9, np.float32)
+    run = record(
+        given=[
+            Collected(1, rows, np.zeros(9, np.int64)),
+            Weights(100, weight, policy={"weight_0": weight}),
+        ]
+    )
+    assert run.left_out == ()
+    copy = RunReader(export_small(run, tmp_path / "b", without=[*OPTIONAL]))
+    assert copy.left_out == ("buffer", "policies")
+    assert (len(copy.buffer()[0]), copy.policy_steps()) == (0, [])
+    assert verify(copy) == []
+    again = RunReader(export_small(copy, tmp_path / "c", without=[*OPTIONAL]))
+    assert again.left_out == copy.left_out
 
 
 def test_weights_that_cannot_be_read_are_left_out_and_named(record, tmp_path: Path):

@@ -42,8 +42,9 @@ def add_verbs(verbs, add_verb) -> None:
         help="what a small copy keeps whatever its size: " + ", ".join(OPTIONAL),
     )  # fmt: skip
     verb.add_argument(
-        "--without", nargs="+", choices=SERIES, default=[], metavar="PART",
-        help="what a small copy leaves out, of which it else has a few: " + ", ".join(SERIES),
+        "--without", nargs="+", choices=(*SERIES, *OPTIONAL), default=[], metavar="PART",
+        help=f"what a small copy leaves out: {', '.join(SERIES)}, of which it else has a few, "
+        + ", ".join(OPTIONAL),
     )  # fmt: skip
     verb.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
     text = "write the store's README.md: its small copies, and how each was made"
@@ -88,6 +89,8 @@ def export_runs(args: argparse.Namespace) -> int:
         raise UserError("--keep says what a small copy keeps: add --small")
     if args.without and not args.small:
         raise UserError("--without says what a small copy leaves out: add --small")
+    if both := sorted({*args.keep} & {*args.without}):
+        raise UserError(f"--keep and --without both name {', '.join(both)}: choose one")
     runs = _finished(Store(args.store), args.run_ids)
     if not runs:
         raise UserError(f"{args.store}/ has no finished runs: name those to export")
