@@ -11,7 +11,7 @@ from app.theme import NEUTRAL
 ENV_STEPS = "env steps"
 ROW, ENTRY, LETTER = 19, 45, 5.5
 """pixels: a row of a legend, an entry of it without its title, and a letter of the title"""
-DASHES = ("solid", "dash", "dot", "dashdot")
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 """for lines of one colour"""
 GRID = "rgba(128, 138, 158, 0.22)"
 LAYOUT = {

@@ -89,7 +89,7 @@ def test_it_has_every_learner_side_by_side() -> None:
     assert {pendulum[name] for name in ("ratio", "vagram", "vagram-ensemble")} == {3}
     hopper = {name: found["hopper", name] for name in HOPPER}
     # TOM of two presets, and with weights in the model or in the starts alone; small models.
-    assert hopper == {"mle": 6 + 3, "pmac": 6, "tom": 6 + 6 + 4 + 4 + 2, "vagram": 2}
+    assert hopper == {"mle": 6 + 4, "pmac": 6, "tom": 6 + 6 + 4 + 4 + 4, "vagram": 2}
     assert [found["halfcheetah", name] for name in ("mle", "tom")] == [3, 3 + 3]
     assert WEIGHINGS
 
@@ -116,7 +116,7 @@ def test_its_studies_say_what_was_found_and_by_which_command() -> None:
         assert study.claim, study.name
         assert study.findings, study.name
         assert study.figures, study.name
-        made_by = study.name.partition("-")[0]  # returns-2x2 is of `tom reproduce returns`
+        made_by = study.name.partition("-")[0]  # returns-apart is of `tom reproduce returns`
         assert study.origin["command"].startswith(f"tom reproduce {made_by}"), study.name
     assert size_of(RUNS / STUDIES) < STUDIES_BYTES
 

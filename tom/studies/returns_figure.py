@@ -1,6 +1,7 @@
 """Return curves: one panel per environment, one line with band per learner."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -16,7 +17,8 @@ COLUMNS = 3
 FEW_POINTS = 10
 LONG = 26
 """letters of a name, of which two do not fit beside each other"""
-SOLID, DASHES = "-", ("-.", "--", ":")
+LONG_DASHES, LONG_AND_DOTS = (0, (8, 2)), (0, (8, 2, 1, 2, 1, 2))
+SOLID, DASHES = "-", ("-.", "--", ":", LONG_DASHES, LONG_AND_DOTS)
 
 
 def return_figure(cells: Sequence[Cell]) -> Figure:
@@ -46,16 +48,16 @@ def return_figure(cells: Sequence[Cell]) -> Figure:
     return figure
 
 
-def _lines(cells: Sequence[Cell]) -> dict[Method, str]:
-    """The line style of each method: a learner's variants differ in it."""
-    lines: dict[Method, str] = {}
+def _lines(cells: Sequence[Cell]) -> dict[Method, Any]:
+    """Matplotlib's line style of each method: a learner's variants differ in it."""
+    lines: dict[Method, Any] = {}
     for learner, variant in sorted({cell.method for cell in cells}):
         before = sum(known == learner for known, _ in lines)
         lines[learner, variant] = DASHES[before % len(DASHES)] if variant else SOLID
     return lines
 
 
-def _draw(ax: Axes, cell: Cell, line: str) -> None:
+def _draw(ax: Axes, cell: Cell, line: Any) -> None:
     colour = learner_colour(cell.learner)
     group = aggregate([curve.best_so_far for curve in cell.curves])
     for curve in group.curves:
@@ -65,7 +67,8 @@ def _draw(ax: Axes, cell: Cell, line: str) -> None:
     label = f"{cell.label} (n = {cell.n})"
     marker = "o" if len(steps) < FEW_POINTS else None  # a line needs two points
     mean = group.mean[whole]
-    ax.plot(steps, mean, line, color=colour, label=label, marker=marker, markersize=3)
+    style = {"linestyle": line, "color": colour, "marker": marker, "markersize": 3}
+    ax.plot(steps, mean, label=label, **style)
     if cell.n > 1 and len(steps):
         low, high = group.low[whole], group.high[whole]
         ax.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)

@@ -141,10 +141,13 @@ def _ranking(cells: Sequence[Cell]) -> list[str]:
         f"TOM has the highest mean in {len(first)} of {len(judged)} of the paper's environments"
         f"{_listed(first)}; the paper says 4 of 5."
     ]
-    for variant in sorted({c.variant for c in cells if c.learner == "tom" and c.variant}):
+    variants = sorted({c.variant for c in cells if c.learner == "tom" and c.variant})
+    for variant in variants:
         have = [env for env, group in judged.items() if cell_of(group, env, "tom", variant)]
         first = [env for env in have if _tom_is_first(judged[env], at[env], variant)]
         lines += [f"TOM, {variant}, has it in {len(first)} of {len(have)}{_listed(first)}."]
+    if len(variants) > 1:
+        lines.append("TOM's variants are held against the other learners, not against each other.")
     few = min(c.n for cs in judged.values() for c in cs)
     if remark(few):
         lines.append(f"The smallest group: {remark(few)}.")
