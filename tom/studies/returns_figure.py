@@ -17,8 +17,8 @@ COLUMNS = 3
 FEW_POINTS = 10
 LONG = 26
 """letters of a name, of which two do not fit beside each other"""
-LONG_DASHES, LONG_AND_DOTS = (0, (8, 2)), (0, (8, 2, 1, 2, 1, 2))
-SOLID, DASHES = "-", ("-.", "--", ":", LONG_DASHES, LONG_AND_DOTS)
+LONG_DASHES, DASH_DOT_DOT = (0, (9, 2)), (0, (4, 1.5, 1, 1.5, 1, 1.5))
+SOLID, DASHES = "-", ("-.", "--", ":", LONG_DASHES, DASH_DOT_DOT)
 
 
 def return_figure(cells: Sequence[Cell]) -> Figure:
@@ -41,7 +41,8 @@ def return_figure(cells: Sequence[Cell]) -> Figure:
             ax.xaxis.set_major_formatter(EngFormatter(sep=""))  # 40k
             names = ax.get_legend_handles_labels()[1]
             ncols = 2 if max(map(len, names)) <= LONG else 1
-            ax.legend(fontsize=7.5, ncols=ncols, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+            below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)}
+            ax.legend(fontsize=7.5, ncols=ncols, handlelength=3.2, **below)
         for ax in axes[len(at) :]:
             ax.set_visible(False)
         axes[0].set_ylabel("best return so far")
