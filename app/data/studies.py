@@ -50,7 +50,10 @@ class Study:
 
     @property
     def question(self) -> str:
-        return QUESTIONS.get(self.name, "")
+        """That of the folder's name, else of the command, which may have written elsewhere."""
+        words = self.origin.get("command", "").split()
+        verb = words[2] if words[:2] == ["tom", "reproduce"] and len(words) > 2 else ""
+        return QUESTIONS.get(self.name, QUESTIONS.get(verb, ""))
 
 
 def folders(store: Path | str) -> tuple[Path, Path]:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,14 @@ def test_studies_are_listed_with_their_files(reports: Path) -> None:
     assert studies.report("road", studies.FOLDER) == Path("reports/road/report.html")
     assert studies.report("focus", studies.FOLDER) is None
     assert studies.report("../reports/road", studies.FOLDER) is None
+
+
+def test_a_study_in_a_folder_of_another_name_has_its_commands_question(reports: Path) -> None:
+    (study,) = (s for s in studies.listing(studies.FOLDER) if s.name == "road")
+    other = replace(study, name="mine", origin={"command": "tom reproduce focus --out mine"})
+    assert other.question == studies.QUESTIONS["focus"]
+    assert replace(other, origin={"command": "make"}).question == ""
+    assert replace(other, name="road").question == studies.QUESTIONS["road"]
 
 
 def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path) -> None:
