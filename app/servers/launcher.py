@@ -21,8 +21,8 @@ from tom.record.rerun import hub
 
 DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
-ATTEMPTS = 5
-"""launches, each on other ports, before the studio gives up finding free ones"""
+ATTEMPTS = 3
+"""launches, each on newly found ports, before the studio gives up"""
 RESTARTS = 3
 """maximum number of restarts of a dead viewer"""
 QUIET_S = 3600.0
@@ -84,8 +84,9 @@ def _launch(
         print(OPEN, file=sys.stderr)
     started[:] = build(links, folder)
     failed = _start(started, stopping)
-    if failed and failed.lost_its_port() and left > 1 and not stopping.is_set():
-        stop(started)  # another program took the port after it was found free
+    if failed and not failed.running and left > 1 and not stopping.is_set():
+        # Another program may have held its port, if only for a moment, after it was found free.
+        stop(started)
         return _launch(studio, folder, started, stopping, left - 1)
     return links, failed
 

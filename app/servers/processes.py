@@ -64,10 +64,6 @@ class Server:
             time.sleep(0.05)
         return False
 
-    def lost_its_port(self) -> bool:
-        """Whether it ended because another program listens on its port."""
-        return not self.running and not is_free(self.host, self.port)
-
     def tail(self) -> str:
         """The last lines of its output."""
         lines = self.log.read_text(errors="replace").splitlines() if self.log.exists() else []

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Barrier, Event
@@ -17,8 +18,9 @@ from kernel import LOOPBACK, alive, descendants, listening
 from studio_runs import ROAD_TOM
 
 from app.__main__ import main
+from app.servers import launcher
 from app.servers.launcher import Studio, servers
-from app.servers.processes import free_port, is_free
+from app.servers.processes import Server, free_port, is_free
 
 START_S = 90
 
@@ -72,6 +74,28 @@ def test_two_studios_launched_at_once_each_serve_their_own_store(tmp_path: Path)
 
     with ThreadPoolExecutor(2) as launches:
         assert list(launches.map(served, ["one", "other"])) == ["one", "other"]
+
+
+def test_a_port_held_for_a_moment_costs_the_studio_another_port_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, failures = launcher._start, []
+
+    def passed_by(started: Sequence[Server], stopping: Event) -> Server | None:
+        with socket.socket() as passer_by:
+            if not failures:  # after the search for a free port, and gone when the servers fail
+                passer_by.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                passer_by.bind(("127.0.0.1", started[-1].port))
+                passer_by.listen()
+            failures.append(start(started, stopping))
+        return failures[-1]
+
+    monkeypatch.setattr(launcher, "_start", passed_by)
+    with servers(Studio(store=tmp_path), Event()) as (links, running):
+        assert running
+        with urllib.request.urlopen(f"{links.address}/api/health", timeout=10) as answer:
+            assert json.load(answer)["store"] == str(tmp_path)
+    assert [failed and failed.name for failed in failures] == ["streamlit", None]
 
 
 def test_a_port_that_is_taken_is_one_line_and_code_2(
