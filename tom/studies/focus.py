@@ -31,9 +31,9 @@ from tom.record import RunReader
 from tom.rng import Streams
 from tom.training.presets import resolve
 
-Rival = Literal["mle", "pmac", "tom paper", "tom exact"]
-RIVALS: tuple[Rival, ...] = ("mle", "pmac", "tom paper", "tom exact")
-"""the learners compared, TOM with each of its presets"""
+Rival = Literal["mle", "pmac", "tom paper", "tom mended", "tom exact"]
+RIVALS: tuple[Rival, ...] = ("mle", "pmac", "tom paper", "tom mended", "tom exact")
+"""the learners compared, TOM as printed, mended, and with the preset of `TomConfig`"""
 
 
 @dataclass(frozen=True)
@@ -166,10 +166,17 @@ def _tested(data: OrderedData, policy: Policy, known: Task, seed: int) -> _Teste
 
 def _config(env: str, rival: Rival, preset: str) -> OnlineConfig:
     learner, _, of_tom = rival.partition(" ")
-    tom = TomConfig.preset("exact" if of_tom == "exact" else "paper")
     config = resolve(env, learner, preset)
     assert isinstance(config, OnlineConfig)
-    return config.but(tom=tom.model_dump())
+    return config.but(tom=_objective(env, of_tom or "paper").model_dump())
+
+
+def _objective(env: str, preset: str) -> TomConfig:
+    if preset == "exact":
+        return TomConfig.preset("exact")
+    config = resolve(env, "tom", preset)
+    assert isinstance(config, OnlineConfig)
+    return config.tom
 
 
 def _fitted(data: OrderedData, weighed: Weighed, config: OnlineConfig) -> DynamicsModel:

@@ -11,8 +11,13 @@ from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.style import STYLE, new_figure
 from tom.studies.focus import QUANTITIES, Focus
 
-MARKERS = {"tom exact": "D"}
-LABELS = {"pmac": "PMAC", "tom paper": "TOM, paper preset", "tom exact": "TOM, exact preset"}
+MARKERS = {"tom mended": "^", "tom exact": "D"}
+LABELS = {
+    "pmac": "PMAC",
+    "tom paper": "TOM, paper preset",
+    "tom mended": "TOM, mended preset",
+    "tom exact": "TOM, exact preset",
+}
 TICKS = {
     "policy": "policy's\nown",
     "policy_rollout": "own,\n5 steps",

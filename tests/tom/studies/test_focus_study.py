@@ -13,12 +13,13 @@ from torch import Tensor
 from tom.analysis.ordered_data import of_run
 from tom.analysis.weighing import Weighed
 from tom.cli import main
-from tom.config import SacRecordingConfig
+from tom.config import SacRecordingConfig, TomConfig
 from tom.data.transitions import Transitions
 from tom.envs import task
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.studies.focus import (
+    RIVALS,
     Case,
     Focus,
     Rival,
@@ -99,6 +100,16 @@ def test_all_weight_on_new_rows_costs_the_random_half(recording: RunReader):
     assert pmac.ess < 0.6
     assert pmac.random > mle.random
     assert focus(Case(recording.path, "mle", 0, preset="smoke")) == mle
+
+
+def test_toms_rivals_have_the_objectives_of_their_presets():
+    paper, mended, exact = (
+        _config("hopper", rival, "paper").tom for rival in RIVALS if rival.startswith("tom ")
+    )
+    assert paper == TomConfig.preset("paper")
+    assert (mended.flow, mended.q_holdout, mended.divergence) == ("stationary", 0.2, "kl")
+    assert exact == TomConfig.preset("exact")
+    assert _config("hopper", "tom mended", "smoke").tom == mended  # a small model alone
 
 
 @pytest.mark.parametrize("rival", ["tom paper", "pmac"])
