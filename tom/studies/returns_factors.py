@@ -6,7 +6,7 @@ states of its rollouts (line 22). A defensive share of 1 makes one of them unifo
 of a place is the mean over both levels of the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +35,7 @@ PLACES = {"weighted model": (1, 1, -1, -1), "weighted starts": (1, -1, 1, -1)}
 INTERACTION = "both beyond their sum", (1, -1, -1, 1)
 
 
-def factors(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+def factors(cells: Sequence[Cell], measures: Collection[str] = MEASURES) -> list[dict[str, Any]]:
     """One row per environment, learner, effect and measure; none without all four cells.
 
     "p" is that of `chance` with the other place's levels kept apart, and "p of all" is corrected
@@ -44,13 +44,13 @@ def factors(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     at, since, rows = compared_at(cells), compared_from(cells), []
     for design in _designs(cells):
         env, base = design.both.env, design.both.label
-        for by, words in MEASURES.items():
+        for by in measures:
             scores = [cell.scores(at[env], by, since[env]) for cell in design]
             effects = {name: _of_place(scores, signs) for name, signs in PLACES.items()}
             effects[INTERACTION[0]] = _contrast(scores, INTERACTION[1])
             few = remark([cell.n for cell in design])
             rows += [
-                {"env": env, "learner": base, "effect of": name, "by": words}
+                {"env": env, "learner": base, "effect of": name, "by": MEASURES[by]}
                 | {"wins": np.nan, "p": np.nan, **effect}
                 | {"remark": few}
                 for name, effect in effects.items()

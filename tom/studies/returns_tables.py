@@ -1,6 +1,6 @@
 """The tables of the returns study: scores, wins, and what the store lacks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -68,10 +68,10 @@ def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     return rows
 
 
-def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+def improvement(cells: Sequence[Cell], by: Collection[str] = MEASURES) -> list[dict[str, Any]]:
     """How often a run of a learner beats a run of another, over the tasks that both have.
 
-    Every learner against MLE, and TOM against every other, by each of MEASURES (an area is the
+    Every learner against MLE, and TOM against every other, by some of MEASURES (an area is the
     curve's mean height). "p" is by permutation of the runs, since intervals of so few are too
     narrow, and "p of all" is corrected for the number of rows.
     """
@@ -81,7 +81,7 @@ def improvement(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     for ours, theirs in _contests(list(label)):
         pairs = _pairs(cells, ours, theirs)
         if pairs:
-            rows += [_wins(label[ours], label[theirs], pairs, spans, by) for by in MEASURES]
+            rows += [_wins(label[ours], label[theirs], pairs, spans, each) for each in by]
     ps = corrected([row["p"] for row in rows])
     return [row | {"p of all": p} for row, p in zip(rows, ps, strict=True)]
 

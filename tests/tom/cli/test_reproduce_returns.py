@@ -100,6 +100,37 @@ def test_seeds_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "'-1' is no seed: a whole number, 0 or more" in capsys.readouterr().err
 
 
+def test_a_comparison_that_was_fixed_beforehand_is_corrected_for_no_other(tmp_path: Path, capsys):
+    store = Store(tmp_path / "store")
+    for place, (learner, preset) in enumerate(
+        (("mle", "paper"), ("pmac", "paper"), ("tom", "paper"), ("tom", "mended"))
+    ):
+        for seed in range(4):
+            config = resolve("hopper", learner, preset, {"seed": seed})
+            with Recorder(RunWriter.create(store, f"{place}-{seed}", config)) as recorder:
+                recorder.consume(Metrics(100, {"eval/return": 10.0 * place + seed}))
+                recorder.consume(Tick(100, "evaluate"))
+    words = ["reproduce", "returns", "--store", str(store.path), "--preset", "paper", "mended"]
+    words += ["--out", str(tmp_path / "out"), "--json"]
+
+    def compared(*chosen: str) -> list[dict]:
+        assert main([*words, *chosen]) == 0
+        return json.loads(capsys.readouterr().out)["improvement"]
+
+    assert len(compared()) == 6 * 3
+    of_two = compared("--groups", "TOM, mended", "MLE")
+    assert {(row["learner"], row["against"]) for row in of_two} == {("TOM, mended", "MLE")}
+    assert len(of_two) == 3
+    (alone,) = compared("--groups", "TOM, mended", "MLE", "--by", "area")
+    assert (alone["by"], alone["wins"]) == ("area under the curve", 1.0)
+    assert alone["p of all"] == alone["p"] < of_two[0]["p of all"]
+    assert main([*words, "--groups", "MLE", "TOM mended"]) == 2
+    assert (
+        "--groups: no such run is of 'TOM mended', but of: MLE; PMAC; TOM; TOM, mended"
+        in capsys.readouterr().err
+    )
+
+
 @pytest.mark.parametrize(
     ("words", "named"),
     [

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tom.analysis.scores import BEST, FINAL, HEIGHT
 from tom.cli.parser import seed_number
 from tom.cli.reproduce.study import (
     add_output,
@@ -42,6 +43,7 @@ ROLLOUTS = (
     "Rollouts: how often they fall over how often the policy does (median fit of each run), and "
     "the share of fits with a row that has a tenth of the weight; mean over runs"
 )
+BY = {"best": BEST, "last": FINAL, "area": HEIGHT}
 CAPTION = "Best return so far: mean over seeds, 95 % bootstrap band, single seeds faint."
 
 
@@ -69,6 +71,14 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--apart", action="store_true",
         help="runs with settings other than their preset's are learners of their own [of each "
         "learner and preset only the settings that most seeds share]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--groups", nargs="+", metavar="GROUP",
+        help='compare these alone, called as in the tables (MLE, "TOM, mended") [all]',
+    )  # fmt: skip
+    parser.add_argument(
+        "--by", nargs="+", choices=tuple(BY), default=list(BY), metavar="SCORE",
+        help=f"compare by these alone, of {' '.join(BY)}; p is corrected for no others [all]",
     )  # fmt: skip
     add_output(parser, "returns")
     parser.set_defaults(run=run)
@@ -98,8 +108,9 @@ def run(args: argparse.Namespace) -> int:
             f"{' '.join(asked)}: no such run was evaluated there or later; the longest of all ends "
             f"at {max(cell.longest for cell in whole):.0f}"
         )
+    cells = _of_groups(cells, args.groups)
     out_folder(args.out)
-    findings = _findings(cells)
+    findings = _findings(cells, [BY[name] for name in dict.fromkeys(args.by)])
     findings["missing"] = returns_tables.missing(whole, envs, args.learner)
     _write(args, cells, left_out, findings)
     _print(args, findings, left_out)
@@ -127,12 +138,20 @@ def _with_seeds(runs: Sequence[RunReader], seeds: Sequence[int] | None) -> Seque
     return chosen
 
 
-def _findings(cells: list[study.Cell]) -> dict[str, Any]:
+def _of_groups(cells: list[study.Cell], labels: Sequence[str] | None) -> list[study.Cell]:
+    have = sorted({cell.label for cell in cells})
+    for label in labels or ():
+        if label not in have:
+            raise UserError(f"--groups: no such run is of '{label}', but of: {'; '.join(have)}")
+    return [cell for cell in cells if labels is None or cell.label in labels]
+
+
+def _findings(cells: list[study.Cell], by: Sequence[str]) -> dict[str, Any]:
     return {
         "verdict": verdicts.returns(cells),
         "summary": returns_tables.summary(cells),
-        "improvement": returns_tables.improvement(cells),
-        "factors": returns_factors.factors(cells),
+        "improvement": returns_tables.improvement(cells, by),
+        "factors": returns_factors.factors(cells, by),
         "exams": returns_fits.exams(cells),
         "rollouts": returns_fits.rollouts(cells),
     }
