@@ -35,12 +35,13 @@ def told_apart(runs: Sequence[Named]) -> dict[str, str]:
     The distinction is the preset if the learner has several, then the settings in which a run
     differs from the others and from its preset, then the id.
     """
-    presets = telling_presets(runs)
-    short = (
-        " ".join(filter(None, (learner_label(run.learner), preset, f"s{run.seed}")))
-        for run, preset in zip(runs, presets, strict=True)
-    )
-    return _apart(runs, list(short))
+    return _apart(runs, _short(runs))
+
+
+def short_names(runs: Sequence[Named]) -> dict[str, str]:
+    """As `told_apart`, but the user's name of a run that has one."""
+    short = zip(runs, _short(runs), strict=True)
+    return _apart(runs, [run.labels.name or name for run, name in short])
 
 
 def names(runs: Sequence[Named]) -> dict[str, str]:
@@ -59,6 +60,13 @@ def task(env: str) -> str:
     if ":" in env:
         return env
     return "HalfCheetah" if env == "halfcheetah" else env.replace("-", " ").capitalize()
+
+
+def _short(runs: Sequence[Named]) -> list[str]:
+    return [
+        " ".join(filter(None, (learner_label(run.learner), preset, f"s{run.seed}")))
+        for run, preset in zip(runs, telling_presets(runs), strict=True)
+    ]
 
 
 def _name(run: Named, preset: str) -> str:

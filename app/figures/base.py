@@ -9,11 +9,12 @@ from app.data.pictures import ENV as OFFLINE
 from app.theme import NEUTRAL
 
 ENV_STEPS = "env steps"
-ROW, ENTRY, LETTER = 19, 45, 5.5
+ROW, ENTRY, LETTER = 19, 45, 6
 """pixels: a row of a legend, an entry of it without its title, and a letter of the title"""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 """for lines of one colour"""
 GRID = "rgba(128, 138, 158, 0.22)"
+MARGINS = 30  # pixels, left and right together
 LAYOUT = {
     "margin": {"l": 4, "r": 26, "t": 14, "b": 4},
     "paper_bgcolor": "rgba(0,0,0,0)",
@@ -70,11 +71,11 @@ def upright(x: float, width: float, dash: str | None = None) -> dict[str, Any]:
 
 def legend_rows(titles: Iterable[str], width: int) -> int:
     """Rows that a legend with these titles fills in a figure of `width` pixels, about."""
-    rows, left = 0, 0.0
+    rows, left = 0, 0
     for title in titles:
         needs = ENTRY + LETTER * len(title)
         if needs > left:
-            rows, left = rows + 1, float(width)
+            rows, left = rows + 1, width - MARGINS
         left -= needs
     return rows
 

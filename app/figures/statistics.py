@@ -13,6 +13,8 @@ from app.figures.looks import Look
 from app.theme import NEUTRAL, faded
 from tom.analysis.statistics import Interval
 
+LAST = 1.03  # of the axis of probabilities, where the column of p begins
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -112,11 +114,14 @@ def improvement(
         )
     )
     column = {"textposition": "middle right", "hoverinfo": "skip", "showlegend": False}
-    figure.add_scatter(x=np.full(len(pairs), 1.03), y=names, mode="text", text=chance, **column)
+    figure.add_scatter(
+        x=np.full(len(pairs), LAST), y=names, mode="text", text=chance, cliponaxis=False, **column
+    )
     marks = [upright(0.5, 1.5, "dash")]
     styled(figure, "probability of improvement", height, keep=f"improvement {keep}", marks=marks)
-    right = 1.13 if len(pairs) == 1 else 1.35  # room for the column of p
     ticks = [0, 0.2, 0.4, 0.6, 0.8, 1]
-    figure.update_xaxes(range=[-0.03, right], tickvals=ticks, showgrid=True)
+    figure.update_xaxes(range=[-0.03, LAST], tickvals=ticks, showgrid=True)
+    # Pixels for the column of p: a share of the axis would shrink beside long names.
+    figure.update_layout(margin_r=14 + 7 * max(map(len, chance), default=0))
     figure.update_yaxes(autorange="reversed", showgrid=False)
     return figure

@@ -1,13 +1,12 @@
 """A link from a point of a run's curve to the episodes at that step."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from urllib.parse import quote
 
 import streamlit as st
 
 from app import text
 from app.data import readers
-from app.data.called import names
 from app.data.readers import RunInfo
 from app.parts.plot import Point
 
@@ -20,8 +19,11 @@ def remember(point: Point) -> None:
         st.session_state[CLICKED] = (point.meta, int(point.x))
 
 
-def show(runs: Sequence[RunInfo]) -> None:
-    """A link to the episodes of the last clicked point, if it belongs to one of `runs`."""
+def show(runs: Sequence[RunInfo], called: Mapping[str, str]) -> None:
+    """A link to the episodes of the last clicked point, if it belongs to one of `runs`.
+
+    `called` has their names.
+    """
     run_id, step = st.session_state.get(CLICKED, ("", 0))
     run = next((run for run in runs if run.run_id == run_id), None)
     steps = readers.evaluation_steps(run) if run else []
@@ -30,4 +32,4 @@ def show(runs: Sequence[RunInfo]) -> None:
         return
     at = min(steps, key=lambda evaluated: abs(evaluated - step))
     address = f"/replays?run={quote(run_id)}&step={at}"
-    st.markdown(f"[Replay of {text.markdown(names(runs)[run_id])}, step {at:,}]({address})")
+    st.markdown(f"[Replay of {text.markdown(called[run_id])}, step {at:,}]({address})")

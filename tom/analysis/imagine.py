@@ -52,8 +52,7 @@ class Imagined:
 
 def stored_step(run: RunReader) -> int | None:
     """The env step of the stored model, which may be damaged; None if there is no model."""
-    steps = (checkpoint.newest(run.path / folder) for folder in checkpoint.MODEL_PLACES)
-    return next((step for step in steps if step is not None), None)
+    return checkpoint.model_step(run.path)
 
 
 def stored_model(run: RunReader) -> StoredModel:

@@ -134,6 +134,12 @@ def newest(folder: Path) -> int | None:
     return int(checkpoints[0].name) if checkpoints else None
 
 
+def model_step(run: Path) -> int | None:
+    """The step of the newest checkpoint that may have the run's model, damaged or not, or None."""
+    steps = (newest(run / place) for place in MODEL_PLACES)
+    return next((step for step in steps if step is not None), None)
+
+
 class _Hashing:
     """A file for writing that also computes sha256 and length."""
 

@@ -218,7 +218,9 @@ def _leave_out(
     """
     name, write = OPTIONAL[part]
     if part in without:
-        return _bytes(reader.path / name) > 0
+        in_checkpoint = part == "model" and reader.fits_model
+        kept = in_checkpoint and checkpoint.model_step(reader.path) is not None
+        return kept or _bytes(reader.path / name) > 0
     hopeless = _bytes(reader.path / name) > SHRINKS * SMALL
     if hopeless and part not in keep:
         return True

@@ -29,7 +29,7 @@ from tom.policy.collect import footprint
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader
 from tom.rng import Streams
-from tom.training.presets import resolve
+from tom.training.presets import PRESETS, resolve
 
 Rival = Literal["mle", "pmac", "tom paper", "tom mended", "tom exact"]
 RIVALS: tuple[Rival, ...] = ("mle", "pmac", "tom paper", "tom mended", "tom exact")
@@ -168,15 +168,13 @@ def _config(env: str, rival: Rival, preset: str) -> OnlineConfig:
     learner, _, of_tom = rival.partition(" ")
     config = resolve(env, learner, preset)
     assert isinstance(config, OnlineConfig)
-    return config.but(tom=_objective(env, of_tom or "paper").model_dump())
+    return config.but(tom=_objective(of_tom).model_dump())
 
 
-def _objective(env: str, preset: str) -> TomConfig:
-    if preset == "exact":
-        return TomConfig.preset("exact")
-    config = resolve(env, "tom", preset)
-    assert isinstance(config, OnlineConfig)
-    return config.tom
+def _objective(name: str) -> TomConfig:
+    if name == "mended":
+        return TomConfig.model_validate(PRESETS[name]["tom"])
+    return TomConfig.preset("exact" if name == "exact" else "paper")
 
 
 def _fitted(data: OrderedData, weighed: Weighed, config: OnlineConfig) -> DynamicsModel:

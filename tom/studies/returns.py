@@ -9,7 +9,7 @@ before he looked, without the runs that end earlier; if the settings of their gr
 verdict says so. Runs are grouped and scored as on the Compare page (`tom/analysis/scores.py`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
@@ -79,15 +79,38 @@ class Cell:
 
 
 def select(
-    runs: Sequence[RunReader], *presets: str, at: Mapping[str, int] = FREE, apart: bool = False
+    runs: Sequence[RunReader],
+    *presets: str,
+    at: Mapping[str, int] = FREE,
+    apart: bool = False,
+    groups: Collection[str] | None = None,
 ) -> tuple[list[Cell], list[str]]:
     """The cells of the runs of `presets`, and the ids of runs that were left out.
 
-    If `apart`, runs that differ in settings from their preset have cells of their own.
+    If `apart`, runs that differ in settings from their preset have cells of their own. Of `groups`,
+    labels of cells, there are these alone: the runs of others bound no comparison.
     Curves of an environment in `at` end at that env step, and its runs without an evaluation there
     or later are left out. All runs of a learner are left out if one was first evaluated after the
     step of the comparison.
     """
+    cells, left_out = _cells(runs, presets, at, apart)
+    if groups is not None:
+        cells = [cell for cell in cells if cell.label in groups]
+    common = compared_at(cells)
+    late = [cell for cell in cells if not begun(cell.curves, common[cell.env])]
+    left_out += [run.run_id for cell in late for run in cell.runs]
+    return sorted((cell for cell in cells if cell not in late), key=_place), left_out
+
+
+def labels(runs: Sequence[RunReader], *presets: str, apart: bool = False) -> list[str]:
+    """What the learners are called that there are in `select`."""
+    return sorted({cell.label for cell in _cells(runs, presets, FREE, apart)[0]})
+
+
+def _cells(
+    runs: Sequence[RunReader], presets: Sequence[str], at: Mapping[str, int], apart: bool
+) -> tuple[list[Cell], list[str]]:
+    """All cells with a return up to their step of `at`, and the ids of other runs."""
     mine = [
         run for run in runs if run.env != ROAD and run.learner in LEARNERS and run.preset in presets
     ]
@@ -103,10 +126,7 @@ def select(
         cells.append(Cell(env, learner, *zip(*chosen, strict=True), variant=variant))
         used = {run.run_id for run, _ in chosen}
         left_out += [run.run_id for run, _ in every if run.run_id not in used]
-    common = compared_at(cells)
-    late = [cell for cell in cells if not begun(cell.curves, common[cell.env])]
-    left_out += [run.run_id for cell in late for run in cell.runs]
-    return sorted((cell for cell in cells if cell not in late), key=_place), left_out
+    return cells, left_out
 
 
 def compared_at(cells: Sequence[Cell]) -> dict[str, float]:

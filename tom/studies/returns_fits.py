@@ -19,20 +19,24 @@ EXAMS = {
     "exam/rollout_error": "error after 5 steps",
 }
 """the reported numbers of a learner's exams, by metric"""
+ESS = "weights/ess"
 FALLS, POLICY_FALLS = "rollout/terminated", "weights/ends_policy"
 LARGEST, SIZE = "weights/max", "buffer/size"
 ROLLOUTS = ("falls", "heavy rows")
 """the reported numbers of a learner's rollouts"""
 
-OfFits = Callable[[RunReader, float], Mapping[str, float] | None]
+Span = tuple[float, float]
+"""the first and the last step whose fits count"""
+OfFits = Callable[[RunReader, Span], Mapping[str, float] | None]
 
 
 def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     """One row per environment and learner whose runs have exams: the median fit of each run.
 
-    It has the mean over runs and its bootstrap interval (`tom.exams`). Only the fits up to the step
-    that all runs of the environment reach count, as for the scores. A run none of whose footprints
-    is informative is missing in their mean.
+    It has the mean over runs and its bootstrap interval (`tom.exams`). Only the fits from the step
+    on from which every learner of the environment weighs (TOM must know its policy first) and up to
+    the step that all runs reach count. A run none of whose footprints is informative is missing in
+    their mean.
     """
     return _table(cells, _exam_medians)
 
@@ -52,7 +56,9 @@ def rollouts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
     at, rows = compared_at(cells), []
     for cell in cells:
-        told = [one for run in cell.runs if (one := of_fits(run, at[cell.env])) is not None]
+        runs = [run for other in cells if other.env == cell.env for run in other.runs]
+        span = max(map(_weighs_from, runs)), at[cell.env]
+        told = [one for run in cell.runs if (one := of_fits(run, span)) is not None]
         if not told:
             continue
         row: dict[str, Any] = {"env": cell.env, "learner": cell.label, "n": len(told)}
@@ -64,15 +70,24 @@ def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
     return rows
 
 
-def _exam_medians(run: RunReader, until: float) -> Mapping[str, float] | None:
-    """Each of EXAMS, the median over the fits up to step `until`; None without exams there.
+def _weighs_from(run: RunReader) -> float:
+    """The step of the first fit with unequal weights; -infinity for a run that weighs nothing."""
+    metrics = run.metrics()
+    if ESS not in metrics:
+        return -np.inf
+    weighed = metrics.loc[metrics[ESS] < 1, "env_step"]
+    return float(weighed.min()) if len(weighed) else -np.inf
+
+
+def _exam_medians(run: RunReader, span: Span) -> Mapping[str, float] | None:
+    """Each of EXAMS, the median over the fits within `span`; None without exams there.
 
     A footprint counts if it is informative.
     """
     metrics = run.metrics()
     if not set(EXAMS) <= set(metrics):
         return None
-    here = metrics[metrics["env_step"] <= until]
+    here = metrics[metrics["env_step"].between(*span)]
     values = {name: np.asarray(here[name], np.float64) for name in EXAMS}
     if not any(np.isfinite(of_fits).any() for of_fits in values.values()):
         return None
@@ -81,12 +96,12 @@ def _exam_medians(run: RunReader, until: float) -> Mapping[str, float] | None:
     return {EXAMS[name]: _median(of_fits) for name, of_fits in values.items()}
 
 
-def _rollouts(run: RunReader, until: float) -> Mapping[str, float] | None:
-    """Each of ROLLOUTS over the fits up to step `until`; None if they recorded too little."""
+def _rollouts(run: RunReader, span: Span) -> Mapping[str, float] | None:
+    """Each of ROLLOUTS over the fits within `span`; None if they recorded too little."""
     metrics, needed = run.metrics(), [FALLS, POLICY_FALLS, LARGEST, SIZE]
     if not set(needed) <= set(metrics):
         return None
-    here = metrics.loc[metrics["env_step"] <= until, needed].dropna()
+    here = metrics.loc[metrics["env_step"].between(*span), needed].dropna()
     if here.empty:
         return None
     falls = _median((here[FALLS] / here[POLICY_FALLS]).to_numpy())

@@ -68,17 +68,20 @@ def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     return rows
 
 
-def improvement(cells: Sequence[Cell], by: Collection[str] = MEASURES) -> list[dict[str, Any]]:
+def improvement(
+    cells: Sequence[Cell], by: Collection[str] = MEASURES, *, planned: bool = False
+) -> list[dict[str, Any]]:
     """How often a run of a learner beats a run of another, over the tasks that both have.
 
-    Every learner against MLE, and TOM against every other, by some of MEASURES (an area is the
+    Every learner against MLE, and TOM against every other; if `planned`, because the reader chose
+    the learners, each against each. By some of MEASURES (an area is the
     curve's mean height). "p" is by permutation of the runs, since intervals of so few are too
     narrow, and "p of all" is corrected for the number of rows.
     """
     label = {cell.method: cell.label for cell in cells}
     at, since, rows = compared_at(cells), compared_from(cells), []
     spans = {env: (at[env], since[env]) for env in at}
-    for ours, theirs in _contests(list(label)):
+    for ours, theirs in _contests(list(label), planned):
         pairs = _pairs(cells, ours, theirs)
         if pairs:
             rows += [_wins(label[ours], label[theirs], pairs, spans, each) for each in by]
@@ -86,12 +89,15 @@ def improvement(cells: Sequence[Cell], by: Collection[str] = MEASURES) -> list[d
     return [row | {"p of all": p} for row, p in zip(rows, ps, strict=True)]
 
 
-def _contests(methods: Sequence[Method]) -> list[tuple[Method, Method]]:
-    """Each pair of methods with MLE or TOM among them, once: who is asked about stands first."""
+def _contests(methods: Sequence[Method], planned: bool) -> list[tuple[Method, Method]]:
+    """Each pair of methods, once, if not `planned` with MLE or TOM among them.
+
+    Who is asked about stands first.
+    """
     ranks = {RIVAL: 0, "tom": 2}
     order = sorted(methods, key=lambda method: (ranks.get(method[0], 1), *method))
     pairs = [(ours, theirs) for theirs, ours in combinations(order, 2)]
-    told = [pair for pair in pairs if ranks.keys() & {learner for learner, _ in pair}]
+    told = [pair for pair in pairs if planned or ranks.keys() & {learner for learner, _ in pair}]
     return sorted(told, key=lambda pair: order.index(pair[0]))
 
 

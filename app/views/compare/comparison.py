@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import streamlit as st
 
 from app import session
-from app.data.called import names, told_apart
+from app.data.called import names, short_names
 from app.data.readers import RunInfo
 from app.figures.looks import Look, looks
 from app.parts import address
@@ -54,12 +54,12 @@ class Comparison:
     def rows(self) -> list[Row]:
         """The list beside the figure: one row per group, with its runs."""
         several = len({run.env for run in self.runs}) > 1
-        called = names(self.runs) if several else told_apart(self.runs)
+        called = names(self.runs) if several else short_names(self.runs)
         rows = []
         for kind, look in self.looks.items():
             mine = [run for run in self.runs if self.kinds[run.run_id] == kind]
             items = [
-                Item(run.run_id, run.labels.name or called[run.run_id], run.run_id in self.hidden)
+                Item(run.run_id, called[run.run_id], run.run_id in self.hidden)
                 for run in sorted(mine, key=lambda run: (run.env, run.seed))
             ]
             rows.append(Row(look, look.title in self.hidden, items))

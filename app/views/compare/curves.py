@@ -10,7 +10,7 @@ from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.data import tables
-from app.data.called import task, told_apart
+from app.data.called import names, task, told_apart
 from app.figures.curves import group_curves, line_uid, metric_title, run_curves
 from app.parts.eyes import eyes
 from app.parts.plot import View, chart
@@ -46,7 +46,7 @@ def draw(comparison: Comparison, controls: DeltaGenerator) -> None:
         _figures(grouped, curves, how, comparison, views)
     with right:
         if beside:
-            replay_beside.show(*beside)
+            replay_beside.show(*beside, called=names(comparison.runs)[beside[0].run_id])
         else:
             _list(comparison)
     off = comparison.hidden_kinds

@@ -8,7 +8,6 @@ import streamlit as st
 
 from app import text
 from app.data import readers
-from app.data.called import names
 from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON
 from app.parts import address, replay_link
@@ -66,13 +65,12 @@ def run_and_step(words: Sequence[str]) -> tuple[str, int]:
     return NOTHING if step is None else (run_id, step)
 
 
-def show(run: RunInfo, clicked: int, step: int) -> None:
-    """The robot at the evaluation `step`, with a line that names it."""
-    called = text.markdown(names([run])[run.run_id])
+def show(run: RunInfo, clicked: int, step: int, called: str) -> None:
+    """The robot at the evaluation `step`, with a line that calls the run by its name."""
     asked = "" if step == clicked else f", the nearest that is kept to step {clicked:,}"
     address = f"/replays?run={quote(run.run_id)}&step={step}"
     head, close = st.columns([6, 1], vertical_alignment="center")
-    head.markdown(f"[Replay of {called}, step {step:,}]({address}){asked}")
+    head.markdown(f"[Replay of {text.markdown(called)}, step {step:,}]({address}){asked}")
     close.button("", icon=":material/close:", key="close replay", help="close", on_click=_forget)
     stage(
         ReplayChoice(run.run_id, step, 0, 0, DEFAULT_HORIZON, played=1),

@@ -71,15 +71,16 @@ def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
     """The chosen runs; else the training ones; else each learner's newest run of one task.
 
     It is the task of the newest run, of a recording of SAC only if no run has weights to show. Runs
-    whose evaluations were kept go before those without.
+    with a replay go before those without.
     """
     picked = [run for run in runs if run.run_id in chosen]
     picked = picked or [run for run in runs if run.status.alive or _just_died(run)]
     if not picked and runs:
         last = next((run for run in runs if run.learner != SAC_ALONE), runs[0])
-        oldest_first = [run for run in reversed(runs) if run.env == last.env]
-        oldest_first.sort(key=lambda run: now.EVALUATIONS not in run.left_out)
-        picked = list({run.learner: run for run in oldest_first}.values())
+        of_task = [run for run in runs if run.env == last.env]
+        for learner in dict.fromkeys(run.learner for run in of_task):
+            mine = [run for run in of_task if run.learner == learner]
+            picked.append(next((run for run in mine if readers.evaluation_steps(run)), mine[0]))
     return sorted(picked, key=lambda run: (run.env, run.learner, run.seed, run.run_id))
 
 
@@ -127,7 +128,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
         chart(
             figure, "curve main", "return against env steps, one line a run", replay_link.remember
         )
-        replay_link.show(shown)
+        replay_link.show(shown, called)
     with right, st.container(border=True):
         followed = now.pick_followed(shown, called)
         now.robot(followed)

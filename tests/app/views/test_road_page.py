@@ -11,11 +11,12 @@ from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
 
 from app.data import pictures
-from app.data.called import names, task, told_apart
+from app.data.called import names, short_names, task, told_apart
 from app.links import Links
 from app.scenes.colours import rgb
 from app.theme import COLUMNS, DIVERGING
 from app.views.road import BESIDE
+from tom.record.labels import Labels
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -69,6 +70,13 @@ def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
         "twin": "TOM s0, twin",
     }
     other = replace(twin, settings={**twin.settings, "tom.flow": "restart"})
+    ours = info(store, ROAD_TOM)
+    named = [replace(run, labels=Labels(name="the good one")) for run in (ours, other)]
+    assert short_names([*named, mle]) == {
+        ROAD_TOM: "the good one",
+        "twin": "the good one, tom.flow restart",
+        ROAD_MLE: "MLE s0",
+    }
     assert told_apart([tom, other]) == {ROAD_TOM: "TOM s0", "twin": "TOM s0, tom.flow restart"}
     assert names([tom, other])["twin"] == "Road and rocks · TOM · seed 0, tom.flow restart"
     assert [task(env) for env in ("halfcheetah", "ant")] == ["HalfCheetah", "Ant"]

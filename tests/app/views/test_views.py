@@ -95,12 +95,16 @@ def test_live_without_a_training_shows_each_learners_newest_run() -> None:
     assert names == [ROAD_MLE, ROAD_TOM]
 
 
-def test_live_without_a_training_prefers_runs_with_weights_to_a_recording(store: Path) -> None:
+def test_live_without_a_training_prefers_runs_with_weights_and_replays(
+    store: Path, tmp_path: Path
+) -> None:
     trained = info(store, PENDULUM_TOM)
     recording = replace(trained, run_id="recorded", env="hopper", learner="sac")
     assert watched([recording, trained], []) == [trained]
     assert watched([recording], []) == [recording]
-    bare = replace(trained, run_id="bare", left_out=(now.EVALUATIONS,))
+    folder = shutil.copytree(store / PENDULUM_TOM, tmp_path / "bare")
+    shutil.rmtree(folder / "episodes")
+    bare = replace(trained, run_id="bare", path=str(folder))
     assert watched([bare, trained], []) == [trained]  # the newest, but without a replay
     assert watched([bare], []) == [bare]
 

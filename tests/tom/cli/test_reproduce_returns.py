@@ -124,11 +124,34 @@ def test_a_comparison_that_was_fixed_beforehand_is_corrected_for_no_other(tmp_pa
     (alone,) = compared("--groups", "TOM, mended", "MLE", "--by", "area")
     assert (alone["by"], alone["wins"]) == ("area under the curve", 1.0)
     assert alone["p of all"] == alone["p"] < of_two[0]["p of all"]
+    (others,) = compared("--groups", "PMAC", "MLE", "--by", "area")
+    assert (others["learner"], others["wins"]) == ("PMAC", 1.0)
+    assert main([*words, "--groups", "MLE"]) == 2
+    assert "one alone is compared with nobody; name two of: MLE; PMAC" in capsys.readouterr().err
     assert main([*words, "--groups", "MLE", "TOM mended"]) == 2
     assert (
         "--groups: no such run is of 'TOM mended', but of: MLE; PMAC; TOM; TOM, mended"
         in capsys.readouterr().err
     )
+
+
+def test_runs_of_other_groups_bound_no_planned_comparison(tmp_path: Path, capsys):
+    store = Store(tmp_path / "store")
+    for learner, steps in (("pmac", (100, 500)), ("vagram", (1000, 2000)), ("ratio", (1000, 2000))):
+        config = resolve("hopper", learner, "paper")
+        with Recorder(RunWriter.create(store, learner, config)) as recorder:
+            for step in steps:
+                recorder.consume(Metrics(step, {"eval/return": float(step)}))
+                recorder.consume(Tick(step, "evaluate"))
+    words = ["reproduce", "returns", "--store", str(store.path), "--out", str(tmp_path / "out")]
+    words += ["--preset", "paper", "--json", "--by", "last"]
+    assert main([*words, "--groups", "VaGram (MDN)", "Ratio"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {row["at step"] for row in found["summary"]} == {2000}
+    (row,) = found["improvement"]  # a comparison without MLE and TOM, because it was asked for
+    assert {row["learner"], row["against"]} == {"VaGram (MDN)", "Ratio"}
+    assert main(words) == 0
+    assert {row["at step"] for row in json.loads(capsys.readouterr().out)["summary"]} == {500}
 
 
 @pytest.mark.parametrize(

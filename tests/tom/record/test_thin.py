@@ -9,6 +9,8 @@ import pandas as pd
 import pytest
 from recorded import FIT, STEPS, Config, episodes, events, transitions
 
+from tom.analysis.imagine import stored_model
+from tom.errors import UserError
 from tom.events import Collected, Evaluation, Field, KeptPolicy, Metrics, Tick, Weights
 from tom.record import RunReader, Store, checkpoint, decode, layout
 from tom.record.export import export_small
@@ -175,9 +177,12 @@ def test_a_copy_without_small_parts_says_so_and_reads_well(record, tmp_path: Pat
             Weights(100, weight, policy={"weight_0": weight}),
         ]
     )
+    checkpoint.save(run.path / checkpoint.FOLDER, 9, {"training": {"coefficients": np.ones(3)}})
     assert run.left_out == ()
     copy = RunReader(export_small(run, tmp_path / "b", without=[*OPTIONAL]))
-    assert copy.left_out == ("buffer", "policies")
+    assert copy.left_out == ("buffer", "model", "policies", "checkpoint")
+    with pytest.raises(UserError, match="left out of this small copy"):
+        stored_model(copy)
     assert (len(copy.buffer()[0]), copy.policy_steps()) == (0, [])
     assert verify(copy) == []
     again = RunReader(export_small(copy, tmp_path / "c", without=[*OPTIONAL]))

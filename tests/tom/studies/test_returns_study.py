@@ -268,6 +268,25 @@ def test_exams_after_the_step_that_all_runs_reach_do_not_count(store: Store):
     assert (row["n"], row["error"]) == (2, 750)  # of 500 and 1000, in both runs
 
 
+def test_fits_before_every_learner_weighs_do_not_count(store: Store):
+    """TOM's first fits are as MLE's: with them its footprint would stand nearer to 1."""
+    for learner, weighs_from in (("mle", 9000), ("pmac", 300), ("tom", 500)):
+        config = resolve("hopper", learner, "paper", {"seed": 5})
+        with Recorder(RunWriter.create(store, f"{learner}-examined", config)) as recorder:
+            for step in range(100, 901, 100):
+                values = dict.fromkeys(fits.EXAMS, float(step)) | {fits.FALLS: 0.01 * step}
+                values |= {fits.POLICY_FALLS: 0.01, fits.LARGEST: 1.0, fits.SIZE: 500.0}
+                ess = 0.5 if step >= weighs_from else 1.0
+                recorder.consume(Metrics(step, values | {fits.ESS: ess}))
+            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
+            recorder.consume(Tick(1000, "evaluate"))
+    chosen, _ = study.select([run for run in store.runs() if run.seed == 5], "paper")
+    assert {row["error"] for row in fits.exams(chosen)} == {700}  # of 500 to 900, MLE's too
+    assert {row["falls"] for row in fits.rollouts(chosen)} == {700}
+    alone = [cell for cell in chosen if cell.learner != "tom"]
+    assert {row["error"] for row in fits.exams(alone)} == {600}
+
+
 def test_rollouts_fall_so_often_as_the_policy_or_more(store: Store):
     told = {
         0: [(0.02, 0.01, 1.0), (0.03, 0.01, 50.0), (0.08, 0.01, 5.0), (0.5, 0.0, 900.0)],

@@ -101,16 +101,18 @@ def run(args: argparse.Namespace) -> int:
             f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds 4 makes them"
         )
     runs = _with_seeds(every, args.seeds)
-    cells, left_out = study.select(runs, *args.preset, at=at, apart=args.apart)
+    _check_groups(args.groups, study.labels(runs, *args.preset, apart=args.apart))
+    cells, left_out = study.select(runs, *args.preset, at=at, apart=args.apart, groups=args.groups)
     if not cells:
-        asked = ["--at", *args.at] if args.at else ["--seeds", *map(str, args.seeds)]
+        asked = {"--at": args.at, "--seeds": args.seeds, "--groups": args.groups}
+        words = (f"{option} {' '.join(map(str, of))}" for option, of in asked.items() if of)
         raise UserError(
-            f"{' '.join(asked)}: no such run was evaluated there or later; the longest of all ends "
+            f"{' '.join(words)}: no such run was evaluated there or later; the longest of all ends "
             f"at {max(cell.longest for cell in whole):.0f}"
         )
-    cells = _of_groups(cells, args.groups)
     out_folder(args.out)
-    findings = _findings(cells, [BY[name] for name in dict.fromkeys(args.by)])
+    by = [BY[name] for name in dict.fromkeys(args.by)]
+    findings = _findings(cells, by, planned=args.groups is not None)
     findings["missing"] = returns_tables.missing(whole, envs, args.learner)
     _write(args, cells, left_out, findings)
     _print(args, findings, left_out)
@@ -138,19 +140,21 @@ def _with_seeds(runs: Sequence[RunReader], seeds: Sequence[int] | None) -> Seque
     return chosen
 
 
-def _of_groups(cells: list[study.Cell], labels: Sequence[str] | None) -> list[study.Cell]:
-    have = sorted({cell.label for cell in cells})
-    for label in labels or ():
-        if label not in have:
-            raise UserError(f"--groups: no such run is of '{label}', but of: {'; '.join(have)}")
-    return [cell for cell in cells if labels is None or cell.label in labels]
+def _check_groups(groups: Sequence[str] | None, have: Sequence[str]) -> None:
+    for group in groups or ():
+        if group not in have:
+            raise UserError(f"--groups: no such run is of '{group}', but of: {'; '.join(have)}")
+    if groups is not None and len({*groups}) < 2:
+        raise UserError(
+            f"--groups: one alone is compared with nobody; name two of: {'; '.join(have)}"
+        )
 
 
-def _findings(cells: list[study.Cell], by: Sequence[str]) -> dict[str, Any]:
+def _findings(cells: list[study.Cell], by: Sequence[str], *, planned: bool) -> dict[str, Any]:
     return {
         "verdict": verdicts.returns(cells),
         "summary": returns_tables.summary(cells),
-        "improvement": returns_tables.improvement(cells, by),
+        "improvement": returns_tables.improvement(cells, by, planned=planned),
         "factors": returns_factors.factors(cells, by),
         "exams": returns_fits.exams(cells),
         "rollouts": returns_fits.rollouts(cells),
