@@ -19,14 +19,15 @@ from tom.studies.returns_tables import improvement, summary
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/findings.md").read_text()
+EXAMS_PAGE = (ROOT / "docs/exams.md").read_text()
 FOUR = (0, 1, 2, 3)
 SMALL = "model.hidden 8"
 MEASURES = ("area under the curve", "best return", "last return")
 
 
-def rows(head: str) -> list[list[str]]:
+def rows(head: str, page: str = PAGE) -> list[list[str]]:
     """The cells of the page's table whose heading begins with `head`, without the heading."""
-    (body,) = re.findall(rf"^\| {re.escape(head)}.*\n\|[-|]+\|\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
+    (body,) = re.findall(rf"^\| {re.escape(head)}.*\n\|[-|]+\|\n((?:\|.*\n)+)", page, re.MULTILINE)
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in body.splitlines()]
 
 
@@ -146,6 +147,7 @@ def test_what_runs_with_a_small_model_returned_and_how_they_passed_their_exams()
     made = {
         f"{learner}, {size}": [
             *areas[learner + end],
+            *exam[learner + end][:1],
             *exam[learner + end][2:],
             falls[learner + end],
         ]
@@ -193,17 +195,26 @@ def scored(mine: list[Cell], at: int) -> dict[str, list[str]]:
     }
 
 
-def passed(mine: list[Cell]) -> dict[str, list[str]]:
+def passed(mine: list[Cell], form: str = ".2f") -> dict[str, list[str]]:
     """The number of runs with exams, and what they say, by learner."""
     made = {
         row["learner"]: [
             str(row["n"]),
-            *(spread(row, name, f"{name} low", f"{name} high", ".2f") for name in EXAMS.values()),
+            *(spread(row, name, f"{name} low", f"{name} high", form) for name in EXAMS.values()),
         ]
         for row in exams(mine)
     }
     made["MLE"][1] = "1"  # by definition, so without an interval
     return made
+
+
+def test_what_the_exams_of_the_inverted_pendulum_said() -> None:
+    learners = ("mle", "pmac", "tom", "ratio", "vagram", "vagram-ensemble")
+    mine = cells(2500, *learners, env="inverted-pendulum")
+    assert {cell.reach for cell in mine} == {2500}
+    made = passed(mine, ".2g")
+    told = {label: said for label, *said in rows("learner | runs | footprint", EXAMS_PAGE)}
+    assert told == made
 
 
 @pytest.mark.parametrize("row", rows("TOM, mended beats MLE"), ids=lambda row: row[0])
