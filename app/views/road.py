@@ -1,5 +1,6 @@
 """Road and rocks: the weights on the map in 3D and 2D, and the resulting performance."""
 
+import numpy as np
 import pandas as pd
 import streamlit as st
 
@@ -188,7 +189,9 @@ def _numbers(run: RunInfo, picture: Picture) -> None:
         columns[at].metric(label, f"{text.number(value, digits)}{unit}", help=words)
 
     columns[0].metric("learner", text.markdown(learner_label(run.learner)))
-    show(1, "weight on the road", 100 * picture.share, 1, " %", SHARE)
+    recorded = last_value(frame, "weights/road_share", picture.step)
+    share = picture.share if np.isfinite(picture.share) else recorded  # a copy without its buffer
+    show(1, "weight on the road", 100 * share, 1, " %", SHARE)
     ratio = last_value(frame, "weights/road_ratio", picture.step)
     show(2, "road : rocks, random data", ratio, 1, "", RATIO)
     expert = last_value(frame, "model/error_expert", picture.step)

@@ -16,6 +16,7 @@ from app.links import Links
 from app.scenes.colours import rgb
 from app.theme import COLUMNS, DIVERGING
 from app.views.road import BESIDE
+from tom.record.export import export_small
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
 
@@ -47,6 +48,20 @@ def test_more_runs_than_stand_beside_are_cut_to_those_that_do(
     app = draw("road", run=ids[0], beside=ids[1:])
     assert app.multiselect(key="beside").value == ids[1:-1]
     assert app.query_params["beside"] == ids[1:-1]
+
+
+def test_a_copy_without_its_buffer_says_what_was_recorded_of_the_road(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def on_the_road() -> str:
+        app = draw("road", run=ROAD_TOM, step="60")
+        return next(one.value for one in app.metric if one.label == "weight on the road")
+
+    whole = on_the_road()
+    export_small(RunReader(store / ROAD_TOM), tmp_path, without=["buffer"])
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    assert on_the_road() == whole
+    assert float(whole.split()[0]) > 0
 
 
 def test_maps_side_by_side_have_one_scale_and_names_that_tell_them_apart() -> None:
