@@ -219,8 +219,10 @@ def in_words(table: pd.DataFrame) -> pd.DataFrame:
 def columns() -> dict:
     number = st.column_config.NumberColumn
     return {
+        # In pixels: the widest names would be cut while a count has room to spare.
+        "learner": st.column_config.TextColumn("learner", width=125),
         "settings": st.column_config.TextColumn("settings", width="medium"),
-        "n": number("n", help="runs in the group"),
+        "n": number("n", width=45, help="runs in the group"),
         "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
         "final": number(
             "final", format="%.4g", help="over runs, of the last value up to that step"
