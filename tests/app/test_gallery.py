@@ -90,7 +90,8 @@ def test_it_has_every_learner_side_by_side() -> None:
     hopper = {name: found["hopper", name] for name in HOPPER}
     # TOM of two presets, and with weights in the model or in the starts alone; small models.
     assert hopper == {"mle": 6 + 4, "pmac": 6, "tom": 6 + 6 + 4 + 4 + 4, "vagram": 2}
-    assert [found["halfcheetah", name] for name in ("mle", "tom")] == [3, 3 + 3]
+    for robot in ("halfcheetah", "walker2d"):
+        assert [found[robot, name] for name in ("mle", "tom")] == [3, 3 + 3], robot
     assert WEIGHINGS
 
 

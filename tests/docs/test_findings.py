@@ -122,11 +122,16 @@ def test_the_scores_at_the_planned_end() -> None:
     assert {label: told for label, *told in rows("Hopper, step 40 000")} == made
 
 
-def test_what_halfcheetahs_runs_returned_and_how_they_passed_their_exams() -> None:
-    mine = cells(15000, "mle", "tom", env="halfcheetah")
-    made = scored(mine, 15000)
-    assert {label: told for label, *told in rows("HalfCheetah, step 15 000")} == made
-    assert {label: told for label, *told in rows("HalfCheetah, exams")} == passed(mine)
+@pytest.mark.parametrize(
+    ("env", "name"), [("walker2d", "Walker2d"), ("halfcheetah", "HalfCheetah")]
+)
+def test_what_other_robots_returned_and_how_they_passed_their_exams(env: str, name: str) -> None:
+    mine = cells(15000, "mle", "tom", env=env)
+    made, exam = scored(mine, 15000), passed(mine)
+    for row in rollouts(mine):  # of a robot that falls
+        exam[row["learner"]].append(spread(row, "falls", "falls low", "falls high", ".2f"))
+    assert {label: told for label, *told in rows(f"{name}, step 15 000")} == made
+    assert {label: told for label, *told in rows(f"{name}, exams")} == exam
 
 
 def test_the_scores_of_the_two_by_two() -> None:
