@@ -27,8 +27,8 @@ def return_figure(cells: Sequence[Cell]) -> Figure:
     A dotted line marks the step at which learners are compared.
     """
     at, line = compared_at(cells), _lines(cells)
-    columns = min(COLUMNS, len(at))
-    rows = -(-len(at) // columns)
+    rows = -(-len(at) // COLUMNS)
+    columns = -(-len(at) // rows)  # four panels are two by two
     with rc_context(STYLE):
         figure = new_figure(3.6 * columns + 0.4, 3.4 * rows + 0.2)
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
