@@ -9,6 +9,7 @@ import pytest
 from streamlit.testing.v1 import AppTest
 
 from app.links import Links
+from app.scenes.control import clock
 
 TIMEOUT_S = 60
 
@@ -17,6 +18,15 @@ def set_links(links: Links, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages of this process are those of the studio at `links`."""
     for name, value in links.environment().items():
         monkeypatch.setenv(name, value)
+
+
+def answers(control: str) -> bool:
+    """Whether a scene server listens on the socket; its file is there a moment before."""
+    try:
+        clock(control, "a page")
+    except (FileNotFoundError, ConnectionRefusedError):
+        return False
+    return True
 
 
 def draw(view: str, **query: str | list[str]) -> AppTest:

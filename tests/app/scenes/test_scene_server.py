@@ -4,12 +4,14 @@ import gzip
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from http.client import HTTPConnection
 from pathlib import Path
 
 import msgspec
 import pytest
 import viser
+from studio_pages import answers
 from studio_runs import PENDULUM_TOM
 from viser import _messages
 from websockets.sync.client import ClientConnection, connect
@@ -132,7 +134,7 @@ def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) 
 def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
     path, told = str(tmp_path / "control"), {"page": Clock(7, playing=True)}
     threading.Thread(target=listen, args=(path, print, told.get), daemon=True).start()
-    wait_for(Path(path).exists)
+    wait_for(partial(answers, path))
     assert clock(path, "page") == told["page"]
     assert clock(path, "another") is None
     with pytest.raises(FileNotFoundError):

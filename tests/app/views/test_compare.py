@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
-from studio_pages import array, draw, figures, set_links, trace
+from studio_pages import answers, array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM
 
 from app.data.tables import default_level, reached
@@ -376,7 +376,7 @@ def test_play_all_starts_every_replay_of_the_page(
     threading.Thread(target=listen, args=listening, daemon=True).start()
     links = Links(store=str(store), viser_port=9, control=str(control))
     set_links(links, monkeypatch)
-    while not control.exists():
+    while not answers(str(control)):
         time.sleep(0.01)
     app = draw("compare", show="Side by side", env="inverted-pendulum")
     next(button for button in app.button if button.label == "Play all").click().run()
