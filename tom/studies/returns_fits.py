@@ -10,7 +10,7 @@ from tom.analysis.statistics import remark
 from tom.exams.energy import informative
 from tom.learners.base import HEAVY
 from tom.record import RunReader
-from tom.studies.returns import Array, Cell, compared_at
+from tom.studies.returns import Array, Cell, compared_at, envs_of
 
 FOOTPRINT, NOISE = "exam/footprint", "exam/footprint_noise"
 EXAMS = {
@@ -54,10 +54,13 @@ def rollouts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 
 def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
+    since = {
+        env: max(_weighs_from(run) for cell in cells if cell.env == env for run in cell.runs)
+        for env in envs_of(cells)
+    }
     at, rows = compared_at(cells), []
     for cell in cells:
-        runs = [run for other in cells if other.env == cell.env for run in other.runs]
-        span = max(map(_weighs_from, runs)), at[cell.env]
+        span = since[cell.env], at[cell.env]
         told = [one for run in cell.runs if (one := of_fits(run, span)) is not None]
         if not told:
             continue

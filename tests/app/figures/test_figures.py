@@ -303,6 +303,15 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
 
 
+def test_p_has_room_beside_the_axis_whatever_the_names_are() -> None:
+    wins = [Improvement("TOM" * 20, "MLE", Interval(0.9, 0.7, 1.0), p, 1.0) for p in (0.00023, 0.4)]
+    figure = improvement(wins, ["red", "red"], 200, "a")
+    column = traces(figure)[1]
+    longest = max(map(len, column.text))
+    assert column.cliponaxis is False
+    assert figure.to_dict()["layout"]["margin"]["r"] >= 6 * longest  # pixels of a letter of size 12
+
+
 def test_a_p_among_several_is_shown_with_its_correction() -> None:
     wins = [
         Improvement(first, "MLE", Interval(0.9, 0.7, 1.0), p, corrected)
