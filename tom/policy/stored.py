@@ -4,7 +4,7 @@ The file holds `env` (the task's name) and, from the first layer on, `weight_k` 
 `bias_k` (out,) of the actor: an MLP with ReLU between its layers whose last layer gives mean and
 log standard deviation of a Gaussian that tanh squashes (see `tom.policy.sac`).
 `critic_weight_k` and `critic_bias_k`, with a leading axis of 2, are those of the twin critics
-Q(s, a); files of earlier versions have none.
+Q(s, a); files of earlier versions have none. Numbers are float32, in small copies of runs float16.
 """
 
 from collections.abc import Callable, Mapping
@@ -141,6 +141,7 @@ def _network(layers: Arrays, members: int) -> tuple[StackedMLP, list[int]]:
 
 
 def _parameter(array: NDArray, axes: int) -> Tensor:
-    if array.dtype != np.float32 or array.ndim != axes or not np.isfinite(array).all():
-        raise ValueError(f"a layer is not finite float32 numbers on {axes - 1} axes")
-    return torch.from_numpy(array)
+    floats = array.dtype in (np.float32, np.float16)
+    if not floats or array.ndim != axes or not np.isfinite(array).all():
+        raise ValueError(f"a layer is not finite float32 or float16 numbers on {axes - 1} axes")
+    return torch.from_numpy(array.astype(np.float32))

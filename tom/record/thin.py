@@ -34,6 +34,8 @@ SHRINKS = 20
 """smallest share to which a part can shrink; larger parts are not even tried"""
 
 
+Rounded = Callable[[NDArray], NDArray]
+
 SERIES = ("snapshots", "evaluations")
 """parts that are thinned to a few steps, or left out whole: single weights, and episodes"""
 
@@ -80,10 +82,10 @@ def _copy(reader: RunReader, to: Path, without: Collection[str]) -> None:
     for step in snapshots:
         _snapshot(reader, step, to)
     for step in _spread(evaluations, EVALUATIONS):
-        _arrays(reader, to, layout.episodes(step), first_episode=True)
+        _arrays(reader, to, layout.episodes(step), coarse, first_episode=True)
     for name in reader.field_names():
         for step in _beside(reader.field_steps(name), snapshots):
-            _arrays(reader, to, layout.field(name, step))
+            _arrays(reader, to, layout.field(name, step), coarse)
 
 
 def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
@@ -186,18 +188,18 @@ def _model(reader: RunReader, to: Path) -> None:
 
 
 def _policy(reader: RunReader, to: Path) -> None:
-    _arrays(reader, to, layout.POLICY)
+    _arrays(reader, to, layout.POLICY, half)
 
 
 def _policies(reader: RunReader, to: Path) -> None:
-    """Write the policies of the fits whose single weights are kept.
+    """Write the policies of the fits whose single weights are kept, in half precision.
 
-    A run without weights, as a recording of SAC, keeps as many, spread over its steps.
+    All of a run without weights, as a recording of SAC, which is weighed at its policies.
     """
-    stored, beside = reader.policy_steps(), RunReader(to).snapshot_steps()
-    kept = [step for step in stored if step in beside] if beside else _spread(stored, SNAPSHOTS)
-    for step in kept:
-        _arrays(reader, to, layout.policy(step))
+    beside = RunReader(to).snapshot_steps()
+    for step in reader.policy_steps():
+        if not beside or step in beside:
+            _arrays(reader, to, layout.policy(step), half)
 
 
 OPTIONAL: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
@@ -235,18 +237,20 @@ def _bytes(path: Path) -> int:
     return path.stat().st_size if path.is_file() else size_of(path)
 
 
-def _arrays(reader: RunReader, to: Path, name: str, *, first_episode: bool = False) -> None:
-    """Copy the arrays of a file, or only those of its first episode."""
+def _arrays(
+    reader: RunReader, to: Path, name: str, rounded: Rounded, *, first_episode: bool = False
+) -> None:
+    """Copy the arrays of a file, rounded, or only those of its first episode."""
 
     def wanted(array: str) -> bool:
         return not first_episode or array.partition(".")[0].endswith("_0")  # info_0.success: info_0
 
     arrays = reader.arrays(name, wanted)
     if arrays is not None:  # else missing or damaged, which `tom runs verify` reports
-        _save(to / name, arrays, coarse)
+        _save(to / name, arrays, rounded)
 
 
-def _save(path: Path, arrays: Mapping[str, NDArray], rounded: Callable[[NDArray], NDArray]) -> None:
+def _save(path: Path, arrays: Mapping[str, NDArray], rounded: Rounded) -> None:
     content = {name: rounded(array) for name, array in arrays.items()}
     np.savez_compressed(path, allow_pickle=False, **content)
 

@@ -157,11 +157,11 @@ def cases(
 
 def examined(case: Case) -> Outcome:
     """Weigh the moment's buffer, and test the weights and the models fitted with them."""
-    run, way = RunReader(case.run), WAYS[case.way]
+    run, way, seed = RunReader(case.run), WAYS[case.way], seed_of(case)
     data, policy = buffer_at(run, case.step), read_policy(case.run / layout.policy(case.step))
-    config = config_of(run, way, case.seed)
+    config = config_of(run, way, seed)
     weighting = weighting_of(data, policy, config, way)
-    rows, streams = data.transitions, Streams(case.seed)
+    rows, streams = data.transitions, Streams(seed)
     start, generator = streams.integer("test env"), streams.torch("test")
     anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
     weights = weighting.counted(config.model)
@@ -182,6 +182,11 @@ def examined(case: Case) -> Outcome:
     )
 
 
+def seed_of(case: Case) -> int:
+    """The seed of a case's random streams: ways of weighing share it, moments do not."""
+    return Streams(case.seed).integer(f"{case.run.name} at {case.step}")
+
+
 def buffer_at(run: RunReader, step: int) -> OrderedData:
     """The replay buffer of a training at `step`, or its counterpart in a recording of SAC."""
     if run.fits_model:
@@ -193,7 +198,8 @@ def buffer_at(run: RunReader, step: int) -> OrderedData:
         data,
         transitions=rows,
         policy_version=data.policy_version[first:step],
-        initial_obs=torch.as_tensor(initial_obs(rows)),
+        # Of all episodes begun so far: the first row that is left begins none.
+        initial_obs=torch.as_tensor(initial_obs(data.transitions[:step])),
         ordered_from=data.ordered_from - first,
     )
 

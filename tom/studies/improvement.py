@@ -50,6 +50,7 @@ from tom.studies.frozen import (
     config_of,
     fitted,
     sac_begins,
+    seed_of,
     weighting_of,
 )
 
@@ -102,9 +103,7 @@ def rule_of(run: RunReader) -> str | None:
 def improved(trial: Trial) -> Improvement:
     """Update the policy of a moment in models and from starts with these weights, or without."""
     case, way = trial.case, WAYS[trial.case.way]
-    run = RunReader(case.run)
-    # Ways share random numbers, moments do not.
-    seed = Streams(case.seed).integer(f"{run.run_id} at {case.step}")
+    run, seed = RunReader(case.run), seed_of(case)
     config = config_of(run, way, seed)
     data, arrays = buffer_at(run, case.step), _arrays(run, case.step)
     rows, (model,), policy = data.transitions, case.models, StoredPolicy(arrays)

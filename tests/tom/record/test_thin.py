@@ -202,11 +202,15 @@ def test_weights_that_cannot_be_read_are_left_out_and_named(record, tmp_path: Pa
 
 def test_policies_are_kept_of_a_run_that_weighs_nothing(record, tmp_path: Path):
     """As a recording of SAC, which `tom reproduce footprint` weighs at the policies it kept."""
-    policy = {"weight_0": np.ones(9, np.float32)}
+    policy = {"weight_0": np.full(9, 1 / 3, np.float32)}
     run = record(given=[KeptPolicy(100 * n, policy) for n in range(1, 6)])
     small = RunReader(export_small(run, tmp_path))
-    assert small.policy_steps() == [100, 300, 500]
-    assert set(small.left_out) == {"other policies"}
+    assert small.policy_steps() == [100, 200, 300, 400, 500]
+    assert small.left_out == ()
+    kept = small.arrays(layout.policy(300))
+    assert kept is not None
+    assert kept["weight_0"].dtype == np.float16
+    assert kept["weight_0"][0] == np.float16(1 / 3)
 
 
 def test_a_copy_does_not_tell_where_its_run_lay(record, tmp_path: Path):

@@ -7,13 +7,24 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from tom.cli import main
 from tom.config import SacRecordingConfig
 from tom.record import RunReader, Store
-from tom.studies import capacity, footprint
+from tom.studies import capacity, footprint, frozen
 from tom.studies.footprint_figure import footprint_figure
-from tom.studies.frozen import WAYS, Case, ModelError, Outcome, cases, examined, moments
+from tom.studies.frozen import (
+    WAYS,
+    Case,
+    ModelError,
+    Outcome,
+    buffer_at,
+    cases,
+    examined,
+    moments,
+    seed_of,
+)
 from tom.studies.recordings import sign_test
 from tom.training.presets import resolve
 from tom.training.run import train
@@ -58,6 +69,15 @@ def test_a_half_leaves_no_row_below_a_half(run: RunReader, way: str):
         examined(Case(run.path, at, name, rows=300)) for name in (way, way.removeprefix("half-"))
     )
     assert half.ess > whole.ess
+
+
+def test_ways_share_random_numbers_and_moments_do_not():
+    seeds = [
+        [seed_of(Case(Path("store") / name, step, way, seed)) for way in ("uniform", "ratio")]
+        for name, step, seed in [("a", 100, 0), ("b", 100, 0), ("a", 200, 0), ("a", 100, 1)]
+    ]
+    assert all(first == second for first, second in seeds)
+    assert len({first for first, _ in seeds}) == 4
 
 
 def test_every_way_is_asked_at_every_moment(run: RunReader):
@@ -315,3 +335,21 @@ def test_a_recording_of_sac_stands_for_a_replay_buffer(tmp_path: Path):
     assert moments(recording, 10) == [2700, 3000]  # a policy buffer of on-policy rows before each
     newest = examined(Case(recording.path, 2700, "newest", rows=300))
     assert newest.ess == pytest.approx(1000 / 2700)
+
+
+def test_a_buffer_cut_within_an_episode_starts_none_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(frozen, "RANDOM", 5)
+    config = SacRecordingConfig(env="hopper").but(
+        steps=60, exploration_steps=50, snapshots=2, sac={"hidden": 16, "batch_size": 32}
+    )
+    recording = train(config, Store(tmp_path), "recorded", rerun=False)
+    rows, _ = recording.buffer()
+    ended = rows.ended()
+    assert not ended[54]  # or the row that the cut leaves first would be a start
+    data = buffer_at(recording, 110)
+    assert len(data) == 55
+    assert torch.equal(data.transitions.obs, torch.as_tensor(rows.obs[55:110]))
+    starts = np.flatnonzero(np.append(True, ended[:109]))
+    assert torch.equal(data.initial_obs, torch.as_tensor(rows.obs[starts]))

@@ -11,6 +11,7 @@ from tom.errors import UserError
 from tom.events import Evaluation, Event, TrainedPolicy
 from tom.policy.stored import UniformPolicy, policy_arrays, read_policy
 from tom.record import RunReader, Store
+from tom.record.rounding import half
 from tom.studies.progression import recorded
 from tom.training.resume import resume, unfinished
 from tom.training.run import Stop, train
@@ -114,6 +115,22 @@ def test_a_stored_policy_is_the_policy_to_the_last_bit(tmp_path: Path):
     of_old = {name: array for name, array in arrays.items() if not name.startswith("critic")}
     np.savez(tmp_path / "old.npz", allow_pickle=False, **of_old)
     assert read_policy(tmp_path / "old.npz").value_gradient is None
+
+
+def test_a_policy_in_half_precision_is_read_as_well(tmp_path: Path):
+    """As small copies of runs keep it."""
+    recording = SacRecording(config("inverted-pendulum", steps=80, exploration_steps=40))
+    list(recording.events())
+    arrays = policy_arrays("inverted-pendulum", recording.sac)
+    np.savez(
+        tmp_path / "policy.npz",
+        allow_pickle=False,
+        **{name: half(array) for name, array in arrays.items()},
+    )
+    stored = read_policy(tmp_path / "policy.npz")
+    obs = torch.randn(50, 4, generator=torch.Generator().manual_seed(3))
+    assert stored.mean(obs).dtype == torch.float32
+    torch.testing.assert_close(stored.mean(obs), recording.policy.mean(obs), rtol=2e-3, atol=2e-3)
 
 
 def test_the_recorded_policy_file_is_that_of_the_run(recording: RunReader):
