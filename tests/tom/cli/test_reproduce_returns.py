@@ -121,6 +121,8 @@ def test_a_comparison_that_was_fixed_beforehand_is_corrected_for_no_other(tmp_pa
     of_two = compared("--groups", "TOM, mended", "MLE")
     assert {(row["learner"], row["against"]) for row in of_two} == {("TOM, mended", "MLE")}
     assert len(of_two) == 3
+    by_compare = compared("--groups", "TOM, mended", "MLE, paper")  # as the page calls them
+    assert by_compare == of_two
     (alone,) = compared("--groups", "TOM, mended", "MLE", "--by", "area")
     assert (alone["by"], alone["wins"]) == ("area under the curve", 1.0)
     assert alone["p of all"] == alone["p"] < of_two[0]["p of all"]

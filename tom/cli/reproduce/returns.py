@@ -101,8 +101,9 @@ def run(args: argparse.Namespace) -> int:
             f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds 4 makes them"
         )
     runs = _with_seeds(every, args.seeds)
-    _check_groups(args.groups, study.labels(runs, *args.preset, apart=args.apart))
-    cells, left_out = study.select(runs, *args.preset, at=at, apart=args.apart, groups=args.groups)
+    groups = args.groups and [_called(group, args.preset[0]) for group in args.groups]
+    _check_groups(groups, study.labels(runs, *args.preset, apart=args.apart))
+    cells, left_out = study.select(runs, *args.preset, at=at, apart=args.apart, groups=groups)
     if not cells:
         asked = {"--at": args.at, "--seeds": args.seeds, "--groups": args.groups}
         words = (f"{option} {' '.join(map(str, of))}" for option, of in asked.items() if of)
@@ -138,6 +139,11 @@ def _with_seeds(runs: Sequence[RunReader], seeds: Sequence[int] | None) -> Seque
         have = " ".join(map(str, sorted({run.seed for run in runs})))
         raise UserError(f"--seeds: no such run has one of them, but {have}")
     return chosen
+
+
+def _called(group: str, usual: str) -> str:
+    """A group's name in the tables, which leave the first preset out; Compare names every one."""
+    return ", ".join(word for word in group.split(", ") if word != usual)
 
 
 def _check_groups(groups: Sequence[str] | None, have: Sequence[str]) -> None:
