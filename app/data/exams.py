@@ -57,9 +57,9 @@ class Exams:
         """The step of the last examined fit; -inf if there is none."""
         return float(self.step[-1]) if len(self.step) else -np.inf
 
-    def until(self, last: float) -> "Exams":
-        """The exams of the fits up to step `last`."""
-        return self.at(self.step <= last)
+    def between(self, first: float, last: float) -> "Exams":
+        """The exams of the fits from step `first` to `last`."""
+        return self.at((self.step >= first) & (self.step <= last))
 
     def at(self, which: NDArray) -> "Exams":
         """Some of the exams: a mask (F,) or indices."""
@@ -115,6 +115,8 @@ class Ranking:
     """The groups of the runs, and a ranking by error of those with enough seeds."""
 
     standings: tuple[Standing, ...]
+    since: float
+    """the first step whose fits count (`counted_from`); -infinity if no run weighs"""
     until: float
     """the last step whose fits count; infinity if no error was measured"""
     ranked: tuple[Standing, ...]
@@ -127,9 +129,10 @@ class Ranking:
         return beats([first], [second])
 
 
-def ranking(exams: Sequence[Exams]) -> Ranking:
+def ranking(exams: Sequence[Exams], since: float = -np.inf) -> Ranking:
     """Rank the groups with at least `RANKED` seeds, over the steps that so many of each reach.
 
+    The fits before step `since` do not count (`counted_from`), unless no others are left.
     Runs that end earlier are left out, because their fits saw less data. If fewer than two groups
     have enough seeds, the steps are those that every run reaches.
     """
@@ -139,10 +142,11 @@ def ranking(exams: Sequence[Exams]) -> Ranking:
     reach = {name: reached for name, of in groups.items() if np.isfinite(reached := reach_of(of))}
     lasts = [one.last for one in exams if np.isfinite(one.error).any()]
     until = min(reach.values() if len(reach) > 1 else lasts, default=np.inf)
-    standings = {name: standing(name, of, until) for name, of in groups.items()}
+    since = since if since <= until else -np.inf
+    standings = {name: standing(name, of, since, until) for name, of in groups.items()}
     ranked = [standings[name] for name in reach] if len(reach) > 1 else []
     ranked.sort(key=lambda one: one.typical)
-    return Ranking(tuple(standings.values()), until, tuple(ranked))
+    return Ranking(tuple(standings.values()), since, until, tuple(ranked))
 
 
 def reach_of(runs: Sequence[Exams]) -> float:
@@ -154,10 +158,10 @@ def reach_of(runs: Sequence[Exams]) -> float:
     return sorted(last.values())[-RANKED] if len(last) >= RANKED else -np.inf
 
 
-def standing(name: str, runs: Sequence[Exams], until: float) -> Standing:
-    """The standing of a group, from runs that reach step `until` (from all if infinite)."""
+def standing(name: str, runs: Sequence[Exams], since: float, until: float) -> Standing:
+    """A group's standing in those steps, from runs that reach `until` (from all if infinite)."""
     whole = [run for run in runs if np.isinf(until) or run.last >= until]
-    cut = [run.until(until) for run in whole]
+    cut = [run.between(since, until) for run in whole]
     return Standing(
         name,
         runs[0].learner,

@@ -7,6 +7,7 @@ import numpy as np
 
 from tom.analysis.scores import interval
 from tom.analysis.statistics import remark
+from tom.exams.counted import counted_from
 from tom.exams.energy import informative
 from tom.learners.base import HEAVY
 from tom.record import RunReader
@@ -19,7 +20,6 @@ EXAMS = {
     "exam/rollout_error": "error after 5 steps",
 }
 """the reported numbers of a learner's exams, by metric"""
-ESS = "weights/ess"
 FALLS, POLICY_FALLS = "rollout/terminated", "weights/ends_policy"
 LARGEST, SIZE = "weights/max", "buffer/size"
 ROLLOUTS = ("falls", "heavy rows")
@@ -55,7 +55,7 @@ def rollouts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
     since = {
-        env: max(_weighs_from(run) for cell in cells if cell.env == env for run in cell.runs)
+        env: counted_from(run.metrics() for cell in cells if cell.env == env for run in cell.runs)
         for env in envs_of(cells)
     }
     at, rows = compared_at(cells), []
@@ -71,15 +71,6 @@ def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
             row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
         rows.append(row | {"remark": remark(len(told))})
     return rows
-
-
-def _weighs_from(run: RunReader) -> float:
-    """The step of the first fit with unequal weights; -infinity for a run that weighs nothing."""
-    metrics = run.metrics()
-    if ESS not in metrics:
-        return -np.inf
-    weighed = metrics.loc[metrics[ESS] < 1, "env_step"]
-    return float(weighed.min()) if len(weighed) else -np.inf
 
 
 def _exam_medians(run: RunReader, span: Span) -> Mapping[str, float] | None:

@@ -25,8 +25,8 @@ def draw(runs: Sequence[RunInfo], left_out: Sequence[RunInfo]) -> None:
         st.markdown(exams.verdict(result), help=exams.WHAT)
     elif len(result.standings) > 1:
         errors = {standing.name: standing.error for standing in result.standings}
-        until = exams.up_to(result)
-        st.markdown(f"{sentence(errors)} In the exams{until}, out of sample.", help=exams.WHAT)
+        steps = exams.counted(result)
+        st.markdown(f"{sentence(errors)} In the exams{steps}, out of sample.", help=exams.WHAT)
     else:
         policy, other = model_error.PAIRS["One step"]
         errors = in_sample(model_error.focus_values(runs, policy, other))

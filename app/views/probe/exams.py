@@ -17,6 +17,7 @@ from app.parts.plot import chart
 from tom.analysis import grouping, statistics
 from tom.analysis.statistics import Interval
 from tom.config import SAC_ALONE
+from tom.exams.counted import counted_from
 
 HEIGHT = 380
 NO_EXAM = (
@@ -25,7 +26,8 @@ NO_EXAM = (
 WHAT = (
     "The exam of a fit: the real steps that its policy went on to make until the next fit. They "
     "are not in its buffer. Errors are root mean squares over the dimensions of the state, each in "
-    "standard deviations of its change in a step; of a run the median over its fits counts."
+    "standard deviations of its change in a step; of a run the median over its fits counts, from "
+    "the step on from which every run weighs."
 )
 OWN = (
     "Each run is examined on what its own policy met, in units of its own buffer, so learners "
@@ -75,7 +77,7 @@ def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Ranking]:
             for run in sorted(runs, key=lambda run: (run.learner, run.seed, run.run_id))
         ]
         exams = [one for one in read if len(one.step)]
-        return exams, ranking(exams)
+        return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
 
     version = tuple((run.path, readers.recorded(run)) for run in runs)
     return _RANKINGS.get(tuple(run.path for run in runs), make, version)
@@ -97,7 +99,7 @@ def verdict(result: Ranking) -> str:
         )
         return (
             f"**n too few to rank** (two learners with {RANKED} seeds each are needed). "
-            f"Where the policy goes, one step ahead in the exams{up_to(result)}: {counts}."
+            f"Where the policy goes, one step ahead in the exams{counted(result)}: {counts}."
         )
     first, second = result.ranked[:2]
     beats = result.first_beats_second
@@ -105,7 +107,7 @@ def verdict(result: Ranking) -> str:
     less = 100 * (1 - first.typical / second.typical)
     errors = (
         f"{_short(first.typical)}, {less:.0f} % less than {other}, the next, "
-        f"with {_short(second.typical)}, up to step {result.until:,.0f} "
+        f"with {_short(second.typical)},{counted(result)} "
         f"(n: {_runs(first)}; {_runs(second)})"
     )
     chance = (
@@ -122,14 +124,17 @@ def verdict(result: Ranking) -> str:
     )
 
 
-def up_to(result: Ranking) -> str:
-    """The last step whose fits count, in words; empty if there is none."""
-    return f" up to step {result.until:,.0f}" if np.isfinite(result.until) else ""
+def counted(result: Ranking) -> str:
+    """The steps whose fits count, in words; empty if all do."""
+    since, until = f"{result.since:,.0f}", f"{result.until:,.0f}"
+    if not np.isfinite(result.since):
+        return f" up to step {until}" if np.isfinite(result.until) else ""
+    return f" from step {since} " + (f"to {until}" if np.isfinite(result.until) else "on")
 
 
 def _runs(one: Standing) -> str:
     runs = "1 run" if len(one.error) == 1 else f"{len(one.error)} runs"
-    return f"{runs}, {one.fits:,} fits"
+    return f"{runs}, 1 fit" if one.fits == 1 else f"{runs}, {one.fits:,} fits"
 
 
 def _count(runs: int) -> str:

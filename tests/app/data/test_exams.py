@@ -9,6 +9,7 @@ import pytest
 
 from app.data.exams import Exams, at_fit, exams_of, next_return, ranking
 from tom.analysis import statistics
+from tom.exams.counted import counted_from
 
 NAN = float("nan")
 
@@ -105,6 +106,23 @@ def test_few_seeds_are_compared_over_the_steps_that_every_run_reaches() -> None:
     assert (found.until, found.ranked) == (300, ())
     assert [one.error.tolist() for one in found.standings] == [[0.8, 0.8], [0.8, 0.8]]
     assert [one.fits for one in found.standings] == [6, 6]
+
+
+def test_fits_from_before_every_run_weighs_do_not_count() -> None:
+    warm = pd.DataFrame({"env_step": [100, 200, 300], "weights/ess": [1.0, NAN, 0.4]})
+    late = pd.DataFrame({"env_step": [100, 200, 300, 400], "weights/ess": [1.0, 1.0, 1.0, 0.9]})
+    even = pd.DataFrame({"env_step": [500], "weights/ess": [1.0]})
+    assert counted_from([warm, even]) == 300
+    assert counted_from([warm, late, pd.DataFrame({"env_step": [1]})]) == 400
+    assert counted_from([even]) == counted_from([]) == -np.inf
+    runs = [sat(name, 0, [0.9, 0.8, 0.2, 0.1]) for name in ("TOM", "MLE")]
+    found = ranking(runs, since=300)
+    assert found.since == 300
+    assert [one.fits for one in found.standings] == [2, 2]
+    assert [one.error.item() for one in found.standings] == pytest.approx([0.15, 0.15])
+    begun = ranking([*runs, sat("PMAC", 0, [0.7])], since=300)  # it has no fit that would count
+    assert begun.since == -np.inf
+    assert [one.error.tolist() for one in begun.standings] == [[0.9], [0.9], [0.7]]
 
 
 def test_groups_are_compared_over_the_steps_that_five_seeds_of_each_reach() -> None:

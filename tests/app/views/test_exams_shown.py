@@ -131,10 +131,13 @@ def test_probe_answers_from_exams_first(store: Path) -> None:
     heads = [part.value for part in app.subheader]
     assert heads[1:] == ["Does it help?", "In sample: on rows that the models were fitted to"]
     [said] = [part.value for part in app.markdown if "too few to rank" in part.value]
-    medians = [
-        np.median(recorded(store, f"pendulum-tom-{seed}", "exam/error")[1]) for seed in (0, 1)
-    ]
-    assert f"TOM: 2 runs, 4 fits, typical error {np.mean(medians):.3g}" in said
+    # Only the last fits of TOM weigh, so only these count.
+    tables = [RunReader(store / f"pendulum-tom-{seed}").metrics() for seed in (0, 1)]
+    weighed = [table.loc[table["weights/ess"] < 1, "env_step"].tolist() for table in tables]
+    assert weighed == [[300], [300]]
+    last = [float(t.loc[t["env_step"] == 300, "exam/error"].max()) for t in tables]
+    assert f"TOM: 2 runs, 2 fits, typical error {np.mean(last):.3g}" in said
+    assert "in the exams from step 300 to 300: " in said
     figure = next(f for f in figures(app) if trace_or_none(f, "mle"))
     fits = {(x, y) for t in figure["data"] if t.get("meta") == "tom" for x, y in points(t)}
     for step, error in zip(*recorded(store, PENDULUM_TOM, "exam/error"), strict=True):

@@ -9,6 +9,7 @@ import pytest
 
 from tom.envs import ENVS
 from tom.events import Metrics, Tick
+from tom.exams.counted import ESS
 from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
@@ -277,7 +278,7 @@ def test_fits_before_every_learner_weighs_do_not_count(store: Store):
                 values = dict.fromkeys(fits.EXAMS, float(step)) | {fits.FALLS: 0.01 * step}
                 values |= {fits.POLICY_FALLS: 0.01, fits.LARGEST: 1.0, fits.SIZE: 500.0}
                 ess = 0.5 if step >= weighs_from else 1.0
-                recorder.consume(Metrics(step, values | {fits.ESS: ess}))
+                recorder.consume(Metrics(step, values | {ESS: ess}))
             recorder.consume(Metrics(1000, {"eval/return": 1.0}))
             recorder.consume(Tick(1000, "evaluate"))
     chosen, _ = study.select([run for run in store.runs() if run.seed == 5], "paper")
