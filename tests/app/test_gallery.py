@@ -28,7 +28,7 @@ from tom.studies.frozen import moments
 
 RUNS = Path(__file__).parents[2] / "runs"
 README = RUNS / "README.md"
-BYTES = 50_000_000  # 20 of them are the recordings of SAC that the footprint is measured on
+BYTES = 66_000_000  # 35 of them are the recordings of SAC that the footprint is measured on
 STUDIES_BYTES = 3_000_000
 ROAD = "road-and-rocks"
 HOPPER = ("mle", "pmac", "tom", "vagram")
@@ -99,12 +99,12 @@ def test_it_is_small() -> None:
     assert sum(size_of(path) for path in [*(run.path for run in COPIES), *WEIGHINGS]) < BYTES
 
 
-@pytest.mark.parametrize("name", ["footprint", "capacity", "improvement"])
-def test_its_studies_of_frozen_buffers_can_be_made_again(name: str) -> None:
+@pytest.mark.parametrize(("name", "most"), [("footprint", 8), ("capacity", 3), ("improvement", 3)])
+def test_its_studies_of_frozen_buffers_can_be_made_again(name: str, most: int) -> None:
     (study,) = [one for one in studies.listing(RUNS / STUDIES) if one.name == name]
     measured = [run for run in COPIES if run.run_id in study.origin["runs"].split(", ")]
     assert study.origin["n"].endswith(f"of {len(measured)} runs")
-    assert study.origin["n"].startswith(f"{sum(len(moments(run, 8)) for run in measured)} moments")
+    assert study.origin["n"].startswith(f"{sum(len(moments(run, most)) for run in measured)} moments")
     assert all(len(run.buffer()[0]) for run in measured)
     recordings = Counter(run.env for run in measured if run.learner == "sac")
     assert recordings == {"hopper": 2, "walker2d": 2, "halfcheetah": 2}
