@@ -76,8 +76,13 @@ def routes(links: Links) -> list[Route]:
             return HTMLResponse(shortlinks.nowhere(code), status_code=404)
         return RedirectResponse(target, status_code=302)
 
+    def first(request: Request) -> Response:
+        # The first page lies at the root alone, but who knows the others looks for it here.
+        return RedirectResponse(f"/?{request.url.query}".removesuffix("?"))
+
     return [
         Route("/v/{code}", short),
+        Route("/live", first),
         Route("/reports/{study}", report),
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),

@@ -104,7 +104,9 @@ def test_its_studies_of_frozen_buffers_can_be_made_again(name: str, most: int) -
     (study,) = [one for one in studies.listing(RUNS / STUDIES) if one.name == name]
     measured = [run for run in COPIES if run.run_id in study.origin["runs"].split(", ")]
     assert study.origin["n"].endswith(f"of {len(measured)} runs")
-    assert study.origin["n"].startswith(f"{sum(len(moments(run, most)) for run in measured)} moments")
+    assert study.origin["n"].startswith(
+        f"{sum(len(moments(run, most)) for run in measured)} moments"
+    )
     assert all(len(run.buffer()[0]) for run in measured)
     recordings = Counter(run.env for run in measured if run.learner == "sac")
     assert recordings == {"hopper": 2, "walker2d": 2, "halfcheetah": 2}

@@ -131,6 +131,19 @@ def answered(served: ASGIApp, path: str, host: str) -> int:
     return said[0]["status"]
 
 
+@pytest.mark.parametrize(
+    ("asked", "target"), [(b"", "/"), (b"runs=a&runs=b%2F1&x=%26", "/?runs=a&runs=b%2F1&x=%26")]
+)
+def test_the_first_page_has_the_address_that_its_name_suggests_too(
+    asked: bytes, target: str
+) -> None:
+    [route] = [route for route in routes(LINKS) if route.path == "/live"]
+    scope = {"type": "http", "headers": [], "path": "/live", "query_string": asked}
+    answer = route.endpoint(Request({**scope, "scheme": "http", "server": ("127.0.0.1", 8600)}))
+    assert answer.status_code == 307
+    assert answer.headers["location"] == target
+
+
 def test_only_the_viewers_page_may_read_recordings() -> None:
     for host, origin in (
         ("studio.local", "http://studio.local:9090"),

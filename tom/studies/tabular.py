@@ -39,10 +39,10 @@ class Score:
 
     spearman: float  # rank correlation of estimated and exact weights
     l1: float  # sum |w - w*| / sum w*
-    flow: float  # L1 residual of the flow constraint under the weighted replay
+    flow_residual: float  # L1 residual of the flow constraint under the weighted replay
     log_ratio: float  # correlation of the discriminator's logit and the exact log p/q
     raw_mean: float  # mean weight before normalisation, relative to the exact mean
-    ends: float | None  # weight on transitions that end an episode, relative to the exact one
+    ends_ratio: float | None  # weight on transitions that end an episode over the exact one
 
 
 @dataclass(frozen=True)
@@ -172,10 +172,10 @@ def _compare(
     score = Score(
         spearman=_correlation(rankdata(weights), rankdata(exact[rows])),
         l1=float(np.abs(weights - exact[rows]).sum() / exact[rows].sum()),
-        flow=float(np.abs(problem.residual(flow_mass * mass / problem.replay)).sum()),
+        flow_residual=float(np.abs(problem.residual(flow_mass * mass / problem.replay)).sum()),
         log_ratio=_correlation(log_ratio, problem.log_ratio[rows]),
         raw_mean=raw_mean / flow_mass,
-        ends=share_on(ends, weights) / share_on(ends, exact[rows]) if ends.any() else None,
+        ends_ratio=share_on(ends, weights) / share_on(ends, exact[rows]) if ends.any() else None,
     )
     with np.errstate(invalid="ignore"):
         estimated = mass * len(rows) / count

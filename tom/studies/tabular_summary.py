@@ -28,13 +28,13 @@ def _summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "spearman_worst": float(column["spearman"].min()),
         "l1": float(np.median(column["l1"])),
         "l1_worst": float(column["l1"].max()),
-        "flow": float(np.median(column["flow"])),
-        "flow_worst": float(column["flow"].max()),
+        "flow_residual": float(np.median(column["flow_residual"])),
+        "flow_residual_worst": float(column["flow_residual"].max()),
         "log_ratio": float(np.median(column["log_ratio"])),
         "log_ratio_worst": float(column["log_ratio"].min()),
         "raw_mean": float(np.median(column["raw_mean"])),
         "raw_mean_worst": float(column["raw_mean"][off.argmax()]),
-        **_ends([row["ends"] for row in rows]),
+        **_ends([row["ends_ratio"] for row in rows]),
     }
 
 
@@ -42,9 +42,9 @@ def _ends(ratios: Sequence[float | None]) -> dict[str, float | None]:
     """Median and worst of the weight on ends relative to the exact one, if episodes end."""
     known = np.array([ratio for ratio in ratios if ratio is not None])
     if len(known) == 0:
-        return {"ends": None, "ends_worst": None}
+        return {"ends_ratio": None, "ends_ratio_worst": None}
     worst = known[np.abs(known - 1).argmax()]
-    return {"ends": float(np.median(known)), "ends_worst": float(worst)}
+    return {"ends_ratio": float(np.median(known)), "ends_ratio_worst": float(worst)}
 
 
 def acceptance(
@@ -62,7 +62,7 @@ def acceptance(
     checks += near_exact("dense: ", dense) + near_exact("stationary: ", stationary)
     for name, group in (("stationary", stationary), ("mended", mended)):
         if group:
-            off = abs(float(np.median([row["ends"] for row in group])) - 1)
+            off = abs(float(np.median([row["ends_ratio"] for row in group])) - 1)
             checks.append(at_most(f"{name}: weight on ends off the exact, median", off, 0.20))
     return checks
 
@@ -78,7 +78,7 @@ def near_exact(family: str, rows: Rows) -> list[Check]:
         at_least(f"{family}rank correlation of the weights, worst", s["spearman_worst"], 0.90),
         at_most(f"{family}relative L1 error, median", s["l1"], 0.12),
         at_most(f"{family}relative L1 error, worst", s["l1_worst"], 0.20),
-        at_most(f"{family}flow residual, worst", s["flow_worst"], 0.12),
+        at_most(f"{family}flow residual, worst", s["flow_residual_worst"], 0.12),
         at_least(f"{family}logit against log ratio, worst", s["log_ratio_worst"], 0.95),
         at_most(f"{family}mean weight off the exact, worst", off, 0.05),
     ]

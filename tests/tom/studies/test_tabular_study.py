@@ -77,10 +77,10 @@ def test_ways_to_estimate_are_the_presets_by_their_names():
 def test_where_episodes_end_the_estimate_is_of_streams_and_scores_the_ends():
     case = replace(SMALL, flow="stationary", ends=0.05)
     found = estimate(case, Variant("quick", changes=QUICK | {"q_holdout": 0.2}, support=True))
-    assert found.score.ends == pytest.approx(1.0, abs=0.6)
+    assert found.score.ends_ratio == pytest.approx(1.0, abs=0.6)
     assert found.replay @ found.exact == pytest.approx(1.0)
-    assert found.score.flow < 0.5
-    assert estimate(SMALL, Variant("quick", changes=QUICK)).score.ends is None
+    assert found.score.flow_residual < 0.5
+    assert estimate(SMALL, Variant("quick", changes=QUICK)).score.ends_ratio is None
     discounted = estimate(replace(case, flow="discounted"), Variant("quick", changes=QUICK))
     assert discounted.exact.shape == found.exact.shape
     assert not np.allclose(discounted.exact, found.exact, atol=0.02)
@@ -115,7 +115,14 @@ def test_an_estimate_carries_the_points_behind_its_score():
     row = found.row()
     assert row["variant"] == "quick"
     assert row["seed"] == 0
-    assert {"spearman", "l1", "flow", "log_ratio", "raw_mean"} <= set(row)
+    assert {"spearman", "l1", "flow_residual", "log_ratio", "raw_mean"} <= set(row)
+
+
+def test_a_row_keeps_the_case_beside_the_score():
+    case = next(iter(ending_cases([0], "restart")))
+    row = estimate(case, Variant("quick", changes=QUICK)).row()
+    assert (row["flow"], row["ends"]) == ("restart", case.ends)
+    assert row["ends_ratio"] > 0
 
 
 def test_only_the_variant_differs_between_rows_of_a_case():
@@ -158,7 +165,7 @@ def test_only_chi2_with_stochastic_dynamics_biases_the_model():
 
 
 def test_summary_takes_median_and_worst_of_each_variant():
-    score = {"l1": 0.1, "flow": 0.1, "log_ratio": 0.9, "raw_mean": 1.0, "ends": 1.0}
+    score = {"l1": 0.1, "flow_residual": 0.1, "log_ratio": 0.9, "raw_mean": 1.0, "ends_ratio": 1.0}
     rows = [{"variant": "a", "spearman": s, **score} for s in (0.9, 0.95, 0.99)]
     rows.append({"variant": "b", "spearman": 0.5, **score, "raw_mean": 0.4})
     a, b = summary(rows)
@@ -167,14 +174,16 @@ def test_summary_takes_median_and_worst_of_each_variant():
 
 
 def test_every_family_with_rows_is_held_against_its_bounds():
-    good = Score(spearman=0.99, l1=0.05, flow=0.02, log_ratio=0.99, raw_mean=1.0, ends=1.1)
+    good = Score(
+        spearman=0.99, l1=0.05, flow_residual=0.02, log_ratio=0.99, raw_mean=1.0, ends_ratio=1.1
+    )
     row = {"variant": "a", **vars(good)}
-    none = {**row, "ends": None}
+    none = {**row, "ends_ratio": None}
     alone = acceptance([none], [], [], [], [])
     assert [check.met for check in alone] == [True] * 7
     every = acceptance([none], [none], [none], [row], [row])
     assert [check.met for check in every] == [True] * (7 + 1 + 7 + 7 + 2)
-    off = {**row, "ends": 0.7}
+    off = {**row, "ends_ratio": 0.7}
     missed = [c for c in acceptance([none], [none], [none], [row], [off]) if not c.met]
     assert [check.name for check in missed] == ["mended: weight on ends off the exact, median"]
     worse = {**row, "l1": 0.21, "spearman": 0.8}
@@ -199,7 +208,7 @@ def test_acceptance_of_the_exact_preset():
     assert found["spearman_worst"] >= 0.90
     assert found["l1"] <= 0.12
     assert found["l1_worst"] <= 0.20
-    assert found["flow_worst"] <= 0.12
+    assert found["flow_residual_worst"] <= 0.12
     assert found["log_ratio_worst"] >= 0.95
     assert found["raw_mean_worst"] == pytest.approx(1.0, abs=0.05)
 
