@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 from tom.errors import UserError
-from tom.record import layout, lock, manage
+from tom.record import checkpoint, layout, lock, manage
 from tom.record.bucket import attempts
 from tom.record.bucket.objects import Bucket
 from tom.record.reader import RunReader
@@ -13,6 +13,7 @@ from tom.record.store import Store
 
 FETCHED, SAME, AHEAD, BUSY = "fetched", "is up to date", "is further here", "is being written here"
 FETCHED_ANEW = "fetched; another run of that name that was here is in the trash"
+FETCHED_UNKNOWN = "fetched; what was here, whose status cannot be read, is in the trash"
 
 
 def run_ids(bucket: Bucket) -> list[str]:
@@ -46,24 +47,38 @@ def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
 def _replace(held: RunReader, fetched: RunReader) -> str:
     """Replace the store's run by the fetched one if that is further.
 
-    An older copy of it is deleted; another run of that name goes to the trash.
+    An older copy of it is deleted. Another run of that name goes to the trash, and so does a run
+    of which nobody can tell how far it got.
     """
     if lock.held(held.path):
         return BUSY
     if held.status == fetched.status:
         return SAME
-    if held.status.state == "finished" or held.status.env_step > fetched.status.env_step:
+    if held.status.state == "finished" or _reached(held) > _reached(fetched):
         return AHEAD
     labels = held.path / layout.LABELS
     with manage.unwritten(held):
         if held.config.get("created") != fetched.config.get("created"):
-            manage.into_trash(Store(held.path.parent), held.run_id, held.path)
-            fetched.path.rename(held.path)
+            _trash(held, fetched)
             return FETCHED_ANEW
         if labels.is_file() and not labels.is_symlink():
             shutil.copy2(labels, fetched.path / layout.LABELS)
+        if held.status.state == "unknown":
+            _trash(held, fetched)
+            return FETCHED_UNKNOWN
         _swap(held.path, fetched.path)
     return FETCHED
+
+
+def _reached(run: RunReader) -> int:
+    """How far the run got; its status may be damaged, and then its checkpoints tell."""
+    return max(run.status.env_step, checkpoint.newest(run.path / checkpoint.FOLDER) or 0)
+
+
+def _trash(held: RunReader, fetched: RunReader) -> None:
+    """Put the fetched run in the place of the other, which goes to the trash."""
+    manage.into_trash(Store(held.path.parent), held.run_id, held.path)
+    fetched.path.rename(held.path)
 
 
 def _swap(place: Path, unfinished: Path) -> None:

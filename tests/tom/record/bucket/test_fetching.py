@@ -10,10 +10,17 @@ from killed import killed_at_rename
 from recorded import events
 
 from tom.errors import UserError
-from tom.record import RunReader, Store, manage
+from tom.record import RunReader, Store, checkpoint, manage
 from tom.record.bucket import fetching
 from tom.record.bucket.attempts import Attempt
-from tom.record.bucket.fetching import FETCHED, FETCHED_ANEW, SAME, fetch_run
+from tom.record.bucket.fetching import (
+    AHEAD,
+    FETCHED,
+    FETCHED_ANEW,
+    FETCHED_UNKNOWN,
+    SAME,
+    fetch_run,
+)
 from tom.record.bucket.objects import Bucket
 
 STATES = {2: "stopped", 3: "finished"}  # of the older copy, of the newer one
@@ -68,3 +75,26 @@ def test_another_run_of_that_name_is_kept_in_the_trash(here: Store, store: Store
     manage.trash(here, "run")
     kept = RunReader(here.path / ".trash" / "run")
     assert (kept.created, kept.labels.tags) == (other["created"], ("mine",))
+
+
+@pytest.mark.parametrize("status", ["", "{", None])
+@pytest.mark.parametrize(("trained_to", "done"), [(400, AHEAD), (100, FETCHED_UNKNOWN)])
+def test_a_run_whose_status_cannot_be_read_is_never_deleted(
+    trained_to: int, done: str, status: str | None, here: Store, store: Store, bucket_url: str
+):
+    """Its checkpoints say how far it is; a status that is damaged says nothing."""
+    there, bucket = store.run("run"), Bucket.open(bucket_url)
+    say(there, "stopped", 300)
+    checkpoint.save(there.path / checkpoint.FOLDER, 300, {"a": 1})
+    Attempt.claim(bucket, "run").put(there.path)
+    mine = here.run("run")
+    checkpoint.save(mine.path / checkpoint.FOLDER, trained_to, {"a": 2})
+    (mine.path / "status.json").unlink()
+    if status is not None:
+        (mine.path / "status.json").write_text(status)
+    assert fetch_run(bucket, "run", here) == done
+    anew = done != AHEAD
+    assert here.run("run").status.state == ("stopped" if anew else "unknown")
+    assert here.run("run").labels.tags == ("mine",)
+    kept = here.path / ".trash" / "run" if anew else mine.path
+    assert checkpoint.newest(kept / checkpoint.FOLDER) == trained_to
