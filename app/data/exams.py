@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.curves import curve_points
-from tom.analysis.scores import beats, interval
+from tom.analysis.scores import beats, chance, interval
 from tom.analysis.statistics import Interval
 from tom.exams.energy import informative
 
@@ -127,6 +127,12 @@ class Ranking:
         """P(a run of the first ranked group has a lower error than one of the second)."""
         first, second = (-standing.error for standing in self.ranked[:2])
         return beats([first], [second])
+
+    @property
+    def chance(self) -> float:
+        """The p of `first_beats_second`: by permutation, since the interval is for many runs."""
+        first, second = (standing.error for standing in self.ranked[:2])
+        return chance([first], [second])
 
 
 def ranking(exams: Sequence[Exams], since: float = -np.inf) -> Ranking:

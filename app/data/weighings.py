@@ -32,6 +32,7 @@ class WeighingInfo:
     step: int | None  # the env step of the buffer; None: all transitions
     written: int  # mtime_ns of the report
     brush: bool  # weights of one learner with a brushed region (`tom brush`), not of several
+    learners: frozenset[str]
 
     @property
     def name(self) -> str:
@@ -147,6 +148,9 @@ def _read(path: Path, rows: int) -> WeighingInfo | None:
         policy, preset = str(report["policy"]), str(report["preset"])
         step = None if report.get("step") is None else int(report["step"])
         brush = "brush" in report
-        return WeighingInfo(str(path), policy, preset, weighed, first, step, written, brush)
+        learners = frozenset(str(one["learner"]) for one in report.get("results", ()))
+        return WeighingInfo(
+            str(path), policy, preset, weighed, first, step, written, brush, learners
+        )
     except (OSError, ValueError, KeyError, TypeError):
         return None

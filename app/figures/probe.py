@@ -118,7 +118,7 @@ def errors_by_age(
 def focus(groups: Mapping[str, Sequence[RunErrors]], height: int, keep: str) -> go.Figure:
     """For each group, by name, its runs' errors on the policy's transitions and on the others.
 
-    A line joins a run's two errors.
+    A line joins a run's two errors. The more runs, the closer they stand, each group at its tick.
     """
     figure = go.Figure()
     ticks = []
@@ -126,7 +126,8 @@ def focus(groups: Mapping[str, Sequence[RunErrors]], height: int, keep: str) -> 
         ticks.append(text.plotly(name))
         for k, run in enumerate(runs):
             colour, run_id = learner_colour(run.learner), text.plotly(run.run_id)
-            nudge = 0.12 * (k - (len(runs) - 1) / 2)
+            apart = min(0.12, 0.6 / len(runs))
+            nudge = apart * (k - (len(runs) - 1) / 2)
             figure.add_trace(
                 go.Scatter(
                     x=[i - 0.15 + nudge, i + 0.15 + nudge],

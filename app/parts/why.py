@@ -143,7 +143,8 @@ def _neighbours(run: RunInfo, rows: Rows, source: Source, row: int) -> None:
     own = np.concatenate([np.asarray(rows.rows.obs)[row], np.asarray(rows.rows.action)[row]])
     table = pd.DataFrame({"": [*names, *actions], "this one": own})
     for i, distance in enumerate(near.near.distance.tolist()):
-        table[f"at {distance:.2f}"] = np.concatenate([obs[i], action[i]])
+        # Several may lie equally far, to two places.
+        table[f"{i + 1}: at {distance:.2f}"] = np.concatenate([obs[i], action[i]])
     numbers = {c: st.column_config.NumberColumn(c, format="%.2f") for c in table.columns[1:]}
     st.dataframe(table, hide_index=True, height=240, column_config=numbers)
     first = float(near.near.distance[0])
@@ -197,7 +198,8 @@ def _offer(run: RunInfo, rows: Rows) -> None:
     words += ["--learner", SUBJECT, "--seeds", "0", "--store", store]
     st.caption(
         "Weighed anew with this fit's policy and the run's settings the buffer has terms (Q begins "
-        "afresh there, so weights differ from the run's own). Then choose them under Weights of."
+        "afresh there, so weights differ from the run's own). Then choose them on Regions, under "
+        "Weights of."
     )
     if why := session.looks_on():
         st.caption(why)

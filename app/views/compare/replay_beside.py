@@ -34,10 +34,10 @@ def remember(curves: Sequence[Curve], point: Point) -> None:
 
 
 def nearest(curves: Sequence[Curve], x: float, y: float) -> str:
-    """The run whose value at `x` is nearest to `y`."""
-    with_points = [curve for curve in curves if len(curve.step)]
-    gaps = [abs(float(np.interp(x, c.step, c.value)) - y) for c in with_points]
-    return with_points[int(np.argmin(gaps))].run_id if gaps else ""
+    """The run whose value at `x` is nearest to `y`, of those that reach `x`; empty if none does."""
+    there = [c for c in curves if len(c.step) and c.step[0] <= x <= c.step[-1]]
+    gaps = [abs(float(np.interp(x, c.step, c.value)) - y) for c in there]
+    return there[int(np.argmin(gaps))].run_id if gaps else ""
 
 
 def clicked_replay(runs: Sequence[RunInfo]) -> tuple[RunInfo, int, int] | None:

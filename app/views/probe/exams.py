@@ -20,6 +20,8 @@ from tom.config import SAC_ALONE
 from tom.exams.counted import counted_from
 
 HEIGHT = 380
+SIGNIFICANT = 0.05
+"""the p below which a difference of two learners is called more than noise"""
 NO_EXAM = (
     "{runs} sat no exam: of a version before exams were recorded, or their first fit still serves."
 )
@@ -102,7 +104,7 @@ def verdict(result: Ranking) -> str:
             f"Where the policy goes, one step ahead in the exams{counted(result)}: {counts}."
         )
     first, second = result.ranked[:2]
-    beats = result.first_beats_second
+    beats, p = result.first_beats_second, result.chance
     one, other = (text.markdown(standing.name) for standing in (first, second))
     less = 100 * (1 - first.typical / second.typical)
     errors = (
@@ -112,9 +114,9 @@ def verdict(result: Ranking) -> str:
     )
     chance = (
         f"a run of {one} errs less than one of {other} with probability {beats.value:.2f} "
-        f"(95 % interval {beats.low:.2f} to {beats.high:.2f})"
+        f"(95 % interval {beats.low:.2f} to {beats.high:.2f}; p {p:.2g} by permutation)"
     )
-    if beats.low > 0.5:
+    if p < SIGNIFICANT:
         return (
             f"**Where its own policy goes, {one} errs least**: {errors}. More than noise: {chance}."
         )

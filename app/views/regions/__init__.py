@@ -104,7 +104,8 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
 
 def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:
     columns = st.columns(2)
-    x = columns[0].selectbox("Across", [COMPONENTS, *names], key="across", bind="query-params")
+    named = names if len(names) > 1 else []  # two are needed for a plane
+    x = columns[0].selectbox("Across", [COMPONENTS, *named], key="across", bind="query-params")
     if x is None or x == COMPONENTS:
         columns[1].selectbox("Up", ["both are shown"], disabled=True)
         return buffer_reader.principal_plane(run, rows)

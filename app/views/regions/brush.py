@@ -106,10 +106,10 @@ def _progress() -> None:
             del st.session_state[BEGUN]
             st.rerun()
         return
-    del st.session_state[BEGUN]
     if code:
         st.error(text.markdown(begun.tail()), icon=":material/error:")
         return
+    del st.session_state[BEGUN]
     st.session_state.pop(KEY, None)  # show the newest
     st.rerun()
 

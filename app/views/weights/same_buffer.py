@@ -10,6 +10,7 @@ from app.data import buffer_reader, readers, weighings
 from app.data.readers import RunInfo
 from app.figures.probe import probe_profiles
 from app.parts.plot import chart
+from app.theme import learner_label
 from tom.record.reader import at_or_before
 
 HEIGHT = 300
@@ -18,12 +19,14 @@ HEIGHT = 300
 def at_fit(run: RunInfo, step: int) -> None:
     """The profiles of all learners on the buffer of the fit at or before `step`, for its policy.
 
-    Shows the newest result of `tom weigh` there, with a link to the page that makes one.
+    Shows the result of `tom weigh` there with the most learners, of such the newest, with a link to
+    the page that makes one.
     """
     rows = buffer_reader.length(run)
     if not rows:
         return
-    stored = [w for w in reversed(weighings.of_run(run, rows)) if not w.brush]
+    stored = [w for w in weighings.of_run(run, rows) if not w.brush]
+    stored.sort(key=lambda w: (len(w.learners), w.written))
     weighed = {w.step: w for w in stored if Path(w.policy).name == run.run_id}  # an id or a folder
     steps = sorted({*readers.policy_steps(run), *(at for at in weighed if at is not None)})
     if not steps:
@@ -31,16 +34,18 @@ def at_fit(run: RunInfo, step: int) -> None:
     at = at_or_before(steps, step)
     of = weighings.weights(weighed[at]) if at in weighed else {}
     address = f"/probe?run={quote(run.run_id)}&at={at}"
-    if not of:
+    learners = [learner_label(name) for name in dict.fromkeys(name for name, _ in of)]
+    if len(learners) < 2:
         st.caption(
             f"What would another learner look at here? [Weigh the buffer of step {at:,} by every "
             f"learner]({address})."
         )
+    if not of:
         return
     with st.container(border=True):
         st.markdown(
-            f"**Every learner on the buffer of step {at:,}**, by the policy of that fit: "
-            f"[Probe]({address}&weighed={quote(weighed[at].name)})",
+            f"**{text.markdown(', '.join(learners))} on the buffer of step {at:,}**, by the policy "
+            f"of that fit: [Probe]({address}&weighed={quote(weighed[at].name)})",
             help=f"made by `tom weigh --step {at}`, TOM with "
             f"{text.markdown(weighed[at].settings)}, its Q begun afresh, where a run's goes on "
             "from fit to fit; lines are medians over seeds, bands their range; the dotted line "

@@ -303,6 +303,22 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     return [figure.to_dict()["layout"]["uirevision"] for figure in drawn]
 
 
+@pytest.mark.parametrize("runs", [1, 2, 5, 10, 40])
+def test_every_run_stands_at_the_tick_of_its_group(runs: int) -> None:
+    groups = {
+        name: [RunErrors(f"{name}-{i}", name, 1.0, 2.0) for i in range(runs)] for name in "ab"
+    }
+    figure = focus(groups, 300, "errors")
+    low, high = figure.to_dict()["layout"]["xaxis"]["range"]
+    for i, name in enumerate("ab"):
+        of = [trace for trace in traces(figure) if trace.meta.startswith(name)]
+        at = np.array([trace.x for trace in of])
+        assert len(of) == runs
+        assert (np.abs(at - i) < 0.5).all()
+        assert ((low < at) & (at < high)).all()
+        assert len(np.unique(at.mean(1))) == runs
+
+
 def test_p_has_room_beside_the_axis_whatever_the_names_are() -> None:
     wins = [Improvement("TOM" * 20, "MLE", Interval(0.9, 0.7, 1.0), p, 1.0) for p in (0.00023, 0.4)]
     figure = improvement(wins, ["red", "red"], 200, "a")

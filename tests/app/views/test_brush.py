@@ -9,12 +9,12 @@ import pytest
 from studio_pages import array, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
-from app.data import brush, buffer_reader, weighings
+from app.data import brush, buffer_reader, trainings, weighings
 from app.data.brush import Brushed
 from app.figures.brush import error_bars
 from app.links import Links
 from app.theme import Mode
-from app.views.regions.brush import command
+from app.views.regions.brush import BEGUN, command
 from tom.analysis.brush import REGION, REST
 from tom.cli import main
 from tom.record.array_files import read_table
@@ -87,6 +87,17 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
     assert brush.of_run(
         [replace(one, path=str(copy)) for one in weighings.of_run(info(there, PENDULUM_TOM), 400)]
     )
+
+
+def test_a_brush_that_failed_says_so_until_the_next(brushed: Path) -> None:
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    words = command(PENDULUM_TOM, "no-such-file", FIT, "", (0, 4), str(brushed))
+    failed = trainings.start(words)
+    assert failed.process.wait(60) == 2
+    app.session_state[BEGUN] = failed
+    for _ in range(2):
+        app.run()
+        assert any("No such file" in said.value for said in app.error)
 
 
 @pytest.mark.parametrize("mode", ["light", "dark"])

@@ -5,6 +5,7 @@ import queue
 import shutil
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
 from studio_pages import answers, array, draw, figures, set_links, trace
-from studio_runs import PENDULUM_TOM
+from studio_runs import PENDULUM_TOM, info
 
 from app.data.tables import default_level, reached
 from app.links import Links
@@ -24,6 +25,7 @@ from app.scenes.control import ReplayChoice, Selection, listen
 from app.servers.pages import routes
 from app.theme import learner_colour
 from app.views.compare import zoom
+from app.views.compare.choice import matching
 from app.views.compare.comparison import HIDE, switched, toggled
 from app.views.compare.curves import unlike_ends
 from app.views.compare.replay_beside import nearest
@@ -88,6 +90,9 @@ def test_a_click_on_a_mean_opens_the_replay_of_the_run_nearest_to_it(store: Path
     ]
     assert nearest(curves, 50.0, 9.0) == "high"
     assert nearest(curves, 50.0, 6.0) == "low"
+    ended = Curve("ended", "e", "tom", "p", 2, np.array([0.0, 40.0]), np.array([0.0, 9.0]))
+    assert nearest([*curves, ended], 50.0, 9.0) == "high"
+    assert nearest([ended], 50.0, 9.0) == ""
     app = draw("compare", env="inverted-pendulum")
     line = trace(figures(app)[0], name="TOM (n = 2)")
     assert line["meta"] == list(SEEDS)
@@ -241,6 +246,14 @@ def test_a_name_is_a_regular_expression() -> None:
     app = draw("compare", text="tom-[1-9]$")
     assert app.dataframe[0].value["seeds"].tolist() == ["1"]
     assert "no regular expression" in draw("compare", text="[").warning[0].value
+    assert draw("compare", text="TOM-[1-9]$").dataframe[0].value["seeds"].tolist() == ["1"]
+
+
+def test_a_name_in_a_link_cannot_hold_the_studio_up(store: Path) -> None:
+    run = info(store, SEEDS[0])
+    longest = replace(run, run_id="a" * 100)  # a backtracking search would never end
+    assert matching([longest], "(a+)+!") == []
+    assert matching([longest, run], "^a+$") == [longest]
 
 
 def test_statistics_are_those_of_the_scores(store: Path) -> None:

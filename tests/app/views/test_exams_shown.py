@@ -182,10 +182,21 @@ def test_the_verdict_names_who_errs_least_and_by_how_much() -> None:
         "**Where its own policy goes, TOM errs least**: 0.15, 25 % less than MLE"
     )
     assert "with 0.2, up to step 100 (n: 5 runs, 5 fits; 5 runs, 5 fits). More than noise" in said
-    assert "with probability 1.00 (95 % interval 1.00 to 1.00)" in said
+    assert "with probability 1.00 (95 % interval 1.00 to 1.00; p 0.0076 by permutation)" in said
     shown = table(ranking(runs)).set_index("group")
     assert shown.loc["TOM", "one step"] == "0.15 [0.15, 0.15]"
     assert shown.loc["PMAC", "seeds"] == 4
+
+
+def test_an_interval_above_a_half_is_noise_if_chance_alone_makes_it_often() -> None:
+    """The interval is too narrow for five runs: above a half here, with a p of .1 and more."""
+    runs = learners({"MLE": [0.23, 0.30, 0.33, 0.36, 0.41], "TOM": [0.10, 0.18, 0.22, 0.26, 0.35]})
+    result = ranking(runs)
+    assert result.first_beats_second.low > 0.5
+    assert result.chance > 0.05
+    said = verdict(result)
+    assert said.startswith("**Where its own policy goes, nobody errs less beyond noise**")
+    assert f"p {result.chance:.2g} by permutation" in said
 
 
 def test_the_verdict_ranks_nobody_within_the_noise() -> None:

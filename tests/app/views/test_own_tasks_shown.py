@@ -4,9 +4,12 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 from studio_pages import array, draw, figures, set_links
 
 from app.data import readers, replays, why
@@ -135,3 +138,36 @@ def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):
     assert "brush it" not in [button.key for button in regions.button]
     assert "brush it" in [button.key for button in draw("regions", run="Swimmer-v5").button]
     assert "absent_module" not in sys.modules
+
+
+class Heat(gym.Env):
+    """A temperature and a heater: one observation, one action."""
+
+    observation_space = Box(-10.0, 10.0, (1,))
+    action_space = Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        super().reset(seed=seed)
+        self.now = self.np_random.uniform(-1, 1, 1).astype(np.float32)
+        return self.now, {}
+
+    def step(self, action: np.ndarray):
+        self.now = np.asarray(0.9 * self.now + 0.5 * np.asarray(action), np.float32)
+        return self.now, -float(abs(self.now[0])), False, False, {}
+
+
+@pytest.mark.usefixtures("studio")
+def test_regions_of_a_task_of_one_observation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gym.register("Heat-v0", Heat, max_episode_steps=50)
+    try:
+        train(resolve("gymnasium:Heat-v0", "pmac", "smoke", SMALL), Store(tmp_path), "heat")
+    finally:
+        del gym.registry["Heat-v0"]
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    for query in ({}, {"across": "obs 1"}, {"across": "observation 1"}):
+        app = draw("regions", run="heat", **query)
+        across = app.selectbox(key="across")
+        assert across.options == [across.value]
+        assert figures(app)

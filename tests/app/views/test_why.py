@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,45 @@ def test_the_page_says_why(store: Path, view: str) -> None:
     assert values[-1] == pytest.approx(rows.weight[row], abs=1e-5)
     assert any("start in this state" in c.value for c in app.caption)
     assert any("standard deviations over" in c.value for c in app.caption)
+
+
+@pytest.mark.usefixtures("studio")
+def test_every_neighbour_has_a_column_however_near_to_the_next(store: Path) -> None:
+    rows = own_rows(store)
+    source = why.source(info(store, PENDULUM_TOM), rows, [])
+    assert isinstance(source, why.Source)
+    near = why.neighbours(rows, source, 5)
+    crowd = replace(near.near, distance=near.near.distance * 0 + 0.51)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(why, "neighbours", lambda *_: replace(near, near=crowd))
+        app = draw("weights", run=PENDULUM_TOM, step=str(FIT), row="5")
+    (table,) = [part.value for part in app.dataframe if "this one" in part.value]
+    shown = table[[f"{i + 1}: at 0.51" for i in range(len(crowd.distance))]].to_numpy().T
+    expected = np.hstack([np.asarray(near.rows.obs), np.asarray(near.rows.action)])
+    assert shown == pytest.approx(expected)
+
+
+def test_the_weights_page_prefers_the_weighing_of_more_learners(weighed: Path) -> None:
+    step = RunReader(weighed / PENDULUM_TOM).policy_steps()[-1]
+    words = [
+        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--step", str(step), "--learner", "pmac",
+        "mle", "--seeds", "0", "--footprint", "100", "--store", str(weighed),
+    ]  # fmt: skip
+    app = draw("weights", run=PENDULUM_TOM, step=str(step))
+    assert any("What would another learner look at" in said.value for said in app.caption)
+    assert any(
+        said.value.startswith(f"**TOM on the buffer of step {step}") for said in app.markdown
+    )
+    before = set((weighed / "weighings").iterdir())
+    assert main(words) == 0
+    (made,) = set((weighed / "weighings").iterdir()) - before
+    os.utime(made / "report.json", (1, 1))  # the older one
+    st.cache_data.clear()
+    app = draw("weights", run=PENDULUM_TOM, step=str(step))
+    assert any(
+        said.value.startswith(f"**PMAC, MLE on the buffer of step {step}") for said in app.markdown
+    )
+    assert not any("What would another learner look at" in said.value for said in app.caption)
 
 
 @pytest.mark.usefixtures("studio")
