@@ -31,7 +31,7 @@ from tom.errors import DivergedError, OwnCodeError, UserError
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import out_of_memory, ran_out
-from tom.record import RunReader, Status, Store, checkpoint
+from tom.record import RunReader, Status, Store, checkpoint, manage
 from tom.record.files import size_of
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
@@ -113,7 +113,9 @@ def run(args: argparse.Namespace) -> int:
 def begin(config: AnyConfig, args: argparse.Namespace) -> int:
     """Train `config`; with `--resume auto`, resume the run of an earlier same command.
 
-    If that command named its run, it is about this run alone, and is done once the run is.
+    If that command named its run, it is about this run alone, and is done once the run is. A run of
+    that name and these settings that cannot go on goes to the trash. Raises UserError if another
+    process is writing it.
     """
     if not args.resume:
         return record(config, args)
@@ -122,10 +124,21 @@ def begin(config: AnyConfig, args: argparse.Namespace) -> int:
         return _resume(args, begun, config.steps)
     run = next((run for run in store.runs() if run.run_id == named), None)
     wanted = completed(config.model_dump(mode="json"))
-    if run and run.status.state == "finished" and run.config.get("config") == wanted:
-        _print_summary(run, args.json)
-        return 0
+    if run and run.config.get("config") == wanted:
+        if run.status.state == "finished":
+            _print_summary(run, args.json)
+            return 0
+        _make_room(store, run)
     return record(config, args)
+
+
+def _make_room(store: Store, run: RunReader) -> None:
+    """Trash a run without a checkpoint to go on from: it died early, and keeps its name taken."""
+    with manage.unwritten(run), manage.refused(f"cannot trash run '{run.run_id}'"):
+        if run.small_copy or checkpoint.load(run.path / checkpoint.FOLDER) is not None:
+            return
+        place = manage.into_trash(store, run.run_id, run.path)
+    print(f"{run.run_id}: began anew; what was there is in {place}", file=sys.stderr)
 
 
 def _train_many(args: argparse.Namespace) -> int:
