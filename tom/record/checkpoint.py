@@ -11,7 +11,7 @@ import json
 import os
 import pickle
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,11 +54,14 @@ class Checkpoint:
             set_aside(run, path)
 
 
-def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
+def save(
+    folder: Path, env_step: int, state: dict[str, Any], check: Callable[[], None] = lambda: None
+) -> Path:
     """Write the checkpoint of `env_step` into `folder` and drop all but the last two.
 
-    Raises OSError if it does not fit the disk; then nothing of it remains and earlier checkpoints
-    stay.
+    `check` is the check of the writer's lock: writing takes a while, and whoever has taken the run
+    over meanwhile may have saved the same step. Raises its LostError, and OSError if the checkpoint
+    does not fit the disk; then nothing of it remains and earlier checkpoints stay.
     """
     unfinished = folder / f".{env_step:09d}.{os.getpid()}.tmp"
     _drop_unfinished(folder)
@@ -69,6 +72,7 @@ def save(folder: Path, env_step: int, state: dict[str, Any]) -> Path:
             file.write(json.dumps(manifest, indent=1).encode())
             _sync_file(file)
         path = folder / f"{env_step:09d}"
+        check()
         if path.exists():  # a resumed run writes this step again, with the same content
             shutil.rmtree(path)
         unfinished.rename(path)

@@ -117,6 +117,10 @@ class RunWriter:
         self._unsynced.clear()
         self._end_segment()
 
+    def check(self) -> None:
+        """Raises LostError if another writer has taken over the folder."""
+        self._lock.check()
+
     def throw_off_ballast(self) -> None:
         """Free the space that is reserved for the final status on a full disk."""
         if not self._lock.lost:

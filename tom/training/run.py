@@ -18,6 +18,7 @@ from tom.mbpo import Mbpo
 from tom.offline import Offline
 from tom.record import RunReader, Store, checkpoint
 from tom.record.creating import TakenError
+from tom.record.lock import LostError
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import open_sink
 from tom.record.writer import RunWriter
@@ -147,7 +148,10 @@ def _tell(watchers: list[Consumer], event: Event) -> None:
 def _save(
     training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, env_step: int
 ) -> None:
-    """Write a checkpoint; if the disk is full, the last one stays and training goes on."""
+    """Write a checkpoint; if the disk is full, the last one stays and training goes on.
+
+    Raises LostError if another writer has taken the run over.
+    """
     begun = perf_counter()
     try:
         state = {
@@ -156,7 +160,9 @@ def _save(
             "record": recorder.mark(),
             "config": writer.config.model_dump(mode="json"),
         }
-        checkpoint.save(writer.path / checkpoint.FOLDER, env_step, state)
+        checkpoint.save(writer.path / checkpoint.FOLDER, env_step, state, writer.check)
+    except LostError:
+        raise
     except OSError as error:
         before = checkpoint.newest(writer.path / checkpoint.FOLDER)
         stays = "there is none yet" if before is None else f"that of step {before} stays"

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from tom.record import checkpoint
+from tom.record import checkpoint, layout, lock
+from tom.record.lock import LostError
 
 
 def state(value: float) -> dict:
@@ -52,7 +53,8 @@ def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path,
 WITHOUT_MEMORY = """
 import resource, sys
 from pathlib import Path
-from tom.record import checkpoint
+from tom.record import checkpoint, layout, lock
+from tom.record.lock import LostError
 
 status = Path("/proc/self/status").read_text()
 [held] = [line.split()[1] for line in status.splitlines() if line.startswith("VmData:")]
@@ -95,6 +97,25 @@ def test_the_same_step_may_be_saved_again(tmp_path: Path):
     loaded = checkpoint.load(tmp_path)
     assert loaded is not None
     assert loaded.state["x"][0] == 2
+
+
+def test_a_writer_that_is_replaced_while_it_saves_leaves_what_is_there(tmp_path: Path):
+    """It was thought dead, and another machine has saved that step meanwhile."""
+    held = lock.acquire(tmp_path)
+    folder = tmp_path / checkpoint.FOLDER
+
+    class TakesLong:
+        def __reduce__(self):
+            return (str, (str((tmp_path / layout.LOCK).write_text("another machine")),))
+
+    checkpoint.save(folder, 5, state(1))
+    with pytest.raises(LostError):
+        checkpoint.save(folder, 5, {"x": TakesLong()}, held.check)
+    held.close()
+    assert [path.name for path in folder.iterdir()] == ["000000005"]
+    loaded = checkpoint.load(folder)
+    assert loaded is not None
+    assert loaded.state["x"][0] == 1
 
 
 def test_an_empty_folder_has_none(tmp_path: Path):
