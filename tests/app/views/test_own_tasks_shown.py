@@ -160,7 +160,7 @@ class Heat(gym.Env):
 def test_regions_of_a_task_of_one_observation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gym.register("Heat-v0", Heat, max_episode_steps=50)
+    gym.register("Heat-v0", Heat, max_episode_steps=50)  # pyright: ignore[reportArgumentType]
     try:
         train(resolve("gymnasium:Heat-v0", "pmac", "smoke", SMALL), Store(tmp_path), "heat")
     finally:

@@ -7,8 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tom.cli import build_parser
 from tom.cli.reproduce import progression
 from tom.cli.reproduce import road as reproduce_road
+from tom.cli.reproduce.study import tasks
 from tom.reports.style import new_figure, save
 from tom.studies.checks import Check
 from tom.studies.progression import Finding
@@ -65,3 +67,26 @@ def test_weight_progression_judges_its_first_preset(tmp_path: Path):
     assert "1 of 1 figures of our acceptance are met." in text
     assert "hopper, own policy, tom, random half" in text
     assert "<p>Agrees.</p>" in text
+
+
+@pytest.mark.parametrize(
+    ("study", "option", "values", "kept"),
+    [
+        ("progression", "--seeds", ["0", "0", "1"], [0, 1]),
+        ("progression", "--sac-seeds", ["1", "1"], [1]),
+        ("progression", "--preset", ["exact", "exact", "paper"], ["exact", "paper"]),
+        ("focus", "--seeds", ["2", "0", "2"], [2, 0]),
+        ("tabular", "--seeds", ["3", "3"], [3]),
+        ("tabular", "--variant-seeds", [], []),
+        ("road", "--sweep-seeds", ["4", "4"], [4]),
+    ],
+)
+def test_a_value_that_is_named_twice_counts_once(
+    study: str, option: str, values: list[str], kept: list[object]
+):
+    args = build_parser().parse_args(["reproduce", study, option, *values])
+    assert getattr(args, option.strip("-").replace("-", "_")) == kept
+
+
+def test_a_task_that_is_named_twice_counts_once():
+    assert tasks(["hopper", "hopper", "ant", "hopper"]) == ["hopper", "ant"]

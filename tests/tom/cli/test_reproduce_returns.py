@@ -150,10 +150,30 @@ def test_runs_of_other_groups_bound_no_planned_comparison(tmp_path: Path, capsys
     assert main([*words, "--groups", "VaGram (MDN)", "Ratio"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert {row["at step"] for row in found["summary"]} == {2000}
+    three = ["--groups", "VaGram (MDN)", "PMAC", "Ratio"]
+    assert main([*words, *three, "--at", "2000"]) == 2  # no comparison of the two that are left
+    assert "no run of 'PMAC' can be compared with the others" in capsys.readouterr().err
     (row,) = found["improvement"]  # a comparison without MLE and TOM, because it was asked for
     assert {row["learner"], row["against"]} == {"VaGram (MDN)", "Ratio"}
     assert main(words) == 0
     assert {row["at step"] for row in json.loads(capsys.readouterr().out)["summary"]} == {500}
+
+
+@pytest.mark.parametrize("at", [("hopper=2000", "1000"), ("1000", "hopper=2000")])
+def test_a_step_of_one_task_counts_whatever_the_order(at: tuple[str, ...], tmp_path: Path, capsys):
+    store = Store(tmp_path / "store")
+    for env in ("hopper", "walker2d"):
+        with Recorder(RunWriter.create(store, env, resolve(env, "mle", "paper"))) as recorder:
+            for step in (1000, 2000):
+                recorder.consume(Metrics(step, {"eval/return": float(step)}))
+                recorder.consume(Tick(step, "evaluate"))
+    words = ["reproduce", "returns", "--store", str(store.path), "--out", str(tmp_path / "out")]
+    assert main([*words, "--preset", "paper", "--at", *at, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    steps = {row["env"]: row["at step"] for row in found["summary"]}
+    assert steps == {"hopper": 2000, "walker2d": 1000}
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "step 2000 of hopper, else step 1000;" in report
 
 
 @pytest.mark.parametrize(
@@ -166,6 +186,8 @@ def test_runs_of_other_groups_bound_no_planned_comparison(tmp_path: Path, capsys
         (("--at", "0"), "--at must be at least 1"),
         (("--at", "late"), "or ENV=STEP, not 'late'"),
         (("--at", "hoper=9"), "did you mean 'hopper'"),
+        (("--at", "9", "8"), "--at takes one step of all"),
+        (("--env", "hopper", "--at", "ant=9"), "--at ant=9: --env does not name ant"),
     ],
 )
 def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys):

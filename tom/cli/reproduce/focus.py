@@ -12,9 +12,9 @@ from tom.cli.reproduce.study import (
     sac_recordings,
     say,
     stoppable,
+    tasks,
 )
 from tom.cli.tables import show
-from tom.envs import task
 from tom.record import Store
 from tom.reports.files import write_csv
 from tom.reports.html import Report, write_report
@@ -53,7 +53,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 @stoppable
 def run(args: argparse.Namespace) -> int:
     check_recordings(args)
-    envs = [task(env).name for env in args.env]
+    envs = tasks(args.env)
     out_folder(args.out)
     runs = sac_recordings(Store(args.store), envs, None, args.steps)
     results: list[Focus] = []

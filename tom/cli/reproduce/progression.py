@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from tom.cli.reproduce.study import (
+    Distinct,
     add_output,
     add_recordings,
     check_recordings,
@@ -13,9 +14,9 @@ from tom.cli.reproduce.study import (
     sac_recordings,
     say,
     stoppable,
+    tasks,
 )
 from tom.cli.tables import show
-from tom.envs import task
 from tom.errors import unknown
 from tom.record import Store
 from tom.reports.origin import seeds as in_short
@@ -42,8 +43,12 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "against the acceptance. Median over TOM's seeds; the first preset is judged.",
     )
     add_recordings(parser)
-    parser.add_argument("--sac-seeds", nargs="+", type=int, help="of recordings [as accepted]")
-    parser.add_argument("--preset", nargs="+", default=list(PRESETS), help="TOM's [exact paper]")
+    parser.add_argument(
+        "--sac-seeds", nargs="+", type=int, action=Distinct, help="of recordings [as accepted]"
+    )
+    parser.add_argument(
+        "--preset", nargs="+", action=Distinct, default=list(PRESETS), help="TOM's [exact paper]"
+    )
     add_output(parser, "progression")
     parser.set_defaults(run=run)
 
@@ -54,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
     check_recordings(args)
-    envs = [task(env).name for env in args.env]
+    envs = tasks(args.env)
     out_folder(args.out)
     runs = sac_recordings(Store(args.store), envs, args.sac_seeds, args.steps)
     asked = cases(runs, args.preset, args.seeds)

@@ -111,6 +111,7 @@ def run(args: argparse.Namespace) -> int:
             f"{' '.join(words)}: no such run was evaluated there or later; the longest of all ends "
             f"at {max(cell.longest for cell in whole):.0f}"
         )
+    _check_all_there(groups, cells)
     out_folder(args.out)
     by = [BY[name] for name in dict.fromkeys(args.by)]
     findings = _findings(cells, by, planned=args.groups is not None)
@@ -122,13 +123,21 @@ def run(args: argparse.Namespace) -> int:
 
 def _steps(words: Sequence[str], envs: Sequence[str]) -> dict[str, int]:
     """The step of each environment that has one, from `STEP` (of all) or `ENV=STEP`."""
-    steps: dict[str, int] = {}
+    of_all: dict[str, int] = {}
+    of_one: dict[str, int] = {}
     for word in words:
         env, named, step = word.rpartition("=")
         if not step.isdecimal() or int(step) < 1:
             raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word}'")
-        steps |= dict.fromkeys([task(env).name] if named else envs, int(step))
-    return steps
+        if not named and of_all:
+            raise UserError("--at takes one step of all, and one ENV=STEP for each other")
+        if named and task(env).name not in envs:
+            raise UserError(f"--at {word}: --env does not name {env}")
+        if named:
+            of_one[task(env).name] = int(step)
+        else:
+            of_all = dict.fromkeys(envs, int(step))
+    return of_all | of_one
 
 
 def _with_seeds(runs: Sequence[RunReader], seeds: Sequence[int] | None) -> Sequence[RunReader]:
@@ -154,6 +163,16 @@ def _check_groups(groups: Sequence[str] | None, have: Sequence[str]) -> None:
         raise UserError(
             f"--groups: one alone is compared with nobody; name two of: {'; '.join(have)}"
         )
+
+
+def _check_all_there(groups: Sequence[str] | None, cells: Sequence[study.Cell]) -> None:
+    """A planned comparison is made whole or not at all: p is corrected for what was planned."""
+    for group in groups or ():
+        if not any(cell.label == group for cell in cells):
+            raise UserError(
+                f"--groups: no run of '{group}' can be compared with the others at one step; "
+                "choose another --at, or leave it out"
+            )
 
 
 def _findings(cells: list[study.Cell], by: Sequence[str], *, planned: bool) -> dict[str, Any]:
@@ -255,7 +274,7 @@ def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[st
 
 def _step(at: Sequence[str]) -> str:
     """The step of the comparison in words."""
-    words = [word.rpartition("=") for word in at]
+    words = sorted((word.rpartition("=") for word in at), key=lambda word: not word[1])
     steps = [f"step {step} of {env}" if env else f"step {step}" for env, _, step in words]
     if all(env for env, _, _ in words):
         steps.append("the step that all runs of an environment reach")

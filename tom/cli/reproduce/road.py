@@ -7,6 +7,7 @@ from math import isnan
 from pathlib import Path
 
 from tom.cli.reproduce.study import (
+    Distinct,
     add_jobs,
     add_output,
     check_seeds,
@@ -56,9 +57,16 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "controls that must fail, simpler baselines, and the sweep that says where the claim "
         "holds. Writes figures (PNG, SVG) and the numbers behind them (CSV).",
     )
-    parser.add_argument("--seeds", nargs="+", type=int, default=list(range(8)), help="[0 .. 7]")
     parser.add_argument(
-        "--sweep-seeds", nargs="+", type=int, default=[4, 5], help="seeds of the sweep [4 5]"
+        "--seeds", nargs="+", type=int, action=Distinct, default=list(range(8)), help="[0 .. 7]"
+    )
+    parser.add_argument(
+        "--sweep-seeds",
+        nargs="+",
+        type=int,
+        action=Distinct,
+        default=[4, 5],
+        help="seeds of the sweep [4 5]",
     )
     add_jobs(parser)
     add_output(parser, "road")

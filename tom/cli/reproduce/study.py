@@ -26,6 +26,13 @@ from tom.training.presets import PRESETS
 from tom.training.run import train
 
 
+class Distinct(argparse.Action):
+    """Stores an option's values, each once: a seed that is named twice is no second one."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        setattr(namespace, self.dest, list(dict.fromkeys(values or ())))
+
+
 def add_output(parser: argparse.ArgumentParser, name: str) -> None:
     """Add `--out` and `--json`: where the report of study `name` is written."""
     parser.add_argument("--out", type=Path, default=Path("reports") / name, help="[%(default)s]")
@@ -47,7 +54,9 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose recordings of SAC and the learners' seeds."""
     parser.add_argument("--env", nargs="+", default=list(SAC_SEEDS), metavar="ENV")
     parser.add_argument("--steps", type=int, default=50_000, help="steps of SAC [50000]")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="TOM's [0 1 2]")
+    parser.add_argument(
+        "--seeds", nargs="+", type=int, action=Distinct, default=[0, 1, 2], help="TOM's [0 1 2]"
+    )
     add_store(parser)
     add_jobs(parser)
 
@@ -82,7 +91,12 @@ def check_stored(args: argparse.Namespace) -> list[str]:
     for preset in args.preset:
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
-    return [task(env).name for env in args.env]
+    return tasks(args.env)
+
+
+def tasks(envs: Sequence[str]) -> list[str]:
+    """The names of the tasks, each once. Raises UserError for an unknown one."""
+    return list(dict.fromkeys(task(env).name for env in envs))
 
 
 def print_json(content: dict[str, Any]) -> None:
@@ -129,7 +143,7 @@ def sac_recordings(
     """The recordings of every task and SAC seed (default: the study's); missing ones are made."""
     configs = [
         recording_config(env, seed, steps)
-        for env in (task(name).name for name in envs)
+        for env in tasks(envs)
         for seed in seeds or SAC_SEEDS.get(env, (0,))
     ]
     return [recorded(store, config) or _record(store, config) for config in configs]

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 from typing import Any, get_args
 
 from tom.cli.reproduce.study import (
+    Distinct,
     add_jobs,
     add_output,
     check_seeds,
@@ -54,10 +55,20 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "paper preset among them, stand beside it.",
     )
     parser.add_argument(
-        "--seeds", nargs="+", type=int, default=list(range(6)), help="MDPs [0 .. 5]"
+        "--seeds",
+        nargs="+",
+        type=int,
+        action=Distinct,
+        default=list(range(6)),
+        help="MDPs [0 .. 5]",
     )
     parser.add_argument(
-        "--variant-seeds", nargs="*", type=int, default=[0, 1], help="MDPs of the rest [0 1]"
+        "--variant-seeds",
+        nargs="*",
+        type=int,
+        action=Distinct,
+        default=[0, 1],
+        help="MDPs of the rest [0 1]",
     )
     add_jobs(parser)
     add_output(parser, "tabular")
