@@ -3,7 +3,8 @@
 p(end | s') is a Bernoulli distribution whose logit is a network of s' (the task only tells that an
 episode ended there). It is fitted by the same weighted maximum likelihood as the model, on the same
 rows. The network goes on from fit to fit, so a row that one fit holds out is held out for good. A
-modelled episode ends where p reaches the threshold that was best on held-out rows.
+modelled episode ends where p reaches the threshold that was best on held-out rows, of those that
+could be best for a calibrated p.
 """
 
 from typing import Any
@@ -29,7 +30,8 @@ NEVER = 2.0
 """a threshold that no probability reaches"""
 UNWEIGHTED = (
     "ends-unweighted",
-    "no end of an episode has any weight: the head that learns ends is fitted without weights",
+    "none of the ends of episodes that are trained on has any weight: the head that learns ends is "
+    "fitted without weights",
 )
 
 
@@ -64,19 +66,20 @@ class EndingHead:
     ) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
         """Fit to transitions with weights (N,), as the model's; returns metrics and notices.
 
-        The transitions are the last of all those that were ever `collected`. While they contain no
-        end of an episode, nothing is learnt and no episode ends.
+        The transitions are the last of all those that were ever `collected`. While those that are
+        not held out contain no end of an episode, nothing is learnt and no episode ends. If none of
+        their ends has any weight, all rows have the same, and a notice says so.
         """
         label = (rows.terminated > 0).to(rows.obs)
-        if not bool(label.any()):
+        held, kept = self._split(rows, collected)
+        if not bool(label[kept].any()):
             self.threshold = NEVER
             return {"model/ends_threshold": NEVER}, ()
         notices: tuple[tuple[str, str], ...] = ()
-        if not bool((weights * label).any()):
+        if not bool((weights * label)[kept].any()):
             weights, notices = torch.ones_like(weights), (UNWEIGHTED,)
         scaling = Scaling.of((rows.next_obs,))
         self.mean, self.std = scaling.mean, scaling.std
-        held, kept = self._split(rows, collected)
         self._train(rows.next_obs[kept], label[kept], weights[kept], generator)
         # Ends are rare: if none is held out, all rows choose the threshold, and none can judge it.
         judged = bool((label * weights)[held].any())
@@ -119,7 +122,7 @@ class EndingHead:
     def _train(
         self, next_obs: Tensor, label: Tensor, weights: Tensor, generator: torch.Generator
     ) -> None:
-        drawn = self.config.weights == "sample" and bool(weights.any())
+        drawn = self.config.weights == "sample"
         sampler = WeightedSampler(weights, generator) if drawn else None
         size = self.config.batch_size
         for _ in range(ROUNDS * self.config.batches_per_round):
@@ -137,7 +140,11 @@ class EndingHead:
 def best_threshold(p: Tensor, label: Tensor, weights: Tensor) -> float:
     """The threshold on p (N,) with the largest weighted F1; .5 if there are no ends.
 
-    F1 = 2 caught / (called + ends), where each term is the weight of these rows.
+    F1 = 2 caught / (called + ends), where each term is the weight of these rows. Under a calibrated
+    p the best threshold is half of the best F1 (Lipton, Elkan and Naryanaswamy 2014, "Optimal
+    thresholding of classifiers to maximize F1 measure"), which is at least that of calling all
+    rows, 2 s / (1 + s) at the ends' share s of the weight. So no threshold is below s / (1 + s):
+    else the p of an end that looks like any other row would call most of them.
     """
     order = torch.argsort(p, descending=True)
     caught = (weights * label)[order].cumsum(0)
@@ -145,13 +152,15 @@ def best_threshold(p: Tensor, label: Tensor, weights: Tensor) -> float:
     ends = (weights * label).sum()
     if not bool(ends > 0):
         return 0.5
+    lowest = float(ends / (weights.sum() + ends))
     score = 2 * caught / (called + ends)
     ranked = p[order]
-    last = torch.ones_like(ranked, dtype=torch.bool)
-    last[:-1] = ranked[:-1] > ranked[1:]  # equal probabilities are on the same side
-    at = int(torch.where(last, score, -1.0).argmax())
+    choice = ranked >= lowest
+    choice[:-1] &= ranked[:-1] > ranked[1:]  # equal probabilities are on the same side
+    at = int(torch.where(choice, score, -1.0).argmax())
     following = float(ranked[at + 1]) if at + 1 < len(ranked) else 0.0
-    return 0.5 * (float(ranked[at]) + following)  # half way to the next lower probability
+    halfway = 0.5 * (float(ranked[at]) + following)  # to the next lower probability
+    return max(halfway, lowest)
 
 
 def measured(p: Tensor, label: Tensor, weights: Tensor, threshold: float) -> dict[str, float]:

@@ -71,6 +71,56 @@ def test_ends_that_have_no_weight_are_learnt_without_weights_and_that_is_said():
     assert head.threshold == plain.threshold
 
 
+def the_held_out_and_the_others(n: int) -> tuple[torch.Tensor, torch.Tensor]:
+    return EndingHead(3, CONFIG, torch.Generator())._split(rows(n), n)
+
+
+def test_an_end_that_is_held_out_teaches_nothing():
+    data = rows(3000, ends=False)
+    held, _ = the_held_out_and_the_others(3000)
+    data.terminated[held[100]] = 1
+    head = EndingHead(3, CONFIG, torch.Generator().manual_seed(1))
+    metrics, notices = head.fit(data, torch.ones(3000), 3000, torch.Generator().manual_seed(2))
+    assert metrics == {"model/ends_threshold": NEVER}
+    assert notices == ()
+    assert not head(rows(500, seed=9).next_obs).any()
+
+
+def test_a_buffer_that_is_held_out_whole_teaches_nothing():
+    data = rows(1)
+    data.terminated[:] = 1
+    head = EndingHead(3, CONFIG.but(holdout=0.7), torch.Generator().manual_seed(1))
+    metrics, _ = head.fit(data, torch.ones(1), 1, torch.Generator().manual_seed(2))
+    assert metrics == {"model/ends_threshold": NEVER}
+
+
+@pytest.mark.parametrize("weights", ["sample", "scale"])
+@pytest.mark.parametrize("rest", [0.0, 1.0])
+def test_weight_on_a_held_out_end_alone_teaches_nothing(weights: str, rest: float):
+    """Whether or not the rows that are trained on have any other weight."""
+    data, config = rows(3000), CONFIG.but(weights=weights)
+    held, _ = the_held_out_and_the_others(3000)
+    given = rest * (1 - data.terminated)
+    given[held[data.terminated[held] > 0][0]] = 1
+    head, metrics, notices = fitted(given, config)
+    assert [kind for kind, _ in notices] == ["ends-unweighted"]
+    _, same, _ = fitted(config=config)
+    assert metrics == same
+    assert head(rows(2000, seed=9).next_obs).float().mean() < 0.25
+
+
+def test_one_end_unlike_those_it_learnt_from_does_not_end_everything():
+    data = rows(3000, ends=False)
+    held, kept = the_held_out_and_the_others(3000)
+    data.next_obs[kept[:4]] = torch.tensor([4.0, 0.0, 0.0])
+    data.terminated[kept[:4]] = 1
+    data.terminated[held[100]] = 1
+    head = EndingHead(3, CONFIG, torch.Generator().manual_seed(1))
+    head.fit(data, torch.ones(3000), 3000, torch.Generator().manual_seed(2))
+    assert head(rows(2000, seed=9).next_obs).float().mean() < 0.01
+    assert head(torch.tensor([[4.0, 0.0, 0.0]])).all()
+
+
 def test_its_state_is_all_of_it():
     head, _, _ = fitted()
     other = EndingHead(3, CONFIG, torch.Generator().manual_seed(7))
@@ -119,6 +169,18 @@ def test_the_threshold_has_the_best_weighted_f1():
     heavy = torch.tensor([1.0, 1.0, 9.0, 1.0, 1.0])
     assert best_threshold(p, label, heavy) == pytest.approx(0.75)
     assert best_threshold(p, torch.zeros(5), torch.ones(5)) == 0.5
+
+
+def test_the_threshold_is_none_that_only_noise_would_choose():
+    """A quarter of the weight ends, so that calling all has F1 .4, and half of that is .2."""
+    p, even = torch.tensor([0.3, 0.2, 0.1, 0.01]), torch.ones(4)
+    last = torch.tensor([0.0, 0.0, 0.0, 1.0])
+    assert best_threshold(p, last, even) == pytest.approx(0.25)  # none from .2 on is better
+    assert best_threshold(p / 10, last, even) == pytest.approx(0.2)
+    low, second = torch.tensor([0.24, 0.14, 0.04, 0.01]), torch.tensor([0.0, 1.0, 0.0, 0.0])
+    assert best_threshold(low, second, even) == pytest.approx(0.2)
+    rare = torch.tensor([1.0, 1.0, 9.0, 9.0])  # a twentieth of the weight: none below .048
+    assert best_threshold(low, second, rare) == pytest.approx(0.09)
 
 
 def test_what_is_measured():
