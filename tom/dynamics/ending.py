@@ -170,7 +170,7 @@ def measured(p: Tensor, label: Tensor, weights: Tensor, threshold: float) -> dic
     ends, others = weights * label, weights * (1 - label)
     clamped = p.clamp(1e-6, 1 - 1e-6)
     loss = -(label * clamped.log() + (1 - label) * (1 - clamped).log())
-    which = (p * BINS).long().clamp(max=BINS - 1)
+    which = (p * BINS).long().clamp(0, BINS - 1)  # NaN, a negative whole number, stays NaN in p
     gap = torch.zeros(BINS).to(p).index_add(0, which, weights * (label - p))
     return {
         "model/ends_loss": float((weights * loss).sum() / total),

@@ -219,7 +219,7 @@ def calibration_error(logits: Tensor, bins: int = 10) -> Tensor:
     c = torch.sigmoid(logits)
     label = torch.zeros_like(c)
     label[: len(c) // 2] = 1.0
-    which = (c * bins).long().clamp(max=bins - 1)
+    which = (c * bins).long().clamp(0, bins - 1)  # NaN, a negative whole number, stays NaN in c
     gap = torch.zeros(bins).to(c).index_add(0, which, label - c)  # n_b (share - mean c)
     return gap.abs().sum() / len(c)
 

@@ -49,12 +49,15 @@ def chi2_multiplier(y: Tensor) -> Tensor:
 
     With z = y in descending order and the k largest active, lambda_k = (z_1 + ... + z_k + k - N) /
     k; the right k is the largest one whose smallest weight, 1 + z_k - lambda_k, is positive.
+    With NaN or infinity in y lambda is not finite: who watches the loss then says so.
     """
     z = y.sort(dim=-1, descending=True).values.to(torch.float64)
     k = torch.arange(1, z.shape[-1] + 1, dtype=z.dtype, device=z.device)
     candidates = (z.cumsum(-1) + k - z.shape[-1]) / k
     active = (1 + z - candidates > 0).sum(-1, keepdim=True)
-    return candidates.gather(-1, active - 1).squeeze(-1).to(y.dtype)
+    # In exact numbers k = 1 always is; NaN, infinity and rounding beyond 1e16 leave none.
+    last = (active - 1).clamp(min=0)
+    return candidates.gather(-1, last).squeeze(-1).to(y.dtype)
 
 
 def released_conjugate(y: Tensor) -> Tensor:

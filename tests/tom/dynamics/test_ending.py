@@ -1,5 +1,6 @@
 """The head that learns what ends an episode: it finds the rule and says how sure it is."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -190,6 +191,12 @@ def test_what_is_measured():
     assert found["model/ends_false"] == pytest.approx(1 / 5)
     # (3 of 4 end, said .95: 4 x .2; none of 4 ends, said .05: 4 x .05) over 8
     assert found["model/ends_calibration"] == pytest.approx((4 * 0.2 + 4 * 0.05) / 8)
+
+
+def test_what_is_no_number_is_measured_as_none():
+    p, label = torch.tensor([torch.nan, 0.05]), torch.tensor([1.0, 0.0])
+    found = measured(p, label, torch.ones(2), 0.5)
+    assert np.isnan([found["model/ends_loss"], found["model/ends_calibration"]]).all()
 
 
 def test_the_exam_judges_it_like_a_rule():

@@ -107,6 +107,10 @@ def test_calibration_error_by_hand():
     assert float(calibration_error(torch.logit(c))) == pytest.approx(expected, abs=1e-6)
 
 
+def test_the_calibration_error_of_what_is_no_number_is_none():
+    assert calibration_error(torch.tensor([0.0, torch.nan, 1.0, -1.0])).isnan()
+
+
 def test_a_discriminator_of_state_actions_is_blind_to_what_came_next():
     replay, lately = rows(4000, seed=0), rows(4000, seed=1, shift=SHIFT)
     elsewhere = replace(replay, next_obs=replay.next_obs.flip(0))

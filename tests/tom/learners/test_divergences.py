@@ -120,6 +120,21 @@ def test_the_multiplier_of_a_batch_with_one_active_row():
     assert float(divergence("chi2").multiplier(y)) == pytest.approx(97.0)  # its weight is 4
 
 
+@pytest.mark.parametrize("name", ["chi2", "full-chi2"])
+def test_the_multiplier_of_a_batch_that_is_not_finite_is_not_finite_either(name):
+    """And beside it the others have theirs, as many are found at once."""
+    f, fine = divergence(name), torch.tensor([1.0, -5.0, 2.0])
+    for bad in (torch.nan, torch.inf):
+        found = f.multiplier(torch.stack((torch.tensor([0.0, bad, 1.0]), fine)))
+        assert not found[0].isfinite()
+        assert found[1] == f.multiplier(fine)
+
+
+def test_the_multiplier_of_a_number_beyond_float64s_whole_ones():
+    y = torch.tensor([1e17, 0.0, 0.0])
+    assert float(divergence("chi2").multiplier(y)) == pytest.approx(1e17)
+
+
 def test_the_released_parabola_has_mean_slope_one():
     y = torch.tensor([1.0, -5.0, 2.0])
     shifted = y - divergence("chi2", "released").multiplier(y)
