@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from app import text
 from app.data import readers
@@ -18,7 +19,7 @@ from tom.analysis import why
 from tom.analysis.imagine import stored_model
 from tom.analysis.weighing import load_policy, made_anew
 from tom.analysis.why import Near, Sum
-from tom.config import RolloutConfig, TomConfig
+from tom.config import OnlineConfig, RolloutConfig, RunConfig, TomConfig
 from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ENVS, task
@@ -49,6 +50,7 @@ class Source:
     config: TomConfig
     whose: str
     lately: TensorTransitions  # (M,) the discriminator's rows of the policy
+    among: Tensor  # (M,) the rows of the buffer that these are; (0,) if they were made anew
     step: int | None  # of the fit or weighing; None: all that the run collected
 
     def sum_of(self, row: int) -> Sum:
@@ -62,7 +64,7 @@ class Neighbours:
 
     near: Near
     rows: Transitions  # (K,) those transitions
-    usual: float  # median over rows of the buffer
+    usual: float  # median over rows of the buffer that are not the policy's own
     own: float  # median over the policy's own rows
 
 
@@ -73,14 +75,13 @@ def source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source | 
 
 
 def neighbours(rows: Rows, source: Source, row: int) -> Neighbours:
-    """The policy's transitions nearest to a row of the buffer."""
-    replay = rows.rows.torch()
-    near = why.nearest(replay, row, source.lately, NEAREST)
-    judged = torch.linspace(0, len(replay) - 1, min(JUDGED, len(replay))).long()
-    usual = why.usual_distance(replay, source.lately, judged)
-    half = len(source.lately) // 2
-    own = _between(replay, source.lately, half)
-    return Neighbours(near, source.lately[near.index].numpy(), usual, own)
+    """The policy's transitions nearest to a row of the buffer, but for the row itself."""
+    replay, lately = rows.rows.torch(), source.lately
+    here = (source.among == row).nonzero().flatten().tolist() if len(lately) > 1 else []
+    near = why.nearest(replay, row, lately, NEAREST, itself=here[0] if here else None)
+    own = _between(replay, lately, len(lately) // 2)
+    usual = _usual(replay, source, own)
+    return Neighbours(near, lately[near.index].numpy(), usual, own)
 
 
 def starts(run: RunInfo, rows: Rows, row: int) -> tuple[float, float] | str:
@@ -144,7 +145,7 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
         if learner not in WITH_TERMS:
             return f"only {whose_sum} weights are such a sum, and these are of {learner}"
         try:
-            config, whose, lately, step = _made_by(run, reader, rows, weight, made)
+            config, whose, lately, among, step = _made_by(run, reader, rows, weight, made)
         except (UserError, OSError, ValueError, KeyError) as error:
             return str(error)
         prefix = "" if made is None else f"{weight}-"
@@ -152,7 +153,7 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
             {n: torch.tensor(table[prefix + n]) for n in Terms.named() if prefix + n in table}
         )
         if terms is not None:
-            return Source(terms, config, whose, lately, step)
+            return Source(terms, config, whose, lately, among, step)
         without = "its terms were not kept: this run or weighing is older than they are, or small"
     return without
 
@@ -178,20 +179,42 @@ def candidates(
 
 def _made_by(
     run: RunInfo, reader: RunReader, rows: Rows, weight: str, made: WeighingInfo | None
-) -> tuple[TomConfig, str, TensorTransitions, int | None]:
+) -> tuple[TomConfig, str, TensorTransitions, Tensor, int | None]:
     if made is None:
         config = recorded_config(reader)
         tom: TomConfig = config.tom  # pyright: ignore[reportAttributeAccessIssue]
-        newest = int(getattr(config, "policy_capacity", 1000))
-        end = rows.first + len(rows)
-        return tom, "the run's own fit", rows.rows[-newest:].torch(), end
+        among, end = _policy_rows(config, reader, rows), rows.first + len(rows)
+        return tom, "the run's own fit", rows.rows.torch()[among], among, end
     report = read_json(Path(made.path) / REPORT)
     tom = TomConfig.model_validate(report["config"]["tom"])
     known, store = task(run.env), Store(Path(run.path).parent)
     policy = load_policy(made.policy, store, known, made.step)
     seed = int(weight.rpartition("-s")[2])
     lately = made_anew(known, policy, int(report["footprint"]), seed).transitions.torch()
-    return tom, f"the weighing {made.name}", lately, made.step
+    return tom, f"the weighing {made.name}", lately, torch.arange(0), made.step
+
+
+def _policy_rows(config: RunConfig, reader: RunReader, rows: Rows) -> Tensor:
+    """The rows (M,) of the buffer that were the policy's in a run's own fit."""
+    if isinstance(config, OnlineConfig):
+        taken = max(rows.first + len(rows) - config.exploration_steps, 0)
+        newest = min(taken, config.policy_capacity, len(rows))
+        return torch.arange(len(rows) - newest, len(rows))
+    shown = reader.field("data", 0).get("footprint")
+    if shown is None:
+        raise UserError("which of its rows are the policy's was not kept")
+    return torch.from_numpy(np.flatnonzero(shown))
+
+
+def _usual(replay: TensorTransitions, source: Source, own: float) -> float:
+    """The median distance of the buffer's other rows to the policy's; `own` if it has no others."""
+    other = torch.ones(len(replay), dtype=torch.bool)
+    other[source.among] = False
+    others = other.nonzero().flatten()
+    if not len(others):
+        return own
+    judged = torch.linspace(0, len(others) - 1, min(JUDGED, len(others))).long()
+    return why.usual_distance(replay, source.lately, others[judged])
 
 
 def _between(replay: TensorTransitions, lately: TensorTransitions, half: int) -> float:

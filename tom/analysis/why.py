@@ -58,12 +58,24 @@ class Near:
     distance: Tensor  # (K,) standard deviations: root mean square over (s, a, s' - s)
 
 
-def nearest(replay: TensorTransitions, row: int, others: TensorTransitions, count: int = 5) -> Near:
-    """The `others` nearest to a row of the buffer, in z-scores as the discriminator sees them."""
+def nearest(
+    replay: TensorTransitions,
+    row: int,
+    others: TensorTransitions,
+    count: int = 5,
+    itself: int | None = None,
+) -> Near:
+    """The `others` nearest to a row of the buffer, in the buffer's z-scores of (s, a, s' - s).
+
+    `itself`: the row's place among the others, if it is one of them; it is left out.
+    """
     scaling = Scaling.of_moves(replay)
     here, there = (scaling(part.moves()) for part in (replay[row : row + 1], others))
     distance = (there - here).square().mean(1).sqrt()
-    closest = distance.topk(min(count, len(others)), largest=False)
+    if itself is not None:
+        distance[itself] = torch.inf
+    left = len(others) - (itself is not None)
+    closest = distance.topk(min(count, left), largest=False)
     return Near(closest.indices, closest.values)
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import streamlit as st
+import torch
 from studio_pages import array, draw, figures, set_links, trace
-from studio_runs import PENDULUM_TOM, info
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import buffer_reader, weighings, why
 from app.data.buffer import Rows
@@ -19,6 +20,7 @@ from app.links import Links
 from app.parts.plot import Point
 from app.parts.why import clicked
 from app.views.regions.region_tables import listed
+from tom.analysis import why as reasons
 from tom.cli import main
 from tom.record import Store, layout
 from tom.record.reader import RunReader
@@ -54,6 +56,7 @@ def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
     found = why.source(info(store, PENDULUM_TOM), rows, [])
     assert isinstance(found, why.Source)
     assert found.step == FIT
+    assert len(found.lately) == 100  # 200 steps of exploration came before
     for row in range(0, FIT, 17):
         assert found.sum_of(row).weight == pytest.approx(rows.weight[row], abs=1e-5)
 
@@ -71,6 +74,31 @@ def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
     assert len(found.lately) == 100
     near = why.neighbours(rows, found, 5)
     assert (near.near.distance.diff() >= 0).all()
+
+
+def test_a_fits_own_rows_are_not_compared_with_themselves(store: Path) -> None:
+    rows = own_rows(store)
+    found = why.source(info(store, PENDULUM_TOM), rows, [])
+    assert isinstance(found, why.Source)
+    replay = rows.rows.torch()
+    near = why.neighbours(rows, found, FIT - 1)
+    others = reasons.nearest(replay, FIT - 1, replay[200 : FIT - 1])
+    assert near.near.distance.tolist() == pytest.approx(others.distance.tolist())
+    assert near.near.distance[0] > 0
+    usual = reasons.usual_distance(replay, replay[200:], torch.arange(200))
+    assert near.usual == pytest.approx(usual)
+    assert near.own > 0
+
+
+def test_the_roads_policy_rows_are_its_footprint(store: Path) -> None:
+    run = info(store, ROAD_TOM)
+    rows = buffer_reader.rows(run, 60)
+    assert rows is not None
+    found = why.source(run, rows, [])
+    assert isinstance(found, why.Source)
+    shown = RunReader(store / ROAD_TOM).field("data", 0)["footprint"]
+    assert 0 < shown.sum() < 100
+    np.testing.assert_array_equal(found.lately.obs.numpy(), np.asarray(rows.rows.obs)[shown])
 
 
 def test_other_weights_have_no_sum(store: Path) -> None:

@@ -84,6 +84,10 @@ def test_the_nearest_of_the_policys_transitions():
     assert near.index[0] == 7
     assert near.distance[0] == 0
     assert (near.distance.diff() >= 0).all()
+    rest = why.nearest(replay, 7, replay[:150], itself=7)
+    assert torch.equal(rest.index[:4], near.index[1:])
+    assert torch.equal(rest.distance[:4], near.distance[1:])
+    assert len(why.nearest(replay, 7, replay[6:9], itself=1).index) == 2
     own = why.usual_distance(replay, replay[:150], torch.arange(150))
     other = why.usual_distance(replay, replay[:150], torch.arange(150, 600))
     assert own == pytest.approx(0, abs=1e-2)
