@@ -14,6 +14,9 @@ from tom.record.store import Store
 from tom.record.task_record import description, save_scene
 from tom.record.versions import git_commit, machine, versions
 
+TAKEN = "exists already"
+"""of a run that another process began first; a sweep looks again"""
+
 
 class TakenError(UserError):
     """A run of that name exists already."""
@@ -65,4 +68,4 @@ def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> d
 
 
 def _taken(run_id: str) -> TakenError:
-    return TakenError(f"run '{run_id}' exists already: choose another run id")
+    return TakenError(f"run '{run_id}' {TAKEN}: choose another run id")

@@ -22,6 +22,14 @@ from tom.record import layout
 LOOKS, LOOK_S = 100, 0.01  # number of tries and seconds between them, while others look at it
 
 
+WRITTEN = "is being written"
+"""of a run that another process has: a sweep leaves it to that one and looks again"""
+
+
+class BusyError(UserError):
+    """Another process has the run folder: it writes it, or has just moved it away."""
+
+
 class LostError(OSError):
     """Another writer has taken over the run folder."""
 
@@ -57,7 +65,7 @@ class RunLock:
 def acquire(path: Path) -> RunLock:
     """Lock the run folder `path` until the returned lock is closed.
 
-    Raises UserError if another process holds the lock, or if the folder cannot be written.
+    Raises BusyError if another process holds the lock, UserError if the folder cannot be written.
     """
     try:
         lock = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
@@ -74,8 +82,8 @@ def acquire(path: Path) -> RunLock:
         raise
     except OSError as error:
         os.close(lock)
-        raise UserError(
-            f"run '{path.name}' is being written by another process: wait for it, or stop it"
+        raise BusyError(
+            f"run '{path.name}' {WRITTEN} by another process: wait for it, or stop it"
         ) from error
     name = _boot() + secrets.token_hex(8).encode()
     with suppress(OSError):  # a full disk; the lock holds anyway
@@ -153,7 +161,7 @@ def written_here(path: Path) -> bool | None:
 
 
 def refuse_if_elsewhere(path: Path, heartbeat: Callable[[], float], patience_s: float) -> None:
-    """Raises UserError if another machine writes the run: a heartbeat within `patience_s`.
+    """Raises BusyError if another machine writes the run: a heartbeat within `patience_s`.
 
     Returns at once if this machine wrote last, because then the lock is proof enough.
     """
@@ -162,7 +170,7 @@ def refuse_if_elsewhere(path: Path, heartbeat: Callable[[], float], patience_s: 
     before = heartbeat()
     time.sleep(patience_s)
     if heartbeat() != before:
-        raise UserError(f"run '{path.name}' is being written on another machine: stop it there")
+        raise BusyError(f"run '{path.name}' {WRITTEN} on another machine: stop it there")
 
 
 def _boot() -> bytes:

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
+from tom.errors import UserError
 from tom.record import RunReader, Store, lock, manage
+from tom.record.lock import BusyError
 
 LOGS = ".sweep"
 
@@ -30,7 +32,10 @@ class Backend(Protocol):
         ...
 
     def begin_anew(self, run_id: str) -> str:
-        """Make room for a run that starts from the beginning; returns where its old files are."""
+        """Make room for a run that starts from the beginning; returns where its old files are.
+
+        Raises BusyError if another process has the run just now, UserError if it cannot be moved.
+        """
         ...
 
     def keep_log(self, log: Path) -> str:
@@ -57,7 +62,12 @@ class FolderBackend:
         return lock.held(run.path) or (lock.written_here(run.path) is False and run.status.alive)
 
     def begin_anew(self, run_id: str) -> str:
-        return str(manage.trash(self.store, run_id))
+        try:
+            return str(manage.trash(self.store, run_id))
+        except UserError as error:
+            if (self.store.path / run_id).is_dir():
+                raise
+            raise BusyError(f"run '{run_id}' was moved away by another process") from error
 
     def keep_log(self, log: Path) -> str:
         return str(log)

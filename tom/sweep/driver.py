@@ -17,7 +17,9 @@ from typing import Literal
 
 from tom import plugins
 from tom.errors import NOT_NOW, START_AGAIN, UserError
-from tom.record import RunReader, checkpoint
+from tom.record import RunReader, checkpoint, lock
+from tom.record.creating import TAKEN
+from tom.record.lock import BusyError
 from tom.record.versions import ACCEPT
 from tom.sweep.backend import LOGS, Backend
 from tom.sweep.engine import Engine, Exit, Process, lives
@@ -188,6 +190,8 @@ class Driver:
             words = self.backend.words(job.run_id, self._words(job, at))
             job.process = self._spawn(words, job.log)
             job.state = "running"
+        except BusyError as error:
+            self._leave(job, str(error))
         except (UserError, OSError) as error:
             self._judge(job, str(error), hopeless=isinstance(error, UserError))
 
@@ -219,12 +223,20 @@ class Driver:
             job.state, job.note = "elsewhere", "another process is writing it"
             # Or it is its own last heartbeat, on another machine. A refusal was for the other.
             job.ended = why if ended.code != 2 else ""
+        elif ended.code == 2 and lock.WRITTEN in said:
+            self._leave(job, why)
         else:
             # Hours of training may be in it: only if it can never go on does it begin anew.
             never = START_AGAIN in said and ACCEPT not in said
             job.anew = ended.code == 2 and job.step >= 0 and never
-            refused = ended.code == 2 and NOT_NOW not in said
-            self._judge(job, why, refused and not job.anew)
+            gone = job.step >= 0 and not run.path.is_dir()  # in the trash, by another sweep
+            later = gone or job.anew or NOT_NOW in said or TAKEN in said
+            self._judge(job, why, hopeless=ended.code == 2 and not later)
+
+    def _leave(self, job: Job, why: str) -> None:
+        """Another process had the run for that moment: no attempt has failed. Look again later."""
+        job.attempts = max(job.attempts - 1, 0)
+        self._judge(job, why, hopeless=False)
 
     def _judge(self, job: Job, why: str, hopeless: bool) -> None:
         """Decide about a training that ended early: try again later, or give it up."""
