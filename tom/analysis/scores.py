@@ -34,7 +34,7 @@ def scores_of(curves: Sequence[Curve], score: str, until: float, since: float = 
     """The score of each run (n,) up to step `until`; NaN for a run without a point up to there.
 
     A mean height is that from step `since` on: returns grow, so that who was first evaluated later
-    would stand higher.
+    would stand higher. It is NaN for a curve that ends before `until`.
     """
     return np.array([_score(curve, score, until, since) for curve in curves], np.float64)
 
@@ -45,9 +45,11 @@ def _score(curve: Curve, score: str, until: float, since: float) -> float:
         return cut.final
     if score == BEST:
         return cut.best
-    height = statistics.area_under_curve(curve.step, curve.value, until, since)
-    # A single point has no area: its value is the mean height.
-    return height if np.isfinite(height) else cut.final
+    if not len(cut.step) or curve.step[-1] < until:
+        return np.nan
+    if until <= max(since, curve.step[0]):
+        return cut.final  # an area without width: its value is the mean height
+    return statistics.area_under_curve(curve.step, curve.value, until, since)
 
 
 def steps_to(curves: Sequence[Curve], level: float, until: float) -> Floats:

@@ -37,6 +37,16 @@ def test_mean_heights_begin_where_every_run_has_begun() -> None:
     assert scores_of([often, seldom], HEIGHT, 2, since=2).tolist() == [2, 2]  # a single point
 
 
+def test_a_curve_that_ends_earlier_has_no_mean_height() -> None:
+    """It is not extrapolated; only where there is no width to take a mean over one value stands."""
+    short, single, none = curve([1, 3], [1, 3]), curve([1], [5]), curve([], [])
+    assert np.isnan(scores_of([short, single, none], HEIGHT, 4)).all()
+    assert np.isnan(scores_of([short], HEIGHT, 4, since=4)).all()
+    assert scores_of([short, single], HEIGHT, 1).tolist() == [1, 5]
+    assert np.isnan(scores_of([short], HEIGHT, 0)).all()
+    assert np.isnan(scores_of([curve([1, 2, 3], [1, np.nan, 3])], HEIGHT, 3)).all()
+
+
 def test_a_run_that_gets_there_later_does_not_get_there() -> None:
     curves = [curve([1, 2, 3], [0, 1, 2]), curve([1, 2, 3], [2, 0, 0])]
     assert steps_to(curves, 2.0, until=2).tolist() == [np.inf, 1]
