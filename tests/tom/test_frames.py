@@ -93,6 +93,12 @@ def test_what_is_neither_a_run_nor_a_weighing(tmp_path: Path):
         tom.weigh(RUN, RUN, learners=["tmo"], store=GALLERY)
 
 
+@pytest.mark.parametrize("footprint", [0, -3])
+def test_a_footprint_has_a_step_at_least(footprint: int):
+    with pytest.raises(UserError, match=f"a footprint of {footprint} steps"):
+        tom.weigh(RUN, RUN, footprint=footprint, store=GALLERY)
+
+
 def test_the_studio_comes_when_it_is_asked_for():
     """Frames need none of it, and the package as such next to nothing."""
     code = (

@@ -62,6 +62,8 @@ def plan_weighing(
     `settings` are nested like `RunConfig` and override the preset. Raises UserError, or pydantic's
     ValidationError for a wrong setting.
     """
+    if footprint < 1:
+        raise UserError(f"a footprint of {footprint} steps is none: it takes at least 1")
     rows, name = _data(data, policy, store, env, step, random)
     known = task(name)
     preset = preset or (EXACT if step is None else OWN)
