@@ -31,6 +31,10 @@ class Backend(Protocol):
         """Whether a process is writing the run."""
         ...
 
+    def written_here(self, run: RunReader) -> bool:
+        """Whether a process of this machine is writing the run, as far as that can be told."""
+        ...
+
     def begin_anew(self, run_id: str) -> str:
         """Make room for a run that starts from the beginning; returns where its old files are.
 
@@ -60,6 +64,10 @@ class FolderBackend:
         if not run.path.is_dir():
             return False
         return lock.held(run.path) or (lock.written_here(run.path) is False and run.status.alive)
+
+    def written_here(self, run: RunReader) -> bool:
+        # A shared file system may show another machine's lock, too.
+        return lock.held(run.path) and lock.written_here(run.path) is not False
 
     def begin_anew(self, run_id: str) -> str:
         try:

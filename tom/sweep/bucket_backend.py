@@ -58,6 +58,10 @@ class BucketBackend(AbstractContextManager["BucketBackend", None]):
         """
         return run.status.alive
 
+    def written_here(self, run: RunReader) -> bool:
+        """False: a bucket does not say which machine writes into it."""
+        return False
+
     def begin_anew(self, run_id: str) -> str:
         """Forget the run here; a new attempt does not change the earlier ones."""
         shutil.rmtree(self._folder / run_id)

@@ -160,14 +160,19 @@ class Driver:
     def _start_some(self) -> None:
         with suppress(OSError):  # missing or out of reach: the start of a training will show it
             self.full = shutil.disk_usage(self.store.path).free < self.low_bytes
-        busy = sum(job.state in ("running", "elsewhere") for job in self.jobs)
+        written = [job for job in self.jobs if job.state in ("running", "elsewhere")]
+        busy = sum(not self._away(job) for job in written)
         slots = self.engine.slots
         now = time.monotonic()
         due = [s for s in self._order if s.state == "waiting" and now >= s.not_before]
         for job in due:
             if busy >= slots or self.full or not self._reached(self._start, job):
                 return
-            busy += 1
+            busy += job.state != "finished" and not self._away(job)
+
+    def _away(self, job: Job) -> bool:
+        """Whether another machine trains it, with a core of its own."""
+        return job.state == "elsewhere" and not self.backend.written_here(self._reader(job))
 
     def _start(self, job: Job) -> None:
         self.backend.look(job.run_id, now=True)

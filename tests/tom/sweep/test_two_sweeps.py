@@ -1,12 +1,15 @@
-"""Two sweeps of one store, which look at the same run at the same moment."""
+"""Two sweeps of one store, on one machine or on two, which come upon the same run."""
 
+import time
 from collections.abc import Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 from sweeping import plan, until
 
-from tom.record import Store, lock, manage
+from tom.record import Store, layout, lock, manage
+from tom.record.files import replace_json
 from tom.record.lock import RunLock
 from tom.record.writer import RunWriter
 from tom.sweep.backend import FolderBackend
@@ -117,3 +120,24 @@ def test_a_training_whose_run_another_sweep_put_into_the_trash_is_tried_again(
     driver.poll()
     assert "no run" in job.note
     assert (job.state, job.attempts) == ("waiting", 1)
+
+
+@pytest.mark.parametrize("away", [True, False])
+def test_a_run_that_another_machine_trains_takes_no_core_of_this_one(away: bool, tmp_path: Path):
+    store, planned = Store(tmp_path), plan(learner=["mle"], seeds=2)
+    writer = RunWriter.create(store, planned[0].run_id, planned[0].config)
+    if away:
+        writer.close()
+        (writer.path / layout.LOCK).write_text("another machine")
+        beats = replace(store.run(writer.run_id).status, state="running", heartbeat=time.time())
+        replace_json(writer.path / layout.STATUS, asdict(beats), sync=False)
+    driver = Driver(FolderBackend(store), planned, LocalEngine(1), back_off_s=LONG_S)
+    try:
+        assert not driver.poll()
+        second = "running" if away else "waiting"
+        assert [job.state for job in driver.jobs] == ["elsewhere", second]
+        assert not driver.poll()
+        assert driver.jobs[1].state == second
+    finally:
+        driver.stop()
+        writer.close()
