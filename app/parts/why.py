@@ -150,9 +150,9 @@ def _neighbours(run: RunInfo, rows: Rows, source: Source, row: int) -> None:
     first = float(near.near.distance[0])
     st.caption(
         f"Distances in standard deviations over (s, a, s' - s). To its nearest of the policy's "
-        f"{len(source.lately):,} transitions this one has {first:.2f}; half of the buffer's other rows "
-        f"have less than {near.usual:.2f}, half of the policy's own, to the rest of them, less than "
-        f"{near.own:.2f}."
+        f"{len(source.lately):,} transitions this one has {first:.2f}; half of the buffer's "
+        f"other rows have less than {near.usual:.2f}, half of the policy's own, to the rest of "
+        f"them, less than {near.own:.2f}."
     )
 
 
