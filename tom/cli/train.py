@@ -163,7 +163,10 @@ def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> 
     store = Store(args.store)
     config = recorded_config(store.run(run_id))
     if steps is not None:
-        config = config.but(steps=steps)
+        try:
+            config = config.but(steps=steps)
+        except ValidationError as error:
+            raise one_line(error) from None
     accepted = args.accept_versions
     return _watched(
         args,
@@ -239,9 +242,13 @@ def _steps(given: dict[str, Any]) -> int | None:
     if set(given) - {"steps"}:
         raise UserError("--resume takes --steps alone: a run goes on with its own settings")
     steps = given.get("steps")
-    if steps is not None and not (str(steps).isdigit() and int(steps) > 0):
-        raise UserError(f"--steps {steps}: must be a whole number above 0")
-    return None if steps is None else int(steps)
+    if steps is None:
+        return None
+    if not (wanted := train_many.whole_number(str(steps))):
+        raise UserError(
+            f"--steps {str(steps)[: train_many.DIGITS]}: must be a whole number above 0"
+        )
+    return wanted
 
 
 def summary(done: RunReader, status: Status | None = None) -> dict[str, Any]:

@@ -21,7 +21,14 @@ from tom.training.presets import default_preset
 from tom.training.run import Stop
 
 ENGINES = ("processes", "fleet")
+DIGITS = 40
+"""of a whole number, more than any setting takes"""
 FEWER = "give fewer learners or --seeds at a time; each goes on from its last checkpoint"
+
+
+def whole_number(word: str) -> int | None:
+    """The whole number that `word` is, else None; Python reads no thousands of digits."""
+    return int(word) if word.isdecimal() and len(word) <= DIGITS else None
 
 
 def trials_of(args: argparse.Namespace) -> list[Trial]:
@@ -32,9 +39,9 @@ def trials_of(args: argparse.Namespace) -> list[Trial]:
     if args.run_id or args.resume not in (None, "auto"):
         raise UserError("--run-id and --resume RUN are for one training alone")
     seed = str(settings.pop("seed", 0))
-    if not seed.isdecimal():
-        raise UserError(f"--seed {seed}: must be a whole number, 0 or more")
-    seeds = args.seeds or [int(seed)]
+    if (one := whole_number(seed)) is None:
+        raise UserError(f"--seed {seed[:DIGITS]}: must be a whole number, 0 or more")
+    seeds = args.seeds or [one]
     trials = [
         Trial(args.env, learner, seed, args.preset or default_preset(args.env, learner), settings)
         for learner in dict.fromkeys(args.learner)

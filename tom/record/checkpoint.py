@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import pickle
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -32,6 +33,8 @@ KEPT = 2
 STATE, MANIFEST = "state.pt", "manifest.json"
 MODEL_PLACES = (FOLDER, layout.MODEL)
 """folders of a run that may hold its dynamics model"""
+_STEP = re.compile(r"[0-9]{1,18}")
+"""the name of a checkpoint; `isdigit` also takes what `int` does not, as ², or longer numbers"""
 UNUSABLE = (*DAMAGE, AttributeError, AssertionError, pickle.UnpicklingError)
 """errors that loading a damaged checkpoint may raise"""
 
@@ -206,9 +209,8 @@ def folders(folder: Path) -> list[Path]:
     """The checkpoints in `folder`, newest first, damaged or not."""
     if not folder.is_dir():
         return []
-    checkpoints = [
-        p for p in folder.iterdir() if p.name.isdigit() and p.is_dir() and not p.is_symlink()
-    ]
+    named = (path for path in folder.iterdir() if _STEP.fullmatch(path.name))
+    checkpoints = [path for path in named if path.is_dir() and not path.is_symlink()]
     return sorted(checkpoints, key=lambda p: int(p.name), reverse=True)
 
 

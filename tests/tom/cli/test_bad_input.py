@@ -5,6 +5,10 @@ from pathlib import Path
 import pytest
 from commands import code_of
 
+from tom.record import Store
+from tom.record.writer import RunWriter
+from tom.training.presets import resolve
+
 TRAIN = ["train", "--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke"]
 
 
@@ -81,3 +85,31 @@ def test_a_run_id_that_is_taken(capsys, tmp_path: Path):
     assert code == 2
     assert "'mine' exists already" in message
     assert (tmp_path / "mine" / "metrics.jsonl").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("steps", "named"),
+    [
+        ("99999999999999999999", "--steps 99999999999999999999: must be less than"),
+        ("9" * 5000, "must be a whole number above 0"),
+        ("²", "--steps ²: must be a whole number above 0"),
+        ("-1", "--steps -1: must be a whole number above 0"),
+        ("0", "--steps 0: must be a whole number above 0"),
+    ],
+)
+def test_steps_that_a_run_cannot_go_on_to(steps: str, named: str, capsys, tmp_path: Path):
+    config = resolve("inverted-pendulum", "mle", "smoke", {})
+    RunWriter.create(Store(tmp_path), "mine", config).close()
+    words = ["train", "--resume", "mine", f"--steps={steps}", "--store", str(tmp_path)]
+    code, message = outcome(words, capsys)
+    assert code == 2
+    assert named in message
+    assert message.count("\n") == 1
+
+
+def test_a_seed_of_thousands_of_digits(capsys, tmp_path: Path):
+    words = [*TRAIN, "--seed", "9" * 5000, "--engine", "processes", "--store", str(tmp_path)]
+    code, message = outcome(words, capsys)
+    assert code == 2
+    assert "must be a whole number, 0 or more" in message
+    assert message.count("\n") == 1

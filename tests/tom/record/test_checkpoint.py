@@ -118,5 +118,14 @@ def test_a_writer_that_is_replaced_while_it_saves_leaves_what_is_there(tmp_path:
     assert loaded.state["x"][0] == 1
 
 
+@pytest.mark.parametrize("name", ["²", "1" * 30, "000000007.old", "٧"])  # noqa: RUF001
+def test_a_folder_that_is_no_checkpoint_is_passed_over(name: str, tmp_path: Path):
+    checkpoint.save(tmp_path, 5, state(1))
+    (tmp_path / name).mkdir()
+    assert checkpoint.newest(tmp_path) == 5
+    checkpoint.save(tmp_path, 6, state(1))
+    assert (tmp_path / name).is_dir()
+
+
 def test_an_empty_folder_has_none(tmp_path: Path):
     assert checkpoint.load(tmp_path / "nothing") is None
