@@ -3,7 +3,9 @@
 const OPEN = "M12 5C6 5 2.5 10 2 12c.5 2 4 7 10 7s9.5-5 10-7c-.5-2-4-7-10-7Z";
 const PUPIL = "M12 9a3 3 0 1 0 0 6 3 3 0 0 0 0-6Z";
 const SHUT = "M3 10c1.5 3 5 5 9 5s7.5-2 9-5M5 14l-2 2.5M12 15v3.5M19 14l2 2.5";
-const DASHES = { solid: "", dash: "5 3", dot: "1.5 3", dashdot: "5 2.5 1.5 2.5" };
+const DASHES = {
+  solid: "", dash: "5 3", dot: "1.5 3", dashdot: "5 2.5 1.5 2.5", longdash: "9 4", longdashdot: "9 2.5 1.5 2.5",
+};
 
 function make(name, className, text) {
   const element = document.createElement(name);
