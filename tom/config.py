@@ -14,6 +14,8 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=1, lt=2**63)]
 Whole = Annotated[int, Field(ge=0, lt=2**63)]
+Size = Annotated[int, Field(ge=1, lt=2**40)]
+"""a count of what is in memory at once; torch cannot even ask for what is far beyond any memory"""
 
 Settings = Mapping[str, str]
 """a configuration by dotted path, each value as text"""
@@ -36,19 +38,19 @@ class ModelConfig(Config):
 
     kind: Literal["mdn", "ensemble", "mean-ensemble", "linear"] = "mdn"
     """mixture density network, Gaussian ensemble, mean-only ensemble (VaGram), or least squares"""
-    hidden: Count = 200
+    hidden: Size = 200
     """units in a hidden layer"""
-    layers: Count = 4
+    layers: Size = 4
     """hidden layers"""
-    components: Count = 10
+    components: Size = 10
     """mixture components for each output dimension (mdn)"""
-    members: Count = 7
+    members: Size = 7
     """networks in the ensemble"""
     elites: Count = 5
     """ensemble members that predict: the best by holdout error"""
     lr: Positive = 1e-3
     """Adam's learning rate"""
-    batch_size: Count = 256
+    batch_size: Size = 256
     rounds: Count = 30
     """rounds in a fit at most"""
     batches_per_round: Count = 100
@@ -75,10 +77,10 @@ class ModelConfig(Config):
 class SacConfig(Config):
     """Soft actor-critic, the policy optimiser."""
 
-    hidden: Count = 256
-    layers: Count = 2
+    hidden: Size = 256
+    layers: Size = 2
     lr: Positive = 3e-4
-    batch_size: Count = 256
+    batch_size: Size = 256
     tau: Annotated[float, Field(gt=0, le=1)] = 0.005
     """step of the target critics towards the critics"""
     discount: Discount = 0.99
@@ -90,17 +92,17 @@ class SacConfig(Config):
 class RolloutConfig(Config):
     """Rollouts of the policy in the learnt model."""
 
-    starts: Count = 100_000
+    starts: Size = 100_000
     """start states for each fit"""
-    length: Count = 1
+    length: Size = 1
     """steps of a rollout at the start of training"""
-    final_length: Count = 1
+    final_length: Size = 1
     """steps of a rollout at the end of the schedule, where it is longer than at the start"""
     schedule_start: Whole = 20
     """epoch (1 000 env steps after exploration) where the length begins to grow"""
     schedule_end: Whole = 150
     """epoch where it has grown"""
-    retain: Count = 1
+    retain: Size = 1
     """epochs (1 000 env steps) whose rollouts stay in the model buffer; one fit's at the least"""
     weighted_starts: bool = True
     """draw start states by weight (uniformly until the learner has weights)"""
@@ -142,9 +144,9 @@ class TomConfig(Config):
     """what r is a ratio of: (s, a, s') as in the paper, or (s, a), which is the same r with less
     noise where one environment made both buffers"""
     discriminator_steps: Whole = 100
-    discriminator_batch: Count = 256
+    discriminator_batch: Size = 256
     discriminator_lr: Positive = 3e-4
-    discriminator_hidden: Count = 256
+    discriminator_hidden: Size = 256
     discriminator_reset: bool = True
     """start the discriminator afresh at every fit"""
     label_smoothing: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
@@ -152,9 +154,9 @@ class TomConfig(Config):
     gradient_penalty: NonNegative = 0.0
     """weight of the discriminator's gradient penalty (the released code: 10)"""
     q_steps: Count = 1000
-    q_batch: Count = 256
+    q_batch: Size = 256
     q_lr: Positive = 3e-4
-    q_hidden: Count = 256
+    q_hidden: Size = 256
     q_weight_decay: NonNegative = 1e-4
     q_reset: bool = False
     """start Q afresh at every fit (default: go on from the last)"""
@@ -173,7 +175,7 @@ class TomConfig(Config):
     """stop the gradient through Q(s', a') (breaks the dual: for comparison only)"""
     parameter_average: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """r and weights come from both networks' parameters averaged with this decay (0: the last)"""
-    action_samples: Count = 4
+    action_samples: Size = 4
     """actions averaged for E_{a'~pi}[Q(s', a')], which sits inside f* (the released code: one)"""
     warmup: Count = 1000
     """on-policy steps before TOM starts; uniform weights until then"""
@@ -290,7 +292,7 @@ class OnlineConfig(RunConfig):
     """SAC updates for each env step"""
     real_ratio: Fraction = 0.05
     """share of real transitions in a SAC minibatch"""
-    replay_capacity: Count = 1_000_000
+    replay_capacity: Size = 1_000_000
     policy_capacity: Count = 1000
     """the policy buffer: the last so many on-policy transitions"""
     model: ModelConfig = ModelConfig()
@@ -333,8 +335,8 @@ class RoadConfig(RunConfig):
     """mean turn of the steering on rocks, degrees"""
     spread: NonNegative = 90.0
     """half-width of the turn's uniform spread, degrees"""
-    random_transitions: Count = 10_000
-    expert_trajectories: Count = 10
+    random_transitions: Size = 10_000
+    expert_trajectories: Size = 10
     expert_first: bool = False
     """store the expert data before the random data (PMAC's weights follow the order)"""
     updates_per_step: Count = 1

@@ -30,7 +30,7 @@ from tom.envs import ANY, ENV_NAMES, ROAD
 from tom.errors import DivergedError, OwnCodeError, UserError
 from tom.harmless import terminal
 from tom.learners import LEARNERS
-from tom.machine.memory import out_of_memory, ran_out
+from tom.machine.memory import REFUSING, out_of_memory, ran_out
 from tom.record import RunReader, Status, Store, checkpoint, manage
 from tom.record.files import size_of
 from tom.sweep.backend import FolderBackend
@@ -196,7 +196,7 @@ def _watched(
         except (DivergedError, OwnCodeError, OSError) as error:
             print(f"{label}: failed: {error}", file=sys.stderr)
             return 1
-        except (MemoryError, RuntimeError, ValueError) as error:
+        except REFUSING as error:
             if not ran_out(error):
                 raise
             print(f"{label}: failed: {out_of_memory(error)}", file=sys.stderr)

@@ -32,6 +32,8 @@ def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
         ([*TRAIN, "--sac.target-entropy", "nan"], "--sac.target-entropy nan: must be a finite"),
         ([*TRAIN, "--sac.lr", "inf"], "--sac.lr inf: must be a finite number"),
         ([*TRAIN, "--steps", "99999999999999999999"], "must be less than"),
+        ([*TRAIN, "--replay-capacity", str(2**62)], f"--replay-capacity {2**62}: must be less"),
+        ([*TRAIN, "--rollout.starts", str(2**63 - 1)], f"--rollout.starts {2**63 - 1}: must be"),
         ([*TRAIN, "--threads", "100000"], "--threads 100000: must be less than or equal to 256"),
         ([*TRAIN, "--sac.tau", "fast"], "--sac.tau fast: must be a valid number"),
         ([*TRAIN, "--sac.discont", "0.9"], "did you mean --sac.discount?"),
