@@ -14,6 +14,7 @@ from tom.cli.fleet_progress import FleetReport
 from tom.cli.parser import one_line, overrides
 from tom.errors import UserError
 from tom.harmless import terminal
+from tom.machine.memory import REFUSING, out_of_memory, ran_out
 from tom.record import RunReader, Store
 from tom.training.fleet import check, train_fleet
 from tom.training.plan import Trial
@@ -105,9 +106,16 @@ def _train(
         except KeyboardInterrupt:
             print(f"{report.label}: stopped at once, without a checkpoint", file=sys.stderr)
             return ()
-        except torch.OutOfMemoryError:
-            print(f"{report.label}: failed: they do not fit the GPU: {FEWER}", file=sys.stderr)
+        except REFUSING as error:  # in the work that they do together
+            if not ran_out(error):
+                raise
+            print(f"{report.label}: failed: {_too_much(error)}", file=sys.stderr)
             return ()
+
+
+def _too_much(error: Exception) -> str:
+    on_gpu = isinstance(error, torch.OutOfMemoryError)
+    return f"they do not fit the GPU: {FEWER}" if on_gpu else out_of_memory(error)
 
 
 def _say(rows: Sequence[dict[str, Any]], stream: TextIO) -> None:
@@ -130,8 +138,10 @@ def _row(trial: Trial, result: RunReader | Exception) -> dict[str, Any]:
         "env_step": None,
         "last_return": None,
         "best_return": None,
-        "error": str(result) if isinstance(result, Exception) else None,
+        "error": None,
     }
+    if isinstance(result, Exception):
+        row["error"] = out_of_memory(result) if ran_out(result) else str(result)
     if isinstance(result, RunReader):
         status = result.status
         row |= {name: getattr(status, name) for name in ("state", "env_step", "last_return")}
