@@ -10,11 +10,12 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from killed import killed_at_rename
-from recorded import Config, events
+from recorded import Config, events, weights
 
 from tom.config import SacRecordingConfig
 from tom.errors import UserError
-from tom.record import RunReader, Store, checkpoint, manage, sizes
+from tom.record import RunReader, Store, checkpoint, integrity, manage, sizes
+from tom.record.array_files import read_arrays, read_table
 from tom.record.export import export_small
 from tom.record.integrity import repair, verify
 from tom.record.recorder import Recorder
@@ -513,3 +514,39 @@ def test_a_run_that_has_not_finished_has_no_digests_and_a_small_copy_has_its_own
     ):
         raise RuntimeError("it ends early")
     assert not (tmp_path / "b" / "digests.json").exists()
+
+
+def test_a_snapshot_that_the_training_deletes_meanwhile_is_no_damage(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
+    """It was there when the files of the run were listed."""
+    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
+        for step in (100, 200):
+            recorder.consume(weights(step))
+        replaced = store.path / "run" / "weights/snapshot-000000200.parquet"
+
+        def read(path: Path, most: int) -> object:
+            if path == replaced:
+                recorder.consume(weights(300))
+            return read_table(path, most)
+
+        monkeypatch.setattr(integrity, "read_table", read)
+        assert replaced.exists()
+        assert verify(store.run("run")) == []
+        assert not replaced.exists()
+
+
+def test_a_file_that_no_training_deletes_is_missed_if_it_vanishes(
+    record, monkeypatch: pytest.MonkeyPatch
+):
+    run = record(given=events()[:600])
+    gone = run.path / "episodes/000000500.npz"
+    (run.path / "digests.json").unlink()
+
+    def read(path: Path, most: int) -> object:
+        gone.unlink(missing_ok=True)
+        return read_arrays(path, most)
+
+    monkeypatch.setattr(integrity, "read_arrays", read)
+    (problem,) = verify(run)
+    assert problem.startswith("episodes/000000500.npz cannot be read")
