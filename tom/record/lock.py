@@ -23,7 +23,7 @@ LOOKS, LOOK_S = 100, 0.01  # number of tries and seconds between them, while oth
 
 
 WRITTEN = "is being written"
-"""of a run that another process has: a sweep leaves it to that one and looks again"""
+"""in every refusal of a run that another process has: a sweep leaves it alone and looks again"""
 
 
 class BusyError(UserError):
@@ -83,7 +83,7 @@ def acquire(path: Path) -> RunLock:
     except OSError as error:
         os.close(lock)
         raise BusyError(
-            f"run '{path.name}' {WRITTEN} by another process: wait for it, or stop it"
+            f"run '{path.name}' is being written by another process: wait for it, or stop it"
         ) from error
     name = _boot() + secrets.token_hex(8).encode()
     with suppress(OSError):  # a full disk; the lock holds anyway
@@ -170,7 +170,7 @@ def refuse_if_elsewhere(path: Path, heartbeat: Callable[[], float], patience_s: 
     before = heartbeat()
     time.sleep(patience_s)
     if heartbeat() != before:
-        raise BusyError(f"run '{path.name}' {WRITTEN} on another machine: stop it there")
+        raise BusyError(f"run '{path.name}' is being written on another machine: stop it there")
 
 
 def _boot() -> bytes:
