@@ -8,7 +8,7 @@ from pathlib import Path
 from app.servers.launcher import Studio, run
 from tom import plugins
 from tom.cli.parser import Parser, folder
-from tom.errors import UserError
+from tom.errors import UserError, unreachable
 from tom.harmless import terminal
 from tom.record.store import Store
 
@@ -19,6 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         plugins.load(plugins.given(sys.argv[1:] if argv is None else argv))
         args = _parser().parse_args(argv)
         store = _readable(args.store)
+        _check_free(args.screenshots, args.cinema)
         if args.screenshots:
             from app.servers.screenshots import (
                 take,  # needs playwright, which only the test extra has
@@ -34,6 +35,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return run(studio, browser=not args.no_browser)
     except UserError as error:
         print(f"tom studio: {terminal(error)}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        if (said := unreachable(error)) is None:
+            raise
+        print(f"tom studio: {terminal(said)}", file=sys.stderr)
         return 2
 
 
@@ -63,6 +69,13 @@ def _readable(store: Path) -> Path:
         raise UserError(f"--store {store} is a file: name a folder")
     Store(store).runs()
     return store.absolute()
+
+
+def _check_free(*folders: Path | None) -> None:
+    """Raises UserError for a file where a folder is to be: before any server or browser starts."""
+    for place in folders:
+        if place and place.exists() and not place.is_dir():
+            raise UserError(f"{place} is a file: name a folder")
 
 
 if __name__ == "__main__":

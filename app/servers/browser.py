@@ -38,11 +38,11 @@ def chromium() -> Iterator["Browser"]:
     """A headless Chromium on this machine. Raises UserError if there is none."""
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
-        raise UserError("--screenshots needs Chromium: install it (apt-get install chromium)")
+        raise UserError("this needs Chromium: install it (apt-get install chromium)")
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
-        raise UserError("--screenshots needs playwright: pip install -e '.[test]'") from error
+        raise UserError("this needs playwright: pip install -e '.[test]'") from error
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=list(CHROMIUM_FLAGS))
         try:

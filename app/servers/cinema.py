@@ -88,14 +88,14 @@ def export(
         raise UserError(f"no run '{run_id}' in {store}: name one of `tom runs list`")
     if not may_be_told(run):
         raise UserError(f"run '{run_id}' has no story: it needs model fits and its buffer")
-    folder.mkdir(parents=True, exist_ok=True)
     page = cinema(story(run), run.learner, mode, seconds)
-    (folder / "cinema.html").write_text(page)
     with opened(page) as tab:
         with CountReport("seconds of the film", round(seconds), sys.stderr) as bar:
-            (folder / "cinema.mp4").write_bytes(video(tab, seconds, drawn=bar.step))
-        (folder / "cinema.webp").write_bytes(moving_picture(tab, seconds))
-    for name in ("html", "mp4", "webp"):
+            film = video(tab, seconds, drawn=bar.step)
+        short = moving_picture(tab, seconds)
+    folder.mkdir(parents=True, exist_ok=True)  # all of it is made, or none
+    for name, content in (("html", page.encode()), ("mp4", film), ("webp", short)):
+        (folder / f"cinema.{name}").write_bytes(content)
         print(folder / f"cinema.{name}", flush=True)
     return 0
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tom.errors import UserError
+from tom.errors import UserError, reason
 
 BEGIN, END = "<!-- bench -->", "<!-- /bench -->"
 
@@ -46,8 +46,8 @@ def require_place(path: Path) -> tuple[str, str]:
     """The text before BEGIN and after END. Raises UserError if they are missing."""
     try:
         before, begin, rest = path.read_text().partition(f"{BEGIN}\n")
-    except OSError as error:
-        raise UserError(f"--into {path}: {error.strerror}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"--into {path}: {reason(error)}: name a text file") from None
     _, end, after = rest.partition(END)
     if not (begin and end):
         raise UserError(f"--into {path}: give it a line {BEGIN} and a line {END} after it")

@@ -1,6 +1,5 @@
 """The command line. Each command is a module or package with `add_parser` and `run`."""
 
-import errno
 import importlib
 import os
 import sys
@@ -10,16 +9,13 @@ from contextlib import suppress
 from tom import __version__, plugins
 from tom.cli.named import bring_named
 from tom.cli.parser import Parser
-from tom.errors import UserError, reason
+from tom.errors import UserError, reason, unreachable
 from tom.harmless import terminal
 
 COMMANDS = (
     "demo", "train", "studio", "record-sac", "weigh", "brush", "sweep", "reproduce", "bench",
     "runs", "doctor",
 )  # fmt: skip
-
-UNREACHABLE = (errno.EACCES, errno.ENAMETOOLONG)
-"""errors of paths that cannot even be looked at"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,9 +39,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _close_stdout()
         return 1
     except OSError as error:
-        if error.errno not in UNREACHABLE or error.filename is None:
+        if (said := unreachable(error)) is None:
             raise
-        said = f"{error.filename}: {error.strerror}: name a path that this user can reach"
         print(f"tom: {terminal(said)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from tom.cli import studio
-from tom.cli.parser import folder
+from tom.cli.parser import folder, seed_number
 from tom.cli.runs import list_runs
 from tom.cli.signals import on_stopping
 from tom.cli.tables import show
@@ -59,7 +59,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "this file (parts)",
     )
     parser.add_argument("--learner", nargs="+", default=["mle", "tom"], help="(learn)")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="(learn)")
+    parser.add_argument("--seeds", nargs="+", type=seed_number, default=[0, 1, 2], help="(learn)")
     parser.add_argument(
         "--steps", type=int, default=LEARN_STEPS, help=f"env steps in all [{LEARN_STEPS}] (learn)"
     )
@@ -73,6 +73,8 @@ def run(args: argparse.Namespace) -> int:
         _check_learn(args)
         with on_stopping(signal.default_int_handler):  # its trainings must end with it
             rows = learn(args.learner, args.seeds, args.steps, args.store)
+        if not rows:
+            raise UserError("none of the trainings began: see above why")
         _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
         reached = [row for row in rows if row["reached_at"] is not None]
         return 0 if len(reached) == len(args.learner) * len(args.seeds) else 1
@@ -205,8 +207,8 @@ def _check_learn(args: argparse.Namespace) -> None:
     for learner in args.learner:
         if learner not in LEARNERS:
             raise unknown("learner", learner, LEARNERS)
-    if min(args.seeds) < 0 or args.steps < 1:
-        raise UserError("--seeds must be at least 0 and --steps at least 1")
+    if args.steps < 1:
+        raise UserError("--steps must be at least 1")
 
 
 def learn(

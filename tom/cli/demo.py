@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tom.cli.parser import folder
+from tom.cli.parser import folder, seed_number
 from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.cli.train import number, summary
@@ -31,7 +31,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--headless", action="store_true", help="no server, no browser")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=seed_number, default=0)
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     parser.set_defaults(run=run)
 

@@ -31,6 +31,8 @@ def seed_number(word: str) -> int:
     """The type of a seed, for argparse."""
     if not word.isdecimal():
         raise argparse.ArgumentTypeError(f"'{word}' is no seed: a whole number, 0 or more")
+    if len(word) > 19 or int(word) >= 2**63:  # as in the configuration
+        raise argparse.ArgumentTypeError(f"'{word[:40]}' is no seed: it must be less than {2**63}")
     return int(word)
 
 

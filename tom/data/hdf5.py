@@ -1,4 +1,7 @@
-"""Open HDF5 files of recorded experience, with errors that tell the user what to fix."""
+"""Open HDF5 files of recorded experience, with errors that tell the user what to fix.
+
+Such a file is not trusted: it may be damaged, and may name other files of this machine as its own.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,8 +10,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from tom.errors import UserError
-from tom.machine.memory import available
+from tom.data.unpack import DAMAGE
+from tom.errors import UserError, reason
+from tom.machine.memory import available, ran_out
 
 
 @contextmanager
@@ -19,21 +23,36 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
     try:
         with h5py.File(path, "r") as file:
             yield file
-    except OSError as error:
-        raise UserError(f"{path} is not a whole HDF5 file: fetch it again ({error})") from error
+    except DAMAGE as error:
+        if ran_out(error):
+            raise
+        raise UserError(
+            f"{path} is not a whole HDF5 file: fetch it again ({reason(error)})"
+        ) from error
+
+
+def member(group: h5py.Group, name: str) -> object:
+    """A member of a group; None if there is none. Raises UserError for a link, which may lead to
+    any file of this machine."""
+    if name in group and not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        raise UserError(
+            f"'{name}' in {group.file.filename}:{group.name} is a link: only data within the file "
+            "is read"
+        )
+    return group.get(name)
 
 
 def column(group: h5py.Group, name: str, axes: int) -> np.ndarray:
     """The array `name` of a group as float32; a trailing axis of length one may be dropped."""
-    stored = group.get(name)
+    stored = member(group, name)
     where = f"'{name}' in {group.file.filename}:{group.name}"
     if not isinstance(stored, h5py.Dataset):
-        held = ", ".join(group) or "nothing"
+        held = ", ".join(map(str, group)) or "nothing"
         raise UserError(
             f"no array {where} (it has {held}): only data with flat observations and actions is "
             "read, under the names of docs/your-own.md"
         )
-    if stored.external:  # external storage could read any file on this machine
+    if stored.external or stored.is_virtual:  # either could read any file on this machine
         raise UserError(f"{where} lies in another file: only data within the file is read")
     if stored.shape is not None and stored.nbytes > available():
         raise UserError(f"{where} has {stored.nbytes / 1e9:.0f} GB, more than the free memory")

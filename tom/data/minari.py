@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset
 
-from tom.data.hdf5 import column, open_hdf5
+from tom.data.hdf5 import column, member, open_hdf5
 from tom.data.recorded import check_finite
 from tom.data.transitions import Transitions
 from tom.errors import UserError, reason
@@ -60,7 +60,7 @@ def _hdf5_episodes(folder: Path) -> Iterator[Transitions]:
     with open_hdf5(folder / "main_data.hdf5") as file:
         names = [n for n in map(str, file) if n.removeprefix("episode_").isdecimal()]
         for name in sorted(names, key=lambda n: int(n.removeprefix("episode_"))):
-            group = file.get(name)
+            group = member(file, name)
             if not isinstance(group, h5py.Group):
                 raise UserError(f"{folder}: {name} is no episode: download the dataset again")
             axes = {"observations": 2, "actions": 2}

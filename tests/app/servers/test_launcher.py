@@ -15,7 +15,7 @@ from threading import Barrier, Event
 
 import pytest
 from kernel import LOOPBACK, alive, descendants, listening
-from studio_runs import ROAD_TOM
+from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.__main__ import main
 from app.servers import launcher
@@ -130,6 +130,35 @@ def test_bad_addresses_are_one_line_and_code_2(
     assert main(["--store", str(tmp_path), "--no-browser", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
+
+
+@pytest.mark.parametrize("option", ["--store", "--cinema", "--screenshots"])
+def test_a_path_that_nobody_can_make_is_one_line_and_code_2(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--store", str(tmp_path), "--no-browser", option, "a" * 300]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("option", ["--cinema", "--screenshots"])
+def test_a_file_where_pictures_are_to_go_is_said_before_any_is_made(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "there").write_text("mine")
+    assert main(["--store", str(tmp_path), option, str(tmp_path / "there")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "there is a file: name a folder" in line
+    assert (tmp_path / "there").read_text() == "mine"
+
+
+def test_without_a_browser_no_part_of_a_film_is_left(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    words = ["--store", str(store), "--run", PENDULUM_TOM, "--cinema", str(tmp_path / "film")]
+    assert main(words) == 2
+    assert "this needs Chromium" in capsys.readouterr().err
+    assert not (tmp_path / "film").exists()
 
 
 def test_a_store_that_is_a_file_is_one_line_and_code_2(

@@ -46,3 +46,7 @@ def test_a_file_without_the_marks_is_refused_before_anything_is_measured(tmp_pat
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert main(["bench", "--into", str(tmp_path / "none")]) == 2
     assert file.read_text() == "no marks\n"
+    file.write_bytes(b"\xff\xfe")
+    capsys.readouterr()
+    assert main(["bench", "--into", str(file)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -1,5 +1,7 @@
 """D4RL files in their true layout, made here, read as transitions."""
 
+from contextlib import contextmanager
+
 import h5py
 import numpy as np
 import pytest
@@ -128,6 +130,54 @@ def test_absent_foreign_and_cut_files_are_one_line(tmp_path, arrays):
             read_dataset(tmp_path / name)
     with pytest.raises(UserError, match="no data at"):
         read_dataset(tmp_path / "absent.hdf5")
+
+
+@pytest.mark.parametrize("name", ["observations", "next_observations"])
+@pytest.mark.parametrize("way", ["external", "virtual", "link", "soft link to a link"])
+def test_only_data_within_the_file_is_read(tmp_path, arrays, name, way):
+    own = arrays.pop(name)
+    path, other = write(tmp_path / "a.hdf5", arrays), tmp_path / "other.bin"
+    other.write_bytes(own.tobytes())
+    write(tmp_path / "other.hdf5", {name: own})
+    with h5py.File(path, "a") as file:
+        if way == "link":
+            file[name] = h5py.ExternalLink(str(tmp_path / "other.hdf5"), name)
+        elif way == "soft link to a link":
+            file["there"] = h5py.ExternalLink(str(tmp_path / "other.hdf5"), name)
+            file[name] = h5py.SoftLink("/there")
+        else:
+            stored = [(str(other), 0, own.nbytes)]
+            hidden = "hidden" if way == "virtual" else name
+            file.create_dataset(hidden, own.shape, own.dtype, external=stored)
+        if way == "virtual":
+            layout = h5py.VirtualLayout(own.shape, own.dtype)
+            layout[:] = h5py.VirtualSource(".", "hidden", own.shape, own.dtype)
+            file.create_virtual_dataset(name, layout)
+    with pytest.raises(UserError, match="only data within the file is read"):
+        read_d4rl(path)
+
+
+def test_a_damaged_file_is_one_line_wherever_the_damage_is(tmp_path, arrays):
+    whole = write(tmp_path / "whole.hdf5", arrays).read_bytes()
+    rng, refused = np.random.default_rng(0), []
+    for _ in range(100):
+        torn = bytearray(whole)
+        for place in rng.integers(8, len(whole), 3):
+            torn[place] = rng.integers(256)
+        (tmp_path / "torn.hdf5").write_bytes(torn)
+        with one_line(refused):
+            read_d4rl(tmp_path / "torn.hdf5")
+    assert len({type(error.__cause__) for error in refused}) > 2  # of what h5py raises
+
+
+@contextmanager
+def one_line(refused):
+    """Collects an error for the user, which is of one line."""
+    try:
+        yield
+    except UserError as error:
+        refused.append(error)
+    assert all("\n" not in str(error) for error in refused)
 
 
 @pytest.mark.parametrize("name", ["terminals", "timeouts"])

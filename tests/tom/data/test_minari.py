@@ -156,7 +156,8 @@ def test_observations_that_are_not_flat_are_refused(make):
         ("terminations", np.full(3, np.nan), "'terminations' is not finite in 3 rows"),
         ("observations", np.zeros((4, 7)), "differ in width"),
         (None, np.zeros(3), "episode_0 is no episode"),
-        (None, h5py.SoftLink("/nowhere"), "episode_0 is no episode"),
+        (None, h5py.SoftLink("/nowhere"), "'episode_0' in .* is a link"),
+        (None, h5py.ExternalLink("other.hdf5", "/episode_0"), "'episode_0' in .* is a link"),
     ],
 )
 def test_hdf5_episodes_with_something_else_in_them_are_one_line(make, name, values, message):
