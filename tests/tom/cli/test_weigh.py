@@ -298,7 +298,10 @@ def test_shuffled_rows_come_back_in_order(store: Path):
         (["sac", "--policy", "random", "--learner", "tmo"], "did you mean 'tom'?"),
         (["sac", "--policy", "random", "--env", "hopper"], "is of inverted-pendulum, not of"),
         (["sac", "--policy", "random", "--seeds", "-1"], "is no seed: a whole number, 0 or more"),
-        (["sac", "--policy", "random", "--seeds", str(2**63)], f"--seed {2**63}: must be less"),
+        (
+            ["sac", "--policy", "random", "--seeds", str(2**63)],
+            f"'{2**63}' is no seed: it must be less",
+        ),
         (["sac", "--policy", "random", "--bins", "0"], "must be at least 1"),
         (["sac", "--policy", "random", "--bins", "1000000000"], "must be at most 10000"),
         (["x" * 300, "--policy", "random"], "File name too long: name a path"),
