@@ -27,13 +27,23 @@ def folder(word: str) -> Path:
     return Path(word)
 
 
+DIGITS = 40
+"""of a whole number, more than any setting takes"""
+
+
+def whole_number(word: str) -> int | None:
+    """The whole number that `word` is, else None; Python reads no thousands of digits."""
+    return int(word) if word.isdecimal() and len(word) <= DIGITS else None
+
+
 def seed_number(word: str) -> int:
-    """The type of a seed, for argparse."""
-    if not word.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{word}' is no seed: a whole number, 0 or more")
-    if len(word) > 19 or int(word) >= 2**63:  # as in the configuration
-        raise argparse.ArgumentTypeError(f"'{word[:40]}' is no seed: it must be less than {2**63}")
-    return int(word)
+    """The type of a seed, for argparse; its bound is the configuration's."""
+    number, shown = whole_number(word), word[:DIGITS]
+    if number is None:
+        raise argparse.ArgumentTypeError(f"'{shown}' is no seed: a whole number, 0 or more")
+    if number >= 2**63:
+        raise argparse.ArgumentTypeError(f"'{shown}' is no seed: it must be less than {2**63}")
+    return number
 
 
 class Parser(argparse.ArgumentParser):

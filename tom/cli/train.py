@@ -16,11 +16,13 @@ from tom.cli import train_many
 from tom.cli.named import add_termination
 from tom.cli.parser import (
     DEST,
+    DIGITS,
     add_config_options,
     add_run_options,
     one_line,
     overrides,
     seed_number,
+    whole_number,
 )
 from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
@@ -244,10 +246,8 @@ def _steps(given: dict[str, Any]) -> int | None:
     steps = given.get("steps")
     if steps is None:
         return None
-    if not (wanted := train_many.whole_number(str(steps))):
-        raise UserError(
-            f"--steps {str(steps)[: train_many.DIGITS]}: must be a whole number above 0"
-        )
+    if not (wanted := whole_number(str(steps))):
+        raise UserError(f"--steps {str(steps)[:DIGITS]}: must be a whole number above 0")
     return wanted
 
 

@@ -11,7 +11,7 @@ import torch
 from pydantic import ValidationError
 
 from tom.cli.fleet_progress import FleetReport
-from tom.cli.parser import one_line, overrides
+from tom.cli.parser import DIGITS, one_line, overrides, whole_number
 from tom.errors import UserError
 from tom.harmless import terminal
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
@@ -22,14 +22,7 @@ from tom.training.presets import default_preset
 from tom.training.run import Stop
 
 ENGINES = ("processes", "fleet")
-DIGITS = 40
-"""of a whole number, more than any setting takes"""
 FEWER = "give fewer learners or --seeds at a time; each goes on from its last checkpoint"
-
-
-def whole_number(word: str) -> int | None:
-    """The whole number that `word` is, else None; Python reads no thousands of digits."""
-    return int(word) if word.isdecimal() and len(word) <= DIGITS else None
 
 
 def trials_of(args: argparse.Namespace) -> list[Trial]:
