@@ -8,6 +8,7 @@ tested on fresh episodes of the policy of that fit.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -158,14 +159,12 @@ def cases(
 def examined(case: Case) -> Outcome:
     """Weigh the moment's buffer, and test the weights and the models fitted with them."""
     run, way, seed = RunReader(case.run), WAYS[case.way], seed_of(case)
-    data, policy = buffer_at(run, case.step), read_policy(case.run / layout.policy(case.step))
+    moment = _moment(replace(case, way="", models=()))
+    rows, anew = moment.data.transitions, moment.anew
     config = config_of(run, way, seed)
-    weighting = weighting_of(data, policy, config, way)
-    rows, streams = data.transitions, Streams(seed)
-    start, generator = streams.integer("test env"), streams.torch("test")
-    anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
+    weighting = weighting_of(moment.data, moment.policy, config, way)
     weights = weighting.counted(config.model)
-    match = footprint_match(rows, weights, anew, step_scaling(rows), generator)
+    match = footprint_match(rows, weights, anew, step_scaling(rows), moment.generator())
     return Outcome(
         recording=run.run_id,
         env=run.env,
@@ -180,6 +179,29 @@ def examined(case: Case) -> Outcome:
         footprint_noise=match.get("footprint_noise", np.nan),
         errors=tuple(_error(name, rows, weighting, anew, config) for name in case.models),
     )
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """The part of a case that all ways of weighing share."""
+
+    data: OrderedData
+    policy: StoredPolicy
+    anew: TensorTransitions  # fresh transitions of the policy
+    random: torch.Tensor  # the state of the generator that they were drawn with
+
+    def generator(self) -> torch.Generator:
+        """Each way goes on with the random numbers that follow the transitions."""
+        return torch.Generator().set_state(self.random)
+
+
+@lru_cache(maxsize=1)  # a process gets the ways of a moment one after the other
+def _moment(case: Case) -> _Moment:
+    run, streams = RunReader(case.run), Streams(seed_of(case))
+    policy = read_policy(case.run / layout.policy(case.step))
+    start, generator = streams.integer("test env"), streams.torch("test")
+    anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
+    return _Moment(buffer_at(run, case.step), policy, anew, generator.get_state())
 
 
 def seed_of(case: Case) -> int:

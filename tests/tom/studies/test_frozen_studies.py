@@ -80,6 +80,20 @@ def test_ways_share_random_numbers_and_moments_do_not():
     assert len({first for first, _ in seeds}) == 4
 
 
+def test_the_outcome_of_a_way_does_not_depend_on_what_was_examined_before(run: RunReader):
+    at, then = moments(run, 2)
+    case = Case(run.path, at, "recency", models=("linear",), rows=300)
+    first = examined(case)
+    again = examined(replace(case, way="newest")), examined(case)  # as the moment's second way
+    assert again[0].footprint != first.footprint
+    assert again[1] == first
+    other = examined(replace(case, step=then))
+    assert (other.step, other.ends_policy) != (first.step, first.ends_policy)
+    assert other.footprint_uniform != first.footprint_uniform
+    assert examined(replace(case, rows=400)).footprint_uniform != first.footprint_uniform
+    assert examined(case) == first
+
+
 def test_every_way_is_asked_at_every_moment(run: RunReader):
     asked = cases([run], ["uniform", "ratio"], [0, 1], 2)
     assert len(asked) == 8
