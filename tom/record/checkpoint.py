@@ -25,7 +25,7 @@ from tom.errors import reason
 from tom.machine.memory import ran_out
 from tom.record import layout
 from tom.record.aside import set_aside
-from tom.record.files import read_json, sync
+from tom.record.files import beside, read_json, sync
 
 SCHEMA = 1
 FOLDER = "checkpoint"
@@ -66,7 +66,8 @@ def save(
     over meanwhile may have saved the same step. Raises its LostError, and OSError if the checkpoint
     does not fit the disk; then nothing of it remains and earlier checkpoints stay.
     """
-    unfinished = folder / f".{env_step:09d}.{os.getpid()}.tmp"
+    path = folder / f"{env_step:09d}"
+    unfinished = beside(path)
     _drop_unfinished(folder)
     unfinished.mkdir(parents=True)
     try:
@@ -74,7 +75,6 @@ def save(
         with (unfinished / MANIFEST).open("wb") as file:
             file.write(json.dumps(manifest, indent=1).encode())
             _sync_file(file)
-        path = folder / f"{env_step:09d}"
         check()
         if path.exists():  # a resumed run writes this step again, with the same content
             shutil.rmtree(path)

@@ -17,13 +17,21 @@ import numpy as np
 from tom.data.unpack import read_bytes
 
 
+def beside(path: Path) -> Path:
+    """A name for what will be renamed to `path`, of nobody else.
+
+    Threads share a process id, and so may two containers.
+    """
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+
+
 def replace(path: Path, write: Callable[[BinaryIO], object], *, sync: bool) -> None:
     """Replace `path` atomically: a reader sees the old file or the new one, never a part.
 
     With `sync` the file survives a power loss, at the price of waiting for the disk. A failed write
     leaves the old file and nothing else.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = beside(path)
     try:
         with temporary.open("wb") as file:
             write(file)
@@ -41,10 +49,9 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """A temporary folder that is renamed to `path` at the end of the block.
 
     After an error nothing of it remains. Raises OSError if it cannot be made, or if `path` has
-    content already: of two writers one wins. What a killed process left is in nobody's way, also in
-    a container, where the next one may have its id.
+    content already: of two writers one wins. What a killed process left is in nobody's way.
     """
-    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    unfinished = beside(path)
     try:
         unfinished.mkdir(parents=True)
         yield unfinished

@@ -3,6 +3,7 @@ import os
 import resource
 import shutil
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from threading import Event, Thread
@@ -32,6 +33,23 @@ def test_a_replacement_that_fails_leaves_the_old_file_alone(tmp_path):
     with pytest.raises(RuntimeError):
         replace(path, half, sync=True)
     assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_threads_that_write_one_file_leave_it_whole(tmp_path):
+    path, content = tmp_path / "view.json", {"numbers": list(range(2000))}
+    replace_json(path, content, sync=False)
+
+    def write(_: int) -> None:
+        for _ in range(100):
+            replace_json(path, content, sync=False)
+
+    with ThreadPoolExecutor(3) as pool:
+        writers = [pool.submit(write, i) for i in range(3)]
+        while not all(writer.done() for writer in writers):
+            assert json.loads(path.read_text()) == content
+        for writer in writers:
+            writer.result()  # raises what the writer raised
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -1,6 +1,5 @@
 """Copy runs from an object store into a run store."""
 
-import os
 import shutil
 from pathlib import Path
 
@@ -8,6 +7,7 @@ from tom.errors import UserError
 from tom.record import checkpoint, layout, lock, manage
 from tom.record.bucket import attempts
 from tom.record.bucket.objects import Bucket
+from tom.record.files import beside
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
@@ -28,7 +28,7 @@ def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
     such run, OSError if the object store does not answer.
     """
     place = store.resolve(run_id)
-    unfinished = store.path / f".{run_id}.{os.getpid()}.tmp"
+    unfinished = beside(place)
     with lock.alone_in(store.path):
         _mend(store, place)
     try:
