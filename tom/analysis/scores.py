@@ -83,8 +83,8 @@ def beats(first: Sequence[Floats], second: Sequence[Floats]) -> Interval:
 
 
 def chance(first: Sequence[Floats], second: Sequence[Floats]) -> float:
-    """The p of `beats`: how often chance alone makes so unequal scores of one method."""
-    return statistics.exchangeable(_matrix(first), _matrix(second), statistics.draws())
+    """The p of `beats`: how often chance alone makes scores of one method so unequal."""
+    return statistics.exchangeable(_matrix(first), _matrix(second))
 
 
 def contrast(groups: Sequence[Floats], signs: Sequence[float]) -> Interval:
