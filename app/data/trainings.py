@@ -47,6 +47,7 @@ class Started:
 
 def start(words: Sequence[str]) -> Started:
     """Run `tom WORDS` in a new session, so that it outlives the studio."""
+    # Without the studio's key: a training runs plug-ins, and outlives the studio.
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
     log = TemporaryFile(buffering=0)  # noqa: SIM115 (open as long as somebody may look at it)
     command = [sys.executable, "-m", "tom", *words]

@@ -45,7 +45,9 @@ def random_walks(road_map: RoadMap, rows: int, generator: torch.Generator) -> Te
         fresh = torch.rand(walks, task.OBS_DIM, generator=generator)
         obs = torch.where(row.terminated[:, None] > 0, fresh, row.next_obs)
     steps[-1].truncated.copy_(1 - steps[-1].terminated)
-    return _stack_by_walk(steps)[:rows]
+    cut = _stack_by_walk(steps)[:rows]
+    cut.truncated[-1] = 1 - cut.terminated[-1]
+    return cut
 
 
 def _stack_by_walk(steps: list[TensorTransitions]) -> TensorTransitions:

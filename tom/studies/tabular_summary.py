@@ -12,7 +12,10 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """For each variant, in order: number of runs, median and worst value of each measure."""
+    """For each variant, in order: number of runs, median and worst value of each measure.
+
+    Those of the mean weight are over the runs without KL, under which it is 1 whatever the error.
+    """
     by_variant: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         by_variant.setdefault(row["variant"], []).append(row)
@@ -21,7 +24,7 @@ def summary(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def _summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     column = {name: np.array([row[name] for row in rows], float) for name in Score.__annotations__}
-    off = np.abs(column["raw_mean"] - 1)
+    means = [row["raw_mean"] for row in rows if row["divergence"] != "kl"]
     return {
         "runs": len(rows),
         "spearman": float(np.median(column["spearman"])),
@@ -32,19 +35,18 @@ def _summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "flow_residual_worst": float(column["flow_residual"].max()),
         "log_ratio": float(np.median(column["log_ratio"])),
         "log_ratio_worst": float(column["log_ratio"].min()),
-        "raw_mean": float(np.median(column["raw_mean"])),
-        "raw_mean_worst": float(column["raw_mean"][off.argmax()]),
-        **_ends([row["ends_ratio"] for row in rows]),
+        **_around_one("raw_mean", means),
+        **_around_one("ends_ratio", [row["ends_ratio"] for row in rows]),  # where episodes end
     }
 
 
-def _ends(ratios: Sequence[float | None]) -> dict[str, float | None]:
-    """Median and worst of the weight on ends relative to the exact one, if episodes end."""
+def _around_one(name: str, ratios: Sequence[float | None]) -> dict[str, float | None]:
+    """Median and worst of what is 1 without an error; None if no ratio is known."""
     known = np.array([ratio for ratio in ratios if ratio is not None])
     if len(known) == 0:
-        return {"ends_ratio": None, "ends_ratio_worst": None}
+        return {name: None, f"{name}_worst": None}
     worst = known[np.abs(known - 1).argmax()]
-    return {"ends_ratio": float(np.median(known)), "ends_ratio_worst": float(worst)}
+    return {name: float(np.median(known)), f"{name}_worst": float(worst)}
 
 
 def acceptance(

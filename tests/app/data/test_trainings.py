@@ -13,6 +13,7 @@ import pytest
 from studio_runs import PENDULUM_TOM
 
 from app.data import trainings
+from app.links import VARIABLE
 from tom.errors import UserError
 from tom.record.reader import RunReader
 from tom.record.store import Store
@@ -46,6 +47,19 @@ def test_a_training_is_started_and_stopped(tmp_path: Path) -> None:
     assert trainings.gone(tmp_path / "mine")
     with pytest.raises(UserError, match="nothing to stop"):
         trainings.stop(Store(tmp_path), "mine")
+
+
+def test_a_training_does_not_have_the_studios_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "the key")
+    monkeypatch.setenv("PASSED_ON", "as it is")
+    begun = trainings.start(["train", "--help"])
+    try:
+        told = Path(f"/proc/{begun.process.pid}/environ").read_bytes()
+    finally:
+        begun.process.kill()
+        begun.process.wait(WAIT_S)
+    assert b"PASSED_ON=as it is" in told
+    assert b"the key" not in told
 
 
 @pytest.mark.slow

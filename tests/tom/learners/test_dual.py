@@ -23,6 +23,7 @@ from tom.learners.dual import (
     values_of,
 )
 from tom.learners.flows import Flow
+from tom.learners.validation import Validation
 from tom.nn.mlp import StackedMLP
 
 
@@ -94,6 +95,8 @@ def test_a_restart_puts_a_new_start_after_an_end():
 def test_a_time_limit_ends_a_stationary_flow_alone():
     late = ended(rows(4), "truncated")
     assert [flow(name).ends(late).sum() for name in FLOWS] == [0, 0, late.truncated.sum()]
+    both = replace(late, terminated=late.truncated)  # as Gymnasium says of a fall at the limit
+    assert torch.equal(flow("stationary").ends(both), late.truncated)
 
 
 def test_the_dual_of_a_stationary_flow_by_hand():
@@ -130,6 +133,16 @@ def test_a_validated_q_is_the_best_on_episodes_that_it_never_saw():
     assert 0 < work.metrics["dual/steps"] < 600
     loss = held_out.loss_of(2000, generator(5))
     assert loss(work.net) < loss(q)
+
+
+def test_the_last_step_is_judged_though_it_is_between_two_looks():
+    losses = iter([3.0, 2.0, 1.0])
+    validation = Validation(
+        net(), lambda _: next(losses), QUICK.but(q_steps=50, q_check_every=20, q_holdout=0.25)
+    )
+    for step in range(1, 51):
+        validation.look(step)
+    assert validation.metrics == {"dual/holdout_loss": 1.0, "dual/steps": 50}
 
 
 def test_a_buffer_of_one_row_is_validated_on_itself():

@@ -135,6 +135,8 @@ def test_kl_on_episodes_that_terminate_is_told():
     assert quiet.notices == ()
     assert told.weights[::10].mean() < 0.5
     assert weigh(some, replay[:60], config.but(divergence="chi2")).notices == ()
+    kept = weigh(some, replay[:60], config.but(flow="stationary"))  # there no end costs mass
+    assert "kl-drops-terminations" not in dict(kept.notices)
 
 
 SMALL = {

@@ -30,6 +30,14 @@ def test_walks_are_whole_walks_of_twenty_steps(road_map: task.RoadMap):
     torch.testing.assert_close(rows.reward, task.reward(rows.next_obs))
 
 
+def test_a_walk_that_is_cut_short_ends_there(road_map: task.RoadMap):
+    whole = offline_data.random_walks(road_map, 40, generator())
+    cut = offline_data.random_walks(road_map, 30, generator())
+    assert torch.equal(cut.obs, whole.obs[:30])
+    assert (whole.truncated[29], cut.truncated[29]) == (0, 1)
+    assert torch.equal(cut.truncated[:29], whole.truncated[:29])
+
+
 def test_walks_cover_the_map_and_the_actions(road_map: task.RoadMap):
     rows = offline_data.random_walks(road_map, 10_000, generator())
     counts, _, _ = np.histogram2d(*rows.obs.T.numpy(), bins=5, range=[[0, 1], [0, 1]])

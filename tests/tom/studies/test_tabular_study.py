@@ -166,18 +166,23 @@ def test_only_chi2_with_stochastic_dynamics_biases_the_model():
 
 def test_summary_takes_median_and_worst_of_each_variant():
     score = {"l1": 0.1, "flow_residual": 0.1, "log_ratio": 0.9, "raw_mean": 1.0, "ends_ratio": 1.0}
-    rows = [{"variant": "a", "spearman": s, **score} for s in (0.9, 0.95, 0.99)]
-    rows.append({"variant": "b", "spearman": 0.5, **score, "raw_mean": 0.4})
-    a, b = summary(rows)
+    chi2 = {"divergence": "chi2", **score}
+    rows = [{"variant": "a", "spearman": s, **chi2} for s in (0.9, 0.95, 0.99)]
+    rows.append({"variant": "b", "spearman": 0.5, **chi2, "raw_mean": 0.4})
+    rows += [{**row, "divergence": "kl", "raw_mean": 1.0} for row in rows[-1:] * 3]
+    rows.append({**rows[-1], "variant": "c"})
+    a, b, c = summary(rows)
     assert (a["runs"], a["spearman"], a["spearman_worst"]) == (3, 0.95, 0.9)
     assert (b["variant"], b["raw_mean_worst"]) == ("b", 0.4)
+    assert b["raw_mean"] == 0.4  # under KL it is 1 whatever the error
+    assert c["raw_mean"] is None
 
 
 def test_every_family_with_rows_is_held_against_its_bounds():
     good = Score(
         spearman=0.99, l1=0.05, flow_residual=0.02, log_ratio=0.99, raw_mean=1.0, ends_ratio=1.1
     )
-    row = {"variant": "a", **vars(good)}
+    row = {"variant": "a", "divergence": "chi2", **vars(good)}
     none = {**row, "ends_ratio": None}
     alone = acceptance([none], [], [], [], [])
     assert [check.met for check in alone] == [True] * 7

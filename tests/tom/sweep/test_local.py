@@ -248,6 +248,20 @@ def test_a_training_that_dies_on_another_machine_is_given_up_like_any_other(
     assert job.state == ("waiting" if further else "failed")
 
 
+def test_each_failure_doubles_the_wait(tmp_path: Path):
+    (trial,) = trials(checked(PLAN))
+    driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=1000)
+    (job,) = driver.jobs
+    waits = []
+    for attempt in range(1, ATTEMPTS):
+        job.log.parent.mkdir(exist_ok=True)
+        job.state, job.process = "running", driver.engine.start(["no_such_module"], job.log)
+        job.attempts = attempt
+        until(lambda: job.process is None, driver.poll)
+        waits.append(job.not_before - time.monotonic())
+    assert waits == pytest.approx([1000 * 2**i for i in range(ATTEMPTS - 1)], abs=100)
+
+
 def test_nothing_is_started_on_a_full_disk(tmp_path: Path):
     planned = trials(checked({"env": "inverted-pendulum", "learner": "mle", "preset": "smoke"}))
     driver = Driver(FolderBackend(Store(tmp_path)), planned, LocalEngine(1), low_bytes=1e18)
