@@ -33,6 +33,11 @@ def number(value: float | None, digits: int = 1) -> str:
     return f"{value:,.{digits}f}"
 
 
+def short(value: float) -> str:
+    """A measure with three digits; a dash if it is not finite."""
+    return f"{value:.3g}" if math.isfinite(value) else "-"
+
+
 def duration(seconds: float | None) -> str:
     """`75` -> `1 min 15 s`; a dash if it is unknown."""
     if seconds is None or not math.isfinite(seconds) or seconds < 0:

@@ -178,7 +178,7 @@ class Mbpo:
         if self.replay.total_added - self._flushed == self.replay.capacity:
             yield from self._flush_collected()  # the next row replaces one that is not recorded
         obs = self._begin_episode() if self._obs is None else self._obs
-        action = self._explore_action() if explore else self._policy_action(obs)
+        action = self._random_action() if explore else self._policy_action(obs)
         if self._simulated is not None:
             data = self._simulated.data
             self._states.append((data.qpos.copy(), data.qvel.copy()))
@@ -307,7 +307,7 @@ class Mbpo:
         self._episode_return, self._episode_length = 0.0, 0
         return obs
 
-    def _explore_action(self) -> np.ndarray:
+    def _random_action(self) -> np.ndarray:
         action = self.streams.numpy("explore").uniform(-1.0, 1.0, self.task.action_dim)
         return action.astype(np.float32)
 

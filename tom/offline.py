@@ -251,11 +251,6 @@ class Offline:
         self._sac_metrics = state["sac_metrics"]
 
 
-def train(config: RoadConfig) -> Iterator[Event]:
-    """The events of an offline run."""
-    return Offline(config).events()
-
-
 def storage_order(rows: int) -> Tensor:
     """Policy versions (N,) of offline data: as in online runs, each row has its own version.
 

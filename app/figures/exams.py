@@ -88,17 +88,13 @@ def hover(run: Exams) -> list[str]:
     lines = []
     for i, step in enumerate(run.step):
         nothing = "" if run.telling[i] else ": says nothing"
-        footprint = f"{_number(run.footprint[i])} (noise {_number(run.noise[i])}{nothing})"
+        footprint = f"{text.short(run.footprint[i])} (noise {text.short(run.noise[i])}{nothing})"
         lines.append(
             f"{who}<br>fit at step {step:,}<br>footprint {footprint}"
-            f"<br>error {_number(run.error[i])}, five steps {_number(run.rollout_error[i])}"
+            f"<br>error {text.short(run.error[i])}, five steps {text.short(run.rollout_error[i])}"
             f"<br>return of the next evaluation {text.number(float(run.returns[i]))}"
         )
     return lines
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "-"
 
 
 def _left_out(exams: Sequence[Exams], every: int) -> list[str]:

@@ -132,7 +132,7 @@ def test_a_policy_that_does_not_fall_is_cut_off_as_truncated():
         assert isinstance(limit, Wrapper)
         limit = limit.env
     limit._max_episode_steps = 20
-    training._explore_action = lambda: np.zeros(1, np.float32)
+    training._random_action = lambda: np.zeros(1, np.float32)
     list(training.events())
     rows = training.replay.transitions()
     assert rows.truncated.sum() == 3

@@ -54,12 +54,12 @@ def bits(value: object) -> object:
 
 @pytest.fixture(scope="module")
 def tom_events() -> list[Event]:
-    return list(offline.train(tiny("tom")))
+    return list(offline.Offline(tiny("tom")).events())
 
 
 def test_same_seed_same_bits(tom_events: list[Event]):
-    again = list(offline.train(tiny("tom")))
-    other = list(offline.train(tiny("tom", seed=1)))
+    again = list(offline.Offline(tiny("tom")).events())
+    other = list(offline.Offline(tiny("tom", seed=1)).events())
     assert bits(again) == bits(tom_events)
     assert bits(other) != bits(tom_events)
 
@@ -148,7 +148,7 @@ def test_baselines_weigh_only_the_rows_they_are_named_after(name: str):
 
 @pytest.mark.parametrize("name", BASELINES)
 def test_a_baseline_trains_to_the_end_with_the_weights_it_began_with(name: str):
-    events = list(offline.train(tiny(name)))
+    events = list(offline.Offline(tiny(name)).events())
     first, *later = (e for e in events if isinstance(e, Weights))
     assert [e.env_step for e in later] == [30, 60]
     assert all(np.array_equal(e.weight, first.weight) for e in later)
@@ -167,7 +167,7 @@ def test_a_discriminator_alone_also_finds_the_road_and_swapped_labels_do_not():
 
 
 def test_vagram_weighs_again_as_the_value_function_changes():
-    events = list(offline.train(tiny("vagram", random_transitions=300)))
+    events = list(offline.Offline(tiny("vagram", random_transitions=300)).events())
     first, second, third = (e for e in events if isinstance(e, Weights))
     assert first.per_dim is None  # no value function yet
     assert second.per_dim is not None
@@ -202,7 +202,7 @@ def test_modelled_states_stay_on_the_map_and_earn_the_tasks_reward():
 def _until_optimised(config: object) -> list[Event]:
     assert isinstance(config, RoadConfig)
     found: list[Event] = []
-    for event in offline.train(config):
+    for event in offline.Offline(config).events():
         if event.env_step > 0:
             break
         found.append(event)

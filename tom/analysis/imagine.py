@@ -93,7 +93,8 @@ def imagine(model: Predictor, episode: Episode, horizon: int) -> Imagined:
 
     Step t is predicted from the imagined state at t, or from the real state if t is a multiple of
     `horizon`; so every imagined state is 1 to `horizon` steps away from a real one. Once a
-    prediction is not finite, the last finite state is repeated.
+    prediction is not finite, the last finite state is repeated. Raises ValueError if `horizon` is
+    below 1.
     """
     if horizon < 1:
         raise ValueError(f"horizon must be at least 1, not {horizon}")

@@ -47,7 +47,10 @@ class Progression:
 
 
 def progression(weights: NDArray, ordered_from: int) -> Progression:
-    """Summary of weights (N,), oldest first, whose first `ordered_from` rows are random data."""
+    """Summary of weights (N,), oldest first, whose first `ordered_from` rows are random data.
+
+    Raises ValueError if all of them are.
+    """
     if not 0 <= ordered_from < len(weights):
         raise ValueError(f"no ordered rows from {ordered_from} on among {len(weights)}")
     w = np.asarray(weights, np.float64)

@@ -50,7 +50,10 @@ def trials_of(args: argparse.Namespace) -> list[Trial]:
 
 
 def wants_fleet(args: argparse.Namespace, trials: Sequence[Trial]) -> bool:
-    """Whether the trainings form a fleet: on request, or on a GPU."""
+    """Whether the trainings form a fleet: on request, or on a GPU.
+
+    Raises UserError if processes are asked for on a GPU.
+    """
     on_gpu = any(trial.config.device != "cpu" for trial in trials)
     if on_gpu and args.engine == "processes":
         raise UserError("--engine processes is for --device cpu: on a GPU trainings are a fleet")

@@ -43,7 +43,10 @@ def member(group: h5py.Group, name: str) -> object:
 
 
 def column(group: h5py.Group, name: str, axes: int) -> np.ndarray:
-    """The array `name` of a group as float32; a trailing axis of length one may be dropped."""
+    """The array `name` of a group as float32; a trailing axis of length one may be dropped.
+
+    Raises UserError if there is no such array in the file itself, or it cannot be held or read.
+    """
     stored = member(group, name)
     where = f"'{name}' in {group.file.filename}:{group.name}"
     if not isinstance(stored, h5py.Dataset):

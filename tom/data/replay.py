@@ -122,7 +122,10 @@ class ReplayBuffer:
         return {**self.tail(self._size), "total_added": self.total_added}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the buffer that `state_dict` was taken from (its rows must fit)."""
+        """Restore the buffer that `state_dict` was taken from.
+
+        Raises ValueError if its rows do not fit.
+        """
         rows: Tensor = state["rows"]
         if rows.shape[1] != self._rows.shape[1] or len(rows) > self.capacity:
             raise ValueError(f"rows {tuple(rows.shape)} do not fit {tuple(self._rows.shape)}")

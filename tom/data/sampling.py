@@ -19,7 +19,8 @@ def normalise(weights: Tensor) -> tuple[Tensor, bool]:
 class WeightedSampler:
     """Draws row numbers with replacement, row i in proportion to weights[i].
 
-    Inverse of the cumulative sum in float64: `torch.multinomial` fails above 2^24 rows.
+    Inverse of the cumulative sum in float64: `torch.multinomial` fails above 2^24 rows. Raises
+    ValueError for weights that are negative, not finite or all zero.
     """
 
     def __init__(self, weights: Tensor, generator: torch.Generator) -> None:
@@ -72,7 +73,8 @@ def bin_means(weights: Tensor | np.ndarray, bins: int) -> Tensor:
     """Mean weight in each of `bins` equal parts, oldest to newest, (bins,) float64.
 
     A row across a border counts in both parts in proportion. So the mean of the bins is the mean
-    weight for every N, and with fewer rows than bins a row spans several bins.
+    weight for every N, and with fewer rows than bins a row spans several bins. Raises
+    ValueError without rows.
     """
     w = torch.as_tensor(weights).to(torch.float64)
     n = len(w)

@@ -16,7 +16,7 @@ LOOKED_AT = 20
 
 
 def box_of(space: gym.Space | None, name: str, does: str) -> Box:
-    """`space` as a one-dimensional Box in double precision."""
+    """`space` as a one-dimensional Box in double precision; UserError if it is none."""
     if not isinstance(space, Box) or len(space.shape) != 1 or not space.shape[0]:
         kind = type(space).__name__ if not isinstance(space, Box) else f"Box{space.shape}"
         raise UserError(
@@ -27,6 +27,10 @@ def box_of(space: gym.Space | None, name: str, does: str) -> Box:
 
 
 def actions_of(space: gym.Space | None, name: str) -> Box:
+    """The space of actions as a Box (`box_of`).
+
+    Raises UserError if it is none, has no bounds that can be used, or holds whole numbers.
+    """
     box = box_of(space, name, "acts")
     if not bounded_dims(box).all():
         wrong = int(np.flatnonzero(~bounded_dims(box))[0])

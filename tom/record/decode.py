@@ -69,7 +69,10 @@ def transition_arrays(
 
 
 def state_of(arrays: Arrays) -> dict[str, NDArray]:
-    """The simulator's states in `buffer/<first row>.npz`, if the run stored them."""
+    """The simulator's states in `buffer/<first row>.npz`, if the run stored them.
+
+    Raises ValueError if they are not as many as its rows.
+    """
     length = len(arrays["policy_version"])
     state = {n.removeprefix(STATE): arrays[n] for n in arrays if n.startswith(STATE)}
     if any(len(array) != length for array in state.values()):
@@ -78,7 +81,10 @@ def state_of(arrays: Arrays) -> dict[str, NDArray]:
 
 
 def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:
-    """The rows and policy versions in `buffer/<first row>.npz`."""
+    """The rows and policy versions in `buffer/<first row>.npz`.
+
+    Raises ValueError if its arrays differ in length.
+    """
     whole = {"next_obs": _following(arrays), **arrays} if "jump" in arrays else arrays
     rows = Transitions(*(_single(whole[f.name]) for f in fields(Transitions)))
     version = arrays["policy_version"]

@@ -15,7 +15,7 @@ from tom.config import Config, Count, Positive, Whole
 from tom.envs import ENVS, ROAD, Task, scene, skeleton, task
 from tom.envs.termination import never
 from tom.errors import UserError, reason
-from tom.record import layout
+from tom.record import layout, stamps
 from tom.record.reader import RunReader
 
 MOST_DIMS = 100_000
@@ -84,15 +84,11 @@ def scene_of(run: RunReader) -> scene.Model | None:
     if run.env in ENVS:
         return scene.model(run.env)
     path = run.path / layout.SCENE
-    try:
-        changed = path.stat().st_mtime_ns
-    except OSError:
-        return None
-    return _scene(str(run.path), changed)
+    return _scene(str(run.path), stamps.stamp(path)) if path.is_file() else None
 
 
 @lru_cache(maxsize=16)
-def _scene(path: str, changed: int) -> scene.Model | None:
+def _scene(path: str, stamp: stamps.Stamp) -> scene.Model | None:
     held = RunReader(path).arrays(layout.SCENE)
     try:
         return None if held is None else skeleton.of_arrays(held)

@@ -1,4 +1,4 @@
-"""Writes a run folder (docs/run-folder.md): files only, no threads, no clocks of its own."""
+"""Writes a run folder (docs/run-folder.md): files only, no threads."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -83,7 +83,7 @@ def outcome(case: Case) -> Outcome:
 
 def tell(case: Case) -> Story:
     """Run a case; returns its outcome with the curve and the weights, for the map."""
-    events: Iterator[Event] = offline.train(case.config)
+    events: Iterator[Event] = offline.Offline(case.config).events()
     if not case.optimise:
         events = takewhile(lambda event: event.env_step == 0, events)
     values: dict[str, float] = {}

@@ -96,7 +96,7 @@ def verdict(result: Ranking) -> str:
     """One sentence: who errs least on its policy's transitions, by how much, and if it is noise."""
     if not result.ranked:
         counts = "; ".join(
-            f"{text.markdown(one.name)}: {_runs(one)}, typical error {_short(one.typical)}"
+            f"{text.markdown(one.name)}: {_runs(one)}, typical error {text.short(one.typical)}"
             for one in result.standings
         )
         return (
@@ -108,8 +108,8 @@ def verdict(result: Ranking) -> str:
     one, other = (text.markdown(standing.name) for standing in (first, second))
     less = 100 * (1 - first.typical / second.typical)
     errors = (
-        f"{_short(first.typical)}, {less:.0f} % less than {other}, the next, "
-        f"with {_short(second.typical)},{counted(result)} "
+        f"{text.short(first.typical)}, {less:.0f} % less than {other}, the next, "
+        f"with {text.short(second.typical)},{counted(result)} "
         f"(n: {_runs(first)}; {_runs(second)})"
     )
     chance = (
@@ -141,10 +141,6 @@ def _runs(one: Standing) -> str:
 
 def _count(runs: int) -> str:
     return "1 run of this task" if runs == 1 else f"{runs} runs of this task"
-
-
-def _short(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "-"
 
 
 def table(result: Ranking) -> pd.DataFrame:

@@ -73,7 +73,10 @@ class Bucket:
                 self._files.delete_file(self._path(name))
 
     def fetch(self, folder: str, target: Path) -> None:
-        """Copy every object below `folder` into the folder `target`."""
+        """Copy every object below `folder` into the folder `target`.
+
+        Raises OSError if the store does not answer, or an object's name leads out of `target`.
+        """
         for name in self.names(folder):
             path = target / name.removeprefix(f"{folder}/")
             if not path.resolve().is_relative_to(target.resolve()):
