@@ -28,7 +28,7 @@ def test_it_holds_every_file_of_both_packages_and_nothing_else(wheel: Path):
     with zipfile.ZipFile(wheel) as content:
         names = {name for name in content.namelist() if ".dist-info/" not in name}
         (commands,) = (n for n in content.namelist() if n.endswith(".dist-info/entry_points.txt"))
-        assert "tom = tom.cli:script" in content.read(commands).decode()
+        assert "tom = tom.__main__:script" in content.read(commands).decode()
     files = [path for package in ("app", "tom") for path in (ROOT / package).rglob("*")]
     kept = {str(path.relative_to(ROOT)) for path in files if path.is_file()}
     assert names == {name for name in kept if "__pycache__" not in name}

@@ -70,8 +70,3 @@ def build_parser(arguments: Sequence[str] = ()) -> Parser:
         command = importlib.import_module(f"tom.cli.{name.replace('-', '_')}")
         command.add_parser(subparsers, list(arguments))
     return parser
-
-
-def script() -> None:
-    """The console script."""
-    raise SystemExit(main())

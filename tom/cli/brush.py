@@ -109,7 +109,8 @@ def _region(path: Path, reader: RunReader, data: OrderedData, step: int) -> NDAr
     try:
         numbers = np.array(path.read_text().split(), np.int64)
     except (OSError, ValueError, OverflowError) as error:
-        raise UserError(f"--rows {path}: {error}; write row numbers into it, one a line") from None
+        why = error.strerror if isinstance(error, OSError) else error
+        raise UserError(f"--rows {path}: {why}; write row numbers into it, one a line") from None
     first = step - len(data)
     if not len(numbers) or numbers.min() < first or numbers.max() >= step:
         raise UserError(

@@ -18,7 +18,7 @@ from tom.cli.parser import add_config_options, folder, leaf_fields, one_line, ov
 from tom.cli.progress import CountReport
 from tom.cli.tables import show
 from tom.data.datasets import FORMATS
-from tom.envs import ENVS
+from tom.envs import ANY, ENVS
 from tom.learners import LEARNERS, WEIGHED_FIRST
 from tom.machine.matmul import choose_matmul
 from tom.record import Store, layout
@@ -49,7 +49,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--learner", nargs="+", default=list(WEIGHED_FIRST), metavar="LEARNER",
         help=", ".join(LEARNERS) + " [tom pmac mle]",
     )  # fmt: skip
-    parser.add_argument("--env", help="the task of a dataset: " + ", ".join(ENVS))
+    parser.add_argument("--env", help=f"the task of a dataset: {', '.join(ENVS)}, {ANY}")
     parser.add_argument(
         "--step", type=count, metavar="N",
         help="of a run: its buffer and its policy at the model fit of env step N [at the end]",

@@ -1,6 +1,7 @@
 """The registry of tasks: our own, those of plug-ins, and any of Gymnasium's by `module:Id`."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from functools import cache
 
 from tom.envs.gymnasium_task import OWN, GymnasiumTask, describe
@@ -13,11 +14,13 @@ ENVS: dict[str, MujocoTask] = {task.name: task for task in TASKS}
 ENV_NAMES: tuple[str, ...] = (*ENVS, ROAD)
 OTHERS: dict[str, Callable[[], Task]] = {}
 """tasks of plug-ins and of modules that the user named; each is made on first use"""
+VERSIONED = re.compile(r"-v[0-9]+$")
+"""how names of Gymnasium end"""
 ANY = "or any Gymnasium task: gymnasium:Swimmer-v5, my_package:MyTask-v0"
 
 __all__ = [
     "ANY", "ENVS", "ENV_NAMES", "OTHERS", "ROAD", "GymnasiumTask", "MujocoTask", "Task",
-    "Termination", "bring", "brought", "is_code", "is_known", "task", "task_rank",
+    "Termination", "bring", "brought", "is_code", "is_known", "task", "task_rank", "unknown_task",
 ]  # fmt: skip
 
 
@@ -38,7 +41,14 @@ def task(name: str) -> Task:
             f"task {name} is code of the module '{module}', which is imported where you name it "
             f"alone: add --env {name}"
         )
-    raise unknown("environment", name, (*ENVS, *OTHERS))
+    raise unknown_task(name, ENVS)
+
+
+def unknown_task(name: str, ours: Iterable[str]) -> UserError:
+    """The error for a name that is no task's; `ours` are those of our own that could be meant."""
+    if VERSIONED.search(name):
+        return UserError(f"unknown environment '{name}': a task of Gymnasium is {OWN}:{name}")
+    return UserError(f"{unknown('environment', name, (*ours, *OTHERS))}, {ANY}")
 
 
 def bring(name: str | None) -> None:

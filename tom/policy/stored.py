@@ -112,6 +112,11 @@ def read_policy(path: Path) -> StoredPolicy:
             "function module:name, or 'random'"
         ) from None
     except (*DAMAGE, AttributeError) as error:
+        if path.suffix != ".npz":
+            raise UserError(
+                f"{path} is no policy that can be read: export it as TorchScript (.pt) or ONNX "
+                "(docs/your-own.md, for stable-baselines3 too)"
+            ) from None
         raise UserError(f"{path} is no stored policy ({reason(error)}): name another") from error
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tom.config import OnlineConfig, RoadConfig
-from tom.envs import ENV_NAMES, OTHERS, is_known, task
+from tom.envs import ENV_NAMES, is_known, task, unknown_task
 from tom.envs.ends import rule
 from tom.envs.task import Task
 from tom.errors import UserError, unknown
@@ -112,7 +112,7 @@ def resolve(
     for an unknown or impossible value among `overrides` (nested dicts of field values).
     """
     if not is_known(env):
-        raise unknown("environment", env, (*ENV_NAMES, *OTHERS))
+        raise unknown_task(env, ENV_NAMES)
     if learner not in learners(env):
         raise unknown("learner", learner, learners(env))
     preset = preset or default_preset(env, learner)

@@ -20,6 +20,11 @@ def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
     ("arguments", "named"),
     [
         (["train", "--env", "hoper", "--learner", "mle"], "did you mean 'hopper'?"),
+        (["train", "--env", "hoper", "--learner", "mle"], "or any Gymnasium task: gymnasium:"),
+        (
+            ["train", "--env", "Pendulum-v1", "--learner", "mle"],
+            "a task of Gymnasium is gymnasium:Pendulum-v1",
+        ),
         (["train", "--env", "hopper", "--learner", "pmacs"], "did you mean 'pmac'?"),
         ([*TRAIN[:-1], "smok"], "did you mean 'smoke'?"),
         ([*TRAIN, "--sac.batch-size", "-1"], "--sac.batch-size -1: must be greater than"),

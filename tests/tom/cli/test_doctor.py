@@ -26,6 +26,8 @@ def test_a_machine_that_runs_the_tests_is_healthy(tmp_path: Path, capsys):
         *("python", "packages", "cores", "memory", "gpu", "matmul", "scenes", "rerun", "ports"),
         *("chromium", "disk", "store"),
     }
+    assert found["store"]["state"] == "note"
+    assert "not there yet" in found["store"]["text"]
     assert not (tmp_path / "new").exists()
     assert main(["doctor", "--store", str(tmp_path)]) == 0
     assert "ready" in capsys.readouterr().out

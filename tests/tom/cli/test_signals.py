@@ -1,6 +1,8 @@
 """Signals that ask a command to stop, and what they are after it."""
 
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -48,6 +50,34 @@ def test_nohup_stays_nohup(heard: list[int]):
     finally:
         signal.signal(HUP, before)
     assert heard == []
+
+
+def test_ctrl_c_while_the_modules_are_imported_is_one_line():
+    program = """
+import signal, sys
+from tom.__main__ import script
+class Impatient:
+    def find_spec(name, *_):
+        if name == "torch":
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Impatient)
+sys.argv = ["tom", "--version"]
+script()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "tom: stopped\n")
+
+
+class Impatient:
+    def find_spec(name, *_):
+        if name == "torch":
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Impatient)
+sys.argv = ["tom", "--version"]
+script()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "tom: stopped\n")
 
 
 def test_a_second_ctrl_c_ends_at_once():

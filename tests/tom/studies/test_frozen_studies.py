@@ -1,6 +1,7 @@
 """Every way of weighing on the same frozen buffers: footprint and capacity."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -327,6 +328,15 @@ def test_bad_input_is_one_line(
     assert main(["reproduce", "footprint", *asked]) == 2
     assert says in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_run_that_ended_too_early_is_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    config = resolve("inverted-pendulum", "mle", "smoke", {"steps": 300})
+    train(config, Store(tmp_path), "short", rerun=False)
+    for words in ((), ("short",)):
+        asked = ["reproduce", "footprint", *words, "--env", "inverted-pendulum"]
+        assert main([*asked, "--store", str(tmp_path), "--out", str(tmp_path / "report")]) == 2
+        assert re.search(r"1,000 steps\s+after", capsys.readouterr().err)
 
 
 def test_every_way_is_a_learner_of_the_registry_or_the_newest_rows():

@@ -65,7 +65,8 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
     [
         ((), "--env and --learner"),
         (("--env", "hoper", "--learner", "mle"), "did you mean 'hopper'"),
-        ((*SMOKE, "--seeds", "0"), "seeds"),
+        ((*SMOKE, "--seeds", "0"), "--seeds 0: it is how many"),
+        ((*SMOKE, "--seeds", "0", "3"), "`seeds: [0, 3]`"),
         ((*SMOKE, "--jobs", "0"), "--jobs 0"),
         ((*SMOKE, "--only", "1"), "runs 0 to 0"),
         ((*SMOKE, "--sac.lr", "-1"), "sac.lr"),

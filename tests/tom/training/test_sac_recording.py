@@ -1,6 +1,7 @@
 """A recording of SAC: the halves, their order, the states and the policy that comes with it."""
 
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -136,6 +137,13 @@ def test_a_policy_in_half_precision_is_read_as_well(tmp_path: Path):
 def test_the_recorded_policy_file_is_that_of_the_run(recording: RunReader):
     stored = read_policy(recording.path / "policy.npz")
     assert (stored.env, stored.obs_dim, stored.action_dim) == ("hopper", 11, 3)
+
+
+def test_a_policy_in_a_file_of_another_kind_is_told_what_is_read(tmp_path: Path):
+    with ZipFile(tmp_path / "model.zip", "w") as model:  # as stable-baselines3 saves one
+        model.writestr("data", "{}")
+    with pytest.raises(UserError, match=r"TorchScript \(.pt\) or ONNX \(docs/your-own.md"):
+        read_policy(tmp_path / "model.zip")
 
 
 @pytest.mark.parametrize(

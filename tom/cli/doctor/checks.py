@@ -211,6 +211,9 @@ def _disk(store: Path) -> CheckResult:
 def _store(path: Path) -> CheckResult:
     """Check each run without reading its arrays."""
     store = Store(path)
+    if not path.exists():
+        fix = "the first training makes it, or name another with --store"
+        return CheckResult("store", "note", f"{path}/ is not there yet", fix)
     try:
         runs = store.runs()
     except UserError as error:

@@ -34,7 +34,7 @@ from tom.studies import capacity, footprint
 from tom.studies.capacity_figure import capacity_figure
 from tom.studies.each import each
 from tom.studies.footprint_figure import footprint_figure
-from tom.studies.frozen import MODELS, WAYS, Outcome, cases, examined, moments
+from tom.studies.frozen import MODELS, NEWEST, WAYS, Outcome, cases, examined, moments
 from tom.studies.frozen_table import read_outcomes, write_outcomes
 from tom.studies.report import study_origin
 
@@ -258,12 +258,14 @@ def chosen_runs(args: argparse.Namespace) -> list[RunReader]:
             task(run.env)
         else:
             raise UserError(
-                f"run {run.run_id} has no moment: it kept no policy of its fits, or no buffer"
+                f"run {run.run_id} has no moment: it kept no policy of its fits, or no buffer, or "
+                f"it ended less than {NEWEST:,} steps after its exploration"
             )
     runs = named or [run for run in store.runs() if run.env in envs and _usable(run)]
     if not runs:
         raise UserError(
-            f"{args.store}/ has no run with a buffer and policies of its fits: "
+            f"{args.store}/ has no run with a buffer and policies of fits at least {NEWEST:,} "
+            "steps after exploration: "
             f"tom record-sac --env {min(envs, key=task_rank)} --steps 20000 makes one"
         )
     return sorted(runs, key=lambda run: (task_rank(run.env), run.run_id))

@@ -46,7 +46,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--env", nargs="+", metavar="ENV", help=f"{', '.join(ENV_NAMES)}, {ANY}")
     add_termination(parser)
     parser.add_argument("--learner", nargs="+", metavar="LEARNER", help=", ".join(LEARNERS))
-    parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 to N - 1 [1]")
+    parser.add_argument(
+        "--seeds", type=int, nargs="+", metavar="N", help="how many: seeds 0 to N - 1 [1]"
+    )
     parser.add_argument("--steps", type=int, metavar="N", help="env steps of each run")
     parser.add_argument(
         "--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [mended for TOM, else paper]"
@@ -117,8 +119,10 @@ def run(args: argparse.Namespace) -> int:
 def _planned(args: argparse.Namespace) -> list[Trial]:
     """The requested trainings; options on the command line override the file."""
     content: dict[str, Any] = read_plan(args.file) if args.file else {}
-    names = ("env", "learner", "seeds", "steps", "preset")
+    names = ("env", "learner", "steps", "preset")
     content |= {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    if args.seeds:
+        content["seeds"] = _how_many(args.seeds)
     held = content.get("settings", {})
     if isinstance(held, dict):  # anything else is an error that `checked` reports
         content["settings"] = merged(held, overrides(args))
@@ -136,6 +140,16 @@ def _planned(args: argparse.Namespace) -> list[Trial]:
     if not 0 <= args.only < len(planned):
         raise UserError(f"--only {args.only}: this sweep has runs 0 to {len(planned) - 1}")
     return [planned[args.only]]
+
+
+def _how_many(seeds: list[int]) -> int:
+    if len(seeds) > 1 or seeds[0] < 1:
+        given = " ".join(map(str, seeds))
+        raise UserError(
+            f"--seeds {given}: it is how many, N for the seeds 0 to N - 1; a list of seeds goes "
+            f"into --file: `seeds: [{given.replace(' ', ', ')}]`"
+        )
+    return seeds[0]
 
 
 def _jobs(args: argparse.Namespace) -> int:
