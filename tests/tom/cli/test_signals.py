@@ -68,18 +68,6 @@ script()
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "tom: stopped\n")
 
 
-class Impatient:
-    def find_spec(name, *_):
-        if name == "torch":
-            signal.raise_signal(signal.SIGINT)
-sys.meta_path.insert(0, Impatient)
-sys.argv = ["tom", "--version"]
-script()
-"""
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "tom: stopped\n")
-
-
 def test_a_second_ctrl_c_ends_at_once():
     with on_stopping(Stop()):
         signal.raise_signal(INT)
