@@ -32,6 +32,8 @@ class Named(Protocol):
 def told_apart(runs: Sequence[Named]) -> dict[str, str]:
     """`TOM s0` for each run id, plus a distinction from runs of the same name.
 
+    With runs of several tasks, their task comes first: `Hopper TOM s0`.
+
     The distinction is the preset if the learner has several, then the settings in which a run
     differs from the others and from its preset, then the id.
     """
@@ -63,10 +65,12 @@ def task(env: str) -> str:
 
 
 def _short(runs: Sequence[Named]) -> list[str]:
-    return [
-        " ".join(filter(None, (learner_label(run.learner), preset, f"s{run.seed}")))
-        for run, preset in zip(runs, telling_presets(runs), strict=True)
-    ]
+    several = len({run.env for run in runs}) > 1
+    names = []
+    for run, preset in zip(runs, telling_presets(runs), strict=True):
+        parts = task(run.env) if several else "", learner_label(run.learner), preset
+        names.append(" ".join([*filter(None, parts), f"s{run.seed}"]))
+    return names
 
 
 def _name(run: Named, preset: str) -> str:

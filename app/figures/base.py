@@ -33,7 +33,10 @@ Y_AXIS = {"title": {"standoff": 8}, **_AXIS}  # else wide tick labels overlap th
 
 def steps_in_words(envs: Iterable[str]) -> str:
     """The title of a step axis: on a fixed data set, steps are not environment steps."""
-    return "steps of policy optimisation" if set(envs) == {OFFLINE} else ENV_STEPS
+    shown = set(envs)
+    if OFFLINE not in shown:
+        return ENV_STEPS
+    return "steps of policy optimisation" if shown == {OFFLINE} else "steps"
 
 
 def styled(

@@ -112,6 +112,7 @@ def errors_by_age(
     styled(figure, "position in the buffer", height, keep=f"errors by age {keep}")
     figure.update_xaxes(**AGES)
     figure.update_yaxes(title_text="one-step error (std)", rangemode="tozero")
+    figure.update_layout(showlegend=True)  # a single line may be of another run than the buffer
     return figure
 
 

@@ -18,6 +18,8 @@ FLOOR = 0.01
 """the smallest weight on a log axis, a hundredth of uniform; lower ones are drawn there"""
 MAP_COLUMNS = 400
 """maximum number of fits on a map; the figure says if fits were left out"""
+LONE_WIDTH = 0.05
+"""width of a map's only column, as a share of its step"""
 HALF_A_WORD = 26
 """pixels of half a label such as "oldest", with some room"""
 AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
@@ -45,7 +47,7 @@ def weight_map(
     steps = profiles.env_step[fits]
     figure = go.Figure(
         go.Heatmap(
-            x=steps,
+            x=steps if len(steps) > 1 else lone(int(steps[0])),
             y=centres,
             z=octaves(bins) if relative else bins,
             customdata=bins,
@@ -62,6 +64,12 @@ def weight_map(
     if len(fits) < len(profiles.env_step):
         note(figure, f"{len(fits)} of {len(profiles.env_step)} fits")
     return figure
+
+
+def lone(step: int) -> tuple[float, float]:
+    """The two edges of the only column, which would else be a step wide beside the returns."""
+    half = max(LONE_WIDTH * step / 2, 0.5)
+    return step - half, step + half
 
 
 def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:

@@ -53,7 +53,8 @@ def card(run: RunInfo, preset: str = "") -> None:
         _asked().discard(run.run_id)
         st.html(head(run, preset))
     st.progress(status.share, text=text.markdown(progress_line(run)))
-    for column, (label, value) in zip(st.columns(4, gap="small"), figures(run), strict=False):
+    numbers = figures(run)
+    for column, (label, value) in zip(st.columns(len(numbers), gap="small"), numbers, strict=True):
         column.metric(label, value)
     for words in (settings_line(run), status.reason, *status.warnings):
         if words:

@@ -9,9 +9,12 @@ from app.parts import asked
 
 
 def one(label: str, names: Mapping[str, str], first: str, key: str) -> str:
-    """A run of `names` (id to name), chosen by user or address (`?key=id`), else `first`."""
+    """A run of `names` (id to name), chosen by user or address (`?key=id`), else `first`.
+
+    What was chosen on another page counts here as well, if it is among `names`.
+    """
     asked.tell(key, names)
-    given, held = _given(key, names), str(st.session_state.get(key))
+    given, held = _given(key, names), str(st.session_state.get(key, _chosen().get(key)))
     start = given[0] if given else held if held in names else first
     moved = key in st.session_state and held != start
     if moved:
@@ -29,6 +32,8 @@ def one(label: str, names: Mapping[str, str], first: str, key: str) -> str:
     )
     picked = chosen if chosen in names else first
     _keep(key, [picked], [first])
+    if key in st.query_params:
+        _chosen()[key] = picked
     return picked
 
 
@@ -78,3 +83,8 @@ def _keep(key: str, chosen: list[str], usual: list[str]) -> None:
 def _kept() -> dict[str, list[str]]:
     """The choices that this tab's pages have put into the address, by parameter."""
     return st.session_state.setdefault("runs in the address", {})
+
+
+def _chosen() -> dict[str, str]:
+    """The run that was last chosen in this tab, by parameter: widgets forget it with their page."""
+    return st.session_state.setdefault("runs chosen", {})

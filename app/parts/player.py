@@ -11,14 +11,23 @@ PART = "replay"
 FRAME, SLIDER = "frame", "replay frame"
 ASKED = "replay asked"
 """the page's requests: their number, the last one, and its frame"""
+NOTHING = (0, "go", 0)
 
 
 def follow(replay: Replay) -> bool:
-    """Follow the scene while it plays; returns whether it plays."""
+    """Follow the scene, which plays or has controls of its own; returns whether it plays.
+
+    A scene that has not yet heard the page's last request is not followed.
+    """
     now = _clock()
-    if now is not None and now.playing:
-        _show(min(now.frame, replay.episode.length))
-    return now is not None and now.playing
+    if now is None or FRAME not in st.session_state:
+        return False
+    frame = min(now.frame, replay.episode.length)
+    if now.asked == st.session_state.get(ASKED, NOTHING)[0] and frame != st.session_state[FRAME]:
+        _show(frame)
+        if not now.playing:
+            _write(frame)
+    return now.playing
 
 
 def marked(replay: Replay) -> int:
@@ -33,13 +42,13 @@ def marked(replay: Replay) -> int:
 def go_to(frame: int) -> None:
     """Ask the scene to go to a step."""
     _show(frame)
-    st.query_params[FRAME] = str(frame)
+    _write(frame)
     _ask("go", frame)
 
 
 def choice(run_id: str, replay: Replay, index: int, horizon: int) -> ReplayChoice:
     """The message for the scene: the episode and the last request."""
-    asked, wish, frame = st.session_state.get(ASKED, (0, "go", 0))
+    asked, wish, frame = st.session_state.get(ASKED, NOTHING)
     speed = st.session_state.get("replay speed", REAL_TIME)
     ghost, follows = (
         bool(st.session_state.get(name, True)) for name in ("replay ghost", "replay follows")
@@ -72,7 +81,7 @@ def _toggle(last: int) -> None:
     if now is not None and now.playing:
         _ask("pause", now.frame)
         _show(now.frame)
-        st.query_params[FRAME] = str(now.frame)
+        _write(now.frame)
         return
     if st.session_state[FRAME] >= last:
         _show(0)
@@ -87,8 +96,14 @@ def _show(frame: int) -> None:
     st.session_state[FRAME] = frame
 
 
+def _write(frame: int) -> None:
+    """Put a step into the address; the first one only in place of another."""
+    if frame or FRAME in st.query_params:
+        st.query_params[FRAME] = str(frame)
+
+
 def _ask(wish: Wish, frame: int) -> None:
-    asked = st.session_state.get(ASKED, (0, "go", 0))[0]
+    asked = st.session_state.get(ASKED, NOTHING)[0]
     st.session_state[ASKED] = (asked + 1, wish, frame)
 
 

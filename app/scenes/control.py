@@ -33,10 +33,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Clock:
-    """The state of playback in a page's frame."""
+    """The state of playback in a page's frame, after the page's request number `asked`."""
 
     frame: int
     playing: bool
+    asked: int = 0
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,9 @@ def clock(socket: str, client: str) -> Clock | None:
             told = json.loads(connection.recv_bytes(MESSAGE_LIMIT))
         except EOFError as error:
             raise ConnectionError("the scene server has hung up") from error
-    return Clock(int(told["frame"]), bool(told["playing"])) if told else None
+    if not told:
+        return None
+    return Clock(int(told["frame"]), bool(told["playing"]), int(told["asked"]))
 
 
 def listen(

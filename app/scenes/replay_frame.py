@@ -77,7 +77,9 @@ class ReplayFrame(Frame):
 
     def clock(self) -> Clock:
         """The state of playback."""
-        return Clock(int(self._at), self.playing)
+        with self._lock:  # not between a request and its answer
+            asked = 0 if self._choice is None else self._choice.asked
+            return Clock(int(self._at), self.playing, asked)
 
     def _play(self) -> None:
         self._go_to(0)

@@ -13,7 +13,9 @@ const CLOUD = {
 for (const body of [TOLD.crowd, ...TOLD.policy]) body.numbers = unpacked(body.ends, "int16");
 const COLOURS = table(LOOK.points);
 const INK = table(LOOK.map);
-const [FIRST, LAST] = [TOLD.steps[0], TOLD.steps.at(-1)];
+const FIRST = TOLD.steps[0];
+// The last policy may have been tried after the last fit.
+const LAST = Math.max(TOLD.steps.at(-1), ...TOLD.policy.map((episode) => episode.step));
 const TEXT = rgb(LOOK.text);
 const FONT = "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif";
 const STAGE = { left: 28, right: 836, edge: 852, floor: 560, top: 96 };

@@ -10,7 +10,7 @@ from app.data.called import told_apart
 from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON
 from app.figures.side import side_by_side
-from app.parts import address, asked
+from app.parts import address, asked, empty
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
@@ -21,6 +21,8 @@ from app.views.compare.comparison import Comparison
 MOST = 4
 UNTIL = "until"
 STAGE_HEIGHT = 480
+EVALUATIONS = "evaluations"
+"""what a small copy lacks that has no replay"""
 
 
 def draw(comparison: Comparison) -> None:
@@ -68,6 +70,8 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
     evaluated = {run.run_id: readers.evaluation_steps(run) for run in chosen}
     steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:
+        for run in chosen:
+            empty.left_out(run, EVALUATIONS)
         return
     st.markdown("**Replays** of the evaluations at or before one step")
     # The first choice is a step that all of them have reached.
@@ -86,8 +90,14 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
         columns = list(st.columns(2)) if i % 2 == 0 else columns
         before = [at for at in evaluated[run.run_id] if at <= step]
         with columns[i % 2]:
-            words = f"step {before[-1]:,}" if before else "not evaluated yet"
+            words = f"step {before[-1]:,}" if before else _without(run)
             st.caption(f"{text.markdown(called[run.run_id])}, {words}")
             if before:
                 choice = ReplayChoice(run.run_id, before[-1], 0, 0, DEFAULT_HORIZON, played)
                 stage(choice, STAGE_HEIGHT, f"side{i}", compact=True)
+
+
+def _without(run: RunInfo) -> str:
+    """Why a run has no replay at or before the chosen step."""
+    gone = EVALUATIONS in run.left_out or f"other {EVALUATIONS}" in run.left_out
+    return "left out of its small copy" if gone else "not evaluated yet"

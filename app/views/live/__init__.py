@@ -175,6 +175,9 @@ def _last_profiles(runs: Sequence[RunInfo]) -> None:
         lines.append((name, run.learner, last))
     head = st.columns([3, 1], vertical_alignment="center")
     head[0].markdown("**Weights of the last fit**: dashed: uniform")
+    if not any(len(bins) for _, _, bins in lines):
+        st.caption(now.without_weights(runs))
+        return
     log = widgets.pick_log(head[1], [bins for _, _, bins in lines])
     keep = " ".join(run.run_id for run in runs)
     figure = profile_lines(lines, 330, log=log, keep=keep)

@@ -41,13 +41,18 @@ def weights(run: RunInfo) -> None:
     """The weight of each part of the buffer at every fit so far."""
     profiles = readers.profiles(run)
     if not len(profiles.env_step):
-        alone = run.learner == SAC_ALONE
-        st.caption(NO_MODEL if alone else "No fit yet: the weight map begins with the first.")
+        st.caption(without_weights([run]))
         return
     last = len(profiles.env_step) - 1
     x = steps_in_words([run.env])
     figure = weight_map(profiles, last, session.mode(), HEIGHT, relative=True, x=x, keep=run.run_id)
     chart(figure, "live map", "weight of each part of the buffer at every fit")
+
+
+def without_weights(runs: Sequence[RunInfo]) -> str:
+    """Why none of the runs has weights to show."""
+    alone = all(run.learner == SAC_ALONE for run in runs)
+    return NO_MODEL if alone else "No fit yet: weights come with the first."
 
 
 def robot(run: RunInfo) -> None:

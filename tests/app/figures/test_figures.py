@@ -1,6 +1,6 @@
 """The numbers in the figures are the numbers in the run folders."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import pytest
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import pictures, readers
-from app.figures.base import ROW
+from app.figures.base import ROW, steps_in_words
 from app.figures.curves import POINTS, Axes, group_curves, run_curves
 from app.figures.observations import moments_figure
 from app.figures.probe import RunErrors, errors_by_age, focus, probe_profiles
@@ -167,6 +167,12 @@ def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
     assert band.y.min() == 0
 
 
+def test_the_line_of_one_model_has_its_name() -> None:
+    figure = errors_by_age([("TOM, mended s0", "tom", np.ones(10))], 5, 300)
+    assert figure.layout.showlegend  # pyright: ignore[reportAttributeAccessIssue]
+    assert traces(figure)[0].name == "TOM, mended s0"
+
+
 def test_where_runs_are_missing_the_mean_is_dotted() -> None:
     group = aggregate([long_curve(10, 0), long_curve(20, 1)])
     solid, dotted = traces(group_curves([group], "x", 300, singles=False))[1:]
@@ -182,6 +188,21 @@ def test_the_map_has_a_column_a_fit_and_a_row_a_bin(profiles: Profiles) -> None:
     assert heat.x.tolist() == profiles.env_step.tolist()
     assert heat.z.tolist() == profiles.bins.T.tolist()
     assert heat.y[0] == 0.5  # the oldest hundredth at the bottom
+
+
+def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: Profiles) -> None:
+    one = Profiles(*(getattr(profiles, field.name)[:1] for field in fields(Profiles)))
+    heat = traces(weight_map(one, 0, "light", 300, relative=False))[0]
+    step, (left, right) = int(one.env_step[0]), heat.x
+    assert (left + right) / 2 == step
+    assert right - left >= max(0.04 * step, 1)
+    assert np.asarray(heat.z).shape == (one.bins.shape[1], 1)
+
+
+def test_steps_of_several_kinds_share_an_axis_of_steps() -> None:
+    assert steps_in_words(["hopper", "ant"]) == "env steps"
+    assert steps_in_words(["road-and-rocks"]) == "steps of policy optimisation"
+    assert steps_in_words(["hopper", "road-and-rocks"]) == "steps"
 
 
 def test_relative_colours_are_octaves_of_the_weight(profiles: Profiles) -> None:

@@ -124,15 +124,15 @@ def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) 
         wait_for(lambda: served.clock(PAGE) == Clock(3, playing=False))
         served.select(PAGE, wish(1, "play", 3))
         served.tick(2 * only_frame(served)._replay.dt)  # type: ignore[union-attr]
-        assert served.clock(PAGE) == Clock(5, playing=True)
+        assert served.clock(PAGE) == Clock(5, playing=True, asked=1)
         served.select(PAGE, wish(2, "pause", 5))
-        assert served.clock(PAGE) == Clock(5, playing=False)
+        assert served.clock(PAGE) == Clock(5, playing=False, asked=2)
         served.select(PAGE, wish(3, "go", 3))  # once more to where it was sent before
-        assert served.clock(PAGE) == Clock(3, playing=False)
+        assert served.clock(PAGE) == Clock(3, playing=False, asked=3)
 
 
 def test_a_page_asks_over_its_socket(tmp_path: Path) -> None:
-    path, told = str(tmp_path / "control"), {"page": Clock(7, playing=True)}
+    path, told = str(tmp_path / "control"), {"page": Clock(7, playing=True, asked=4)}
     threading.Thread(target=listen, args=(path, print, told.get), daemon=True).start()
     wait_for(partial(answers, path))
     assert clock(path, "page") == told["page"]

@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 from studio_browser import studio_and_browser
-from studio_runs import PENDULUM_TOM, RUNS
+from studio_runs import PENDULUM_TOM, ROAD_MLE, RUNS
 
 from app.links import Links
 from tom.record.reader import RunReader
@@ -149,6 +149,7 @@ def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     visit.open("Weights", "weights")
     click_the_first_fit(page, own)
     visit.open("Regions", "regions")
+    keep_the_chosen_run(visit)
     lasso_a_region(page)
     visit.open("Probe", "probe")
     page.get_by_label("Buffer of run or data", exact=True).wait_for()
@@ -196,6 +197,17 @@ def click_the_first_fit(page: "Page", store: Path) -> None:
     chosen = int(parse_qs(urlsplit(page.url).query)["step"][0])
     assert chosen == RunReader(store / PENDULUM_TOM).profiles().env_step[0]
     page.get_by_text(f"The fit at step {chosen:,}").wait_for()
+
+
+def keep_the_chosen_run(visit: Visit) -> None:
+    """Another page shows the run that was chosen on this one."""
+    page = visit.page
+    page.goto(f"{visit.links.address}/weights?run={ROAD_MLE}")
+    page.locator(".js-plotly-plot").first.wait_for()
+    visit.open("Replays", "replays")
+    page.wait_for_url(f"**/replays?*run={ROAD_MLE}*")
+    page.goto(f"{visit.links.address}/regions?run={PENDULUM_TOM}")
+    page.locator(".js-plotly-plot").first.wait_for()
 
 
 def lasso_a_region(page: "Page") -> None:

@@ -242,7 +242,7 @@ def test_a_frame_of_a_longer_episode_is_forgotten() -> None:
 def test_the_charts_follow_the_scene_while_it_plays(
     run: RunReader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = Clock(0, playing=False)
+    now = Clock(0, playing=False, asked=1)
     monkeypatch.setattr(player, "_clock", lambda: now)
     app = draw("replays", run=PENDULUM_TOM)
     dt = loaded(run, 400).dt
@@ -251,18 +251,37 @@ def test_the_charts_follow_the_scene_while_it_plays(
         return [figure["layout"]["shapes"][0]["x0"] for figure in figures(app)[1:]]
 
     assert cursors() == [0, 0]
-    now = Clock(4, playing=True)
+    now = Clock(4, playing=True, asked=1)
     app.run()
     assert cursors() == pytest.approx([4 * dt] * 2)
     assert app.slider(key="replay frame").value == 4
     assert app.button(key="replay play").label == "Pause"
     app.button(key="replay play").click().run()
     assert app.session_state[player.ASKED][1:] == ("pause", 4)
-    now = Clock(4, playing=False)
+    now = Clock(4, playing=False, asked=2)
     app.slider(key="replay frame").set_value(2).run()
-    assert app.session_state[player.ASKED][1:] == ("go", 2)
-    assert cursors() == pytest.approx([2 * dt] * 2)
+    assert app.session_state[player.ASKED] == (3, "go", 2)
+    assert cursors() == pytest.approx([2 * dt] * 2)  # the scene is where it was for a moment
     assert app.query_params["frame"] == "2"
+    now = Clock(2, playing=False, asked=3)
+    app.run()
+    assert cursors() == pytest.approx([2 * dt] * 2)
+
+
+def test_the_charts_follow_the_end_of_playback_and_the_scenes_own_slider(
+    run: RunReader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = None
+    monkeypatch.setattr(player, "_clock", lambda: now)
+    app = draw("replays", run=PENDULUM_TOM)
+    now = Clock(loaded(run, 400).episode.length, playing=False, asked=1)  # it ended between looks
+    app.run()
+    assert app.slider(key="replay frame").value == now.frame
+    assert app.query_params["frame"] == str(now.frame)
+    assert app.session_state[player.ASKED] == (1, "go", 0)  # following asks for nothing
+    now = Clock(3, playing=False, asked=1)
+    app.run()
+    assert app.slider(key="replay frame").value == 3
 
 
 def test_a_capsule_is_closed_and_as_long_as_it_says() -> None:

@@ -94,6 +94,11 @@ def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
     }
     assert told_apart([tom, other]) == {ROAD_TOM: "TOM s0", "twin": "TOM s0, tom.flow restart"}
     assert names([tom, other])["twin"] == "Road and rocks · TOM · seed 0, tom.flow restart"
+    robot = replace(twin, run_id="robot", env="walker2d")
+    assert told_apart([mle, robot]) == {
+        ROAD_MLE: "Road and rocks MLE s0",
+        "robot": "Walker2d TOM s0",
+    }
     assert [task(env) for env in ("halfcheetah", "ant")] == ["HalfCheetah", "Ant"]
 
 

@@ -1,6 +1,7 @@
 """Pages on a small copy without buffer, model and policy: they say that those were left out."""
 
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -67,6 +68,36 @@ def test_live_says_that_evaluations_were_left_out(
     words = said(draw("live", runs=PENDULUM.run_id))
     assert "Left out of this small copy: evaluations." in words
     assert "comes with the first" not in words
+
+
+def test_live_says_why_a_recording_of_sac_has_no_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (recording,) = (r for r in small_copies(Store(GALLERY)) if r.run_id == "hopper-sac-s0")
+    export_small(recording, tmp_path)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("live", runs="hopper-sac-s0")
+    assert said(app).count("SAC alone fits no model") == 2  # the map, the weights of the last fit
+    assert not [toggle for toggle in app.toggle if toggle.label == "Log axis"]
+
+
+def test_side_by_side_says_that_evaluations_were_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = next(run for run in TOM if run.env == PENDULUM.env and run.run_id != PENDULUM.run_id)
+    for run, without in ((PENDULUM, ("evaluations",)), (other, ())):
+        export_small(run, tmp_path, without=without)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    sides = [PENDULUM.run_id, other.run_id]
+    words = said(draw("compare", show="Side by side", side=sides))
+    assert "left out of its small copy" in words
+    assert "not evaluated yet" not in words
+    shutil.rmtree(tmp_path / other.run_id)
+    export_small(other, tmp_path, without=("evaluations",))
+    st.cache_data.clear()
+    assert "Left out of this small copy: evaluations." in said(
+        draw("compare", show="Side by side", side=sides)
+    )
 
 
 def test_of_a_whole_run_nothing_was_left_out(bare: Path) -> None:
