@@ -53,13 +53,15 @@ def test_a_training_does_not_have_the_studios_key(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv(VARIABLE, "the key")
     monkeypatch.setenv("PASSED_ON", "as it is")
     begun = trainings.start(["train", "--help"])
+    told = Path(f"/proc/{begun.process.pid}/environ")
     try:
-        told = Path(f"/proc/{begun.process.pid}/environ").read_bytes()
+        wait_for(told.read_bytes)  # empty for a moment, between fork and exec
+        environment = told.read_bytes()
     finally:
         begun.process.kill()
         begun.process.wait(WAIT_S)
-    assert b"PASSED_ON=as it is" in told
-    assert b"the key" not in told
+    assert b"PASSED_ON=as it is" in environment
+    assert b"the key" not in environment
 
 
 @pytest.mark.slow

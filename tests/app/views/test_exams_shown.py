@@ -182,7 +182,7 @@ def test_the_verdict_names_who_errs_least_and_by_how_much() -> None:
         "**Where its own policy goes, TOM errs least**: 0.15, 25 % less than MLE"
     )
     assert "with 0.2, up to step 100 (n: 5 runs, 5 fits; 5 runs, 5 fits). More than noise" in said
-    assert "with probability 1.00 (95 % interval 1.00 to 1.00; p 0.0076 by permutation)" in said
+    assert "with probability 1.00 (95 % interval 1.00 to 1.00; p 0.0079 by permutation)" in said
     shown = table(ranking(runs)).set_index("group")
     assert shown.loc["TOM", "one step"] == "0.15 [0.15, 0.15]"
     assert shown.loc["PMAC", "seeds"] == 4

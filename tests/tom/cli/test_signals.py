@@ -56,6 +56,7 @@ def test_ctrl_c_while_the_modules_are_imported_is_one_line():
     program = """
 import signal, sys
 from tom.__main__ import script
+signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may run in the background
 class Impatient:
     def find_spec(name, *_):
         if name == "torch":
