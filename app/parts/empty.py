@@ -10,6 +10,9 @@ from app.data import datasets, readers
 from app.data.readers import RunInfo
 from app.parts import widgets
 
+EVALUATIONS = "evaluations"
+"""what a small copy lacks that has no replay"""
+
 
 def page() -> None:
     """Show the commands to start with, and check the store again regularly."""

@@ -19,7 +19,10 @@ COMMANDS = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return 0 (done), 1 (failed) or 2 (bad input, with a line on the fix)."""
+    """Run one command and return 0 (done), 1 (failed) or 2 (bad input, with a line on the fix).
+
+    Ctrl-C is left to the console script (`tom.__main__`).
+    """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["studio"]:
         from tom.cli import studio
@@ -43,9 +46,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(f"tom: {terminal(said)}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("tom: stopped", file=sys.stderr)
-        return 1
     except MemoryError as error:
         print(f"tom: not enough memory ({reason(error)}): free some", file=sys.stderr)
         return 1

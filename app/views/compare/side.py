@@ -21,8 +21,6 @@ from app.views.compare.comparison import Comparison
 MOST = 4
 UNTIL = "until"
 STAGE_HEIGHT = 480
-EVALUATIONS = "evaluations"
-"""what a small copy lacks that has no replay"""
 
 
 def draw(comparison: Comparison) -> None:
@@ -71,7 +69,7 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
     steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:
         for run in chosen:
-            empty.left_out(run, EVALUATIONS)
+            empty.left_out(run, empty.EVALUATIONS)
         return
     st.markdown("**Replays** of the evaluations at or before one step")
     # The first choice is a step that all of them have reached.
@@ -99,5 +97,5 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
 
 def _without(run: RunInfo) -> str:
     """Why a run has no replay at or before the chosen step."""
-    gone = EVALUATIONS in run.left_out or f"other {EVALUATIONS}" in run.left_out
-    return "left out of its small copy" if gone else "not evaluated yet"
+    parts = {empty.EVALUATIONS, f"other {empty.EVALUATIONS}"}
+    return "not evaluated yet" if parts.isdisjoint(run.left_out) else "left out of its small copy"

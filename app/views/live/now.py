@@ -19,8 +19,6 @@ HEIGHT = 330
 NO_MODEL = "SAC alone fits no model, so there are no weights: Probe weighs its buffer."
 WITHOUT_GHOST = 0
 """no ghost, because the run's model would be read again after each checkpoint"""
-EVALUATIONS = "evaluations"
-"""what a small copy lacks that has no replay"""
 SEEN = "live evaluation"
 """the evaluation on the stage, and a count of them, so that each new one is played"""
 
@@ -59,7 +57,7 @@ def robot(run: RunInfo) -> None:
     """The newest evaluation, played once; for road-and-rocks its newest map."""
     choice = _newest(run)
     if choice is None:
-        if not empty.left_out(run, EVALUATIONS):
+        if not empty.left_out(run, empty.EVALUATIONS):
             st.caption("No evaluation yet: the robot comes with the first.")
         return
     stage(choice, HEIGHT, "live", compact=True)

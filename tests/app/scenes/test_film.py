@@ -129,6 +129,10 @@ def test_the_film_plays_without_a_server_and_becomes_an_mp4(store: Path) -> None
         tab.on("request", lambda request: asked.append(request.url))
         first, last = (tab.evaluate(PICTURE, seconds) for seconds in (0, 20))
         assert first != last
+        # The last policy is in it, though it was tried after the last fit.
+        tried = RunReader(store / PENDULUM_TOM).evaluation_steps()[-1]
+        assert tried > story(run)["steps"][-1]
+        assert tab.evaluate("playedNow(LAST).step") == tried
         made = base64.b64encode(video(tab, 20.0, 0.5)).decode()
         assert not asked
         tab.goto("about:blank")

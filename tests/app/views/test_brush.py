@@ -56,6 +56,17 @@ def test_a_brush_is_a_weighing_whose_region_is_multiplied(made: Path, store: Pat
     assert (table["region x 0-s0"].to_numpy()[region] == 0).all()
 
 
+def test_a_file_of_rows_that_is_not_there_is_named_once(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = tmp_path / "rows.txt"
+    words = command(PENDULUM_TOM, str(rows), FIT, "", (0, 4), str(store))
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.count(str(rows)) == 1
+    assert "No such file or directory; write row numbers into it" in said
+
+
 def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
     (found,) = brush.of_run(weighings.of_run(run, 400))
