@@ -8,17 +8,21 @@ from pathlib import Path
 
 import pytest
 
+from tom.__main__ import script
 from tom.cli import main
 
 
-def test_ctrl_c_is_one_line(tmp_path: Path, capsys):
+def test_ctrl_c_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
     os.mkfifo(tmp_path / "plan.yaml")  # reading it waits for good
+    monkeypatch.setattr(sys, "argv", ["tom", "sweep", "--file", str(tmp_path / "plan.yaml")])
     before = signal.signal(signal.SIGALRM, signal.default_int_handler)
     signal.setitimer(signal.ITIMER_REAL, 0.2)
     try:
-        assert main(["sweep", "--file", str(tmp_path / "plan.yaml")]) == 1
+        with pytest.raises(SystemExit) as ended:
+            script()
     finally:
         signal.signal(signal.SIGALRM, before)
+    assert ended.value.code == 1
     assert capsys.readouterr().err == "tom: stopped\n"
 
 
