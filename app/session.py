@@ -12,6 +12,8 @@ from app.links import Links
 from app.theme import Mode
 from tom.machine.address import in_url
 
+DRAWN = "drawn"
+
 
 def links() -> Links:
     """The studio's addresses and its store."""
@@ -19,9 +21,20 @@ def links() -> Links:
 
 
 def mode() -> Mode:
-    """Light or dark, the mode of this browser's page."""
-    shown = st.context.theme.type
-    return cast(Mode, shown) if shown in ("light", "dark") else links().theme or "light"
+    """Light or dark, the mode of this browser's page.
+
+    Until a tab's first page is drawn, Streamlit knows the browser's preference, not the studio's
+    own theme (its issue 11920).
+    """
+    shown, given = st.context.theme.type, links().theme
+    if shown not in ("light", "dark") or (given and not st.session_state.get(DRAWN)):
+        return given or "light"
+    return cast(Mode, shown)
+
+
+def drawn() -> None:
+    """Note that a page of this tab has been drawn to its end."""
+    st.session_state[DRAWN] = True
 
 
 def host() -> str:

@@ -38,7 +38,8 @@ def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, called: Sequence[str]
         server.scene.add_light_ambient("/glow", intensity=GLOW[mode])
         server.scene.add_light_directional("/front", intensity=0.5, position=FRONT)
         server.scene.world_axes.visible = False
-        server.initial_camera.position, server.initial_camera.look_at = road.view(len(fits[0]))
+        camera = server.initial_camera
+        camera.position, camera.look_at = road.view(len(fits[0]), camera.fov)
         sky(server.scene, mode)
         names = called or [""] * len(fits[0])
         scenes = [

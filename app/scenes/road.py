@@ -21,6 +21,8 @@ LIFT = 0.006
 """height of lines above the surface"""
 GAP = 0.18
 """between two maps side by side"""
+ASPECT = 16 / 9
+"""width over height of a picture whose frame is not known"""
 TITLE, NAME = 0.048, 0.03
 """height of letters"""
 MARGIN = 0.008
@@ -146,6 +148,7 @@ class Fleet:
 
 
 Shown = viser.SceneNodeHandle | Fleet
+Vector = tuple[float, float, float]
 
 
 def place(number: int) -> float:
@@ -153,11 +156,18 @@ def place(number: int) -> float:
     return number * (1 + GAP)
 
 
-def view(count: int) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """The camera's position and target for `count` maps side by side."""
-    middle = (place(count) - GAP) / 2
-    away = 1 + 0.28 * (count - 1)  # several maps have a wider frame
+def view(count: int, fov: float, aspect: float = ASPECT) -> tuple[Vector, Vector]:
+    """The camera's position and target for `count` maps side by side.
+
+    It goes back until their front corners, with the words beside them, are in a picture that is
+    `fov` radians high and `aspect` times as wide.
+    """
     (_, y, z), (_, at, ground) = CAMERA, LOOK_AT
+    back = np.hypot(at - y, z)
+    nearer = at * (at - y) / back  # by this the maps' front edge is nearer than the target
+    half = place(count) / 2
+    away = max(1.0, float(half / (aspect * np.tan(fov / 2)) + nearer) / back)
+    middle = half - GAP / 2
     return (middle, at + (y - at) * away, z * away), (middle, at, ground)
 
 

@@ -127,7 +127,10 @@ class RoadFrame(Frame):
 
     def _draw(self, shown: list[tuple[str, Picture]]) -> None:
         if len(shown) != len(self._scenes):
-            self.look(*scene.view(len(shown)))
+            camera = self.client.camera
+            high = camera.image_height  # 0 in a tab that was never in front
+            aspect = camera.image_width / high if high else scene.ASPECT
+            self.look(*scene.view(len(shown), camera.fov, aspect))
         self.clear()
         sky(self.client.scene, self.mode)
         store = Store(self.store)

@@ -37,6 +37,9 @@ from app.scenes.road_frame import LAYERS
 from app.servers.processes import free_port
 from tom.record.reader import RunReader
 
+FOV = float(np.radians(75))
+"""viser's own field of view"""
+
 
 @pytest.fixture(scope="module")
 def picture(store: Path) -> pictures.Picture:
@@ -118,10 +121,27 @@ def test_a_fit_takes_the_place_of_another(
 def test_maps_stand_side_by_side() -> None:
     assert scene.place(0) == 0
     assert scene.place(1) > 1
-    assert scene.view(1)[0] == pytest.approx(scene.CAMERA)
-    assert scene.view(1)[1] == pytest.approx(scene.LOOK_AT)
-    camera, at = scene.view(3)
-    assert camera[0] == at[0] == pytest.approx(scene.place(1) + 0.5)
+
+
+def test_one_map_is_seen_as_the_camera_of_all_scenes_has_it() -> None:
+    camera, at = scene.view(1, FOV)
+    assert camera == pytest.approx(scene.CAMERA)
+    assert at == pytest.approx(scene.LOOK_AT)
+
+
+@pytest.mark.parametrize("aspect", [0.6, 1.0, 16 / 9, 3.0])
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_every_map_is_in_the_picture_however_wide_it_is(count: int, aspect: float) -> None:
+    camera, at = map(np.array, scene.view(count, FOV, aspect))
+    assert camera[0] == at[0] == pytest.approx((scene.place(count - 1) + 1) / 2)
+    ahead = (at - camera) / np.linalg.norm(at - camera)
+    up = np.cross([1, 0, 0], ahead)
+    for x in (0, scene.place(count - 1) + 1):
+        for y in (0, 1):
+            seen = np.array([x, y, 0]) - camera
+            half = (seen @ ahead) * np.tan(FOV / 2)  # of the picture's height, at this distance
+            assert abs(seen[0]) < half * aspect
+            assert abs(seen @ up) < half
 
 
 def test_cars_drive_the_recorded_ways(picture: pictures.Picture) -> None:
