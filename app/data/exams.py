@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from tom.analysis.curves import curve_points
 from tom.analysis.scores import beats, chance, interval
-from tom.analysis.statistics import Interval
+from tom.analysis.statistics import RANKED, Interval
 from tom.exams.energy import informative
 
 Floats = NDArray[np.float64]
 
-RANKED = 5
-"""minimum number of seeds of a ranked group"""
 MEASURED = {
     "error": "exam/error",
     "rollout_error": "exam/rollout_error",

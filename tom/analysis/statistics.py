@@ -21,6 +21,8 @@ LEVEL = 0.95  # of every interval and band
 RESAMPLES = 2000
 ENOUGH = 10
 """With fewer seeds than this a result carries a remark."""
+RANKED = 5
+"""Groups with fewer seeds than this are not ranked."""
 
 COVERAGE = {2: 51, 3: 74, 4: 79, 5: 84, 6: 85, 7: 87, 8: 89, 9: 89}
 """Measured coverage, in percent, of nominal 95 % intervals of n normal scores."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from tom.analysis.progression import DECILES, LATE
 from tom.analysis.settings import unlike
-from tom.analysis.statistics import remark
+from tom.analysis.statistics import RANKED, remark
 from tom.envs import task
 from tom.studies.progression import RISE, Finding
 from tom.studies.returns import PAPER_ENVS, Cell, cell_of, compared_at, envs_of
@@ -16,6 +16,10 @@ SIMPLER = ("expert-only", "footprint-only", "ratio", "pmac, expert last")
 """simple weightings of road-and-rocks, without a dual"""
 PAPER = "paper, 1 sampled a'"
 """the variant with the paper's networks and steps"""
+NOTHING = (
+    f"No environment of the paper has at least {RANKED} runs of TOM, of the first preset, and of "
+    "another learner: nothing to compare with the claim."
+)
 NAMED = 3
 """runs named at most in a sentence"""
 
@@ -124,33 +128,43 @@ def _mle_arrives(sweep: Sequence[Outcome], turn: float) -> bool:
 
 
 def _ranking(cells: Sequence[Cell]) -> list[str]:
-    at = compared_at(cells)
-    judged = {env: [c for c in cells if c.env == env] for env in at if env in PAPER_ENVS}
-    judged = {
-        e: cs
-        for e, cs in judged.items()
-        if cell_of(cs, e, "tom") and any(c.learner != "tom" for c in cs)
+    """TOM's place among the groups that have enough runs to be ranked, and who has too few."""
+    of_paper = [c for c in cells if c.env in PAPER_ENVS]
+    enough = {
+        env: [c for c in of_paper if c.env == env and c.n >= RANKED] for env in envs_of(of_paper)
     }
-    if not judged:
-        return [
-            "No environment of the paper has TOM, of the first preset, beside another learner: "
-            "nothing to compare with the claim."
+    judged = {
+        env: group
+        for env, group in enough.items()
+        if cell_of(group, env, "tom") and any(c.learner != "tom" for c in group)
+    }
+    lines = _places(judged, compared_at(cells)) if judged else [NOTHING]
+    if few := [c for c in of_paper if c.n < RANKED]:
+        said = [
+            f"{env}: {', '.join(f'{c.label} (n = {c.n})' for c in few if c.env == env)}"
+            for env in envs_of(few)
         ]
+        lines.append(f"Not ranked, with fewer than {RANKED} runs: {'; '.join(said)}.")
+    return lines
+
+
+def _places(judged: Mapping[str, Sequence[Cell]], at: Mapping[str, float]) -> list[str]:
+    """Where TOM and its variants have the highest mean, and what is to be kept in mind."""
     first = [env for env, group in judged.items() if _tom_is_first(group, at[env])]
     lines = [
         f"TOM has the highest mean in {len(first)} of {len(judged)} of the paper's environments"
         f"{_listed(first)}; the paper says 4 of 5."
     ]
-    variants = sorted({c.variant for c in cells if c.learner == "tom" and c.variant})
+    every = [c for group in judged.values() for c in group]
+    variants = sorted({c.variant for c in every if c.learner == "tom" and c.variant})
     for variant in variants:
         have = [env for env, group in judged.items() if cell_of(group, env, "tom", variant)]
         first = [env for env in have if _tom_is_first(judged[env], at[env], variant)]
         lines += [f"TOM, {variant}, has it in {len(first)} of {len(have)}{_listed(first)}."]
     if len(variants) > 1:
         lines.append("TOM's variants are held against the other learners, not against each other.")
-    few = min(c.n for cs in judged.values() for c in cs)
-    if remark(few):
-        lines.append(f"The smallest group: {remark(few)}.")
+    if said := remark([c.n for c in every]):
+        lines.append(f"The smallest group: {said}.")
     short = [
         f"{env} {at[env]:.0f} of {task(env).steps}" for env in judged if at[env] < task(env).steps
     ]

@@ -15,18 +15,14 @@ from app.data.called import names
 from app.data.readers import RunInfo
 from app.figures.probe import RunErrors
 from app.views.probe import exams, model_error
-from tom.analysis.statistics import means_differ
+from tom.analysis.statistics import RANKED, means_differ
 
 
 def draw(runs: Sequence[RunInfo], left_out: Sequence[RunInfo]) -> None:
     """The answer in a sentence, and the runs of the task that do not count on this page."""
     _, result = exams.examined(runs)
-    if result.ranked:
+    if len(result.standings) > 1:
         st.markdown(exams.verdict(result), help=exams.WHAT)
-    elif len(result.standings) > 1:
-        errors = {standing.name: standing.error for standing in result.standings}
-        steps = exams.counted(result)
-        st.markdown(f"{sentence(errors)} In the exams{steps}, out of sample.", help=exams.WHAT)
     else:
         policy, other = model_error.PAIRS["One step"]
         errors = in_sample(model_error.focus_values(runs, policy, other))
@@ -45,28 +41,31 @@ def in_sample(groups: Mapping[str, Sequence[RunErrors]]) -> dict[str, Floats]:
 def sentence(errors: Mapping[str, Floats]) -> str:
     """Who errs least, by how much, n, and if beyond noise; `errors` are (n,) by name."""
     finite = {name: values[np.isfinite(values)] for name, values in errors.items()}
-    ranked = sorted((e for e in finite.items() if len(e[1])), key=lambda e: float(e[1].mean()))
-    if not ranked:
+    found = sorted((e for e in finite.items() if len(e[1])), key=lambda e: float(e[1].mean()))
+    if not found:
         return "**Who errs least where its policy goes?** No run of this task has measured it."
-    (first, least), *rest = ranked
-    one = text.markdown(first)
-    if not rest:
-        return f"**{one} alone has measured its error where its policy goes**: {least.mean():.3g}."
-    second, more = rest[0]
+    if len(found) == 1:
+        (name, values) = found[0]
+        return (
+            f"**{text.markdown(name)} alone has measured its error where its policy goes**: "
+            f"{values.mean():.3g}."
+        )
+    ranked = [(name, values) for name, values in found if len(values) >= RANKED]
+    if len(ranked) < 2:
+        means = (f"{text.markdown(name)} {v.mean():.3g} (n = {len(v)})" for name, v in found)
+        return f"**n too few to rank** ({exams.NEEDED}). Where the policy goes: {'; '.join(means)}."
+    (first, least), (second, more), *_ = ranked
     less = 100 * (1 - least.mean() / more.mean()) if more.mean() else 0.0
     return (
-        f"**Where its own policy goes, {one} errs least**: {least.mean():.3g}, {less:.0f} % less "
-        f"than {text.markdown(second)}, the next (n = {len(least)} and {len(more)}). "
-        f"{beyond_noise(least, more)}"
+        f"**Where its own policy goes, {text.markdown(first)} errs least**: {least.mean():.3g}, "
+        f"{less:.0f} % less than {text.markdown(second)}, the next (n = {len(least)} and "
+        f"{len(more)}). {beyond_noise(least, more)}"
     )
 
 
 def beyond_noise(least: Floats, more: Floats) -> str:
     """A sentence on whether the gap of two means is larger than chance explains."""
-    if min(len(least), len(more)) < 2:
-        return "Whether that is more than noise one run cannot tell."
     gap = float(more.mean() - least.mean())
     error = float(np.sqrt(least.var(ddof=1) / len(least) + more.var(ddof=1) / len(more)))
     said = "More than noise" if means_differ(least, more) else "No more than noise"
-    few = ", though of few runs" if min(len(least), len(more)) < exams.RANKED else ""
-    return f"{said}{few}: the gap is {gap:.2g}, its standard error {error:.2g}."
+    return f"{said}: the gap is {gap:.2g}, its standard error {error:.2g}."

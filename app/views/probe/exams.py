@@ -9,7 +9,7 @@ import streamlit as st
 from app import text
 from app.data import readers
 from app.data.cache import VersionedCache
-from app.data.exams import RANKED, Exams, Ranking, Standing, exams_of, middle, ranking
+from app.data.exams import Exams, Ranking, Standing, exams_of, middle, ranking
 from app.data.readers import RunInfo
 from app.figures.exams import footprint_error_return
 from app.figures.looks import looks
@@ -36,6 +36,7 @@ OWN = (
     "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
     "them on the same buffers."
 )
+NEEDED = f"two learners with {statistics.RANKED} seeds each are needed"
 _RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache(16)
 
 
@@ -47,7 +48,7 @@ def draw(runs: Sequence[RunInfo]) -> None:
         if runs:
             st.caption(NO_EXAM.format(runs=_count(len(runs))))
         return
-    if not result.ranked:  # else the verdict is on top of the page
+    if len(result.standings) < 2:  # else the verdict is on top of the page
         st.markdown(verdict(result), help=WHAT)
     st.dataframe(table(result), hide_index=True, column_config=_columns())
     with st.container(border=True):
@@ -100,7 +101,7 @@ def verdict(result: Ranking) -> str:
             for one in result.standings
         )
         return (
-            f"**n too few to rank** (two learners with {RANKED} seeds each are needed). "
+            f"**n too few to rank** ({NEEDED}). "
             f"Where the policy goes, one step ahead in the exams{counted(result)}: {counts}."
         )
     first, second = result.ranked[:2]

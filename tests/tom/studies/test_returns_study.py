@@ -321,9 +321,6 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     wins = {(r["learner"], r["against"], r["by"]): r["wins"] for r in rows}
     assert wins["TOM, mended", "TOM", "best return"] == 1
     assert wins["TOM, mended", "MLE", "area under the curve"] == 1
-    first, preset, *_ = verdicts.returns(of_hopper)
-    assert "mended" not in first
-    assert preset == "TOM, mended, has it in 1 of 1 (hopper)."
     toms = [cell for cell in of_hopper if cell.learner == "tom"]
     assert "nothing to compare" in verdicts.returns(toms)[0]  # two presets of TOM are no rivals
 
@@ -342,16 +339,32 @@ def test_presets_that_differ_in_more_than_the_learner_are_named(store: Store):
 
 
 def test_what_is_said_is_what_was_found(store: Store):
-    cells, _ = study.select(store.runs(), "paper")
-    first, few, short, of_hopper = verdicts.returns(cells)
-    assert "0 of 2 of the paper's environments; the paper says 4 of 5" in first
-    assert "1 seed" in few
+    for seed in range(5):
+        record(store, "hopper", "pmac", seed, [50 + seed] * 3)
+        record(store, "hopper", "tom", seed, [40 + 10 * seed] * 3)  # PMAC: 52 on average
+        record(store, "hopper", "tom", seed, [51 + seed] * 3, preset="mended")
+        record(store, "walker2d", "pmac", seed, [7, 7])
+        record(store, "walker2d", "tom", seed, [6, 6])
+    cells, _ = study.select(store.runs(), "paper", "mended")
+    first, preset, few, short, left, of_hopper = verdicts.returns(cells)[:6]
+    assert "1 of 2 of the paper's environments (hopper); the paper says 4 of 5" in first
+    assert preset == "TOM, mended, has it in 1 of 1 (hopper)."
+    assert "5 seeds" in few
     assert "hopper 3000 of 125000" in short
+    assert left == "Not ranked, with fewer than 5 runs: hopper: MLE (n = 1); walker2d: MLE (n = 1)."
     assert of_hopper.startswith("hopper: compared at step 3000 of 4000, the last evaluation of ")
-    shortest = [run.run_id for c in cells for run in c.runs if "s0" not in run.run_id]
+    shortest = [run.run_id for c in cells for run in c.runs if "-tom-s0" not in run.run_id]
     assert f"{shortest[0]} (finished)" in of_hopper
-    assert of_hopper.count("-s0-") + of_hopper.count("-s1-") == 2  # MLE's run and TOM's seed 1
-    assert "nothing to compare" in verdicts.returns([c for c in cells if c.learner == "tom"])[0]
+
+
+def test_fewer_than_five_runs_are_not_ranked(store: Store):
+    cells, _ = study.select(store.runs(), "paper")
+    nothing, left, _ = verdicts.returns(cells)
+    assert "nothing to compare" in nothing
+    assert left == (
+        "Not ranked, with fewer than 5 runs: hopper: MLE (n = 1), TOM (n = 2); "
+        "walker2d: MLE (n = 1), TOM (n = 1)."
+    )
 
 
 def test_learners_with_different_settings_are_not_ranked_without_a_remark(store: Store):

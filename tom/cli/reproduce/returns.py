@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tom.analysis.scores import BEST, FINAL, HEIGHT
+from tom.analysis.statistics import RANKED
 from tom.cli.parser import seed_number
 from tom.cli.reproduce.study import (
     add_output,
@@ -98,7 +99,8 @@ def run(args: argparse.Namespace) -> int:
     if not whole:
         raise UserError(
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
-            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds 4 makes them"
+            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds {RANKED} "
+            "makes them"
         )
     runs = _with_seeds(every, args.seeds)
     groups = args.groups and [_called(group, args.preset[0]) for group in args.groups]
