@@ -14,6 +14,8 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=1, lt=2**63)]
 Whole = Annotated[int, Field(ge=0, lt=2**63)]
+Steps = Annotated[int, Field(ge=1, lt=2**60)]
+"""of a run: a recording makes twice as many, which its status must hold as a number"""
 Size = Annotated[int, Field(ge=1, lt=2**40)]
 """a count of what is in memory at once; torch cannot even ask for what is far beyond any memory"""
 
@@ -256,7 +258,7 @@ class RunConfig(Config):
     learner: str
     seed: Whole = 0
     """seed of every random stream"""
-    steps: Count = 10_000
+    steps: Steps = 10_000
     """environment steps in all (offline: steps of policy optimisation in the model)"""
     preset: str = "paper"
     device: str = "cpu"
@@ -309,7 +311,7 @@ class SacRecordingConfig(RunConfig):
     """SAC alone in a MuJoCo task after as many random steps, its whole replay kept in order."""
 
     learner: str = SAC_ALONE
-    steps: Count = 200_000
+    steps: Steps = 200_000
     """environment steps of SAC; as many random ones come before them"""
     exploration_steps: Whole = 1000
     """uniformly random steps at the start of SAC's own"""
@@ -327,7 +329,7 @@ class RoadConfig(RunConfig):
     """Offline model-based RL on road-and-rocks with a linear model (paper, section 5.1)."""
 
     env: str = "road-and-rocks"
-    steps: Count = 3000
+    steps: Steps = 3000
     """steps of policy optimisation in the model"""
     map_seed: Whole | None = None
     """seed of the rocks; default the run's seed"""

@@ -68,8 +68,8 @@ def run(args: argparse.Namespace) -> int:
     data = of_run(reader, args.step)
     region = _region(args.rows, reader, data, args.step)
     brush = _brush(args, reader, store, data, region)
-    out = args.out or _default_out(store, reader)
-    weighing_files.check_free(out)
+    name = f"{reader.run_id}-brushed"
+    weighing_files.check_free(args.out or store.new_weighing(name))
     begun, models = perf_counter(), list[BrushedFit]()
     config = SMALL.but(hidden=args.hidden, layers=args.layers)
     seeds = list(dict.fromkeys(args.seeds))
@@ -99,7 +99,8 @@ def run(args: argparse.Namespace) -> int:
         },
     }
     made = _ghosts(reader, models, args.step)
-    brush_files.write(out, region, models, report, made)
+    with weighing_files.place(args.out, store, name) as out:
+        brush_files.write(out, region, models, report, made)
     print(json.dumps({"out": str(out)}) if args.json else out)
     return 0
 
@@ -182,7 +183,3 @@ def _ghosts(reader: RunReader, fitted: list[BrushedFit], step: int) -> dict[str,
     made = ghosts(known, longest, models, dt, HORIZON)
     named = {f"x{factor:g}": qpos for factor, qpos in made.items()}
     return {"real": np.asarray(longest.qpos, np.float32), "dt": np.array(dt), **named}
-
-
-def _default_out(store: Store, reader: RunReader) -> Path:
-    return store.new_weighing(f"{reader.run_id}-brushed")

@@ -29,6 +29,8 @@ def folder(word: str) -> Path:
 
 DIGITS = 40
 """of a whole number, more than any setting takes"""
+SEEDS = 2**63
+"""seeds are less than this, as in the configuration"""
 
 
 def whole_number(word: str) -> int | None:
@@ -41,8 +43,8 @@ def seed_number(word: str) -> int:
     number, shown = whole_number(word), word[:DIGITS]
     if number is None:
         raise argparse.ArgumentTypeError(f"'{shown}' is no seed: a whole number, 0 or more")
-    if number >= 2**63:
-        raise argparse.ArgumentTypeError(f"'{shown}' is no seed: it must be less than {2**63}")
+    if number >= SEEDS:
+        raise argparse.ArgumentTypeError(f"'{shown}' is no seed: it must be less than {SEEDS}")
     return number
 
 

@@ -86,8 +86,8 @@ def run(args: argparse.Namespace) -> int:
         )  # fmt: skip
     except ValidationError as error:
         raise one_line(error) from None
-    out = args.out or _default_out(store, plan.data, args)
-    weighing_files.check_free(out)
+    name = _name(plan.data, args)
+    weighing_files.check_free(args.out or store.new_weighing(name))
     torch.set_num_threads(plan.config.threads)
     choose_matmul(plan.config.matmul)
     begun, weighed = perf_counter(), list[Weighed]()
@@ -98,15 +98,17 @@ def run(args: argparse.Namespace) -> int:
     command = shlex.join(["tom", *sys.argv[1:]])
     hours = (perf_counter() - begun) / 3600
     report = weighing_files.report(plan, weighed, args.policy, args.step, command, hours)
-    weighing_files.write(out, plan.data, weighed, args.bins, report)
+    with weighing_files.place(args.out, store, name) as out:
+        weighing_files.write(out, plan.data, weighed, args.bins, report)
     _print(report, out, args.json)
     return 0
 
 
-def _default_out(store: Store, data: OrderedData, args: argparse.Namespace) -> Path:
+def _name(data: OrderedData, args: argparse.Namespace) -> str:
+    """Of the weighing's folder, without the date."""
     by, at = _short_name(args.policy), "" if args.step is None else f"-at-{args.step}"
     name = f"{data.name}-by-{by}" if by != data.name else f"{data.name}-by-its-own"
-    return store.new_weighing(f"{name}{at}")
+    return f"{name}{at}"
 
 
 def _short_name(policy: str) -> str:

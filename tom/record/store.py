@@ -124,6 +124,16 @@ class Store:
         named = short.decode(errors="ignore") or "data"
         return folder / free_name(folder, f"{named}-{_now()}")
 
+    def make_weighing(self, name: str) -> Path:
+        """Make that folder, empty; of several processes each gets one of its own."""
+        while True:
+            made = self.new_weighing(name)
+            try:
+                made.mkdir(parents=True)
+            except FileExistsError:
+                continue  # another took it in this moment
+            return made
+
     def ensure_there(self) -> None:
         """Raises UserError if there is no such folder: a mistyped name is not an empty store."""
         try:
@@ -149,7 +159,8 @@ class Store:
 
     def _names(self) -> list[str]:
         try:
-            return sorted(entry.name for entry in os.scandir(self.path) if entry.is_dir())
+            with os.scandir(self.path) as entries:
+                return sorted(entry.name for entry in entries if _is_folder(entry))
         except FileNotFoundError:
             return []
         except OSError as error:
@@ -159,6 +170,13 @@ class Store:
         return UserError(
             f"cannot read the store {self.path}: {error.strerror}; name another with --store"
         )
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:  # a link that leads nowhere: to itself, or through what we may not enter
+        return False
 
 
 def _why(reader: RunReader) -> str:

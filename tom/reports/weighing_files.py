@@ -8,7 +8,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from tom.learners import LEARNERS
 from tom.record import decode, layout
 from tom.record.array_files import DAMAGE, NUMBERS, read_table, write_table
 from tom.record.files import read_json, replace_json, whole_folder
+from tom.record.store import Store
 from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
 from tom.record.versions import git_commit, versions
@@ -177,6 +178,28 @@ def _draw(folder: Path, data: OrderedData, weighed: Sequence[Weighed], bins: int
     ]
     share = data.ordered_from / len(data)
     save(profile_figure({data.name: panels}, {data.name: share}), folder, FIGURE)
+
+
+@contextmanager
+def place(out: Path | None, store: Store, name: str) -> Iterator[Path]:
+    """The folder of a new weighing: `out`, else one in the store that the block fills.
+
+    It is chosen when its content is there: a name that was free when the work began may be taken by
+    another's that began in the same second. After an error nothing of it remains.
+    """
+    if out is not None:
+        yield out
+        return
+    try:
+        made = store.make_weighing(name)
+    except OSError as error:
+        raise UserError(f"cannot write into {store.path}: {error.strerror}; name --out") from error
+    try:
+        yield made
+    except BaseException:
+        with suppress(OSError):
+            made.rmdir()
+        raise
 
 
 @contextmanager

@@ -2,7 +2,8 @@
 
 It trains in a folder of this machine and copies the run folder into the store as it grows. A run to
 be resumed is fetched first, unless this machine has more of it. Nothing is deleted here before the
-store has all of it. The exit code is that of `tom train`.
+store has all of it, unless another attempt has taken the run over: it makes the rest again, to the
+bit. The exit code is that of `tom train`.
 """
 
 import shutil

@@ -26,6 +26,7 @@ from tom.policy.collect import Footprint, footprint
 from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, Store
 from tom.record.writer import RunWriter
+from tom.reports.weighing_files import place
 from tom.training.presets import resolve
 
 QUICK = [
@@ -146,6 +147,12 @@ def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(
     page = (tmp_path / "README.md").read_text()
     assert f"| `{made.name}` | `sac` | `sac` | TOM, PMAC, MLE | 0 | {2 * STEPS} |" in page
     assert weigh(tmp_path, "sac", "--policy", "sac", "--seeds", "0", "--learner", "mle") == 0
+
+
+def test_a_weighing_that_cannot_be_written_leaves_no_folder(tmp_path: Path):
+    with pytest.raises(ZeroDivisionError), place(None, Store(tmp_path), "a"):
+        raise ZeroDivisionError
+    assert not [*(tmp_path / "weighings").iterdir()]
 
 
 def test_same_seed_same_bits(store: Path, tmp_path: Path):

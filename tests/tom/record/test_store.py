@@ -122,11 +122,19 @@ def test_a_task_with_a_long_name_has_runs_with_ids_of_their_own(store: Store, le
 def test_weighings_of_the_same_second_have_folders_of_their_own(store: Store):
     taken = set()
     for _ in range(3):
-        folder = store.new_weighing("hopper-by-its-own")
+        folder = store.make_weighing("hopper-by-its-own")
         assert folder.name.startswith("hopper-by-its-own-")
-        folder.mkdir(parents=True)
         taken.add(folder)
     assert len(taken) == 3
+
+
+def test_two_that_choose_one_name_at_once_get_a_folder_each(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
+    free = store.new_weighing("a")
+    choices = [free, free, free.with_name("b")]
+    monkeypatch.setattr(store, "new_weighing", lambda _: choices.pop(0))
+    assert [store.make_weighing("a") for _ in range(2)] == [free, free.with_name("b")]
 
 
 def test_recent_runs_are_those_whose_status_was_just_written(record, store: Store):
@@ -142,6 +150,12 @@ def test_a_weighings_folder_can_be_made_whatever_its_data_is_called(store: Store
     folder.mkdir(parents=True)
     assert folder.parent == store.path / "weighings"
     assert not folder.name.startswith(".")
+
+
+def test_a_link_to_itself_hides_no_run(record, store: Store):
+    record("a")
+    (store.path / "loop").symlink_to("loop")
+    assert [run.run_id for run in store.runs()] == ["a"]
 
 
 def test_a_store_that_cannot_be_reached_is_one_line(tmp_path: Path):

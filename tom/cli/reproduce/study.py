@@ -8,10 +8,13 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tom.cli.parser import folder
+from pydantic import ValidationError
+
+from tom.cli.parser import SEEDS, folder, one_line
 from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.tables import show
@@ -23,7 +26,8 @@ from tom.record.files import plain
 from tom.studies.checks import Check
 from tom.studies.progression import SAC_SEEDS, recorded, recording_config
 from tom.training.presets import PRESETS
-from tom.training.run import train
+from tom.training.resume import resume, unfinished
+from tom.training.run import Stop, train
 
 
 class Distinct(argparse.Action):
@@ -55,7 +59,12 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--env", nargs="+", default=list(SAC_SEEDS), metavar="ENV")
     parser.add_argument("--steps", type=int, default=50_000, help="steps of SAC [50000]")
     parser.add_argument(
-        "--seeds", nargs="+", type=int, action=Distinct, default=[0, 1, 2], help="TOM's [0 1 2]"
+        "--seeds",
+        nargs="+",
+        type=int,
+        action=Distinct,
+        default=[0, 1, 2],
+        help="TOM's [0 1 2]",
     )
     add_store(parser)
     add_jobs(parser)
@@ -77,13 +86,18 @@ def check_recordings(args: argparse.Namespace) -> None:
     """Raises UserError if the values of `add_recordings` or the SAC seeds are impossible."""
     if args.steps < 1000:
         raise UserError("--steps must be at least 1000")
+    for env in tasks(args.env):
+        try:
+            recording_config(env, 0, args.steps)
+        except ValidationError as error:
+            raise one_line(error) from None
     check_seeds(args.jobs, [*args.seeds, *(getattr(args, "sac_seeds", None) or ())])
 
 
 def check_seeds(jobs: int, seeds: Sequence[int]) -> None:
     """Raises UserError if a seed or the number of jobs is impossible."""
-    if min(seeds) < 0 or jobs < 1:
-        raise UserError("seeds must be at least 0 and --jobs at least 1")
+    if min(seeds) < 0 or max(seeds) >= SEEDS or jobs < 1:
+        raise UserError(f"seeds must be at least 0 and less than {SEEDS}, and --jobs at least 1")
 
 
 def check_stored(args: argparse.Namespace) -> list[str]:
@@ -155,7 +169,13 @@ def say(line: str) -> None:
 
 
 def _record(store: Store, config: SacRecordingConfig) -> RunReader:
+    """Make a recording, or go on with one that was stopped; a signal stops it with a checkpoint."""
+    stop, begun = Stop(), unfinished(store, config)
+    work = partial(resume, store, begun) if begun else partial(train, config, store)
     label = f"{config.env} sac seed {config.seed}"
-    with ProgressReport(label, config.total_steps, sys.stderr) as progress:
+    with on_stopping(stop), ProgressReport(label, config.total_steps, sys.stderr) as progress:
         command = shlex.join(["tom", *sys.argv[1:]])
-        return train(config, store, watchers=(progress.consume,), rerun=False, command=command)
+        run = work(watchers=(progress.consume,), rerun=False, command=command, stop=stop)
+    if stop.asked:
+        raise KeyboardInterrupt
+    return run
