@@ -1,6 +1,7 @@
 """`python -m app` (and `tom studio`): the studio's command line."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +20,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         plugins.load(plugins.given(sys.argv[1:] if argv is None else argv))
         args = _parser().parse_args(argv)
         store = _readable(args.store)
+        if args.screenshots and args.cinema:
+            raise UserError("--screenshots and --cinema are two commands: leave one out")
+        if args.run and not args.cinema:
+            raise UserError("--run is that of --cinema DIR: add it, or choose the run on a page")
         _check_free(args.screenshots, args.cinema)
         if args.screenshots:
             from app.servers.screenshots import (
@@ -72,10 +77,13 @@ def _readable(store: Path) -> Path:
 
 
 def _check_free(*folders: Path | None) -> None:
-    """Raises UserError for a file where a folder is to be: before any server or browser starts."""
-    for place in folders:
-        if place and place.exists() and not place.is_dir():
-            raise UserError(f"{place} is a file: name a folder")
+    """Raises UserError for a folder that cannot be made: before any server or browser starts."""
+    for place in (path.absolute() for path in folders if path):
+        there = next(path for path in (place, *place.parents) if path.exists())
+        if not there.is_dir():
+            raise UserError(f"{there} is a file: name a folder")
+        if not os.access(there, os.W_OK | os.X_OK):
+            raise UserError(f"cannot write into {there}: name another folder")
 
 
 if __name__ == "__main__":

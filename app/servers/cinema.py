@@ -21,6 +21,7 @@ from app.servers.screen_capture import LIMIT_BYTES
 from app.theme import Mode
 from tom.cli.progress import CountReport
 from tom.errors import UserError
+from tom.record.files import replace
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -95,7 +96,9 @@ def export(
         short = moving_picture(tab, seconds)
     folder.mkdir(parents=True, exist_ok=True)  # all of it is made, or none
     for name, content in (("html", page.encode()), ("mp4", film), ("webp", short)):
-        (folder / f"cinema.{name}").write_bytes(content)
+        replace(
+            folder / f"cinema.{name}", lambda file, content=content: file.write(content), sync=False
+        )
         print(folder / f"cinema.{name}", flush=True)
     return 0
 

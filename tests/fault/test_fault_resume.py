@@ -13,6 +13,7 @@ from same_records import assert_same_record
 
 from tom.cli import main
 from tom.errors import UserError
+from tom.events import Event, Tick
 from tom.record import RunReader, Store, checkpoint
 from tom.record.writer import RunWriter
 from tom.training.resume import resume
@@ -71,6 +72,22 @@ def test_another_version_of_what_decides_the_results__is_refused_until_it_is_acc
     assert any(f"{package} {version} then" in text for text in done.status.warnings)
     assert_same_record(store.run("whole"), done)
     resume(store, "a", steps=250, rerun=False)  # the versions of the last resume count
+
+
+def test_killed_twice_before_the_next_checkpoint__what_the_first_resume_said_stays(
+    store: Store,
+):
+    change(store.path / "a", lambda content: content["versions"].update(torch="1.13.1"))
+
+    def killed(event: Event) -> None:
+        if isinstance(event, Tick):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        resume(store, "a", accept_versions=True, rerun=False, watchers=(killed,))
+    done = resume(store, "a", rerun=False)
+    assert [row["kind"] for row in done.notices()].count("versions") == 1
+    assert any("torch 1.13.1 then" in text for text in done.status.warnings)
 
 
 @pytest.mark.parametrize("package", ["python", "numpy", "tom-studio"])

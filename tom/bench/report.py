@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from tom.errors import UserError, reason
+from tom.record.files import replace
 
 BEGIN, END = "<!-- bench -->", "<!-- /bench -->"
 
@@ -39,7 +40,11 @@ def page(measured: Mapping[str, Any]) -> str:
 def put(path: Path, text: str) -> None:
     """Replace the text between the lines BEGIN and END. Raises UserError if they are missing."""
     before, after = require_place(path)
-    path.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}")
+    whole = f"{before}{BEGIN}\n{text}\n{END}{after}".encode()
+    try:
+        replace(path, lambda file: file.write(whole), sync=False)
+    except OSError as error:
+        raise UserError(f"--into {path}: {reason(error)}; it is as it was") from error
 
 
 def require_place(path: Path) -> tuple[str, str]:

@@ -69,6 +69,8 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.into is not None and args.what != "parts":
+        raise UserError("--into is of the tables of `tom bench parts`: leave it out")
     if args.what == "learn":
         _check_learn(args)
         with on_stopping(signal.default_int_handler):  # its trainings must end with it

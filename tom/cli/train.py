@@ -276,7 +276,7 @@ def _print_summary(done: RunReader, as_json: bool) -> None:
         return
     print(
         f"{row['run_id']}: {row['state']} after {row['env_step']} steps, last return "
-        f"{number(row['last_return'])}, best {number(row['best_return'])}: {row['path']}"
+        f"{number(row['last_return'])}, best {number(row['best_return'])}: {terminal(row['path'])}"
     )
     print(
         f"on disk: {row['bytes'] / 1e6:.1f} MB, {row['checkpoint_bytes'] / 1e6:.1f} MB of it "

@@ -8,7 +8,7 @@ import secrets
 import shutil
 import stat
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -108,6 +108,14 @@ class JsonLines:
     def size(self) -> int:
         """Bytes in the file."""
         return os.fstat(self._file).st_size
+
+    def rows(self, since: int) -> list[dict[str, Any]]:
+        """The rows after the first `since` bytes; damaged lines are left out."""
+        read = []
+        for line in self.path.read_bytes()[since:].splitlines():
+            with suppress(ValueError):
+                read.append(json.loads(line))
+        return [row for row in read if isinstance(row, dict)]
 
     def cut(self, size: int) -> None:
         """Truncate the file to `size` bytes, and to whole rows: mended ones may be shorter."""

@@ -28,6 +28,8 @@ from tom.record.versions import git_commit, versions
 SEGMENT_ROWS = 4096
 """rows up to which a segment of the replay buffer is rewritten when new rows come"""
 
+RESUMING = ("versions", "settings", "checkpoint")
+"""the kinds of notice that a resume begins with"""
 BALLAST_BYTES = 64 * 1024
 """freed when the disk is full, as space for the final status"""
 
@@ -86,10 +88,16 @@ class RunWriter:
         }
 
     def rewind(self, mark: Mapping[str, Any]) -> None:
-        """Go back to `mark`; a resumed training writes everything after it again."""
+        """Go back to `mark`; a resumed training writes everything after it again.
+
+        What an earlier resume said stays: it is not said again, as its versions count from then on.
+        """
         digests.forget(self.path)
+        said = [row for row in self._notices.rows(mark["lines"][-1]) if row.get("kind") in RESUMING]
         for lines, size in zip(self._lines(), mark["lines"], strict=True):
             lines.cut(size)
+        for row in said:
+            self._append(self._notices, row)
         (self.path / layout.METRICS_TABLE).unlink(missing_ok=True)
         self._latest_snapshot = mark["latest_snapshot"]
         self._tail_first, self._tail = mark["segment"], []

@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tom.record.files import replace
+
 NAME = "report.html"
 WORDS = "report.json"
 Rows = Sequence[Mapping[str, object]]
@@ -64,8 +66,9 @@ def write_report(report: Report, folder: Path) -> Path:
         "found": report.findings,
         "origin": report.origin,
     }
-    (folder / WORDS).write_text(json.dumps(words, indent=1) + "\n")
-    path.write_text(f"<!doctype html><html><head>{head}</head><body>\n{body}\n</body></html>\n")
+    page = f"<!doctype html><html><head>{head}</head><body>\n{body}\n</body></html>\n"
+    for name, text in ((WORDS, json.dumps(words, indent=1) + "\n"), (NAME, page)):
+        replace(folder / name, lambda file, text=text: file.write(text.encode()), sync=False)
     return path
 
 

@@ -215,7 +215,7 @@ class Driver:
 
     def _spawn(self, words: Sequence[str], log: Path) -> Process:
         log.parent.mkdir(parents=True, exist_ok=True)
-        with log.open("a") as out:
+        with log.open("a", errors="backslashreplace") as out:  # a path may be no text
             out.write(f"$ {' '.join(words)}\n")
         return self.engine.start(words, log)
 

@@ -148,7 +148,24 @@ def test_a_file_where_pictures_are_to_go_is_said_before_any_is_made(
     assert main(["--store", str(tmp_path), option, str(tmp_path / "there")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "there is a file: name a folder" in line
+    assert main(["--store", str(tmp_path), option, str(tmp_path / "there" / "film")]) == 2
+    assert "there is a file: name a folder" in capsys.readouterr().err
     assert (tmp_path / "there").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--run", "a"], "--run is that of --cinema"),
+        (["--cinema", "film", "--screenshots", "pages"], "leave one out"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--store", str(tmp_path), *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
 
 
 def test_without_a_browser_no_part_of_a_film_is_left(

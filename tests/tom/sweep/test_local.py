@@ -68,6 +68,7 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
         ((*SMOKE, "--seeds", "0"), "--seeds 0: it is how many"),
         ((*SMOKE, "--seeds", "0", "3"), "`seeds: [0, 3]`"),
         ((*SMOKE, "--jobs", "0"), "--jobs 0"),
+        ((*SMOKE, "--jobs", "2", "--engine", "fleet"), "leave out --jobs"),
         ((*SMOKE, "--only", "1"), "runs 0 to 0"),
         ((*SMOKE, "--sac.lr", "-1"), "sac.lr"),
         ((*SMOKE, "--engine", "pbs"), "pbs"),

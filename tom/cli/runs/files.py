@@ -33,7 +33,7 @@ def add_verbs(verbs, add_verb) -> None:
         verbs, "export", export_runs, "write runs [all finished ones] in another format"
     )
     verb.add_argument("run_ids", metavar="RUN", nargs="*")
-    verb.add_argument("--format", choices=tuple(EXPORTERS), default="csv", help="[csv]")
+    verb.add_argument("--format", choices=tuple(EXPORTERS), help="[csv]")
     verb.add_argument(
         "--small", action="store_true", help="a small copy of the run folder, to show and share"
     )
@@ -87,6 +87,8 @@ def repair_runs(args: argparse.Namespace) -> int:
 def export_runs(args: argparse.Namespace) -> int:
     if args.keep and not args.small:
         raise UserError("--keep says what a small copy keeps: add --small")
+    if args.format and args.small:
+        raise UserError("--small copies run folders as they are: leave out --format")
     if args.without and not args.small:
         raise UserError("--without says what a small copy leaves out: add --small")
     if both := sorted({*args.keep} & {*args.without}):
@@ -109,7 +111,7 @@ def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
         yield export_small(run, args.out, args.keep, args.without)
         yield from copy_small(args.store, run.run_id, args.out)
     else:
-        yield export(run, args.format, args.out)
+        yield export(run, args.format or "csv", args.out)
 
 
 @contextmanager

@@ -97,7 +97,7 @@ def _named(arguments: list[str], option: str) -> set[str]:
 def run(args: argparse.Namespace) -> int:
     planned, jobs = _planned(args), _jobs(args)
     on_gpu = any(trial.config.device != "cpu" for trial in planned)
-    refuse_mismatch(args.engine, args.address, args.store, on_gpu)
+    refuse_mismatch(args.engine, args.address, args.jobs, args.store, on_gpu)
     if args.engine == "slurm" and args.only is not None:
         raise UserError("--only is given to each task of the array: leave it out")
     with open_backend(args.store, planned) as backend:
