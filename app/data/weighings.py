@@ -1,5 +1,6 @@
 """The results of `tom weigh` for a run's buffer: several learners' weights of the same rows."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ class WeighingInfo:
     path: str
     policy: str
     preset: str
+    changed: Mapping[str, str]  # settings that are not the preset's: path to text
     rows: int  # number of transitions, those of the run before `end`
     ordered_from: int  # rows before it are random data
     step: int | None  # the env step of the buffer; None: all transitions
@@ -46,7 +48,9 @@ class WeighingInfo:
     @property
     def settings(self) -> str:
         """TOM's settings of the weighing, in words."""
-        return "the run's own settings" if self.preset == "own" else f"its preset {self.preset}"
+        words = "the run's own settings" if self.preset == "own" else f"its preset {self.preset}"
+        changes = ", ".join(f"{path} {value}" for path, value in self.changed.items())
+        return f"{words}, but {changes}" if changes else words
 
     def missing(self, rows: int) -> str:
         """In words, what it leaves out of a buffer of `rows` transitions; empty if nothing."""
@@ -146,11 +150,12 @@ def _read(path: Path, rows: int) -> WeighingInfo | None:
         if not 0 <= first < weighed <= rows:
             return None
         policy, preset = str(report["policy"]), str(report["preset"])
+        changed = {str(path): str(value) for path, value in report.get("changed", {}).items()}
         step = None if report.get("step") is None else int(report["step"])
         brush = "brush" in report
         learners = frozenset(str(one["learner"]) for one in report.get("results", ()))
         return WeighingInfo(
-            str(path), policy, preset, weighed, first, step, written, brush, learners
+            str(path), policy, preset, changed, weighed, first, step, written, brush, learners
         )
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

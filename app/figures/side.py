@@ -12,7 +12,7 @@ from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, steps_in_words
 from app.figures.curves import POINTS
 from app.figures.scales import octaves, relative_scale
 from app.figures.thinning import decimate
-from app.figures.weights import AGES, bin_centres, shown_fits
+from app.figures.weights import AGES, bin_centres, lone, shown_fits
 from app.theme import Mode, learner_colour, learner_symbol
 from tom.analysis.curves import Curve
 from tom.record.profiles import Profiles
@@ -70,9 +70,9 @@ def _left_out(parts: Sequence[Part]) -> list[str]:
 def _map(profiles: Profiles, scale: Mapping[str, Any], *, bar: bool) -> go.Heatmap:
     """The weights of the shown fits, with a colour bar if `bar`."""
     shown = shown_fits(len(profiles.env_step), len(profiles.env_step) - 1)
-    weights = profiles.bins[shown].T
+    steps, weights = profiles.env_step[shown], profiles.bins[shown].T
     return go.Heatmap(
-        x=profiles.env_step[shown],
+        x=steps if len(steps) > 1 else lone(int(steps[0])),
         y=bin_centres(len(weights)),
         z=octaves(weights),
         customdata=weights,

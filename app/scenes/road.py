@@ -81,7 +81,7 @@ class RoadScene:
             "modelled": [_arrows(scene, f"{name}/modelled", field[0], field[2], colour)],
             "boulders": [self._rocks],
         }
-        words, foot = f"{self._called}, fit of step {picture.step:,}", (0.5, 1.03, 0.02)
+        words, foot = f"{self._called}, record of step {picture.step:,}", (0.5, 1.03, 0.02)
         self._title = add_words(scene, f"{name}/title", words, self.mode, foot, TITLE, TILT)
 
     @property

@@ -112,7 +112,7 @@ class RoadFrame(Frame):
             self._apply_layers()
             self._drive()
         self._drawn = drawn
-        self.words.content = f"the fit of step **{step:,}**"
+        self.words.content = f"the record of step **{step:,}**"
 
     def _fit_of(self, run: str, step: int) -> tuple[str, Picture] | None:
         """A run's fit at `step`, else the last one before; None if it was deleted or damaged."""

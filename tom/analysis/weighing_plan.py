@@ -6,7 +6,7 @@ from typing import Any
 
 from tom.analysis.ordered_data import OrderedData, after_random, find_run, load_data
 from tom.analysis.weighing import PolicyOfInterest, Weighed, load_policy, policy_env, weigh
-from tom.config import RunConfig, TomConfig
+from tom.config import RunConfig, TomConfig, in_words
 from tom.envs import Task, task
 from tom.errors import UserError, unknown
 from tom.learners import LEARNERS, with_own_settings
@@ -31,6 +31,8 @@ class WeighingPlan:
     learners: tuple[str, ...]
     seeds: tuple[int, ...]
     footprint: int
+    changed: Mapping[str, str]
+    """the settings that are not the preset's: path to text"""
 
     @property
     def steps(self) -> int:
@@ -67,7 +69,9 @@ def plan_weighing(
     rows, name = _data(data, policy, store, env, step, random)
     known = task(name)
     preset = preset or (EXACT if step is None else OWN)
-    config = _config(preset, data, store, name).but(**settings)
+    usual = _config(preset, data, store, name)
+    config = usual.but(**settings)
+    before, now = (in_words(one.model_dump(include=setting_groups())) for one in (usual, config))
     for seed in seeds:
         config.but(seed=seed)
     for learner in learners:
@@ -76,6 +80,7 @@ def plan_weighing(
     return WeighingPlan(
         rows, known, load_policy(policy, store, known, step), config, preset,
         tuple(dict.fromkeys(learners)), tuple(dict.fromkeys(seeds)), footprint,
+        {path: value for path, value in now.items() if before.get(path) != value},
     )  # fmt: skip
 
 

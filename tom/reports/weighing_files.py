@@ -129,6 +129,7 @@ def report(
         "policy": policy,
         "step": step,
         "preset": plan.preset,
+        "changed": dict(plan.changed),
         "footprint": plan.footprint,
         "config": plan.config.model_dump(include=setting_groups()),
         **summary(plan.data, weighed),

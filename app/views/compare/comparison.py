@@ -12,6 +12,7 @@ from app.figures.looks import Look, looks
 from app.parts import address
 from app.parts.eyes import Item, Row
 from tom.analysis import grouping
+from tom.analysis.curves import Group
 from tom.analysis.grouping import Kind
 
 HIDE = "hide"
@@ -50,6 +51,17 @@ class Comparison:
     def only_seeds_differ(self) -> bool:
         """Whether the runs of a group differ in nothing but the seed."""
         return self.by == grouping.USUAL
+
+    @property
+    def unit(self) -> str:
+        """What the n of a group counts."""
+        return "seeds" if self.only_seeds_differ else "runs"
+
+    def twice(self, grouped: Sequence[Group]) -> str:
+        """A remark if a seed was run twice in a group; else empty."""
+        repeated = any(len({curve.seed for curve in group.curves}) < group.n for group in grouped)
+        repeated &= self.only_seeds_differ
+        return "A seed that was run twice counts twice." if repeated else ""
 
     def rows(self) -> list[Row]:
         """The list beside the figure: one row per group, with its runs."""

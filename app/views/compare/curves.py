@@ -150,7 +150,7 @@ def _figure(
 def _remarks(
     grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, comparison: Comparison
 ) -> None:
-    unit = "seeds" if comparison.only_seeds_differ else "runs"
+    unit = comparison.unit
     words = [f"Line: {NAMES[how.statistic]} over {unit}."]
     if how.band == "bootstrap":
         words[0] += f" Band: 95 % bootstrap interval of the {NAMES[how.statistic]} "
@@ -176,8 +176,8 @@ def _remarks(
         words.append("Rows of the table end at different steps: Statistics compares at one.")
     if comparison.only_seeds_differ and any(group.variant for group in grouped):
         words.append("Settings that set runs of one learner apart are named.")
-    if comparison.only_seeds_differ and any(len({c.seed for c in g.curves}) < g.n for g in grouped):
-        words.append("A seed that was run twice counts twice.")
+    if twice := comparison.twice(grouped):
+        words.append(twice)
     if empty := sum(not len(curve.step) for curve in curves):
         have = "1 run has" if empty == 1 else f"{empty} runs have"
         words.append(f"{have} recorded nothing of this yet.")

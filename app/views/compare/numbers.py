@@ -63,9 +63,12 @@ def draw(comparison: Comparison) -> None:
     )  # fmt: skip
     drawn = [looks[group.kind] for group in grouped]
     names = [look.title for look in drawn]
+    few = statistics.remark([group.n for group in grouped]) or "Ten seeds or more"
+    twice = comparison.twice(grouped)
     st.caption(
-        f"{text.markdown(statistics.remark([group.n for group in grouped]) or 'Ten seeds or more')}"
-        f". Scores are those up to step {until:,.0f}, which every run reaches."
+        f"{text.markdown(few.replace('seed', comparison.unit.removesuffix('s')))}."
+        + (f" {twice}" if twice else "")
+        + f" Scores are those up to step {until:,.0f}, which every run reaches."
         + (f" Heights are those from step {since:,.0f}, which every run has." * (score == HEIGHT))
         + (f" Left out, as nothing was recorded until then: {', '.join(late)}." if late else "")
     )

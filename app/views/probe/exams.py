@@ -61,12 +61,15 @@ def draw(runs: Sequence[RunInfo]) -> None:
         )
         figure = footprint_error_return(exams, HEIGHT)
         chart(figure, "exams", "footprint, error in the exam and next return of every fit")
-    st.caption(" ".join(_remarks(result, len(runs) - len(exams))))
+    st.caption(" ".join(remarks(result, len(runs) - len(exams))))
 
 
-def _remarks(result: Ranking, lacking: int) -> list[str]:
+def remarks(result: Ranking, lacking: int) -> list[str]:
+    """What is to be kept in mind; `lacking`: runs that sat no exam."""
     few = statistics.remark(min(one.seeds for one in result.ranked or result.standings))
-    words = [f"{text.markdown(few)}." if few else "", OWN]
+    early = [text.markdown(one.name) for one in result.standings if not len(one.error)]
+    ended = f"Ended before step {result.until:,.0f}, so that no run counts: {'; '.join(early)}."
+    words = [f"{text.markdown(few)}." if few else "", ended if early else "", OWN]
     return [*words, NO_EXAM.format(runs=_count(lacking)) if lacking else ""]
 
 

@@ -19,6 +19,7 @@ from app.theme import learner_label
 from app.views.weights import exam, play, same_buffer
 from tom.data.sampling import bin_means
 from tom.learners import LEARNERS
+from tom.learners.base import DEGENERATE
 from tom.record.profiles import Profiles
 from tom.record.reader import at_or_before
 
@@ -172,6 +173,17 @@ def newest_fifth(bins: Floats) -> float:
     return float(fifths[-1] / fifths.sum()) if fifths.sum() > 0 else float("nan")
 
 
+def _why_even(run: RunInfo, profiles: Profiles, chosen: int) -> str:
+    """Why the weights of a learner that weighs are all the same."""
+    name, step = text.markdown(learner_label(run.learner)), int(profiles.env_step[chosen])
+    said = {(notice.get("env_step"), notice.get("kind")) for notice in readers.notices(run)}
+    if (step, DEGENERATE[0]) in said:
+        return f"{name}'s weights were unusable, so all transitions counted the same"
+    if (profiles.ess[:chosen] <= EVEN).any():
+        return f"{name} counted all transitions the same, although it had weighed before"
+    return f"{name} still counted all transitions the same: its warm-up, before it weighs"
+
+
 def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     bins = profiles.bins[chosen]
     share = newest_fifth(bins)
@@ -180,14 +192,7 @@ def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     if profiles.ess[chosen] > EVEN and not (
         run.learner in LEARNERS and LEARNERS[run.learner].uniform
     ):
-        name = text.markdown(learner_label(run.learner))
-        weighed = (profiles.ess[:chosen] <= EVEN).any()
-        st.caption(
-            f"At this fit {name} counted all transitions the same, although it had weighed before."
-            if weighed
-            else f"At this fit {name} still counted all transitions the same: its warm-up, before "
-            "it weighs."
-        )
+        st.caption(f"At this fit {_why_even(run, profiles, chosen)}.")
     columns[1].metric("transitions", f"{profiles.count[chosen]:,}")
     columns[2].metric(
         "effective sample",

@@ -8,8 +8,11 @@ from app import text
 from app.data import pictures, readers
 from app.data.exams import at_fit
 from app.data.readers import RunInfo
+from tom.config import Settings
 from tom.metrics import describe
 
+CLIPPED = ("tom", "ratio")
+"""learners whose weights a fit clips"""
 COLUMNS = {
     "footprint": "exam/footprint",
     "its noise": "exam/footprint_noise",
@@ -35,7 +38,8 @@ def of_fit(run: RunInfo, step: int) -> None:
         )
         for column, (name, path) in zip(st.columns(len(COLUMNS)), COLUMNS.items(), strict=True):
             column.metric(name, _shown(metrics.get(path)), help=describe(path))
-        st.caption(text.markdown(in_words(metrics)))
+        words = (in_words(metrics), of_which_weights(run.learner, run.settings))
+        st.caption(text.markdown(" ".join(filter(None, words))))
 
 
 def without(run: RunInfo, examined: bool) -> str:
@@ -48,6 +52,22 @@ def without(run: RunInfo, examined: bool) -> str:
     if run.status.alive:
         return "No exam yet: it is over with the next fit."
     return "This fit sat no exam."
+
+
+def of_which_weights(learner: str, settings: Settings) -> str:
+    """How the weights of an exam, the fit's, differ from those that were recorded; else empty."""
+    share = float(settings.get("model.uniform_share", 0))
+    if share == 1:
+        return (
+            "Its model was fitted with every transition counting the same (model.uniform_share 1), "
+            "and the exam is of that; the weights above choose the rollouts' starts alone."
+        )
+    changes = [f"a share of {share:g} of them uniform"] if share else []
+    if learner in CLIPPED and "model.weight_clip" in settings:
+        changes.insert(0, f"clipped at {float(settings['model.weight_clip']):g}")
+    if not changes:
+        return ""
+    return f"The exam is of the weights that the fit counts: those above, {' and '.join(changes)}."
 
 
 def in_words(metrics: Mapping[str, float]) -> str:

@@ -17,9 +17,11 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import answers, array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, info
 
+from app.data.readers import profiles
 from app.data.tables import default_level, reached
+from app.figures.side import side_by_side
 from app.links import Links
-from app.parts import replay_link, shortlinks
+from app.parts import replay_link, shortlinks, widgets
 from app.parts.plot import View
 from app.scenes.control import ReplayChoice, Selection, listen
 from app.servers.pages import routes
@@ -194,6 +196,7 @@ def test_any_setting_makes_groups(store: Path) -> None:
     assert any("2 runs are few" in caption.value for caption in app.caption)
     statistics = draw("compare", env="inverted-pendulum", group="seed", show="Statistics")
     assert statistics.dataframe[0].value["group"].tolist() == ["seed 0", "seed 1"]
+    assert any(caption.value.startswith("1 run") for caption in statistics.caption)
     assert trace(figures(statistics)[0], name="seed 0")["line"] == {**first["line"], "width": 2.4}
 
 
@@ -378,6 +381,16 @@ def test_side_by_side_has_linked_axes(store: Path) -> None:
     layout = figure["layout"]
     assert {layout[axis].get("matches") for axis in ("xaxis2", "xaxis3", "xaxis4")} == {"x"}
     assert (layout["yaxis2"]["matches"], layout["yaxis4"]["matches"]) == ("y", "y3")
+
+
+def test_side_by_side_the_only_fit_of_a_run_is_wide_enough_to_see(store: Path) -> None:
+    run = info(store, PENDULUM_TOM)
+    kept = profiles(run)
+    first = replace(kept, env_step=kept.env_step[:1], bins=kept.bins[:1])
+    figure = side_by_side([("TOM", widgets.curve(run, "eval/return"), first)], "light", 400)
+    drawn = figure.to_plotly_json()["data"]
+    (only,) = (part for part in drawn if part["type"] == "heatmap")
+    assert np.ptp(only["x"]) > 1
 
 
 def test_play_all_starts_every_replay_of_the_page(

@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,8 @@ from app.data.exams import Exams, ranking
 from app.links import Links
 from app.views.compare.measure import in_order
 from app.views.live import usual
-from app.views.probe.exams import NO_EXAM, table, verdict
-from app.views.weights.exam import about_weights, in_words
+from app.views.probe.exams import NO_EXAM, remarks, table, verdict
+from app.views.weights.exam import about_weights, in_words, of_which_weights
 from tom.record import layout
 from tom.record.reader import RunReader
 
@@ -173,6 +174,38 @@ def learners(errors: Mapping[str, list[float]]) -> list[Exams]:
         for name, values in errors.items()
         for seed, error in enumerate(values)
     ]  # fmt: skip
+
+
+def test_a_group_that_ended_early_is_named() -> None:
+    runs = learners({"MLE": [0.2] * 5, "TOM": [0.15] * 5})
+    early = [replace(one, step=np.array([50])) for one in learners({"PMAC": [0.1] * 3})]
+    result = ranking([*runs, *early])
+    assert table(result).set_index("group").loc["PMAC", "runs"] == 0
+    assert "Ended before step 100, so that no run counts: PMAC." in remarks(result, 0)
+    assert not any("Ended before" in words for words in remarks(ranking(runs), 0))
+
+
+@pytest.mark.parametrize(
+    ("learner", "settings", "said"),
+    [
+        ("mle", {"model.weight_clip": "10.0", "model.uniform_share": "0.0"}, ""),
+        ("tom", {}, ""),
+        ("tom", {"model.weight_clip": "10.0"}, "those above, clipped at 10."),
+        (
+            "ratio",
+            {"model.weight_clip": "10.0", "model.uniform_share": "0.5"},
+            "those above, clipped at 10 and a share of 0.5 of them uniform.",
+        ),
+        ("pmac", {"model.uniform_share": "0.5"}, "those above, a share of 0.5 of them uniform."),
+        ("tom", {"model.uniform_share": "1.0"}, "the weights above choose the rollouts' starts"),
+    ],
+)
+def test_an_exam_says_which_weights_it_is_of(
+    learner: str, settings: Mapping[str, str], said: str
+) -> None:
+    words = of_which_weights(learner, settings)
+    assert said in words
+    assert bool(words) == bool(said)
 
 
 def test_the_verdict_names_who_errs_least_and_by_how_much() -> None:

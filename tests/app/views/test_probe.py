@@ -68,6 +68,10 @@ def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
     found = weighings.of_run(run, ROWS)
     assert [w.name for w in found] == ["made"]
     assert found[0].policy == PENDULUM_TOM
+    assert found[0].settings == (
+        "its preset paper, but tom.discriminator_steps 30, tom.discriminator_hidden 32, "
+        "tom.q_steps 30, tom.q_hidden 32"
+    )
     assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0"), ROWS) == []
     assert found[0].missing(ROWS) == ""
     assert weighings.of_run(run, ROWS - 1) == []

@@ -446,6 +446,12 @@ def test_weights_says_where_a_fit_was_a_warm_up(
         for at in (str(step), str(last))
     ]
     assert said == [True, False]
+    notice = {"env_step": step, "kind": "degenerate-weights", "message": "every weight is zero"}
+    with (run / "notices.jsonl").open("a") as file:
+        file.write(json.dumps(notice) + "\n")
+    captions = [caption.value for caption in draw("weights", run="run", step=str(step)).caption]
+    assert any("weights were unusable" in words for words in captions)
+    assert not any("warm-up" in words for words in captions)
 
 
 def test_weights_starts_at_the_last_fit(store: Path) -> None:

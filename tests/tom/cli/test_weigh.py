@@ -83,6 +83,16 @@ def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
     assert set(report["made"]) == {"command", "git_commit", "versions", "hours"}
 
 
+def test_a_weighing_says_in_which_settings_it_differs_from_its_preset(store: Path, tmp_path: Path):
+    words = ("sac", "--policy", "sac", "--seeds", "0", "--learner", "mle", "--preset", "paper")
+    assert weigh(store, *words, "--out", str(tmp_path / "out")) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    asked = {
+        word.removeprefix("--").replace("-", "_") for word in QUICK if word.startswith("--tom")
+    }
+    assert set(report["changed"]) == asked
+
+
 def test_a_weighing_says_how_near_it_is_to_the_policy(store: Path, tmp_path: Path, capsys):
     out = tmp_path / "out"
     words = ("--seeds", "3", "--learner", "mle", "pmac", "--out", str(out))
