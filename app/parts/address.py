@@ -16,7 +16,7 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 
 T = TypeVar("T")
 _PAGE, _ARRIVED = "address: page", "address: arrived"
-_KEPT, _KEEPING = "address: kept", "address: keeping"
+_KEPT, _KEEPING, _LEFT = "address: kept", "address: keeping", "address: left"
 
 
 def visit(page: str) -> None:
@@ -29,11 +29,15 @@ def visit(page: str) -> None:
 def requested(key: str) -> list[str] | None:
     """The words of the address for a choice; None if the user's own choice counts instead.
 
-    The address counts when the user arrives at a page by a link, or by Back or Forward.
+    The address counts when the user arrives at a page by a link, or by Back or Forward. A choice
+    that this page drew before, and then did not draw for a while, is what it was.
     """
-    if key in st.session_state and not (st.session_state.get(_ARRIVED) or _went_back()):
+    if st.session_state.get(_ARRIVED) or _went_back():
+        return st.query_params.get_all(key)
+    if key in st.session_state:
         return None
-    return st.query_params.get_all(key)
+    left = st.session_state.get(_LEFT, {}).get(key)
+    return st.query_params.get_all(key) if left is None else left
 
 
 def keep(key: str, words: Sequence[str]) -> None:
@@ -44,14 +48,19 @@ def keep(key: str, words: Sequence[str]) -> None:
 def write() -> None:
     """Put the choices of this drawing into the address, and remove those that it no longer has."""
     keeping: dict[str, list[str]] = st.session_state.pop(_KEEPING, {})
-    kept = st.session_state.get(_KEPT, set())
-    for key in kept - keeping.keys():
+    kept: dict[str, list[str]] = st.session_state.get(_KEPT, {})
+    arrived = st.session_state.get(_ARRIVED, False)
+    left: dict[str, list[str]] = {} if arrived else dict(st.session_state.get(_LEFT, {}))
+    for key in kept.keys() - keeping.keys():
         st.session_state.pop(key, None)
-    st.session_state[_KEPT] = set(keeping)
+        if not arrived:  # else it is of the page's last visit
+            left[key] = kept[key]
+    st.session_state[_LEFT] = {key: left[key] for key in left.keys() - keeping.keys()}
+    st.session_state[_KEPT] = keeping
     before = {key: st.query_params.get_all(key) for key in st.query_params}
-    others = {key: words for key, words in before.items() if key not in kept | keeping.keys()}
+    others = {key: words for key, words in before.items() if key not in kept | keeping}
     after = others | {key: words for key, words in keeping.items() if words}
-    if after != before and not st.session_state.get(_ARRIVED):
+    if after != before and not arrived:
         st.query_params.from_dict(after)
 
 
@@ -113,7 +122,8 @@ def number_input(
     given = requested(key)
     if given is not None:
         st.session_state[key] = _finite(given, usual)
-    elif st.session_state.get(f"{key} of") != of:
+    left = given is None or given != st.query_params.get_all(key)
+    if left and st.session_state.get(f"{key} of") != of:
         st.session_state[key] = usual
     st.session_state[f"{key} of"] = of
     typed = widget(label, key=key, **more)

@@ -62,7 +62,8 @@ def test_a_choice_that_is_no_longer_there_leaves_the_address() -> None:
     app.selectbox[0].select("a").run()
     assert address(app) == {"on": ["false"]}
     app.selectbox[0].select("b").run()
-    assert app.multiselect[0].value == ["x"]
+    assert app.multiselect[0].value == ["y"]  # as it was left
+    assert address(app) == {"first": ["b"], "then": ["y"], "on": ["false"]}
     assert not app.exception
 
 
@@ -113,6 +114,22 @@ def test_a_number_is_in_the_address_until_it_is_of_something_else() -> None:
     app.number_input[0].set_value(7.0).run()
     app.session_state["usual"] = 7.0
     assert level(app.run()) == (7.0, {})
+
+
+def test_a_number_that_was_left_is_not_that_of_something_else() -> None:
+    script = NUMBER.replace(
+        "address.number_input(", "if st.toggle('Drawn', True): address.number_input("
+    )
+    app = AppTest.from_string(script).run()
+    app.number_input[0].set_value(7.0).run()
+    app.toggle[0].set_value(False).run()
+    assert address(app) == {}
+    app.toggle[0].set_value(True).run()
+    assert level(app) == (7.0, {"level": ["7"]})
+    app.toggle[0].set_value(False).run()
+    app.session_state["of"] = "another task"
+    app.toggle[0].set_value(True).run()
+    assert level(app) == (1.5, {})
 
 
 @pytest.mark.parametrize("word", ["", "much", "nan", "inf", "1e999"])
