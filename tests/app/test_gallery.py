@@ -15,6 +15,7 @@ from app import text
 from app.data import studies
 from app.links import Links
 from app.theme import learner_label
+from app.views.compare.numbers import NO_SAC
 from tom.analysis.imagine import stored_step
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
@@ -180,6 +181,14 @@ def test_weights_draws_its_last_fit(run: RunReader) -> None:
     drawn = figures(draw("weights", run=run.run_id))
     assert array(drawn[1]["data"][0]["y"]) == pytest.approx(run.profiles().bins[-1])
     assert len(drawn) > 3  # what weights go with: the buffer is there
+
+
+@pytest.mark.usefixtures("shown")
+def test_statistics_compare_no_recording_of_sac() -> None:
+    app = draw("compare", env="walker2d", show="Statistics", task="walker2d")
+    assert NO_SAC in [caption.value for caption in app.caption]
+    assert not any("nothing was recorded" in caption.value for caption in app.caption)
+    assert not any("SAC" in name for name in app.dataframe[0].value["group"])
 
 
 @pytest.mark.parametrize("run", MUJOCO)

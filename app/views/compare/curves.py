@@ -20,6 +20,7 @@ from app.views.compare.measure import Measure
 from tom.analysis import statistics
 from tom.analysis.curves import Curve, Group
 from tom.analysis.scores import common_step
+from tom.config import SAC_ALONE
 from tom.harmless import as_csv
 
 Files = Mapping[str, tuple[Callable[[], pd.DataFrame], str]]
@@ -178,6 +179,8 @@ def _remarks(
         words.append("Settings that set runs of one learner apart are named.")
     if twice := comparison.twice(grouped):
         words.append(twice)
+    if any(curve.learner == SAC_ALONE for curve in curves):
+        words.append("The first half of a recording of SAC is random steps, which count here.")
     if empty := sum(not len(curve.step) for curve in curves):
         have = "1 run has" if empty == 1 else f"{empty} runs have"
         words.append(f"{have} recorded nothing of this yet.")

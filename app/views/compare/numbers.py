@@ -32,8 +32,13 @@ from tom.analysis.scores import (
     interval,
     scores_of,
 )
+from tom.config import SAC_ALONE
 
 THRESHOLDS = 61
+NO_SAC = (
+    "Recordings of SAC are left out: their first half is random steps that SAC never learns from, "
+    "so at the same step it has made fewer of its own."
+)
 
 
 def draw(comparison: Comparison) -> None:
@@ -41,7 +46,9 @@ def draw(comparison: Comparison) -> None:
     row = st.columns([3, 4, 3, 3], vertical_alignment="bottom")
     runs, looks = comparison.shown, comparison.looks
     env, name, score = _pick(row, runs)
-    here = [run for run in runs if run.env == env]
+    here = [run for run in runs if run.env == env and run.learner != SAC_ALONE]
+    if len(here) < sum(run.env == env for run in runs):
+        st.caption(NO_SAC)
     _, grouped = measure.grouped(here, comparison.kinds, name)
     if not grouped:
         st.info("None of these runs has been evaluated yet.")
