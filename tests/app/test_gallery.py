@@ -184,6 +184,17 @@ def test_weights_draws_its_last_fit(run: RunReader) -> None:
 
 
 @pytest.mark.usefixtures("shown")
+def test_weights_says_that_a_small_copy_keeps_some_of_the_fits() -> None:
+    said = {}
+    for run in TRAINED:
+        if run.env == "hopper" and (fits := len(run.profiles().env_step)) not in said:
+            app = draw("weights", run=run.run_id)
+            said[fits] = any("120 fits at most" in caption.value for caption in app.caption)
+    assert len(said) > 1
+    assert said == {fits: fits == 120 for fits in said}
+
+
+@pytest.mark.usefixtures("shown")
 def test_statistics_compare_no_recording_of_sac() -> None:
     app = draw("compare", env="walker2d", show="Statistics", task="walker2d")
     assert NO_SAC in [caption.value for caption in app.caption]

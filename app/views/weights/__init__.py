@@ -22,6 +22,7 @@ from tom.learners import LEARNERS
 from tom.learners.base import DEGENERATE
 from tom.record.profiles import Profiles
 from tom.record.reader import at_or_before
+from tom.record.thin import FITS
 
 TITLE = "Weights"
 ICON = ":material/gradient:"
@@ -90,6 +91,8 @@ def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -
         figure = with_returns(figure, widgets.curve(run, "eval/return"), step)
         words = "weight of each part of the buffer at every fit, and the returns below"
         chart(figure, "weight map", words, partial(_choose, profiles.env_step.tolist()))
+        if run.small_copy and len(profiles.env_step) >= FITS:
+            st.caption(f"A small copy keeps {FITS} fits at most, spread over the run.")
     with right, st.container(border=True):
         step = profiles.env_step[chosen]
         st.markdown(f"**The fit at step {step:,}**: dashed: every transition counts the same")
