@@ -60,6 +60,7 @@ class Recorder:
         self._timer = timer
         self._started = timer()
         self._last_row = (self._started, 0)
+        self._timed = -1  # the step of the last row with times
         self._pending: dict[str, float] = {}
         self._pending_step = 0
         self._record_s = 0.0
@@ -215,8 +216,9 @@ class Recorder:
         if not self._pending:
             return
         step = self._pending_step
-        # Metrics of an earlier step (a fit's exam) have no time of their own.
-        late = step < self._heartbeat.status.env_step
+        # Metrics of an earlier step (a fit's exam) have no time of their own, and of a step that is
+        # told in two rows the first counts: an evaluation is not as late as the fit that follows.
+        late = step < self._heartbeat.status.env_step or step == self._timed
         values = self._pending | ({} if late else self._times(step))
         self._pending = {}
         self._writer.metrics({"env_step": step, **values})
@@ -224,7 +226,7 @@ class Recorder:
             self._sink.metrics(step, values)
 
     def _times(self, step: int) -> dict[str, float]:
-        now = self._timer()
+        now, self._timed = self._timer(), step
         then, step_then = self._last_row
         times = {
             "time/wall_s": now - self._started,

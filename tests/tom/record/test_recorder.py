@@ -38,6 +38,17 @@ def test_metrics_are_one_row_a_step(record):
     assert (table["time/record_s"] >= 0).all()
 
 
+def test_a_step_told_in_two_rows_has_the_time_of_the_first(store: Store):
+    now = [0.0]
+    with Recorder(RunWriter.create(store, "run", Config), timer=lambda: now[0]) as recorder:
+        for name, at in (("eval/return", 100.0), ("model/rounds", 112.0)):
+            now[0] = at
+            recorder.consume(Metrics(9000, {name: 1.0}))
+            recorder.consume(Tick(9000, "fit"))
+    (row,) = store.run("run").metrics().to_dict("records")
+    assert (row["eval/return"], row["model/rounds"], row["time/wall_s"]) == (1, 1, 100)
+
+
 def test_what_is_told_of_an_earlier_step_is_in_its_row_and_changes_no_time(store: Store):
     now = [0.0]
     writer = RunWriter.create(store, "run", Config)
