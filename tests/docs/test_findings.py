@@ -116,6 +116,13 @@ def test_what_weights_do_for_models_of_each_size() -> None:
             made[names[row["way"]]].append(f"{ratio} [{', '.join(ends)}] {less}")
     assert {name: told for name, *told in rows("weights | linear")} == made
     assert all(len(told) == len(MODELS) for told in made.values())
+    after: dict[str, list[str]] = {name: [] for name in names.values()}
+    for row in capacity.summary(measured("capacity")):
+        if row["way"] in names:
+            below = round(row["five steps, below 1"] * row["n"])
+            told = f"{row['five steps']:.2f}".removeprefix("0")
+            after[names[row["way"]]].append(f"{told} {below} of {row['n']}")
+    assert {name: told for name, *told in rows("weights, five steps ahead")} == after
 
 
 def test_the_scores_at_the_planned_end() -> None:
