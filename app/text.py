@@ -33,6 +33,13 @@ def number(value: float | None, digits: int = 1) -> str:
     return f"{value:,.{digits}f}"
 
 
+def score(value: float | None) -> str:
+    """A return as text, with three digits if it is less than 1; a dash for None."""
+    if value is None or not math.isfinite(value) or value == 0 or abs(value) >= 1:
+        return number(value)
+    return short(value)
+
+
 def short(value: float) -> str:
     """A measure with three digits; a dash if it is not finite."""
     return f"{value:.3g}" if math.isfinite(value) else "-"

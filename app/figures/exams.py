@@ -92,7 +92,7 @@ def hover(run: Exams) -> list[str]:
         lines.append(
             f"{who}<br>fit at step {step:,}<br>footprint {footprint}"
             f"<br>error {text.short(run.error[i])}, five steps {text.short(run.rollout_error[i])}"
-            f"<br>return of the next evaluation {text.number(float(run.returns[i]))}"
+            f"<br>return of the next evaluation {text.score(float(run.returns[i]))}"
         )
     return lines
 

@@ -28,7 +28,7 @@ def return_curve(
             mode="lines+markers" if len(steps) < 60 else "lines",
             line={"color": colour, "width": 2},
             marker={"size": 7, "symbol": learner_symbol(curve.learner)},
-            hovertemplate="step %{x:,}<br>mean return %{y:,.1f}<extra></extra>",
+            hovertemplate="step %{x:,}<br>mean return %{y:,.5~g}<extra></extra>",
         )
     )
     at_rest = {"size": 9, "symbol": "line-ew", "line": {"width": 2, "color": NEUTRAL}}
@@ -47,7 +47,7 @@ def return_curve(
                 name=name,
                 mode="markers",
                 marker=marker,
-                hovertemplate="episode %{customdata}<br>return %{y:,.1f}<extra></extra>",
+                hovertemplate="episode %{customdata}<br>return %{y:,.5~g}<extra></extra>",
             )
         )
     styled(figure, steps_in_words([curve.env]), height, keep=f"returns {curve.run_id}")

@@ -87,7 +87,7 @@ def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:
             line={"color": learner_colour(curve.learner), "width": 1.8},
             marker={"size": 5},
             showlegend=False,
-            hovertemplate="step %{x:,}<br>return %{y:,.1f}<extra></extra>",
+            hovertemplate="step %{x:,}<br>return %{y:,.5~g}<extra></extra>",
         )
     )
     below = {**Y_AXIS, "domain": [0, 0.24], "title": {"text": "return"}, "anchor": "x"}

@@ -65,8 +65,8 @@ def figures(run: RunInfo) -> list[tuple[str, str]]:
     """The returns, and the speed of a training run, which is unknown during a fit."""
     status = run.status
     numbers = [
-        ("last return", text.number(status.last_return)),
-        ("best return", text.number(status.best_return)),
+        ("last return", text.score(status.last_return)),
+        ("best return", text.score(status.best_return)),
     ]
     if status.alive:
         numbers.append(("steps / s", text.number(status.env_steps_per_s or None)))

@@ -112,7 +112,7 @@ def _head(rows: Rows, row: int) -> None:
     columns[0].metric("weight", text.number(float(rows.weight[row]), 3))
     columns[1].metric("heavier than", f"{100 * lighter:.1f} %", help="of the buffer")
     columns[2].metric("its step in its episode", f"{rows.place[row] + 1:,}")
-    columns[3].metric("return of that episode", text.number(float(rows.episode_return[row])))
+    columns[3].metric("return of that episode", text.score(float(rows.episode_return[row])))
     ends = "yes" if rows.rows.numpy().ended()[row] else "no"
     columns[4].metric("ends the episode", ends)
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from app import text
 from app.data import replays
 from app.data.replays import Replay
 from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice, Selection
@@ -206,6 +207,7 @@ class ReplayFrame(Frame):
         self.words.content = (
             f"{frame * replay.dt:.2f} s of {len(reward) * replay.dt:.2f} s  \n"
             f"reward now **{now:.2f}**  \n"
-            f"return so far **{reward[:frame].sum():,.1f}** of {reward.sum():,.1f}"
+            f"return so far **{text.score(float(reward[:frame].sum()))}** of "
+            f"{text.score(float(reward.sum()))}"
         )
         self.curve.data = self._curve_data(replay, frame)

@@ -217,7 +217,7 @@ def test_replays_plays_its_last_episode(run: RunReader) -> None:
     app = draw("replays", run=run.run_id)
     shown = {metric.label: metric.value for metric in app.metric}
     episode = run.episodes(run.evaluation_steps()[-1])[0]
-    assert shown["return"] == text.number(episode.undiscounted_return)
+    assert shown["return"] == text.score(episode.undiscounted_return)
     assert (shown["return, imagined"] != "-") == (stored_step(run) is not None)
 
 

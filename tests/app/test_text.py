@@ -30,6 +30,15 @@ def test_number(value: float | None, shown: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("value", "shown"),
+    [(None, "-"), (float("nan"), "-"), (0.0, "0.0"), (0.0432, "0.0432"), (-0.5, "-0.5"),
+     (5.32, "5.3"), (-1234.56, "-1,234.6")],
+)  # fmt: skip
+def test_a_return_that_is_small_keeps_its_digits(value: float | None, shown: str) -> None:
+    assert text.score(value) == shown
+
+
+@pytest.mark.parametrize(
     ("seconds", "shown"),
     [(None, "-"), (4.4, "4 s"), (75, "1 min 15 s"), (7260, "2 h 01 min"), (-1, "-")],
 )

@@ -37,6 +37,11 @@ function words(text, x, y, size, { align = "left", bold = false, alpha = 1, colo
   CTX.fillText(text, x, y);
 }
 
+// A return: whole, but with two digits where it is small.
+function score(value) {
+  return number(value, Math.abs(value) < 10 ? 2 : 0);
+}
+
 function number(value, digits = 0) {
   return value.toLocaleString("en-US", { maximumFractionDigits: digits });
 }
@@ -153,7 +158,7 @@ function drawReturns(step) {
     CTX.beginPath();
     CTX.arc(...at, 4.5, 0, 7);
     CTX.fill();
-    words(number(value[now]), CURVE.right, CURVE.top - 10, 13, { align: "right", bold: true });
+    words(score(value[now]), CURVE.right, CURVE.top - 10, 13, { align: "right", bold: true });
   }
   cursor(CURVE, step);
 }
@@ -261,7 +266,7 @@ function drawPolicy(episode, seconds) {
     x: 432, y: 690, scale: Math.min(116 / TALL, 200), colour: rgb(LOOK.learner),
     edge: css(mixed(rgb(LOOK.learner), [0, 0, 0], 0.45), 0.9),
   });
-  const said = `the policy of step ${number(episode.step)}, return ${number(episode.return)}`;
+  const said = `the policy of step ${number(episode.step)}, return ${score(episode.return)}`;
   words(said, STAGE.left, 716, 13, { alpha: 0.85, bold: true });
 }
 
