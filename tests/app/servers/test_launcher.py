@@ -19,7 +19,7 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM
 
 from app.__main__ import main
 from app.servers import launcher
-from app.servers.launcher import Studio, servers
+from app.servers.launcher import Studio, in_words, servers
 from app.servers.processes import Server, free_port, is_free
 
 START_S = 90
@@ -57,6 +57,11 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
         time.sleep(0.05)
     assert not [pid for pid in children if alive(pid)]
     assert is_free("127.0.0.1", port)
+
+
+def test_a_store_that_is_not_there_yet_is_said_to_be_so(tmp_path: Path) -> None:
+    assert in_words(tmp_path) == f"store {tmp_path}"
+    assert in_words(tmp_path / "rnus") == f"store {tmp_path / 'rnus'}, which is not there yet"
 
 
 def test_two_studios_launched_at_once_each_serve_their_own_store(tmp_path: Path) -> None:
