@@ -36,6 +36,8 @@ OWN = (
     "differ in policy and data too; `tom reproduce footprint` and `tom reproduce capacity` compare "
     "them on the same buffers."
 )
+NAMED = 3
+"""groups that a sentence names at most"""
 NEEDED = f"two learners with {statistics.RANKED} seeds each are needed"
 _RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache(16)
 
@@ -103,6 +105,8 @@ def verdict(result: Ranking) -> str:
             f"{text.markdown(one.name)}: {_runs(one)}, typical error {text.short(one.typical)}"
             for one in result.standings
         )
+        if len(result.standings) > NAMED:
+            counts = f"the errors of {len(result.standings)} groups stand in the table below"
         return (
             f"**n too few to rank** ({NEEDED}). "
             f"Where the policy goes, one step ahead in the exams{counted(result)}: {counts}."

@@ -176,6 +176,13 @@ def learners(errors: Mapping[str, list[float]]) -> list[Exams]:
     ]  # fmt: skip
 
 
+def test_many_groups_are_left_to_the_table() -> None:
+    few = {name: [0.1] * 2 for name in ("MLE", "TOM", "PMAC")}
+    assert "TOM: 2 runs, 2 fits, typical error 0.1" in verdict(ranking(learners(few)))
+    said = verdict(ranking(learners({**few, "Ratio": [0.1] * 2})))
+    assert said.endswith("the errors of 4 groups stand in the table below.")
+
+
 def test_a_group_that_ended_early_is_named() -> None:
     runs = learners({"MLE": [0.2] * 5, "TOM": [0.15] * 5})
     early = [replace(one, step=np.array([50])) for one in learners({"PMAC": [0.1] * 3})]
