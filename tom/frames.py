@@ -92,9 +92,10 @@ class Weighing:
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row per learner and seed: the match to the policy, and the effective sample size."""
+        """One row per learner and seed: match to the policy, effective sample size, or NaN."""
         results = pd.DataFrame(self.report["results"])
-        return results.loc[:, [name for name in SHOWN if name in results]]
+        table = results.loc[:, [name for name in SHOWN if name in results]]
+        return table.astype(dict.fromkeys(table.columns[2:], float))
 
     @property
     def profiles(self) -> pd.DataFrame:

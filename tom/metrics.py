@@ -51,8 +51,8 @@ METRICS: dict[str, str] = {
     "model/error_rocks": "one-step error on the rocks under random actions, in full steps",
     "exam/footprint": "energy distance of (s, a, s' - s) between the weighted buffer and the exam, over exam/footprint_uniform "
     f"(1: no better than no weights, 0: like the policy itself; noise where that is not well above zero); {EXAM}",
-    "exam/footprint_se": "standard error of exam/footprint, by a jackknife over ten stretches of the exam; "
-    "far too small where one or two episodes fill it, because it cannot see how episodes differ",
+    "exam/footprint_se": "standard error of exam/footprint over the policy's episodes, the buffer given, by a jackknife over groups "
+    "of whole episodes; absent with fewer than five (runs before 2026-11-26: over ten stretches, far too small there)",
     "exam/footprint_uniform": "energy distance (z-scored, unbiased) between the buffer without weights and the exam",
     "exam/footprint_noise": "energy distance between two halves of the exam, over exam/footprint_uniform: a bound for the noise "
     "where they are whole episodes, far too large where they are the halves of one",

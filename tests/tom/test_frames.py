@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,10 @@ def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: 
     assert isinstance(again, Weighing)
     pd.testing.assert_frame_equal(again.weights, weighing.weights)
     assert again.table["ess"].tolist() == pytest.approx(weighing.table["ess"])
+    results = [{**result, "footprint_se": None} for result in again.report["results"]]
+    without = replace(again, report={**again.report, "results": results}).table["footprint_se"]
+    assert without.isna().all()
+    assert without.dtype == float
     with pytest.raises(UserError, match="exists already"):
         weighing.save(out)
     with pytest.raises(UserError, match="was loaded from a folder: copy that folder"):

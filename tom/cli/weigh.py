@@ -29,8 +29,8 @@ MOST_BINS = 10_000
 COLUMNS = ("footprint", "footprint_se", "footprint_noise")
 FOOTPRINT = (
     "footprint: distance to fresh episodes of the policy, 1 without weights, 0 for its own; "
-    "se: its standard error (too small where one or two episodes fill them); noise: the distance "
-    "of two halves of those episodes"
+    "se: its standard error over those episodes (-: fewer than five); noise: the distance of two "
+    "halves of them"
 )
 SETTINGS = ("tom.", "pmac.", "vagram.", "threads", "matmul")
 

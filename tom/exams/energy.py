@@ -19,8 +19,8 @@ from tom.data.transitions import TensorTransitions
 
 DRAWS = 2000
 """draws from a buffer, and maximum rows of a footprint, that are compared"""
-STRETCHES = 10
-"""parts of a footprint in time for the jackknife, because neighbouring steps are correlated"""
+GROUPS, FEWEST = 10, 5
+"""most and fewest groups of whole episodes for the jackknife: steps within one are correlated"""
 MOMENTS = 20_000
 """maximum rows of a buffer from which its moments are computed"""
 
@@ -68,17 +68,18 @@ def footprint_match(
 
     `footprint_uniform` is E between the unweighted buffer and the footprint (rows in order). The
     others are divided by it: `footprint`, E of the weighted buffer (1: no better than no weights,
-    0: like the policy itself); `footprint_se`, its standard error by a jackknife over `STRETCHES`
-    of the footprint; `footprint_noise`, E between two halves of the footprint (`first_half`).
-    Values that cannot be measured are left out: with too few rows, and ratios if
-    `footprint_uniform` is not positive.
+    0: like the policy itself); `footprint_se`, its standard error over the policy's episodes, the
+    buffer given, by a jackknife over groups of these (`_selections`); `footprint_noise`, E between
+    two halves of the footprint (`first_half`). Values that cannot be measured are left out: with
+    too few rows or episodes, and ratios if `footprint_uniform` is not positive.
     """
     every = _stride(len(footprint), DRAWS)
-    # The halves are those of all rows: few of the thinned ones end an episode.
-    z, first = scaling(footprint[every].moves()).double(), first_half(footprint)[every]
+    # Episodes and halves are those of all rows: few of the thinned ones end an episode.
+    episodes, first = (of(footprint)[every] for of in (episode_numbers, first_half))
+    z = scaling(footprint[every].moves()).double()
     u = torch.rand(DRAWS, dtype=torch.float64, generator=generator, device=generator.device)
     u = (torch.arange(DRAWS, device=u.device) // 2 + u) / (DRAWS // 2)  # `drawn_distance`
-    apart, kept = torch.cdist(z, z), _selections(len(z), z.device)
+    apart, kept = torch.cdist(z, z), _selections(episodes)
 
     def distances(by: Tensor) -> Tensor:
         """Both use the same random numbers, so that equal weights give exactly equal distances."""
@@ -95,7 +96,8 @@ def footprint_match(
         ratio = distances(weights) / uniform
         metrics["footprint"] = float(ratio[0])
         if len(ratio) > 1:
-            metrics["footprint_se"] = float((ratio[1:].var(correction=0) * (STRETCHES - 1)).sqrt())
+            spread = ratio[1:].var(correction=0) * (len(ratio) - 2)
+            metrics["footprint_se"] = float(spread.sqrt())
         metrics["footprint_noise"] = energy_distance(z[first], z[~first]) / float(uniform[0])
     return {name: value for name, value in metrics.items() if isfinite(value)}
 
@@ -109,16 +111,21 @@ def informative(noise: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     return np.abs(np.asarray(noise, np.float64)) < 1
 
 
-def _selections(n: int, device: torch.device) -> Tensor:
-    """Masks (n, 1 + STRETCHES) of 0 and 1: all n rows, then all except one of `STRETCHES` in turn.
+def _selections(episodes: Tensor) -> Tensor:
+    """Masks (N, 1 + G) of 0 and 1: all rows, then all except one of G groups in turn.
 
-    Only the first mask if a stretch would have fewer than two rows.
+    A group is the neighbouring episodes whose middles lie in the same of `GROUPS` equal stretches
+    of the N rows, of which `episodes` (N,) has the numbers. With fewer than `FEWEST` groups there
+    is only the first mask.
     """
+    n, device = len(episodes), episodes.device
     every = torch.ones(n, 1, dtype=torch.float64, device=device)
-    if n < 2 * STRETCHES:
+    length = episodes.unique_consecutive(return_counts=True)[1]
+    stretch = (2 * length.cumsum(0) - length) * GROUPS // (2 * n)
+    groups = stretch.unique()
+    if len(groups) < FEWEST:
         return every
-    stretch = torch.arange(n, device=device) * STRETCHES // n
-    without = stretch[:, None] != torch.arange(STRETCHES, device=device)
+    without = stretch.repeat_interleave(length)[:, None] != groups
     return torch.cat((every, without.double()), 1)
 
 

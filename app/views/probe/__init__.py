@@ -146,8 +146,8 @@ def _columns() -> dict:
         "footprint": st.column_config.TextColumn(
             width=96,
             help="distance of the weighted buffer to fresh episodes of the policy over that of the "
-            "unweighted buffer, ± its standard error (too small where one or two episodes "
-            "fill them): 1 is no better than no weights, 0 like the policy itself",
+            "unweighted buffer, ± its standard error over those episodes (if there are five or "
+            "more): 1 is no better than no weights, 0 like the policy itself",
         ),
         "ESS": number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
         "zero": number(format="percent", help="share of transitions with weight zero"),

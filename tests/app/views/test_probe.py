@@ -92,6 +92,12 @@ def test_the_table_says_how_far_each_learners_weights_lie_from_the_policy(weighe
     )
     assert table["TOM"] == f"{value:.2f} ± {error:.2f}"
     assert table["MLE"].startswith("1.00")  # the buffer without weights
+    report = json.loads((weighed / "report.json").read_text())
+    for result in report["results"]:
+        result["footprint_se"] = None  # of fewer than five episodes
+    (weighed / "report.json").write_text(json.dumps(report))
+    shown = draw("probe", run=PENDULUM_TOM).dataframe[0].value
+    assert f"{value:.2f}" in shown["footprint"].tolist()
 
 
 def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) -> None:

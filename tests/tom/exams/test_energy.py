@@ -1,5 +1,6 @@
 """The energy distance against its formula and against distributions where it is known."""
 
+from collections.abc import Sequence
 from math import erf, exp, isnan, pi, sqrt
 
 import pytest
@@ -9,6 +10,7 @@ from torch import Tensor
 from tom.data.sampling import WeightedSampler
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
+from tom.exams import energy
 from tom.exams.energy import (
     drawn_distance,
     energy_distance,
@@ -154,39 +156,61 @@ def test_draws_stand_for_the_whole_weighted_buffer():
 
 def test_equal_weights_are_equal_to_the_last_bit():
     buffer = torch.randn(500, generator=generator())
-    found = match(buffer, torch.full((500,), 0.7), line(buffer[:40] + 1))
+    found = match(buffer, torch.full((500,), 0.7), line(buffer[:40] + 1, list(range(3, 40, 4))))
     assert found["footprint"] == 1.0
     assert found["footprint_se"] == 0.0
 
 
-def test_the_standard_error_is_the_spread_over_footprints():
-    """Of independent rows, and of rows that stay for a while where they are."""
-    g = generator()
-    buffer = torch.randn(1000, generator=g)
-    weights = (buffer > 0).float()
-    for repeats in (1, 5):
-        found = []
-        for seed in range(200):
-            met = torch.randn(200 // repeats, generator=g).repeat_interleave(repeats) + 1
-            found.append(match(buffer, weights, line(met), seed))
-        ratio, error = (
-            torch.tensor([one[name] for one in found]) for name in ("footprint", "footprint_se")
-        )
-        assert float(error.square().mean().sqrt()) == pytest.approx(float(ratio.std()), rel=0.25)
+@pytest.mark.parametrize(("episodes", "length"), [(200, 1), (40, 5), (5, 40)])
+def test_the_standard_error_is_the_spread_over_footprints(
+    episodes: int, length: int, monkeypatch: pytest.MonkeyPatch
+):
+    """Of independent rows, and of many and few episodes that differ; the buffer's draws stay."""
+    monkeypatch.setattr(energy, "DRAWS", 300)
+    g, found = generator(), []
+    buffer, ends = torch.randn(1000, generator=g), list(range(length - 1, 200, length))
+    for _ in range(200):
+        of_episode = torch.randn(episodes, generator=g).repeat_interleave(length)
+        met = 2 + 0.7 * of_episode + 0.3 * torch.randn(200, generator=g)
+        found.append(match(buffer, (buffer > 0).float(), line(met, ends)))
+    ratio, error = (
+        torch.tensor([one[name] for one in found]) for name in ("footprint", "footprint_se")
+    )
+    assert float(error.square().mean().sqrt()) == pytest.approx(float(ratio.std()), rel=0.25)
 
 
-def test_the_standard_error_is_a_jackknife_over_ten_stretches():
+def of_episodes(lengths: list[int], left_out: Sequence[int] = ()) -> dict[str, float]:
+    """The match of a footprint of episodes of such lengths, without those `left_out`."""
     g = generator()
-    buffer, met = torch.randn(300, generator=g), torch.randn(47, generator=g) + 2
+    buffer, met = torch.randn(300, generator=g), torch.randn(sum(lengths), generator=g) + 2
     weights = torch.rand(300, generator=g) ** 2
-    found = match(buffer, weights, line(met))
-    without = []
-    for stretch in range(10):
-        rest = [met[i] for i in range(47) if i * 10 // 47 != stretch]
-        without.append(match(buffer, weights, line(torch.stack(rest)))["footprint"])
-    spread = torch.tensor(without).std(correction=0)
-    assert found["footprint_se"] == pytest.approx(3 * float(spread), rel=1e-4)
-    assert "footprint_se" not in match(buffer, weights, line(met[:19]))
+    parts = [part for i, part in enumerate(met.split(lengths)) if i not in left_out]
+    ends = torch.tensor([len(part) for part in parts]).cumsum(0) - 1
+    return match(buffer, weights, line(torch.cat(parts), ends.tolist()))
+
+
+@pytest.mark.parametrize(
+    ("lengths", "groups"),
+    [
+        ([9, 4, 8, 5, 21], [[0], [1], [2], [3], [4]]),
+        ([10, 1, 1, 1, 10, 9, 8, 10], [[0], [1, 2, 3], [4], [5], [6], [7]]),
+        ([3] * 30, [[3 * i, 3 * i + 1, 3 * i + 2] for i in range(10)]),
+    ],
+)
+def test_the_standard_error_is_a_jackknife_over_groups_of_whole_episodes(
+    lengths: list[int], groups: list[list[int]]
+):
+    without = torch.tensor([of_episodes(lengths, group)["footprint"] for group in groups])
+    expected = sqrt(len(groups) - 1) * float(without.std(correction=0))
+    assert of_episodes(lengths)["footprint_se"] == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("lengths", [[200], [100, 100], [50, 50, 50, 50], [3, 3, 3, 3, 3, 185]])
+def test_a_few_episodes_have_no_standard_error(lengths: list[int]):
+    """Nor has one long episode beside a few short ones."""
+    found = of_episodes(lengths)
+    assert "footprint" in found
+    assert "footprint_se" not in found
 
 
 def test_what_cannot_be_measured_is_left_out():
