@@ -1,17 +1,18 @@
-"""The tables of the returns study about fits: their exams, and the rollouts in their models."""
+"""The tables of the returns study about fits: exams, rollouts in their models, wins in both."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from tom.analysis.scores import interval
-from tom.analysis.statistics import remark
+from tom.analysis.scores import beats, chance, interval
+from tom.analysis.statistics import corrected, remark
 from tom.exams.counted import counted_from
 from tom.exams.energy import informative
 from tom.learners.base import HEAVY
 from tom.record import RunReader
-from tom.studies.returns import Array, Cell, compared_at, envs_of
+from tom.studies.returns import Array, Cell, Method, compared_at, envs_of
+from tom.studies.returns_tables import contests
 
 FOOTPRINT, NOISE = "exam/footprint", "exam/footprint_noise"
 EXAMS = {
@@ -24,6 +25,8 @@ FALLS, POLICY_FALLS = "rollout/terminated", "weights/ends_policy"
 LARGEST, SIZE = "weights/max", "buffer/size"
 ROLLOUTS = ("falls", "heavy rows")
 """the reported numbers of a learner's rollouts"""
+COMPARED = (*EXAMS.values(), "falls")
+"""the numbers in which learners are compared"""
 
 Span = tuple[float, float]
 """the first and the last step whose fits count"""
@@ -53,17 +56,71 @@ def rollouts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     return _table(cells, _rollouts)
 
 
-def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
+def less(cells: Sequence[Cell], *, planned: bool = False) -> list[dict[str, Any]]:
+    """How often a run of a learner has a smaller number of COMPARED than a run of another.
+
+    The numbers are those of single runs that `exams` and `rollouts` have the means of. Pairs, p and
+    its correction for the number of rows are those of `improvement`.
+    """
+    label = {cell.method: cell.label for cell in cells}
+    numbers: dict[tuple[str, str, Method], list[float]] = {}
+    for cell, told in [*_told(cells, _exam_medians), *_told(cells, _rollouts)]:
+        for one in told:
+            for name, value in one.items():
+                if np.isfinite(value):
+                    numbers.setdefault((name, cell.env, cell.method), []).append(value)
+    rows = []
+    for pair in contests(list(label), planned):
+        for name in COMPARED:
+            both = {
+                env: [np.array(numbers[name, env, method]) for method in pair]
+                for env in envs_of(cells)
+                if all((name, env, method) in numbers for method in pair)
+            }
+            if both:
+                rows.append(_smaller(*(label[method] for method in pair), name, both))
+    ps = corrected([row["p"] for row in rows])
+    return [row | {"p of all": p} for row, p in zip(rows, ps, strict=True)]
+
+
+def _smaller(
+    ours: str, theirs: str, name: str, both: Mapping[str, Sequence[Array]]
+) -> dict[str, Any]:
+    """One row; `both` are the numbers of either's runs, (n,) and (m,), by environment."""
+    first, second = ([pair[i] for pair in both.values()] for i in (0, 1))
+    smaller = beats(second, first)
+    return {
+        "learner": ours,
+        "against": theirs,
+        "in": name,
+        "less": smaller.value,
+        "low": smaller.low,
+        "high": smaller.high,
+        "p": chance(first, second),
+        "tasks": " ".join(both),
+        "remark": remark([min(map(len, pair)) for pair in both.values()]),
+    }
+
+
+def _told(
+    cells: Sequence[Cell], of_fits: OfFits
+) -> list[tuple[Cell, Sequence[Mapping[str, float]]]]:
+    """What `of_fits` says of each cell's runs, if of any, over the fits that count."""
     since = {
         env: counted_from(run.metrics() for cell in cells if cell.env == env for run in cell.runs)
         for env in envs_of(cells)
     }
-    at, rows = compared_at(cells), []
+    at, found = compared_at(cells), []
     for cell in cells:
         span = since[cell.env], at[cell.env]
-        told = [one for run in cell.runs if (one := of_fits(run, span)) is not None]
-        if not told:
-            continue
+        if told := [one for run in cell.runs if (one := of_fits(run, span)) is not None]:
+            found.append((cell, told))
+    return found
+
+
+def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
+    rows = []
+    for cell, told in _told(cells, of_fits):
         row: dict[str, Any] = {"env": cell.env, "learner": cell.label, "n": len(told)}
         for name in told[0]:
             values = np.array([one[name] for one in told])

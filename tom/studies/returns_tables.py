@@ -81,7 +81,7 @@ def improvement(
     label = {cell.method: cell.label for cell in cells}
     at, since, rows = compared_at(cells), compared_from(cells), []
     spans = {env: (at[env], since[env]) for env in at}
-    for ours, theirs in _contests(list(label), planned):
+    for ours, theirs in contests(list(label), planned):
         pairs = _pairs(cells, ours, theirs)
         if pairs:
             rows += [_wins(label[ours], label[theirs], pairs, spans, each) for each in by]
@@ -89,7 +89,7 @@ def improvement(
     return [row | {"p of all": p} for row, p in zip(rows, ps, strict=True)]
 
 
-def _contests(methods: Sequence[Method], planned: bool) -> list[tuple[Method, Method]]:
+def contests(methods: Sequence[Method], planned: bool) -> list[tuple[Method, Method]]:
     """Each pair of methods, once, if not `planned` with MLE or TOM among them.
 
     Who is asked about stands first.

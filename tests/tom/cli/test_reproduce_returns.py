@@ -137,6 +137,37 @@ def test_a_comparison_that_was_fixed_beforehand_is_corrected_for_no_other(tmp_pa
     )
 
 
+def test_exams_are_compared_on_the_screen_of_few_groups_and_in_a_file_of_all(
+    tmp_path: Path, capsys
+):
+    store, out = Store(tmp_path / "store"), tmp_path / "out"
+    for learner, preset in (
+        ("mle", "paper"),
+        ("pmac", "paper"),
+        ("tom", "paper"),
+        ("tom", "mended"),
+    ):
+        config = resolve("hopper", learner, preset)
+        with Recorder(RunWriter.create(store, f"{learner}-{preset}", config)) as recorder:
+            exam = dict.fromkeys(("exam/footprint", "exam/error", "exam/rollout_error"), 1.0)
+            recorder.consume(Metrics(100, {"eval/return": 1.0} | exam))
+            recorder.consume(Tick(100, "evaluate"))
+    words = ["reproduce", "returns", "--store", str(store.path), "--out", str(out)]
+    title = "has a smaller number in its exams and rollouts"
+    assert main([*words, "--preset", "paper", "mended"]) == 0
+    printed = capsys.readouterr().out
+    assert f"{title} than one of another" in " ".join(printed.split())
+    assert "less.csv, or here with --groups." in " ".join(printed.split())
+    assert printed.count("p of all") == 1  # of scores alone
+    read = (out / "less.csv").read_text().splitlines()
+    assert len(read) == 1 + 6 * 2  # no informative footprint, no rollouts
+    assert title in (out / "report.html").read_text()
+    assert main([*words, "--preset", "paper", "mended", "--groups", "TOM", "MLE"]) == 0
+    assert capsys.readouterr().out.count("p of all") == 2
+    assert main([*words, "--preset", "paper"]) == 0  # three groups
+    assert capsys.readouterr().out.count("p of all") == 2
+
+
 def test_runs_of_other_groups_bound_no_planned_comparison(tmp_path: Path, capsys):
     store = Store(tmp_path / "store")
     for learner, steps in (("pmac", (100, 500)), ("vagram", (1000, 2000)), ("ratio", (1000, 2000))):

@@ -256,6 +256,41 @@ def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
     assert row["footprint low"] == pytest.approx(0.1)
 
 
+def examined(store: Store, learner: str, seed: int, error: float, falls: float = np.nan) -> None:
+    """A run of Hopper whose fits have this error and so many falls of rollouts for one real one."""
+    config = resolve("hopper", learner, "paper", {"seed": seed})
+    exam = {"exam/footprint": 0.5, "exam/footprint_noise": 0.1, "exam/error": error}
+    rollouts = {fits.FALLS: 0.01 * falls, fits.POLICY_FALLS: 0.01, fits.LARGEST: 1, fits.SIZE: 500}
+    with Recorder(RunWriter.create(store, f"{learner}-{seed}-less", config)) as recorder:
+        recorder.consume(Metrics(500, exam | {"exam/rollout_error": 2 * error} | rollouts))
+        recorder.consume(Metrics(1000, {"eval/return": 1.0}))
+        recorder.consume(Tick(1000, "evaluate"))
+
+
+def test_exams_are_compared_as_scores_are_and_less_is_less(tmp_path: Path):
+    store = Store(tmp_path)
+    for seed in range(4):
+        examined(store, "mle", seed, 5 + seed, falls=seed)
+        examined(store, "tom", seed, 1 + seed if seed else 7.5)  # less in 13 of 16 pairs
+        examined(store, "pmac", seed, 9, falls=9)
+    rows = fits.less(study.select(store.runs(), "paper")[0])
+    pairs = [("PMAC", "MLE"), ("TOM", "MLE"), ("TOM", "PMAC")]
+    named = {pair: [r for r in rows if (r["learner"], r["against"]) == pair] for pair in pairs}
+    assert sum(map(len, named.values())) == len(rows) == 4 + 3 + 3  # TOM's rollouts fell never
+    footprint, error, later = named["TOM", "MLE"]
+    assert (footprint["in"], footprint["less"], footprint["p"]) == ("footprint", 0.5, 1)
+    assert (error["in"], error["less"]) == ("error", 13 / 16)
+    assert error["p"] == pytest.approx(14 / 70)  # of 70 arrangements 7 have 13 wins or more
+    assert (later["in"], later["p"]) == ("error after 5 steps", error["p"])
+    falls = named["PMAC", "MLE"][-1]
+    assert (falls["in"], falls["less"]) == ("falls", 0)
+    assert falls["p"] == pytest.approx(2 / 70)
+    assert falls["p of all"] == pytest.approx(2 / 70 * 10)
+    assert all("4 seeds are few" in row["remark"] for row in rows)
+    chosen = [c for c in study.select(store.runs(), "paper")[0] if c.learner != "mle"]
+    assert [row["in"] for row in fits.less(chosen)] == list(fits.EXAMS.values())
+
+
 def test_exams_after_the_step_that_all_runs_reach_do_not_count(store: Store):
     """A longer run would have its later fits, of more data, in its median."""
     for seed, last in ((0, 1000), (1, 3000)):

@@ -44,6 +44,12 @@ ROLLOUTS = (
     "Rollouts: how often they fall over how often the policy does (median fit of each run), and "
     "the share of fits with a row that has a tenth of the weight; mean over runs"
 )
+LESS = (
+    "How often a run of one learner has a smaller number in its exams and rollouts than one of "
+    "another (errors of runs on steps of their own policies)"
+)
+FEW = 3
+"""groups whose exams are compared on the screen even if nobody named them"""
 BY = {"best": BEST, "last": FINAL, "area": HEIGHT}
 CAPTION = "Best return so far: mean over seeds, 95 % bootstrap band, single seeds faint."
 
@@ -185,6 +191,7 @@ def _findings(cells: list[study.Cell], by: Sequence[str], *, planned: bool) -> d
         "factors": returns_factors.factors(cells, by),
         "exams": returns_fits.exams(cells),
         "rollouts": returns_fits.rollouts(cells),
+        "less": returns_fits.less(cells, planned=planned),
     }
 
 
@@ -200,7 +207,7 @@ def _write(
         for step, value, best in zip(curve.step, curve.value, curve.best_so_far.value, strict=True)
     )  # fmt: skip
     write_csv(out / "returns.csv", curves)
-    for name in ("summary", "improvement", "factors", "exams", "rollouts", "missing"):
+    for name in ("summary", "improvement", "factors", "exams", "rollouts", "less", "missing"):
         write_csv(out / f"{name}.csv", findings[name])
     png, _ = save(return_figure(cells), out, "returns")
     runs = [run for cell in cells for run in cell.runs]
@@ -217,6 +224,7 @@ def _write(
         *([(FACTORS, findings["factors"])] if findings["factors"] else []),
         (EXAMS, findings["exams"]),
         (ROLLOUTS, findings["rollouts"]),
+        (LESS, findings["less"]),
         ("What is missing for the paper's figure", findings["missing"]),
     ]
     made = origin_of(runs) | {"seeds": seeds([run.seed for run in runs])}
@@ -267,11 +275,22 @@ def _print(args: argparse.Namespace, findings: dict[str, Any], left_out: list[st
                 for row in findings[key]
             ]
             show(title, names, rows)
+    _print_less(args, findings)
     for line in findings["verdict"]:
         print(line)
     if left_out:
         print(f"Left out: {', '.join(left_out)} (the report says for what).")
     print(f"{len(findings['missing'])} of the paper's curves are missing or short: {args.out}")
+
+
+def _print_less(args: argparse.Namespace, findings: dict[str, Any]) -> None:
+    """The comparisons of exams, of many groups by the file that has them."""
+    many = len({row["learner"] for row in findings["summary"]}) > FEW
+    if many and args.groups is None and findings["less"]:
+        print(f"{LESS}: {args.out / 'less.csv'}, or here with --groups.")
+    elif findings["less"]:
+        names = ("learner", "against", "in", "less", "low", "high", "p", "p of all", "tasks")
+        show(LESS, names, [[_cell(row[name], ".2g") for name in names] for row in findings["less"]])
 
 
 def _step(at: Sequence[str]) -> str:
