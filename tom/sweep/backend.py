@@ -1,12 +1,15 @@
 """The place where a sweep stores its runs: a folder, or a bucket (`bucket_backend`)."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from tom.errors import UserError
 from tom.record import RunReader, Store, lock, manage
 from tom.record.lock import BusyError
+from tom.record.status import DEAD_AFTER_S
+from tom.sweep.lease import Lease
 
 LOGS = ".sweep"
 
@@ -31,6 +34,13 @@ class Backend(Protocol):
         """Whether a process is writing the run."""
         ...
 
+    def ended(self, run_id: str) -> None:
+        """Note that the process which `words` last started for the run was seen to end.
+
+        Raises OSError if the runs cannot be reached.
+        """
+        ...
+
     def written_here(self, run: RunReader) -> bool:
         """Whether a process of this machine is writing the run, as far as that can be told."""
         ...
@@ -50,8 +60,10 @@ class Backend(Protocol):
 class FolderBackend:
     """A run store on a disk that all trainings can write to."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock` gives seconds that never decrease."""
         self.store = store
+        self._lease = Lease(DEAD_AFTER_S, clock)
 
     def look(self, run_id: str, *, now: bool = False) -> None:
         """Do nothing: the folder itself is read, so it is never out of date."""
@@ -60,10 +72,16 @@ class FolderBackend:
         return ["tom", "train", *words, "--no-rerun", f"--store={self.store.path.resolve()}"]
 
     def written(self, run: RunReader) -> bool:
-        """Whether the lock is held, or the run of another machine has a recent heartbeat."""
-        if not run.path.is_dir():
-            return False
-        return lock.held(run.path) or (lock.written_here(run.path) is False and run.status.alive)
+        """Whether the lock is held, or another machine's heartbeat was seen to change of late."""
+        if lock.held(run.path):
+            return True
+        status = run.status
+        away = status.state == "running" and lock.written_here(run.path) is False
+        self._lease.see(run.run_id, status if away else None)
+        return self._lease.holds(run.run_id)
+
+    def ended(self, run_id: str) -> None:
+        """Do nothing: the lock, or on another machine the heartbeat, says so as well."""
 
     def written_here(self, run: RunReader) -> bool:
         # A shared file system may show another machine's lock, too.

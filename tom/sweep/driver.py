@@ -35,6 +35,7 @@ BACK_OFF_S = 5.0  # wait before the second attempt; it doubles with each further
 LOW_BYTES = 200e6  # with less free disk space nothing is started and no failure is counted
 KILL_AFTER_S = 300.0  # a training writes its checkpoint within this time after a request
 TAIL_LINES = 5
+ELSEWHERE = "another process is writing it, or was a moment ago"
 
 
 @dataclass
@@ -119,6 +120,9 @@ class Driver:
                 time.sleep(0.1)
         for _, process in running:
             process.end()
+        for job, process in running:
+            with suppress(OSError):  # out of reach: others wait until nothing more is seen of it
+                self._tell(job, process.poll())
         self.let_go()
 
     def let_go(self) -> None:
@@ -152,10 +156,16 @@ class Driver:
             return
         ended = job.process.poll() or lost(job.process.silent_s(), self._reader(job).status)
         if ended is not None:
+            self._tell(job, ended)
             self.backend.look(job.run_id, now=True)
             job.process.end()
             job.process = None
             self._ended(job, ended)
+
+    def _tell(self, job: Job, ended: Exit | None) -> None:
+        """Tell the backend of a process that was seen to end: a lost one may still write."""
+        if ended is not None and ended.code is not None:
+            self.backend.ended(job.run_id)
 
     def _start_some(self) -> None:
         with suppress(OSError):  # missing or out of reach: the start of a training will show it
@@ -181,7 +191,7 @@ class Driver:
             job.state, job.note = "finished", "by another process"
             return
         if self.backend.written(run):
-            job.state, job.note = "elsewhere", "another process is writing it"
+            job.state, job.note = "elsewhere", ELSEWHERE
             return
         at = checkpoint.newest(run.path / checkpoint.FOLDER)
         if at is None and job.run_id != job.trial.run_id:
@@ -192,8 +202,8 @@ class Driver:
         job.attempts += 1
         job.step = -1 if at is None else at
         try:
-            words = self.backend.words(job.run_id, self._words(job, at))
-            job.process = self._spawn(words, job.log)
+            words = self._words(job, at)
+            job.process = self._spawn(self.backend.words(job.run_id, words), job.log)
             job.state = "running"
         except BusyError as error:
             self._leave(job, str(error))
@@ -225,7 +235,7 @@ class Driver:
         if is_done(job.trial, run):  # even if nobody saw its process end
             job.state, job.note = "finished", ""
         elif self.backend.written(run):
-            job.state, job.note = "elsewhere", "another process is writing it"
+            job.state, job.note = "elsewhere", ELSEWHERE
             # Or it is its own last heartbeat, on another machine. A refusal was for the other.
             job.ended = why if ended.code != 2 else ""
         elif ended.code == 2 and lock.WRITTEN in said:
@@ -259,7 +269,7 @@ class Driver:
         run = self._reader(job)
         if is_done(job.trial, run):
             job.state, job.note = "finished", "by another process"
-        elif not self.backend.written(run) and not run.status.alive:
+        elif not self.backend.written(run):
             if job.ended:
                 self._judge(job, job.ended, hopeless=False)
             else:

@@ -1,9 +1,10 @@
-"""One training whose run is in an object store: `python -m tom.sweep.worker URL RUN_ID WORDS...`.
+"""A training whose run is in an object store: `python -m tom.sweep.worker URL OWN RUN_ID WORDS...`.
 
-It trains in a folder of this machine and copies the run folder into the store as it grows. A run to
-be resumed is fetched first, unless this machine has more of it. Nothing is deleted here before the
-store has all of it, unless another attempt has taken the run over: it makes the rest again, to the
-bit. The exit code is that of `tom train`.
+It trains in a folder of this machine and copies the run folder into the store as it grows, under an
+attempt whose name ends with OWN, by which the driver knows it. A run to be resumed is fetched
+first, unless this machine has more of it. Nothing is deleted here before the store has all of it,
+unless another attempt has taken the run over: it makes the rest again, to the bit. The exit code is
+that of `tom train`.
 """
 
 import shutil
@@ -32,12 +33,12 @@ KEPT = (ACCEPT, "--env=", "--steps=", "--termination=", f"{plugins.OPTION}=")
 """beginnings of the options that also apply to a resumed run"""
 
 
-def main(url: str, run_id: str, words: Sequence[str]) -> int:
+def main(url: str, own: str, run_id: str, words: Sequence[str]) -> int:
     """Returns the exit code of `tom train`, or 1 if the store failed."""
     try:
         with scratch.place(url, run_id) as store:
             try:
-                return _work(Bucket.open(url), run_id, words, store)
+                return _work(Bucket.open(url), own, run_id, words, store)
             except (UserError, OSError) as error:  # the driver can reach it: try again
                 raise OSError(f"{error}{_stays(store / run_id)}") from error
     except OSError as error:
@@ -52,9 +53,9 @@ def _stays(folder: Path) -> str:
     return f"; all of it stays in {folder} on this machine, and the same command puts it there"
 
 
-def _work(bucket: Bucket, run_id: str, words: Sequence[str], store: Path) -> int:
+def _work(bucket: Bucket, own: str, run_id: str, words: Sequence[str], store: Path) -> int:
     """Train in the folder `store` and keep the bucket's copy up to date; returns the exit code."""
-    keeper = Keeper(Attempt.claim(bucket, run_id), store / run_id)
+    keeper = Keeper(Attempt.claim(bucket, run_id, own), store / run_id)
     try:
         code = _train(_begin(keeper, words), keeper)
         keeper.put_the_end()
@@ -135,4 +136,4 @@ class Keeper:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1], sys.argv[2], sys.argv[3:]))
+    raise SystemExit(main(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4:]))

@@ -4,7 +4,9 @@ import json
 import os
 import signal
 import tempfile
+import time
 from collections.abc import Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -12,16 +14,23 @@ from commands import code_of
 from sweeping import assert_same_runs, beyond_a_checkpoint, finish, plan, until
 
 from tom.cli import main
-from tom.record import RunReader, Store, checkpoint
+from tom.events import Tick
+from tom.record import RunReader, Store, checkpoint, layout
+from tom.record.bucket import attempts
 from tom.record.bucket.attempts import Attempt
 from tom.record.bucket.fetching import FETCHED, fetch_run
 from tom.record.bucket.objects import Bucket
+from tom.record.files import replace_json
+from tom.record.recorder import Recorder
+from tom.record.writer import RunWriter
 from tom.sweep import scratch, worker
 from tom.sweep.backend import FolderBackend
-from tom.sweep.bucket_backend import BucketBackend
+from tom.sweep.bucket_backend import LEASE_S, LOOK_S, BucketBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
+from tom.training.plan import Trial
 
+OWN = "0123abcd"  # the end of an attempt's name
 SMOKE = ("--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke", "--steps", "60")
 
 
@@ -100,6 +109,148 @@ def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
 
 
 @pytest.fixture
+def trial() -> Trial:
+    (one,) = plan(learner=["mle"], seeds=1)
+    return one
+
+
+class Elsewhere:
+    """Another machine's worker of a run, whose clock is off."""
+
+    def __init__(self, bucket: Bucket, trial: Trial, folder: Path) -> None:
+        with Recorder(RunWriter.create(Store(folder), trial.run_id, trial.config)) as recorder:
+            recorder.consume(Tick(10, "explore"))
+            recorder.finish("stopped")
+        self.folder = folder / trial.run_id
+        self.attempt = Attempt.claim(bucket, trial.run_id)
+
+    def put(self, state: str, heartbeat: float) -> None:
+        status = replace(RunReader(self.folder).status, state=state, heartbeat=heartbeat)
+        replace_json(self.folder / layout.STATUS, asdict(status), sync=False)
+        self.attempt.put(self.folder)
+
+
+@pytest.mark.parametrize("off_s", [-1e4, 0.0, 1e4])
+def test_a_run_is_left_to_another_machine_until_it_was_seen_unchanged_for_long(
+    off_s: float, bucket_url: str, trial: Trial, tmp_path: Path
+):
+    bucket, now = Bucket.open(bucket_url), 0.0
+    other = Elsewhere(bucket, trial, tmp_path)
+    other.put("running", time.time() + off_s)
+    with BucketBackend(bucket, [trial], lambda: now) as backend:
+        driver = Driver(backend, [trial], LocalEngine(1))
+        (job,) = driver.jobs
+        for beat in range(1, 4):
+            other.put("running", time.time() + off_s + beat)
+            now += LOOK_S
+            driver.poll()
+            now += LEASE_S - 1.0
+            driver.poll()
+            assert job.state == "elsewhere"
+        now += LOOK_S
+        driver.poll()
+        assert job.state == "running"
+        driver.stop()
+
+
+def test_what_was_seen_of_a_run_when_the_sweep_began_counts(
+    bucket_url: str, trial: Trial, tmp_path: Path
+):
+    """So a sweep that was started again waits once for all runs of a machine that died."""
+    bucket, now = Bucket.open(bucket_url), 0.0
+    Elsewhere(bucket, trial, tmp_path).put("running", time.time())
+    with BucketBackend(bucket, [trial], lambda: now) as backend:
+        now += LEASE_S
+        backend.look(trial.run_id, now=True)
+        assert not backend.written(backend.store.run(trial.run_id))
+
+
+@pytest.mark.parametrize("state", ["stopped", "failed", "finished"])
+def test_a_run_that_has_ended_is_free_at_once(
+    state: str, bucket_url: str, trial: Trial, tmp_path: Path
+):
+    bucket = Bucket.open(bucket_url)
+    Elsewhere(bucket, trial, tmp_path).put(state, time.time())
+    with BucketBackend(bucket, [trial]) as backend:
+        assert not backend.written(backend.store.run(trial.run_id))
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_run_that_another_machine_fetches_or_begins_is_left_to_it(
+    begun: bool, bucket_url: str, trial: Trial, tmp_path: Path
+):
+    bucket, now = Bucket.open(bucket_url), 0.0
+    if begun:
+        Elsewhere(bucket, trial, tmp_path).put("stopped", time.time())
+    Attempt.claim(bucket, trial.run_id)
+    with BucketBackend(bucket, [trial], lambda: now) as backend:
+        run = RunReader(backend.store.path / trial.run_id)
+        assert backend.written(run)
+        now += LEASE_S
+        assert not backend.written(run)
+        Attempt.claim(bucket, trial.run_id)
+        backend.look(trial.run_id, now=True)
+        assert backend.written(run)
+
+
+def test_time_in_which_the_store_did_not_answer_does_not_count(
+    bucket_url: str, trial: Trial, tmp_path: Path, monkeypatch
+):
+    bucket, now = Bucket.open(bucket_url), 0.0
+    Elsewhere(bucket, trial, tmp_path).put("running", time.time())
+    with BucketBackend(bucket, [trial], lambda: now) as backend:
+        now += 0.5 * LEASE_S
+        with monkeypatch.context() as away:
+            away.setattr(bucket, "names", unreachable)
+            with pytest.raises(OSError, match="out of reach"):
+                backend.look(trial.run_id, now=True)
+        now += 0.5 * LEASE_S
+        backend.look(trial.run_id, now=True)
+        assert backend.written(backend.store.run(trial.run_id))
+
+
+def unreachable(_: str) -> list[str]:
+    raise OSError("the store is out of reach")
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_workers_killed_by_their_own_sweep__keep_nobody_waiting(
+    bucket_url: str, trial: Trial, tmp_path: Path, monkeypatch
+):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    bucket = Bucket.open(bucket_url)
+    with BucketBackend(bucket, [trial]) as backend:
+        driver = Driver(backend, [trial], LocalEngine(1))
+        until(lambda: attempts.claimed(bucket.names(trial.run_id)), driver.poll)
+        driver.stop(wait_s=0.0)
+    with BucketBackend(bucket, [trial]) as backend:
+        assert not backend.written(RunReader(backend.store.path / trial.run_id))
+        Attempt.claim(bucket, trial.run_id)
+        backend.words(trial.run_id, [])
+        backend.ended(trial.run_id)
+        backend.look(trial.run_id, now=True)
+        assert backend.written(RunReader(backend.store.path / trial.run_id)), "another's claim"
+
+
+@pytest.mark.fault
+@pytest.mark.quick
+def test_a_worker_whose_run_another_machine_takes_over__ends_and_is_no_failure(
+    bucket_url: str, trial: Trial, tmp_path: Path, monkeypatch
+):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    bucket = Bucket.open(bucket_url)
+    with BucketBackend(bucket, [trial]) as backend:
+        driver = Driver(backend, [trial], LocalEngine(1))
+        (job,) = driver.jobs
+        until(lambda: attempts.claimed(bucket.names(trial.run_id)), driver.poll)
+        Attempt.claim(bucket, trial.run_id)
+        until(lambda: job.process is None, driver.poll)
+        assert job.state == "elsewhere"
+        assert "was taken over by another attempt" in job.log.read_text()
+
+
+@pytest.fixture
 def worked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The temporary folder of workers in this process; the signals they take are given back."""
     numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -134,12 +285,12 @@ def test_the_last_puts_fail__the_finished_run_stays_and_the_same_command_puts_it
     words = [*trial.options(), f"--run-id={trial.run_id}"]
     with monkeypatch.context() as failing:
         failing.setattr(Attempt, "put", refusing(ended=not from_the_beginning))
-        assert worker.main(bucket_url, trial.run_id, words) == 1
+        assert worker.main(bucket_url, OWN, trial.run_id, words) == 1
     (kept,) = worked.glob(f"*/*/{trial.run_id}")
     assert RunReader(kept).status.state == "finished"
     assert f"all of it stays in {kept} on this machine" in capfd.readouterr().err
     held = {path.name: path.read_bytes() for path in kept.glob("*.json*")}
-    assert worker.main(bucket_url, trial.run_id, words) == 0
+    assert worker.main(bucket_url, OWN, trial.run_id, words) == 0
     assert not kept.exists()
     assert fetch_run(Bucket.open(bucket_url), trial.run_id, Store(worked)) == FETCHED
     fetched = worked / trial.run_id
@@ -156,13 +307,13 @@ def test_the_last_puts_of_a_stopped_run_fail__it_goes_on_from_what_stayed(
     words = [*trial.options(), f"--run-id={trial.run_id}"]
     with monkeypatch.context() as failing:
         failing.setattr(Attempt, "put", refusing(ended=False))
-        assert worker.main(bucket_url, trial.run_id, words) == 1
+        assert worker.main(bucket_url, OWN, trial.run_id, words) == 1
     (kept,) = worked.glob(f"*/*/{trial.run_id}")
     content = json.loads((kept / "status.json").read_text()) | {"state": "stopped"}
     (kept / "status.json").write_text(json.dumps(content))
     assert checkpoint.newest(kept / checkpoint.FOLDER) == 200
     (kept / "checkpoint" / "000000200").rename(kept / "gone")  # as if it had been stopped before
-    assert worker.main(bucket_url, trial.run_id, words) == 0
+    assert worker.main(bucket_url, OWN, trial.run_id, words) == 0
     fetch_run(Bucket.open(bucket_url), trial.run_id, Store(worked))
     done = Store(worked).run(trial.run_id)
     assert done.status.state == "finished"

@@ -15,6 +15,7 @@ from tom.record import Store, checkpoint, layout, lock
 from tom.record.export import export_small
 from tom.record.files import replace_json
 from tom.record.recorder import Recorder
+from tom.record.status import DEAD_AFTER_S
 from tom.record.writer import RunWriter
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import ATTEMPTS, Driver
@@ -222,10 +223,11 @@ def test_a_finished_run_is_done_however_its_process_ended(tmp_path: Path):
 def test_a_training_that_dies_on_another_machine_is_given_up_like_any_other(
     further: bool, tmp_path: Path
 ):
-    """Its last heartbeat is fresh for a while, and then nobody writes it."""
-    (trial,) = trials(checked(PLAN))
+    """Its last heartbeat is new for a while, and then nobody writes it."""
+    (trial,), now = trials(checked(PLAN)), 0.0
     store = Store(tmp_path)
-    driver = Driver(FolderBackend(store), [trial], LocalEngine(1), back_off_s=1e6)
+    backend = FolderBackend(store, lambda: now)
+    driver = Driver(backend, [trial], LocalEngine(1), back_off_s=1e6)
     (job,) = driver.jobs
     with Recorder(RunWriter.create(store, trial.run_id, trial.config)) as recorder:
         recorder.consume(Tick(10, "explore"))
@@ -243,8 +245,7 @@ def test_a_training_that_dies_on_another_machine_is_given_up_like_any_other(
         assert job.state == "elsewhere"
         if further and attempt == ATTEMPTS:
             checkpoint.save(run.path / checkpoint.FOLDER, 10, {})
-        silent = replace(status, heartbeat=time.time() - 1e3)
-        replace_json(run.path / layout.STATUS, asdict(silent), sync=False)
+        now += DEAD_AFTER_S
         driver.poll()
         assert "no_such_module" in job.note
     assert job.state == ("waiting" if further else "failed")

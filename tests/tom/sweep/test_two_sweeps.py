@@ -11,6 +11,7 @@ from sweeping import plan, until
 from tom.record import Store, layout, lock, manage
 from tom.record.files import replace_json
 from tom.record.lock import RunLock
+from tom.record.status import DEAD_AFTER_S, Status
 from tom.record.writer import RunWriter
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver, Job
@@ -120,6 +121,23 @@ def test_a_training_whose_run_another_sweep_put_into_the_trash_is_tried_again(
     driver.poll()
     assert "no run" in job.note
     assert (job.state, job.attempts) == ("waiting", 1)
+
+
+@pytest.mark.parametrize("off_s", [-1e4, 0.0, 1e4])
+def test_a_run_of_another_machine_is_watched_whatever_its_clock_says(
+    off_s: float, died_early: Store, trial: Trial
+):
+    run, now = died_early.run(trial.run_id), 0.0
+    (run.path / layout.LOCK).write_text("another machine")
+    backend = FolderBackend(died_early, lambda: now)
+    for beat in range(3):
+        beats = Status("running", heartbeat=time.time() + off_s + beat)
+        replace_json(run.path / layout.STATUS, asdict(beats), sync=False)
+        assert backend.written(died_early.run(trial.run_id))
+        now += DEAD_AFTER_S - 1.0
+        assert backend.written(died_early.run(trial.run_id))
+    now += 1.0
+    assert not backend.written(died_early.run(trial.run_id))
 
 
 @pytest.mark.parametrize("away", [True, False])

@@ -19,15 +19,27 @@ from tom.record.files import files_in
 from tom.record.lock import LostError
 
 NAME = re.compile(r"\d{6}-[0-9a-f]{8}")
-CLAIM = "claimed"  # an attempt's first object
+OWN_BYTES = 4  # of an attempt's name, which no other attempt has
+CLAIM = "claimed"  # an attempt's first object; removed when its process was seen to end
 TRIES = 3  # an object may be replaced by others while a run is fetched
 
 
 def newest(names: Sequence[str]) -> str | None:
     """The attempt whose content is the run, from the names of a run's objects."""
-    parts = [name.split("/") for name in names]
-    whole = [part[1] for part in parts if len(part) == 3 and part[2] == layout.STATUS]
-    return max((name for name in whole if NAME.fullmatch(name)), default=None)
+    return _newest_with(layout.STATUS, names)
+
+
+def claimed(names: Sequence[str]) -> str | None:
+    """The newest attempt that a process has claimed, from the names of a run's objects."""
+    return _newest_with(CLAIM, names)
+
+
+def release(bucket: Bucket, run_id: str, own: str) -> None:
+    """Take back the claim of the attempt whose name ends with `own`, if there is one.
+
+    Raises OSError if the store does not answer.
+    """
+    bucket.remove(n for n in bucket.names(run_id) if n.endswith(f"-{own}/{CLAIM}"))
 
 
 def newest_checkpoint(names: Sequence[str]) -> int:
@@ -72,10 +84,13 @@ class Attempt:
     """modification time in ns and size of each file when it was last put"""
 
     @classmethod
-    def claim(cls, bucket: Bucket, run_id: str) -> "Attempt":
-        """Begin a new attempt; every earlier attempt ends at its next `check`."""
+    def claim(cls, bucket: Bucket, run_id: str, own: str | None = None) -> "Attempt":
+        """Begin a new attempt; every earlier attempt ends at its next `check`.
+
+        Its name ends with `own`, by which its driver knows it (default: drawn).
+        """
         number = int(_last(bucket, run_id).partition("-")[0]) + 1
-        name = f"{number:06d}-{secrets.token_hex(4)}"
+        name = f"{number:06d}-{own or secrets.token_hex(OWN_BYTES)}"
         bucket.write(f"{run_id}/{name}/{CLAIM}", name.encode())
         return cls(bucket, run_id, name)
 
@@ -117,6 +132,13 @@ class Attempt:
 
     def _name(self, name: str) -> str:
         return f"{self.run_id}/{self.name}/{name}"
+
+
+def _newest_with(file: str, names: Sequence[str]) -> str | None:
+    """The newest attempt that has an object `file`."""
+    parts = [name.split("/") for name in names]
+    having = [part[1] for part in parts if len(part) == 3 and part[2] == file]
+    return max((name for name in having if NAME.fullmatch(name)), default=None)
 
 
 def _last(bucket: Bucket, run_id: str) -> str:
