@@ -91,8 +91,8 @@ def _launch(
         print(OPEN, file=sys.stderr)
     started[:] = build(links, folder)
     failed = _start(started, stopping)
-    if failed and not failed.running and left > 1 and not stopping.is_set():
-        # Another program may have held its port, if only for a moment, after it was found free.
+    if failed and failed.port_was_taken and left > 1 and not stopping.is_set():
+        # Another program took its port, if only for a moment, after it was found free.
         stop(started)
         return _launch(studio, folder, started, stopping, left - 1)
     return links, failed

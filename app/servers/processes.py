@@ -3,6 +3,7 @@
 import errno
 import http.client
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -17,6 +18,9 @@ from tom.machine import address, processes
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12
 HEALTH_BYTES = 65536
+
+TAKEN = re.compile(r"address already in use|port \d+ is (taken|not available)", re.IGNORECASE)
+"""how the hub and Rerun, the viser server and Streamlit say that another program has their port"""
 
 
 @dataclass
@@ -43,6 +47,13 @@ class Server:
     @property
     def running(self) -> bool:
         return self.process is not None and self.process.poll() is None
+
+    @property
+    def port_was_taken(self) -> bool:
+        """Whether it ended because another program has its port, or had it when this one began."""
+        if self.running:
+            return False
+        return TAKEN.search(self.tail()) is not None or not is_free(self.host, self.port)
 
     def healthy(self) -> bool:
         """Whether it answers, and with its mark."""

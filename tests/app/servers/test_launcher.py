@@ -1,6 +1,7 @@
 """The launcher: one address, errors in one line, and an end without orphans."""
 
 import json
+import os
 import re
 import signal
 import socket
@@ -103,6 +104,36 @@ def test_a_port_held_for_a_moment_costs_the_studio_another_port_and_no_more(
     first, *_, last = failures
     assert getattr(first, "name", None) == "streamlit"
     assert last is None
+
+
+@pytest.mark.parametrize("at", range(3))
+def test_each_server_says_that_its_port_was_taken_while_it_began(at: int, tmp_path: Path):
+    links = launcher.plan(Studio(store=tmp_path), tmp_path)
+    server = launcher.build(links, tmp_path)[at]
+    with socket.socket() as passer_by:
+        passer_by.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        passer_by.bind(("127.0.0.1", server.port))
+        passer_by.listen()
+        server.start()
+        assert not server.wait_until_healthy(time.monotonic() + START_S, lambda: False)
+        assert server.port_was_taken
+    assert is_free("127.0.0.1", server.port)
+    assert server.port_was_taken, "its log says so, too"
+
+
+def test_a_server_that_cannot_start_is_launched_once_and_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    launches = tmp_path / "launches"
+    broken = f"open({str(launches)!r}, 'a').write('x')\nraise RuntimeError('a broken viser')"
+    (tmp_path / "viser.py").write_text(broken)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    with servers(Studio(store=tmp_path), Event()) as (_, running):
+        assert running is None
+    said = capsys.readouterr().err
+    assert "viser did not start" in said
+    assert "a broken viser" in said
+    assert launches.read_text() == "x"
 
 
 def test_a_port_that_is_taken_is_one_line_and_code_2(

@@ -121,8 +121,9 @@ def _start(port: int, environment: Mapping[str, str]) -> processes.Process:
     host = "127.0.0.1"
     options = ["--serve-web", "--bind", host, "--port", str(free_port(host))]
     command = [str(binary()), *options, "--web-viewer-port", str(port)]
-    # In the hub's process group, which the studio ends as a whole.
-    return processes.start(command, subprocess.DEVNULL, environment, session=False)
+    # In the hub's process group, which the studio ends as a whole, and with the hub's log, which
+    # then says why Rerun does not start.
+    return processes.start(command, None, environment, session=False)
 
 
 def without_analytics(folder: Path) -> dict[str, str]:
