@@ -3,6 +3,7 @@
 import json
 import resource
 import struct
+import subprocess
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from tom.errors import UserError
 from tom.events import Metrics, Tick
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_small
+from tom.record.rerun import hub
 from tom.record.rounding import coarse
 
 Event = vars(event_pb2)["Event"]
@@ -87,11 +89,34 @@ def test_a_disk_that_is_full_during_an_export__is_named_and_nothing_is_left(
     assert list(out.iterdir()) == []
 
 
+@pytest.mark.fault
+@pytest.mark.quick
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.99])
+def test_a_disk_that_is_full_before_a_recording_is_whole__is_named_and_nothing_is_left(
+    record, tmp_path: Path, share: float
+):
+    run = record()
+    size = int(share * export(run, "rrd", tmp_path).stat().st_size)
+    out = tmp_path / "out"
+    # In a process of its own: Rerun's threads survive no fork, and one may hang.
+    child = get_context("spawn").Process(target=_export_within, args=(run, "rrd", out, size))
+    child.start()
+    child.join(60)
+    alive = child.is_alive()
+    child.kill()
+    child.join()
+    assert not alive
+    assert child.exitcode == 0
+    assert list(out.iterdir()) == []
+
+
 def test_a_recording_is_made_from_the_files(record, tmp_path: Path):
     run = record()
     assert run.rrd_files() == []
     path = export(run, "rrd", tmp_path)
     assert path.read_bytes()[:4] == b"RRF2"
+    verify = [hub.binary(), "rrd", "verify", path]  # it also misses an end that was cut off
+    subprocess.run(verify, env=hub.without_analytics(tmp_path), check=True, capture_output=True)
 
 
 def test_a_small_copy_reads_like_the_run(store: Store, record, tmp_path: Path):
