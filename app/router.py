@@ -82,6 +82,7 @@ def run() -> None:
     chosen = st.navigation(pages, position="top")
     address.visit(chosen.url_path)
     draw(chosen.run)
+    address.write()
     session.drawn()
 
 

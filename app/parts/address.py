@@ -3,20 +3,23 @@
 Streamlit's own `bind="query-params"` replaces the address in place, so Back would leave the page.
 An address that the server writes to `st.query_params` is a new entry of the history, except when
 Back itself caused the drawing. So a page reads its choices here (`requested`, or a widget of this
-module), reports the new value of each (`keep`), and at its end puts all of them into the address in
-one step (`write`).
+module), reports the new value of each (`keep`), and at the end of the drawing the router puts all
+of them into the address in one step (`write`).
 """
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
 
+from app import text
+
 T = TypeVar("T")
 _PAGE, _ARRIVED = "address: page", "address: arrived"
 _KEPT, _KEEPING, _LEFT = "address: kept", "address: keeping", "address: left"
+_CARRIED = "address: carried"
 
 
 def visit(page: str) -> None:
@@ -40,14 +43,29 @@ def requested(key: str) -> list[str] | None:
     return st.query_params.get_all(key) if left is None else left
 
 
+def carried(key: str) -> list[str] | None:
+    """As `requested`; on a page that is come to without words for it, those of another page."""
+    given = requested(key)
+    if given == [] and not _went_back():
+        return st.session_state.get(_CARRIED, {}).get(key, [])
+    return given
+
+
+def carry(key: str, words: Sequence[str]) -> None:
+    """Set what `carried` gives on other pages."""
+    st.session_state.setdefault(_CARRIED, {})[key] = list(words)
+
+
 def keep(key: str, words: Sequence[str]) -> None:
     """Set what the address says of a choice from now on; no words for the default choice."""
     st.session_state.setdefault(_KEEPING, {})[key] = list(words)
+    if _part_alone():
+        write()  # the router draws whole pages
 
 
 def write() -> None:
     """Put the choices of this drawing into the address, and remove those that it no longer has."""
-    keeping: dict[str, list[str]] = st.session_state.pop(_KEEPING, {})
+    keeping: dict[str, list[str]] = dict(st.session_state.get(_KEEPING, {}))
     kept: dict[str, list[str]] = st.session_state.get(_KEPT, {})
     arrived = st.session_state.get(_ARRIVED, False)
     left: dict[str, list[str]] = {} if arrived else dict(st.session_state.get(_LEFT, {}))
@@ -57,11 +75,11 @@ def write() -> None:
             left[key] = kept[key]
     st.session_state[_LEFT] = {key: left[key] for key in left.keys() - keeping.keys()}
     st.session_state[_KEPT] = keeping
-    before = {key: st.query_params.get_all(key) for key in st.query_params}
-    others = {key: words for key, words in before.items() if key not in kept | keeping}
-    after = others | {key: words for key, words in keeping.items() if words}
-    if after != before and not arrived:
-        st.query_params.from_dict(after)
+    st.session_state[_ARRIVED] = False  # a fragment may be drawn next
+    said: dict[str, list[str]] = {key: [] for key in kept} | keeping
+    changed = {key: words for key, words in said.items() if words != st.query_params.get_all(key)}
+    if changed:
+        st.query_params.update(changed)  # no words take a choice out
 
 
 def choose_one(
@@ -83,6 +101,49 @@ def choose_one(
     chosen = usual if picked is None else picked
     keep(key, [] if chosen == usual else [str(chosen)])
     return chosen
+
+
+def choose_step(
+    label: str,
+    steps: Sequence[int],
+    usual: T,
+    key: str = "step",
+    widget: Callable[..., int | T | None] = st.select_slider,
+    **more: Any,
+) -> int | T:
+    """A kept step, chosen by the user, a click or the address, else `usual`, which it then follows.
+
+    In place of a step that was not kept the nearest is shown and named in the address, and a line
+    says so. An address that names a step goes on naming the one that is shown. A choice without an
+    alternative is disabled.
+    """
+
+    def nearest(step: int | T) -> int | T:
+        return min(steps, key=lambda at: abs(at - step)) if steps and _is_step(step) else usual
+
+    follow(key, usual)
+    wanted = _wanted_step(key, usual)
+    step = nearest(wanted)
+    if step != wanted:
+        st.session_state[f"{key} asked"] = wanted
+    if st.session_state.get(key) != step:
+        st.session_state[key] = step
+    options = steps if usual in steps else [usual, *steps]
+    if len(options) > 1:
+        picked = widget(label, options, key=key, format_func=_in_words, **more)
+        step = usual if picked is None else picked
+    else:
+        st.selectbox(label, options, format_func=_in_words, disabled=True, **more)
+    asked = st.session_state.get(f"{key} asked", step)
+    if nearest(asked) != step:  # the user has gone on
+        asked = st.session_state[f"{key} asked"] = step
+    if asked != step:
+        which = "the nearest, " if _is_step(step) else ""
+        st.caption(f"Step {_in_words(asked)} was not kept; this is {which}{_in_words(step)}.")
+    named = _is_step(step) and (step != usual or st.query_params.get_all(key))
+    keep(key, [str(step)] if named else [])
+    carry(key, [str(asked)] if asked != usual else [])
+    return step
 
 
 def choose_many(
@@ -168,6 +229,24 @@ def value_of(key: str, read: Callable[[list[str]], T]) -> T:
     return st.session_state[key]
 
 
+def _wanted_step(key: str, usual: object) -> Any:
+    """The step that is asked for, kept or not."""
+    given = carried(key)
+    if given is None:
+        return st.session_state[key]
+    st.session_state.pop(f"{key} asked", None)
+    step = text.whole("".join(given[-1:]))
+    return usual if step is None else step
+
+
+def _is_step(value: object) -> TypeGuard[int]:
+    return isinstance(value, int)
+
+
+def _in_words(step: object) -> str:
+    return f"{step:,}" if _is_step(step) else str(step)
+
+
 def _among(options: Sequence[T], given: Sequence[str], shown: Callable[[T], str]) -> list[T]:
     """The options that an address names by their value or their label, in its order."""
     named = {shown(option): option for option in options} | {str(o): o for o in options}
@@ -186,3 +265,9 @@ def _went_back() -> bool:
     """Whether Back or Forward caused this drawing."""
     context = get_script_run_ctx()
     return context is not None and context.is_history_navigation
+
+
+def _part_alone() -> bool:
+    """Whether a fragment of the page is drawn, and not the page."""
+    context = get_script_run_ctx()
+    return context is not None and bool(context.fragment_ids_this_run)

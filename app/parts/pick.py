@@ -5,7 +5,7 @@ from typing import Any
 
 import streamlit as st
 
-from app.parts import asked
+from app.parts import address, asked
 
 
 def one(label: str, names: Mapping[str, str], first: str, key: str) -> str:
@@ -14,9 +14,10 @@ def one(label: str, names: Mapping[str, str], first: str, key: str) -> str:
     What was chosen on another page counts here as well, if it is among `names`.
     """
     asked.tell(key, names)
-    given, held = _given(key, names), str(st.session_state.get(key, _chosen().get(key)))
-    start = given[0] if given else held if held in names else first
-    moved = key in st.session_state and held != start
+    given = address.carried(key)
+    wanted = [st.session_state[key]] if given is None else given
+    start = next((run_id for run_id in wanted if run_id in names), first)
+    moved = key in st.session_state and st.session_state[key] != start
     if moved:
         st.session_state[key] = start
     chosen = st.selectbox(
@@ -32,8 +33,7 @@ def one(label: str, names: Mapping[str, str], first: str, key: str) -> str:
     )
     picked = chosen if chosen in names else first
     _keep(key, [picked], [first])
-    if key in st.query_params:
-        _chosen()[key] = picked
+    address.carry(key, [] if picked == first else [picked])
     return picked
 
 
@@ -44,8 +44,10 @@ def many(label: str, names: Mapping[str, str], key: str, **options: Any) -> list
     are taken.
     """
     asked.tell(key, names)
-    if given := _given(key, names):
-        st.session_state[key] = given[: options.get("max_selections")]
+    given = address.requested(key)
+    if given is not None:
+        there = [run_id for run_id in given if run_id in names]
+        st.session_state[key] = there[: options.get("max_selections")]
     chosen: Sequence[str] = st.multiselect(
         label,
         list(names),
@@ -62,29 +64,6 @@ def many(label: str, names: Mapping[str, str], key: str, **options: Any) -> list
     return picked
 
 
-def _given(key: str, names: Mapping[str, str]) -> list[str]:
-    """The existing runs in the address, unless this page has put them there."""
-    given = st.query_params.get_all(key)
-    if given == _kept().get(key, []):
-        return []
-    return [run_id for run_id in given if run_id in names]
-
-
 def _keep(key: str, chosen: list[str], usual: list[str]) -> None:
-    """Put a choice into the address, unless it is the default and the address names none."""
-    if chosen != usual or (chosen and key in st.query_params):
-        if st.query_params.get_all(key) != chosen:
-            st.query_params[key] = chosen
-    else:
-        st.query_params.pop(key, None)
-    _kept()[key] = st.query_params.get_all(key)
-
-
-def _kept() -> dict[str, list[str]]:
-    """The choices that this tab's pages have put into the address, by parameter."""
-    return st.session_state.setdefault("runs in the address", {})
-
-
-def _chosen() -> dict[str, str]:
-    """The run that was last chosen in this tab, by parameter: widgets forget it with their page."""
-    return st.session_state.setdefault("runs chosen", {})
+    """Name a choice in the address, unless it is the default and the address names none."""
+    address.keep(key, chosen if chosen != usual or st.query_params.get_all(key) else [])

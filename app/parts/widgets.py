@@ -63,48 +63,6 @@ def pick_log(place: DeltaGenerator, profiles: Sequence[NDArray[np.float64]]) -> 
     return place.toggle("Log axis", value=tall, key="log", bind="query-params")
 
 
-ASKED = "step asked for"
-"""a step that is not there, in whose place the nearest is shown"""
-
-
-def pick_step(label: str, steps: Sequence[int]) -> int:
-    """A recorded step, chosen by the user, a click or the address (`?step=`), else the last.
-
-    If the last step of a training run is chosen, the choice follows new steps. In place of a step
-    that is not there the nearest is taken, and both are named.
-    """
-
-    def nearest(step: int) -> int:
-        return min(steps, key=lambda at: abs(at - step))
-
-    last, was_last = steps[-1], st.session_state.get("step was last")
-    st.session_state["step was last"] = last
-    given = int(st.session_state.get("step", _step_in_address(last)))
-    wanted = last if "step" in st.session_state and given == was_last else given
-    step = nearest(wanted)
-    if step != wanted:
-        st.session_state[ASKED] = wanted
-    if len(steps) > 1:
-        if step != given:
-            st.session_state["step"] = step
-        step = int(
-            st.select_slider(
-                label, steps, value=last, key="step", bind="query-params", format_func=str
-            )
-        )
-    asked = st.session_state.get(ASKED, step)
-    if nearest(asked) != step:
-        del st.session_state[ASKED]  # the user has gone on
-    elif asked != step:
-        st.caption(f"Step {step:,}: the nearest that is kept to step {asked:,}.")
-    return step
-
-
-def _step_in_address(usual: int) -> int:
-    given = text.whole(st.query_params.get("step", ""))
-    return usual if given is None else given
-
-
 def show_problems(run: RunInfo, problems: Sequence[str] | None = None) -> None:
     """Show the problems of a run."""
     for problem in readers.problems(run) if problems is None else problems:

@@ -1,7 +1,8 @@
 """The page in which the browser runs Streamlit, with Streamlit's address and the studio's key.
 
 Streamlit's own page first looks for its server below the opened address (`/compare/_stcore/health`)
-before it tries the root, which gives two errors in the console at each visit.
+before it tries the root, which gives two errors in the console at each visit. And it makes an entry
+of the browser's history whenever the server changes the address.
 """
 
 from collections.abc import Sequence
@@ -29,6 +30,18 @@ _HEAD = """<head>
           constructor(address, offered) {
             super(address, key ? [...offered, `tom-studio-key.${key}`] : offered);
           }
+        };
+        // One entry of the history for each act of the visitor: where the page corrects its
+        // address by itself, Back would lead to what it corrects again.
+        const push = history.pushState.bind(history);
+        let acted = false;
+        for (const act of ["pointerdown", "keydown"]) {
+          addEventListener(act, () => { acted = true; }, { capture: true });
+        }
+        history.pushState = (...entry) => {
+          if (acted) push(...entry);
+          else history.replaceState(...entry);
+          acted = false;
         };
       }
     </script>"""

@@ -9,7 +9,7 @@ from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
 from app.figures.observations import observed_curves
 from app.figures.replay import error_curve, return_curve, reward_curve
-from app.parts import empty, player, rerun, widgets
+from app.parts import address, empty, player, rerun, widgets
 from app.parts.plot import Point, chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
@@ -38,7 +38,8 @@ def page() -> None:
     with top[0]:
         run = widgets.pick_run(played)
     with top[1]:
-        step = _pick_evaluation(readers.evaluation_steps(run))
+        steps = readers.evaluation_steps(run)
+        step = address.choose_step("Evaluation at step", steps, steps[-1])
     returns = readers.returns(run, step)
     if not len(returns):
         st.warning("The episodes of this evaluation cannot be read.")
@@ -153,12 +154,6 @@ def _numbers(replay: Replay) -> None:
             else " Its place on the ground is integrated from its velocity."
         )
         st.caption(f"The ghost plays the recorded actions in {whose}.{place}")
-
-
-def _pick_evaluation(steps: list[int]) -> int:
-    if len(steps) == 1:
-        st.selectbox("Evaluation at step", steps, disabled=True, format_func=lambda s: f"{s:,}")
-    return widgets.pick_step("Evaluation at step", steps)
 
 
 def _pick_episode(returns: np.ndarray) -> int:

@@ -10,7 +10,7 @@ from app.data.called import names, told_apart
 from app.data.pictures import ENV, Picture
 from app.data.readers import RunInfo
 from app.figures.road import road_map
-from app.parts import empty, form, pick, widgets
+from app.parts import address, empty, form, pick, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import RoadChoice
@@ -66,7 +66,8 @@ def page() -> None:
     with top[1]:
         beside = _pick_others(run, shown)
     with top[2]:
-        step = widgets.pick_step("Record at step", readers.road_steps(run))
+        steps = readers.road_steps(run)
+        step = address.choose_step("Record at step", steps, steps[-1])
     picture = readers.road_picture(run, step)
     if picture is None:
         st.warning("This run's map cannot be read.")

@@ -12,6 +12,14 @@ from app.links import Links
 from app.scenes.control import clock
 
 TIMEOUT_S = 60
+PAGE = """
+from app.parts import address
+from app.views import {view}
+
+address.visit({view}.PATH)
+{view}.page()
+address.write()
+"""
 
 
 def set_links(links: Links, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,8 +39,7 @@ def answers(control: str) -> bool:
 
 def draw(view: str, **query: str | list[str]) -> AppTest:
     """The page of `app.views.<view>` with these query parameters, after its first run."""
-    script = f"from app.views import {view}\n{view}.page()\n"
-    app = AppTest.from_string(script, default_timeout=TIMEOUT_S)
+    app = AppTest.from_string(PAGE.format(view=view), default_timeout=TIMEOUT_S)
     for name, value in query.items():
         app.query_params[name] = value
     app.run()

@@ -54,7 +54,7 @@ def page() -> None:
         curves.draw(comparison, row[3])
     else:
         SECTIONS[section](comparison)
-    address.write()
+    address.write()  # before the end, because Link reads it
     with row[4]:
         shortlinks.button()
     for run in runs:

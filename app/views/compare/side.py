@@ -75,11 +75,8 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
     # The first choice is a step that all of them have reached.
     step = min(of_run[-1] for of_run in evaluated.values() if of_run)
     row = st.columns([5, 1], vertical_alignment="bottom")
-    if len(steps) > 1:
-        address.follow(UNTIL, step)
-        step = address.choose_one(
-            row[0].select_slider, "At step", steps, UNTIL, step, lambda at: f"{at:,}"
-        )
+    with row[0]:
+        step = address.choose_step("At step", steps, step, UNTIL)
     played = st.session_state.setdefault("side played", 0)
     if row[1].button("Play all", icon=":material/play_arrow:", width="stretch"):
         played = st.session_state["side played"] = played + 1

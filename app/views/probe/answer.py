@@ -53,7 +53,8 @@ def sentence(errors: Mapping[str, Floats]) -> str:
     ranked = [(name, values) for name, values in found if len(values) >= RANKED]
     if len(ranked) < 2:
         means = (f"{text.markdown(name)} {v.mean():.3g} (n = {len(v)})" for name, v in found)
-        return f"**n too few to rank** ({exams.NEEDED}). Where the policy goes: {'; '.join(means)}."
+        said = f"**Too few seeds to rank** ({exams.NEEDED}). Where the policy goes"
+        return f"{said}: {'; '.join(means)}."
     (first, least), (second, more), *_ = ranked
     less = 100 * (1 - least.mean() / more.mean()) if more.mean() else 0.0
     return (

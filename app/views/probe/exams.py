@@ -108,7 +108,7 @@ def verdict(result: Ranking) -> str:
         if len(result.standings) > NAMED:
             counts = f"the errors of {len(result.standings)} groups stand in the table below"
         return (
-            f"**n too few to rank** ({NEEDED}). "
+            f"**Too few seeds to rank** ({NEEDED}). "
             f"Where the policy goes, one step ahead in the exams{counted(result)}: {counts}."
         )
     first, second = result.ranked[:2]

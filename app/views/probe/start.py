@@ -3,10 +3,10 @@
 import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
-from app import session, text
+from app import session
 from app.data import datasets, readers, trainings
 from app.data.readers import RunInfo
-from app.parts import empty, form, weighing
+from app.parts import address, empty, form, weighing
 from app.theme import learner_label
 from tom.analysis.weighing import POLICIES, RANDOM
 from tom.analysis.weighing_plan import PRESETS
@@ -84,17 +84,14 @@ def _foreign_policy() -> str:
 
 def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
     """The chosen fit (or `?at=`), one whose policy the run stored; None for the run's end."""
-    steps = [str(step) for step in readers.policy_steps(run)]
-    asked = st.session_state.get("at", st.query_params.get("at", END))
-    if asked not in (END, *steps):
-        st.session_state.pop("at", None)  # it was chosen for another run
-        st.caption(f"This run keeps no policy of step {text.markdown(asked)}: its end is taken.")
     empty.left_out(run, "policies")
-    chosen = place.selectbox(
-        "As it was at step", [END, *steps], key="at", bind="query-params",
-        help="the buffer and the policies at that fit; the steps are those where both were kept",
-    )  # fmt: skip
-    return None if chosen in (None, END) else int(chosen)
+    with place:
+        chosen = address.choose_step(
+            "As it was at step", readers.policy_steps(run), END, "at", st.selectbox,
+            help="the buffer and the policies at that fit; the steps are those where both were "
+            "kept",
+        )  # fmt: skip
+    return None if chosen == END else int(chosen)
 
 
 def has_policy(run: RunInfo, step: int | None) -> bool:

@@ -11,7 +11,7 @@ from app.data.readers import RunInfo
 from app.data.regions import Mask, Plane
 from app.figures.observations import moments_figure
 from app.figures.regions import region_map
-from app.parts import empty, why, widgets
+from app.parts import address, empty, why, widgets
 from app.parts.plot import Region, chart
 from app.parts.stage import stage
 from app.scenes.control import StatesChoice
@@ -99,7 +99,8 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
         return buffer_reader.weighed_rows(run, weight, weighing.end)
     if not own:
         return None  # its weights cannot be read
-    return buffer_reader.rows(run, widgets.pick_step("Fit at step", buffer_reader.fits(run)))
+    fits = buffer_reader.fits(run)
+    return buffer_reader.rows(run, address.choose_step("Fit at step", fits, fits[-1]))
 
 
 def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:

@@ -13,7 +13,7 @@ from app.data.readers import RunInfo
 from app.figures.base import steps_in_words
 from app.figures.regions import weights_against
 from app.figures.weights import effective_sample, weight_map, weight_profile, with_returns
-from app.parts import empty, why, widgets
+from app.parts import address, empty, why, widgets
 from app.parts.plot import Point, chart
 from app.theme import learner_label
 from app.views.weights import exam, play, same_buffer
@@ -66,11 +66,13 @@ def page() -> None:
         return
     with top[2]:
         plays = play.button(profiles.env_step.tolist())
-    chosen = _chosen_fit(profiles)
+    steps = profiles.env_step.tolist()
+    step = address.choose_step("Fit at step", steps, steps[-1])
+    chosen = steps.index(step)
     _numbers(run, profiles, chosen)
-    step = int(profiles.env_step[chosen])
     _figures(run, profiles, chosen, relative=scale == RELATIVE)
     if plays:  # the rest of the page would slow it down
+        address.keep("step", st.query_params.get_all("step"))  # else each fit is one more Back
         play.go_on(profiles.env_step.tolist(), chosen)
         return
     exam.of_fit(run, step)
@@ -157,12 +159,6 @@ def _pick_kept(kept: list[int]) -> None:
         kept, index=None, key="kept fit", on_change=go, format_func=lambda at: f"{at:,}",
         placeholder="go to one of them",
     )  # fmt: skip
-
-
-def _chosen_fit(profiles: Profiles) -> int:
-    """The index of the fit in the address (`?step=`), by default the last one."""
-    steps = [int(step) for step in profiles.env_step]
-    return steps.index(widgets.pick_step("Fit at step", steps))
 
 
 def _choose(steps: list[int], point: Point) -> None:

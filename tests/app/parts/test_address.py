@@ -7,6 +7,7 @@ PAGE = """
 import streamlit as st
 from app.parts import address
 
+address.visit("page")
 first = address.choose_one(st.selectbox, "First", ["a", "b"], "first", "a", str.upper)
 if first == "b":
     address.choose_many("Then", ["x", "y", "z"], "then", usual=["x"])
@@ -72,6 +73,7 @@ def test_an_address_chooses_no_more_than_the_page_takes() -> None:
 import streamlit as st
 from app.parts import address, pick
 
+address.visit("page")
 options = {name: name for name in "abcde"}
 address.choose_many("Some", list(options), "some", max_selections=2)
 pick.many("Others", options, "others", max_selections=3)
@@ -90,6 +92,7 @@ NUMBER = """
 import streamlit as st
 from app.parts import address
 
+address.visit("page")
 usual = st.session_state.get("usual", 1.5)
 address.number_input(st.number_input, "Level", "level", usual, st.session_state.get("of"))
 address.write()
@@ -139,3 +142,130 @@ def test_the_usual_number_follows_the_data_and_stands_for_what_is_none(word: str
     assert level(app.run()) == (1.5, {})
     app.session_state["usual"] = 2.5
     assert level(app.run()) == (2.5, {})
+
+
+STEP = """
+import streamlit as st
+from app.parts import address
+
+address.visit(st.session_state.get("page", "page"))
+steps = st.session_state.get("steps", [100, 200, 300])
+usual = "the end" if st.session_state.get("ends") else steps[-1]
+st.session_state["shown"] = address.choose_step("At", steps, usual)
+address.write()
+"""
+
+
+def at_step(step: str | None = None, **state: object) -> AppTest:
+    """The page of a choice of a step, opened by a link with `step`."""
+    app = AppTest.from_string(STEP)
+    for name, value in state.items():
+        app.session_state[name] = value
+    if step is not None:
+        app.query_params["step"] = step
+    return app.run()
+
+
+def shown(app: AppTest) -> tuple[object, dict[str, list[str]], list[str]]:
+    """The step, the address, and what is said."""
+    assert not app.exception
+    return app.session_state["shown"], address(app), [words.value for words in app.caption]
+
+
+def test_a_link_opens_the_step_that_it_names() -> None:
+    app = at_step("200")
+    assert shown(app) == (200, {"step": ["200"]}, [])
+    assert app.select_slider[0].value == 200
+    assert shown(app.run()) == (200, {"step": ["200"]}, [])
+    assert shown(at_step()) == (300, {}, [])
+
+
+@pytest.mark.parametrize(("asked", "nearest"), [("12", 100), ("245", 200), ("12345", 300)])
+def test_in_place_of_a_step_that_was_not_kept_the_nearest_is_shown_said_and_in_the_address(
+    asked: str, nearest: int
+) -> None:
+    app = at_step(asked)
+    said = f"Step {int(asked):,} was not kept; this is the nearest, {nearest}."
+    for _ in range(2):
+        assert shown(app) == (nearest, {"step": [str(nearest)]}, [said])
+        app.run()
+    assert shown(at_step(address(app)["step"][0])) == (nearest, {"step": [str(nearest)]}, [])
+    for step in (200, 100, nearest):
+        app.select_slider[0].set_value(step).run()
+    assert shown(app) == (nearest, {"step": [str(nearest)]}, [])
+
+
+@pytest.mark.parametrize("word", ["", "much", "-100", "1e2", "nan", "²", "9" * 30])
+def test_what_is_no_step_opens_the_usual_one(word: str) -> None:
+    step, _, said = shown(at_step(word))
+    assert (step, said) == (300, [])
+
+
+def test_an_untouched_choice_of_a_step_follows_the_newest() -> None:
+    app = at_step()
+    app.session_state["steps"] = [100, 200, 300, 400]
+    assert shown(app.run()) == (400, {}, [])
+    app.select_slider[0].set_value(300).run()
+    app.session_state["steps"] = [100, 200, 300, 400, 500]
+    assert shown(app.run()) == (300, {"step": ["300"]}, [])
+    app.select_slider[0].set_value(500).run()
+    app.session_state["steps"] = [100, 200, 300, 400, 500, 600]
+    assert shown(app.run()) == (600, {"step": ["600"]}, [])
+
+
+def test_of_another_run_the_nearest_step_is_shown() -> None:
+    app = at_step("200")
+    app.session_state["steps"] = [150, 1000]
+    said = "Step 200 was not kept; this is the nearest, 150."
+    assert shown(app.run()) == (150, {"step": ["150"]}, [said])
+    app.session_state["steps"] = [70]
+    assert shown(app.run())[:2] == (70, {"step": ["70"]})
+    assert (app.selectbox[0].label, app.selectbox[0].disabled) == ("At", True)
+
+
+def test_the_chosen_step_goes_along_to_another_page() -> None:
+    app = at_step("100")
+    app.session_state["page"], app.session_state["steps"] = "another", [120, 240]
+    app.query_params.clear()
+    said = "Step 100 was not kept; this is the nearest, 120."
+    assert shown(app.run()) == (120, {"step": ["120"]}, [said])
+    app.session_state["page"], app.session_state["steps"] = "page", [100, 200]
+    app.query_params.clear()
+    assert shown(app.run()) == (100, {"step": ["100"]}, [])
+    app.select_slider[0].set_value(200).run()
+    app.session_state["page"], app.session_state["steps"] = "another", [120, 240]
+    app.query_params.clear()
+    assert shown(app.run()) == (240, {}, [])
+
+
+def test_the_usual_may_be_no_step() -> None:
+    assert shown(at_step(ends=True)) == ("the end", {}, [])
+    said = "Step 130 was not kept; this is the nearest, 100."
+    app = at_step("130", ends=True)
+    assert shown(app) == (100, {"step": ["100"]}, [said])
+    app.select_slider[0].set_value("the end").run()
+    assert shown(app) == ("the end", {}, [])
+    none = at_step("130", ends=True, steps=[])
+    assert shown(none) == ("the end", {}, ["Step 130 was not kept; this is the end."])
+
+
+def test_a_part_of_the_page_that_is_drawn_alone_writes_its_choice() -> None:
+    script = """
+import streamlit as st
+from app.parts import address
+
+@st.fragment
+def part():
+    address.choose_one(st.selectbox, "Part", ["a", "b"], "part", "a")
+
+address.visit("page")
+part()
+address.switch("Whole", "whole")
+address.write()
+"""
+    app = AppTest.from_string(script)
+    app.query_params["whole"] = "true"
+    app.run()
+    app.selectbox[0].select("b").run()
+    assert address(app) == {"whole": ["true"], "part": ["b"]}
+    assert app.toggle[0].value

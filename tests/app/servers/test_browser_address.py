@@ -1,4 +1,4 @@
-"""What a visitor of Compare sees is in the address: for another tab, a reload, and Back."""
+"""What a visitor sees is in the address: for another tab, a reload, and Back."""
 
 import json
 import shutil
@@ -17,6 +17,8 @@ from test_browser import (  # noqa: F401 (own and visit are fixtures)
     wait_until_steady,
     zoom_in,
 )
+
+from tom.record.reader import RunReader
 
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
@@ -140,6 +142,54 @@ def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:  # no
     page.get_by_text("1000 resamples").wait_for()
     assert asked(page) == {"env": ["inverted-pendulum"]}
     assert page.locator(".js-plotly-plot").count() == 1
+    assert visit.errors == []
+
+
+def test_back_takes_back_a_step_and_a_run_and_no_correction(visit: Visit) -> None:  # noqa: F811
+    page, links = visit.page, visit.links
+    first, second, *_ = RunReader(Path(links.store) / PENDULUM_TOM).profiles().env_step.tolist()
+    page.goto(links.opened("compare?env=inverted-pendulum"))
+    chart(page)
+    entries = page.evaluate("history.length")
+    page.goto(f"{links.address}/weights?run={PENDULUM_TOM}&step={first + 1}")
+    words = f"Step {first + 1:,} was not kept; this is the nearest, {first:,}."
+    page.get_by_text(words).wait_for()
+    settle(page, f"step={first}")
+    page.get_by_test_id("stSlider").get_by_role("slider").press("ArrowRight")
+    settle(page, f"step={second}")
+    page.get_by_text(f"The fit at step {second:,}").wait_for()
+    page.get_by_label("Run", exact=True).click()
+    page.get_by_role("option", name="Road and rocks").first.click()
+    page.wait_for_url(lambda address: PENDULUM_TOM not in address)
+    page.wait_for_timeout(1500)
+    elsewhere = asked(page)
+    assert int(elsewhere["step"][0]) != second
+    visit.open("Regions", "regions")
+    page.wait_for_url(lambda address: "step=" in address)
+    page.wait_for_timeout(1500)
+    assert page.evaluate("history.length") == entries + 4
+    page.go_back()
+    page.wait_for_url(lambda address: asked(page) == elsewhere)
+    page.wait_for_timeout(1500)
+    page.go_back()
+    page.get_by_text(f"The fit at step {second:,}").wait_for()
+    assert asked(page) == {"run": [PENDULUM_TOM], "step": [str(second)]}
+    page.wait_for_timeout(1500)
+    page.go_back()
+    page.get_by_text(f"The fit at step {first:,}").wait_for()
+    assert asked(page)["step"] == [str(first)]
+    assert page.get_by_text("was not kept").count() == 0
+    page.wait_for_timeout(1500)
+    page.go_forward()
+    page.get_by_text(f"The fit at step {second:,}").wait_for()
+    page.wait_for_timeout(1500)
+    page.reload()
+    page.get_by_text(f"The fit at step {second:,}").wait_for()
+    page.go_back()
+    page.wait_for_timeout(1500)
+    page.go_back()
+    chart(page)
+    assert asked(page) == {"env": ["inverted-pendulum"]}
     assert visit.errors == []
 
 

@@ -131,7 +131,7 @@ def test_probe_answers_from_exams_first(store: Path) -> None:
     app = draw("probe", run=PENDULUM_TOM)
     heads = [part.value for part in app.subheader]
     assert heads[1:] == ["Does it help?", "In sample: on rows that the models were fitted to"]
-    [said] = [part.value for part in app.markdown if "too few to rank" in part.value]
+    [said] = [part.value for part in app.markdown if "Too few seeds to rank" in part.value]
     # Only the last fits of TOM weigh, so only these count.
     tables = [RunReader(store / f"pendulum-tom-{seed}").metrics() for seed in (0, 1)]
     weighed = [table.loc[table["weights/ess"] < 1, "env_step"].tolist() for table in tables]

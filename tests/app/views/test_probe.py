@@ -173,10 +173,12 @@ def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
     assert any(held in note.value for note in whole.caption)
 
 
-def test_a_fit_of_another_run_is_not_asked_for() -> None:
+def test_in_place_of_a_fit_of_another_run_the_nearest_is_weighed(store: Path) -> None:
+    first, *_ = RunReader(store / PENDULUM_TOM).policy_steps()
     app = draw("probe", run=PENDULUM_TOM, at="7")
-    assert app.selectbox(key="at").value == "the end"
-    assert any("keeps no policy of step 7: its end" in note.value for note in app.caption)
+    assert (app.selectbox(key="at").value, app.query_params["at"]) == (first, str(first))
+    words = f"Step 7 was not kept; this is the nearest, {first}."
+    assert any(note.value == words for note in app.caption)
     assert not any("Left out" in note.value for note in app.caption)
 
 
@@ -331,7 +333,7 @@ def test_an_answer_says_by_how_much_and_whether_beyond_noise() -> None:
     assert "More than noise: the gap is 1" in sentence(in_sample(far))
     few = errors_of("TOM", 1.0, 1.2) | errors_of("MLE", *[2.0] * 5)
     assert sentence(in_sample(few)).endswith(
-        "**n too few to rank** (two learners with 5 seeds each are needed). "
+        "**Too few seeds to rank** (two learners with 5 seeds each are needed). "
         "Where the policy goes: TOM 1.1 (n = 2); MLE 2 (n = 5)."
     )
     assert "TOM alone has measured" in sentence(in_sample(errors_of("TOM", 1.0)))

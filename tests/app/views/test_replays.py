@@ -181,7 +181,7 @@ def test_the_page_says_whose_model_imagines() -> None:
 
 
 def test_a_step_without_episodes_shows_the_nearest_that_has_some_and_says_so() -> None:
-    words = "Step 30: the nearest that is kept to step 44."
+    words = "Step 44 was not kept; this is the nearest, 30."
     app = draw("replays", run=ROAD_TOM, step="44")
     assert app.select_slider(key="step").value == 30
     assert words in [caption.value for caption in app.caption]
@@ -193,11 +193,14 @@ def test_a_step_without_episodes_shows_the_nearest_that_has_some_and_says_so() -
 
 CLICK = """
 import streamlit as st
+from app.parts import address
 from app.parts.plot import Point
 from app.views import replays
 
+address.visit(replays.PATH)
 st.button("click", on_click=replays._choose_episode, args=(Point(1, 0.0, 0, 0, None),))
 replays.page()
+address.write()
 """
 
 
@@ -209,7 +212,7 @@ def test_a_click_on_an_evaluation_without_episodes_opens_the_nearest() -> None:
     assert not app.exception
     assert app.select_slider(key="step").value == 0
     assert app.query_params["step"] == "0"
-    assert any("nearest that is kept to step 1." in caption.value for caption in app.caption)
+    assert any("Step 1 was not kept" in caption.value for caption in app.caption)
 
 
 def test_the_only_evaluation_is_said_to_be_the_nearest(
@@ -220,7 +223,7 @@ def test_the_only_evaluation_is_said_to_be_the_nearest(
         (run / layout.episodes(step)).unlink()
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
     app = draw("replays", run=ROAD_TOM, step="30")
-    words = "Step 60: the nearest that is kept to step 30."
+    words = "Step 30 was not kept; this is the nearest, 60."
     assert words in [caption.value for caption in app.caption]
     assert not any("nearest" in caption.value for caption in draw("replays").caption)
 

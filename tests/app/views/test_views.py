@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -495,6 +496,36 @@ def test_weights_survives_a_step_of_another_run() -> None:
     app.selectbox(key="run").select(ROAD_TOM).run()
     assert not app.exception
     assert len(figures(app)) == 5  # no episodes and no policies: two panels less
+
+
+@pytest.mark.parametrize(
+    ("view", "run", "steps", "key", "more"),
+    [
+        ("weights", PENDULUM_TOM, lambda run: run.profiles().env_step.tolist(), "step", {}),
+        ("regions", PENDULUM_TOM, RunReader.snapshot_steps, "step", {}),
+        ("replays", PENDULUM_TOM, RunReader.evaluation_steps, "step", {}),
+        ("road", ROAD_TOM, RunReader.snapshot_steps, "step", {}),
+        ("probe", PENDULUM_TOM, RunReader.policy_steps, "at", {}),
+        ("compare", ROAD_TOM, RunReader.evaluation_steps, "until",
+         {"show": "Side by side", "env": "road-and-rocks"}),
+    ],
+)  # fmt: skip
+def test_a_link_with_a_step_that_was_not_kept_names_the_nearest(
+    view: str,
+    run: str,
+    steps: Callable[[RunReader], list[int]],
+    key: str,
+    more: dict[str, str],
+    store: Path,
+) -> None:
+    first, *_ = steps(RunReader(store / run))
+    app = draw(view, run=run, **more, **{key: str(first + 1)})
+    assert app.query_params[key] == str(first)
+    words = f"Step {first + 1:,} was not kept; this is the nearest, {first:,}."
+    assert words in [caption.value for caption in app.caption]
+    again = draw(view, run=run, **more, **{key: app.query_params[key]})
+    assert again.query_params[key] == str(first)
+    assert not any("not kept" in caption.value for caption in again.caption)
 
 
 def test_road_shows_the_weights_over_the_map(store: Path) -> None:
