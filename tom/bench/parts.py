@@ -30,6 +30,7 @@ WEIGHED = 100_000
 """rows that are weighed: so many that the one training step of each network is negligible"""
 EXAMINED = 250
 """rows of a fit's exam; its buffer has `WEIGHED` rows"""
+EXAM = f"exam of {EXAMINED} steps"
 
 
 def parts() -> Iterator[Part]:
@@ -174,7 +175,7 @@ def _exam() -> Part:
         model_metrics(model, exam, hopper.terminated, generator)
         critic_metrics(critic, exam.rows, 0.2, 0.99, generator)
 
-    return Part("exam of 250 steps", sit)
+    return Part(EXAM, sit)
 
 
 def rollout_flops(

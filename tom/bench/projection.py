@@ -5,7 +5,7 @@ from typing import Any
 
 from tom.bench.parts import model_flops, rollout_flops, sac_flops
 from tom.config import ModelConfig, OnlineConfig, RolloutConfig, SacConfig
-from tom.envs import ENVS, Task
+from tom.envs import ENVS, Task, task
 from tom.learners import SUBJECT
 from tom.training.presets import resolve
 
@@ -25,12 +25,12 @@ def hours(ms: Mapping[str, float]) -> list[dict[str, Any]]:
     fit counts as if it used all its rounds; evaluation and recording are not included.
     """
     rows = []
-    for name, task in ENVS.items():
-        row: dict[str, Any] = {"env": name, "steps": task.steps}
+    for name, known in ENVS.items():
+        row: dict[str, Any] = {"env": name, "steps": known.steps}
         for preset in PRESETS:
             config = resolve(name, SUBJECT, preset)
             assert isinstance(config, OnlineConfig)
-            row[f"{preset}_h"] = per_step_ms(config, task, ms) * task.steps / 3.6e6
+            row[f"{preset}_h"] = per_step_ms(config, known, ms) * known.steps / 3.6e6
         rows.append(row)
     return rows
 
@@ -54,6 +54,18 @@ def per_step_ms(config: OnlineConfig, task: Task, ms: Mapping[str, float]) -> fl
         fit += ms["weights, 1000 transitions"] * config.steps / 2 / 1000  # the buffer's mean size
     fit += ms["rollout, 1000 states"] * rolled * _starts(config.rollout, config.steps) / 1000
     return config.updates_per_step * sac + fit / config.fit_every + ms["Hopper-v5 step"]
+
+
+def between_fits_ms(ms: Mapping[str, float]) -> float:
+    """CPU milliseconds from a fit of TOM's default training on Hopper to the next, less the exam.
+
+    Unlike in `hours` the fit has the fewest rounds that it can have: the first, and then as many
+    without a gain as end it.
+    """
+    config = resolve("hopper", SUBJECT)
+    assert isinstance(config, OnlineConfig)
+    shortest = config.but(model={"rounds": config.model.patience + 2})
+    return shortest.fit_every * per_step_ms(shortest, task("hopper"), ms)
 
 
 def written_bytes(config: OnlineConfig, task: Task) -> float:

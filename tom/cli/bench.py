@@ -106,12 +106,12 @@ def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
     backend = choose_matmul().chosen
     measured = [*parts.parts(), *peers.peers()]
     timings, gflops = timing.measure(measured, max(repeats, 1), backend)
-    rows = []
-    for timed in timings:
-        wanted, met = targets.target(timed) or (None, None)
-        rows.append({**asdict(timed), "target": wanted, "met": met})
     ms = {timed.part: timed.ms for timed in timings}
     last.save(ms)
+    rows, between_ms = [], projection.between_fits_ms(ms)
+    for timed in timings:
+        wanted, met = targets.target(timed, between_ms) or (None, None)
+        rows.append({**asdict(timed), "target": wanted, "met": met})
     hours = projection.hours(ms)
     missing = [*NOT_MEASURED, *peers.missing()]
     result = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
