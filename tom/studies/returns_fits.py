@@ -70,15 +70,15 @@ def less(cells: Sequence[Cell], *, planned: bool = False) -> list[dict[str, Any]
                 if np.isfinite(value):
                     numbers.setdefault((name, cell.env, cell.method), []).append(value)
     rows = []
-    for pair in contests(list(label), planned):
+    for ours, theirs in contests(list(label), planned):
         for name in COMPARED:
             both = {
-                env: [np.array(numbers[name, env, method]) for method in pair]
+                env: [np.array(numbers[name, env, method]) for method in (ours, theirs)]
                 for env in envs_of(cells)
-                if all((name, env, method) in numbers for method in pair)
+                if all((name, env, method) in numbers for method in (ours, theirs))
             }
             if both:
-                rows.append(_smaller(*(label[method] for method in pair), name, both))
+                rows.append(_smaller(label[ours], label[theirs], name, both))
     ps = corrected([row["p"] for row in rows])
     return [row | {"p of all": p} for row, p in zip(rows, ps, strict=True)]
 
