@@ -42,7 +42,7 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
         if len(profiles.env_step):
             figure.add_trace(_map(profiles, scale, bar=column == last), 2, column)
         else:
-            _say_empty(figure, len(parts) + column)
+            _say_empty(figure, len(parts), column)
     runs = " ".join(curve.run_id for _, curve, _ in parts)
     figure.update_layout(**LAYOUT, height=height, uirevision=f"side by side {runs}")
     figure.update_layout(margin={"t": 34})
@@ -100,7 +100,10 @@ def _link_axes(figure: go.Figure, columns: int, x: str) -> None:
     )
 
 
-def _say_empty(figure: go.Figure, axis: int) -> None:
+def _say_empty(figure: go.Figure, columns: int, column: int) -> None:
+    # Without a trace Plotly makes no axes there, and draws the words on the first ones.
+    figure.add_trace(go.Scatter(x=[None], y=[None], showlegend=False), 2, column)
+    axis = columns + column
     figure.add_annotation(
         text="no weights recorded",
         xref=f"x{axis} domain",

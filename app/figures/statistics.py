@@ -26,20 +26,26 @@ class Profile:
     high: NDArray[np.float64]
 
 
+def _stairs(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights (2 T - 1,) of a line that keeps each of `share` (T,) until the next threshold."""
+    return np.repeat(share, 2)[:-1]
+
+
 def profiles(
     groups: Sequence[Profile], thresholds: NDArray[np.float64], score: str, height: int, keep: str
 ) -> go.Figure:
     """Share of runs whose score is above each threshold, one line per group; higher is better.
 
-    A zoom lasts while the score and `keep`, which names the runs, are the same.
+    A share stays what it is until the next threshold: `thresholds` are all the scores, and more. A
+    zoom lasts while the score and `keep`, which names the runs, are the same.
     """
-    figure = go.Figure()
+    figure, x = go.Figure(), np.repeat(thresholds, 2)[1:]
     for one in groups:
         if np.isfinite(one.low).any():
             figure.add_trace(
                 go.Scatter(
-                    x=np.concatenate([thresholds, thresholds[::-1]]),
-                    y=np.concatenate([one.high, one.low[::-1]]),
+                    x=np.concatenate([x, x[::-1]]),
+                    y=np.concatenate([_stairs(one.high), _stairs(one.low)[::-1]]),
                     fill="toself",
                     fillcolor=faded(one.look.colour, 0.18),
                     line={"width": 0},
@@ -51,8 +57,8 @@ def profiles(
             )
         figure.add_trace(
             go.Scatter(
-                x=thresholds,
-                y=one.share,
+                x=x,
+                y=_stairs(one.share),
                 name=text.plotly(one.look.title),
                 mode="lines",
                 line={"color": one.look.colour, "dash": one.look.dash, "width": 2.4},

@@ -108,7 +108,7 @@ def choose_step(
     steps: Sequence[int],
     usual: T,
     key: str = "step",
-    widget: Callable[..., int | T | None] = st.select_slider,
+    widget: Callable[..., Any] = st.select_slider,
     **more: Any,
 ) -> int | T:
     """A kept step, chosen by the user, a click or the address, else `usual`, which it then follows.

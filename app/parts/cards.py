@@ -132,7 +132,7 @@ def head(run: RunInfo, preset: str = "") -> str:
     called = f" · {run.labels.name}" if run.labels.name else ""
     about = html.escape(f"{run.env} · seed {run.seed}{called}")
     return (
-        '<div style="display:flex;align-items:center;gap:.5rem;min-width:0">'
+        '<div style="display:flex;flex-wrap:wrap;align-items:center;gap:0 .5rem;min-width:0">'
         f'<span style="width:.75rem;height:.75rem;border-radius:50%;flex:none;'
         f'background:{learner_colour(run.learner)}"></span>'
         f'<b style="white-space:nowrap">{learner}</b>'

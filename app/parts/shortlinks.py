@@ -70,7 +70,7 @@ def nowhere(code: str) -> str:
 
 def button() -> None:
     """A small menu with the address of the shown view, and a short one if the store is writable."""
-    with st.popover("Link", icon=":material/link:", width="stretch"):
+    with st.popover("Link", icon=":material/link:"):
         query = urlencode([(k, v) for k in st.query_params for v in st.query_params.get_all(k)])
         here = (st.context.url or "").split("?")[0]
         page = here.rstrip("/").rpartition("/")[2]

@@ -79,7 +79,7 @@ def _pick(rows: Rows) -> int | None:
     if held is not None and (asked is None or not rows.first <= asked <= last):
         st.session_state.pop(KEY, None)
         st.query_params.pop(KEY, None)
-    columns = st.columns([3, 2, 1, 1, 1, 1], vertical_alignment="bottom")
+    columns = st.columns([5, 4, 3, 3, 2, 3], vertical_alignment="bottom", gap="small")
     columns[0].markdown("**Why this weight?** Click a transition on a map, or choose one")
     for column, (name, row) in zip(columns[2:], _telling(rows).items(), strict=False):
         if column.button(name, key=f"why {name}", disabled=row is None, width="stretch"):

@@ -20,6 +20,7 @@ PATH = "compare"
 
 CURVES = "Curves"
 MOST_COLUMNS = 24
+GROUP_WIDTH = 230
 SECTIONS: dict[str, Callable[[Comparison], None]] = {
     "Statistics": numbers.draw,
     "Side by side": side.draw,
@@ -30,16 +31,17 @@ SETTINGS, RUNS = "Settings", "Runs"
 def page() -> None:
     """One row of controls; below it curves, statistics, runs side by side, settings or labels."""
     listing = readers.listing(session.links().store)
-    row = st.columns([11, 3, 5, 4, 3], vertical_alignment="center", gap="small")
+    row = st.container(horizontal=True, vertical_alignment="center", gap="small")
     section = address.choose_one(
-        row[0].segmented_control, "Show", [CURVES, *SECTIONS, SETTINGS, RUNS], "show", CURVES,
+        row.segmented_control, "Show", [CURVES, *SECTIONS, SETTINGS, RUNS], "show", CURVES,
         required=True, label_visibility="collapsed",
     )  # fmt: skip
-    with row[1].popover("Runs", icon=":material/filter_alt:", width="stretch"):
+    row.space("stretch")
+    with row.popover("Runs", icon=":material/filter_alt:"):
         runs = chosen_runs(listing.runs)
     by = address.choose_one(
-        row[2].selectbox, "Group by", grouping.choices(runs), "group", grouping.USUAL,
-        lambda path: f"by {path}", label_visibility="collapsed",
+        row.selectbox, "Group by", grouping.choices(runs), "group", grouping.USUAL,
+        lambda path: f"by {path}", label_visibility="collapsed", width=GROUP_WIDTH,
     )  # fmt: skip
     comparison = compare(runs, by)
     if not runs:
@@ -51,11 +53,11 @@ def page() -> None:
     elif section == SETTINGS:
         _settings(comparison.shown)
     elif section == CURVES:
-        curves.draw(comparison, row[3])
+        curves.draw(comparison, row)
     else:
         SECTIONS[section](comparison)
     address.write()  # before the end, because Link reads it
-    with row[4]:
+    with row:
         shortlinks.button()
     for run in runs:
         # Without the problems of weights: reading the profiles of every run takes seconds.

@@ -34,7 +34,7 @@ def draw(comparison: Comparison, controls: DeltaGenerator) -> None:
 
     The user chooses in `controls` what is measured and how.
     """
-    with controls.popover("Measure", icon=":material/tune:", width="stretch"):
+    with controls.popover("Measure", icon=":material/tune:"):
         how = measure.choose(comparison.runs)
     curves, grouped = measure.grouped(
         comparison.members, comparison.kinds, how.metric, how.axes.x, how.statistic, how.band

@@ -34,7 +34,6 @@ from tom.analysis.scores import (
 )
 from tom.config import SAC_ALONE
 
-THRESHOLDS = 61
 NO_SAC = (
     "Recordings of SAC are left out: their first half is random steps that SAC never learns from, "
     "so at the same step it has made fewer of its own."
@@ -119,7 +118,8 @@ def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str, 
 def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep: str) -> None:
     everything = np.concatenate(scores)
     margin = 0.05 * (np.ptp(everything) or 1.0)
-    at = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
+    ends = everything.min() - margin, everything.max() + margin
+    at = np.unique(np.append(everything, ends))  # shares change at scores alone
     draws = np.random.default_rng(0)
     of_groups = []
     for look, values in zip(looks, scores, strict=True):

@@ -173,12 +173,12 @@ def _last_profiles(runs: Sequence[RunInfo]) -> None:
         if len(profiles.env_step):
             name, last = f"{name}, step {profiles.env_step[-1]:,}", profiles.bins[-1]
         lines.append((name, run.learner, last))
-    head = st.columns([3, 1], vertical_alignment="center")
-    head[0].markdown("**Weights of the last fit**: dashed: uniform")
+    head = st.container(horizontal=True, vertical_alignment="center")
+    head.markdown("**Weights of the last fit**: dashed: uniform")
     if not any(len(bins) for _, _, bins in lines):
         st.caption(now.without_weights(runs))
         return
-    log = widgets.pick_log(head[1], [bins for _, _, bins in lines])
+    log = widgets.pick_log(head, [bins for _, _, bins in lines])
     keep = " ".join(run.run_id for run in runs)
     figure = profile_lines(lines, 330, log=log, keep=keep)
     chart(figure, "last profile", "mean weight, oldest to newest transitions")

@@ -91,13 +91,13 @@ def _weighed(weighing: WeighingInfo, rows: int) -> None:
     count = len(next(iter(of.values())))
     left, right = st.columns([5, 4])
     with left, st.container(border=True):
-        head = st.columns([3, 1], vertical_alignment="center")
-        head[0].markdown(
+        head = st.container(horizontal=True, vertical_alignment="center")
+        head.markdown(
             f"**By the policy of {text.markdown(weighing.policy)}**: the dotted line ends the "
             "random data"
         )
         profiles = weighings.profiles(of)
-        log = widgets.pick_log(head[1], list(profiles.values()))
+        log = widgets.pick_log(head, list(profiles.values()))
         share = weighing.ordered_from / count
         figure = probe_profiles(profiles, share, 400, log=log, keep=weighing.name)
         chart(figure, "probe", "weight profiles of several learners on the same buffer")

@@ -35,7 +35,7 @@ CORNERS = 60
 WEIGHINGS = 3
 """maximum number of weighings to choose from, the newest"""
 OWN = "the run itself"
-COMPONENTS = "two principal components of (s, a, s')"
+COMPONENTS = "principal components"
 DRAWN, TOP, ZERO, AGE, ALL = "what I draw", "heaviest 1 %", "weight zero", "an age", "everything"
 
 
@@ -106,7 +106,10 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
 def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:
     columns = st.columns(2)
     named = names if len(names) > 1 else []  # two are needed for a plane
-    x = columns[0].selectbox("Across", [COMPONENTS, *named], key="across", bind="query-params")
+    x = columns[0].selectbox(
+        "Across", [COMPONENTS, *named], key="across", bind="query-params",
+        help="the first two of (s, a, s'), or two dimensions of the state",
+    )  # fmt: skip
     if x is None or x == COMPONENTS:
         columns[1].selectbox("Up", ["both are shown"], disabled=True)
         return buffer_reader.principal_plane(run, rows)
@@ -116,7 +119,7 @@ def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:
 
 
 def _pick_region(rows: Rows, plane: Plane) -> Mask:
-    columns = st.columns([4, 3], vertical_alignment="bottom")
+    columns = st.columns([5, 3], vertical_alignment="bottom")
     kind = columns[0].segmented_control(
         "Region", [DRAWN, TOP, ZERO, AGE, ALL], default=TOP, required=True, key="region",
         bind="query-params",

@@ -297,6 +297,7 @@ def test_a_run_without_weights_says_so_beside_the_others(profiles: Profiles) -> 
     layout = figure.to_dict()["layout"]
     (missing,) = [note for note in layout["annotations"] if note["text"] == "no weights recorded"]
     assert (missing["xref"], missing["yref"]) == ("x4 domain", "y4 domain")
+    assert ("x4", "y4") in [(trace.xaxis, trace.yaxis) for trace in traces(figure)]  # they exist
     assert len([trace for trace in traces(figure) if trace.type == "heatmap"]) == 1
 
 
