@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.curves import Curve, curve_points
@@ -27,7 +29,6 @@ from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader
 
 Array = NDArray[np.float64]
-Recorded = tuple[RunReader, Curve]
 Method = tuple[str, str]  # learner and variant
 PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
 METRIC = "eval/return"
@@ -35,13 +36,23 @@ FREE: Mapping[str, int] = MappingProxyType({})
 """no environment has a step of comparison fixed beforehand"""
 
 
+class Recorded(NamedTuple):
+    """One run, with what was read from it once."""
+
+    run: RunReader
+    metrics: pd.DataFrame
+    curve: Curve
+
+
 @dataclass(frozen=True)
 class Cell:
-    """One learner in one environment: the runs and returns of all seeds."""
+    """One learner in one environment: the runs, metrics and returns of all seeds."""
 
     env: str
     learner: str
     runs: tuple[RunReader, ...]
+    metrics: tuple[pd.DataFrame, ...]
+    """of each run, all of them, as `RunReader.metrics` has them"""
     curves: tuple[Curve, ...]
     variant: str = ""
     """in what its runs differ from the learner's in the first requested preset, in words"""
@@ -115,17 +126,16 @@ def _cells(
         run for run in runs if run.env != ROAD and run.learner in LEARNERS and run.preset in presets
     ]
     kind_of = kinds(mine)
-    recorded = [(run, _curve(run, kind_of[run.run_id])) for run in mine]
-    reaching = [(run, _until(curve, at.get(run.env))) for run, curve in recorded]
+    recorded = [_recorded(run, kind_of[run.run_id], at.get(run.env)) for run in mine]
     method = partial(_method, presets[0], apart)
-    usable = sorted(((r, c) for r, c in reaching if len(c.step)), key=method)
-    cells, left_out = [], [run.run_id for run, curve in reaching if not len(curve.step)]
+    usable = sorted((one for one in recorded if len(one.curve.step)), key=method)
+    cells, left_out = [], [one.run.run_id for one in recorded if not len(one.curve.step)]
     for (env, learner, variant), group in groupby(usable, method):
         every = list(group)
         chosen = _largest(every)
         cells.append(Cell(env, learner, *zip(*chosen, strict=True), variant=variant))
-        used = {run.run_id for run, _ in chosen}
-        left_out += [run.run_id for run, _ in every if run.run_id not in used]
+        used = {one.run.run_id for one in chosen}
+        left_out += [one.run.run_id for one in every if one.run.run_id not in used]
     return cells, left_out
 
 
@@ -157,9 +167,11 @@ def _place(cell: Cell) -> tuple[int, str, int, str]:
     return *task_rank(cell.env), learner_rank(cell.learner), cell.variant
 
 
-def _curve(run: RunReader, kind: Kind) -> Curve:
-    step, value = curve_points(run.metrics(), METRIC)
-    return Curve(run.run_id, run.env, *kind[:2], run.seed, step, value, kind.variant)
+def _recorded(run: RunReader, kind: Kind, at: int | None) -> Recorded:
+    metrics = run.metrics()
+    points = curve_points(metrics, METRIC)
+    curve = Curve(run.run_id, run.env, *kind[:2], run.seed, *points, kind.variant)
+    return Recorded(run, metrics, _until(curve, at))
 
 
 def _until(curve: Curve, at: int | None) -> Curve:
@@ -172,7 +184,7 @@ def _until(curve: Curve, at: int | None) -> Curve:
 
 def _method(usual: str, apart: bool, recorded: Recorded) -> tuple[str, str, str]:
     """The environment, the learner, and its variant in words."""
-    run, _ = recorded
+    run = recorded.run
     words = [run.preset] if run.preset != usual else []
     if apart:
         words += [f"{path} {value}" for path, value in sorted(changed(run).items())]
@@ -182,7 +194,7 @@ def _method(usual: str, apart: bool, recorded: Recorded) -> tuple[str, str, str]
 def _largest(every: Sequence[Recorded]) -> list[Recorded]:
     """The runs with the settings that most seeds share; of equal groups the longer one."""
     groups: dict[str, dict[int, Recorded]] = {}
-    for run, curve in sorted(every, key=lambda one: (one[1].step[-1], one[0].created)):
-        groups.setdefault(curve.variant, {})[curve.seed] = run, curve
-    chosen = max(groups.values(), key=lambda g: (len(g), max(c.step[-1] for _, c in g.values())))
+    for one in sorted(every, key=lambda one: (one.curve.step[-1], one.run.created)):
+        groups.setdefault(one.curve.variant, {})[one.curve.seed] = one
+    chosen = max(groups.values(), key=lambda g: (len(g), max(o.curve.step[-1] for o in g.values())))
     return [chosen[seed] for seed in sorted(chosen)]

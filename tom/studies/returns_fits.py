@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from tom.analysis.scores import beats, chance, interval
 from tom.analysis.statistics import corrected, remark
 from tom.exams.counted import counted_from
 from tom.exams.energy import informative
 from tom.learners.base import HEAVY
-from tom.record import RunReader
 from tom.studies.returns import Array, Cell, Method, compared_at, envs_of
 from tom.studies.returns_tables import contests
 
@@ -30,7 +30,7 @@ COMPARED = (*EXAMS.values(), "falls")
 
 Span = tuple[float, float]
 """the first and the last step whose fits count"""
-OfFits = Callable[[RunReader, Span], Mapping[str, float] | None]
+OfFits = Callable[[pd.DataFrame, Span], Mapping[str, float] | None]
 
 
 def exams(cells: Sequence[Cell]) -> list[dict[str, Any]]:
@@ -107,13 +107,13 @@ def _told(
 ) -> list[tuple[Cell, Sequence[Mapping[str, float]]]]:
     """What `of_fits` says of each cell's runs, if of any, over the fits that count."""
     since = {
-        env: counted_from(run.metrics() for cell in cells if cell.env == env for run in cell.runs)
+        env: counted_from(of_run for cell in cells if cell.env == env for of_run in cell.metrics)
         for env in envs_of(cells)
     }
     at, found = compared_at(cells), []
     for cell in cells:
         span = since[cell.env], at[cell.env]
-        if told := [one for run in cell.runs if (one := of_fits(run, span)) is not None]:
+        if told := [one for of_run in cell.metrics if (one := of_fits(of_run, span)) is not None]:
             found.append((cell, told))
     return found
 
@@ -130,12 +130,11 @@ def _table(cells: Sequence[Cell], of_fits: OfFits) -> list[dict[str, Any]]:
     return rows
 
 
-def _exam_medians(run: RunReader, span: Span) -> Mapping[str, float] | None:
+def _exam_medians(metrics: pd.DataFrame, span: Span) -> Mapping[str, float] | None:
     """Each of EXAMS, the median over the fits within `span`; None without exams there.
 
     A footprint counts if it is informative.
     """
-    metrics = run.metrics()
     if not set(EXAMS) <= set(metrics):
         return None
     here = metrics[metrics["env_step"].between(*span)]
@@ -147,9 +146,9 @@ def _exam_medians(run: RunReader, span: Span) -> Mapping[str, float] | None:
     return {EXAMS[name]: _median(of_fits) for name, of_fits in values.items()}
 
 
-def _rollouts(run: RunReader, span: Span) -> Mapping[str, float] | None:
+def _rollouts(metrics: pd.DataFrame, span: Span) -> Mapping[str, float] | None:
     """Each of ROLLOUTS over the fits within `span`; None if they recorded too little."""
-    metrics, needed = run.metrics(), [FALLS, POLICY_FALLS, LARGEST, SIZE]
+    needed = [FALLS, POLICY_FALLS, LARGEST, SIZE]
     if not set(needed) <= set(metrics):
         return None
     here = metrics.loc[metrics["env_step"].between(*span), needed].dropna()
