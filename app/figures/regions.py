@@ -1,5 +1,6 @@
 """The map of a replay buffer, features of a region, and weights against other quantities."""
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,6 +20,8 @@ POINTS = 8000
 RINGS = 2000
 """maximum number of marked transitions of a region"""
 BARS = 8
+TITLE_LETTERS = 22
+"""in a line of an axis title; four panels stand beside each other on a narrow window"""
 HOVER = (
     "step %{customdata[0]:,}<br>episode %{customdata[1]:,}, its step %{customdata[2]:,}<br>"
     "%{customdata[3]}<br>reward %{customdata[4]:.3g}<br>weight %{customdata[5]:.3g}<extra></extra>"
@@ -152,7 +155,8 @@ def weights_against(
             )
         )
     marks = [across(1, 1.2, "dash")]
-    styled(figure, text.plotly(x), height, keep=f"against {x} {keep}", marks=marks)
+    title = "<br>".join(text.plotly(line) for line in textwrap.wrap(x, TITLE_LETTERS))
+    styled(figure, title, height, keep=f"against {x} {keep}", marks=marks)
     figure.update_layout(showlegend=False)
     figure.update_yaxes(rangemode="tozero", title_text="weight")
     return figure

@@ -7,10 +7,13 @@ const DASHES = {
   solid: "", dash: "5 3", dot: "1.5 3", dashdot: "5 2.5 1.5 2.5", longdash: "9 4", longdashdot: "9 2.5 1.5 2.5",
 };
 
-function make(name, className, text) {
+function make(name, className, text = "") {
   const element = document.createElement(name);
   element.className = className;
-  if (text !== undefined) element.textContent = text;
+  // A setting's name breaks at its dots and underscores, before a word of it does.
+  text.split(/(?<=[._])/).forEach((part, i) => {
+    element.append(...(i ? [document.createElement("wbr"), part] : [part]));
+  });
   return element;
 }
 
