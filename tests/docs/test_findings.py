@@ -22,6 +22,12 @@ PAGE = (ROOT / "docs/findings.md").read_text()
 EXAMS_PAGE = (ROOT / "docs/exams.md").read_text()
 FOUR = (0, 1, 2, 3)
 SMALL = "model.hidden 8"
+WEIGHTS = {
+    "tom-discounted": "TOM as printed",
+    "tom-mended": "`mended`",
+    "half-tom-mended": "half `mended`, half uniform",
+    "half-recency": "half recency, half uniform",
+}
 MEASURES = ("area under the curve", "best return", "last return")
 
 
@@ -101,27 +107,30 @@ def test_two_ways_at_the_same_moments() -> None:
 
 
 def test_what_weights_do_for_models_of_each_size() -> None:
-    names = {
-        "tom-discounted": "TOM as printed",
-        "tom-mended": "`mended`",
-        "half-tom-mended": "half `mended`, half uniform",
-        "half-recency": "half recency, half uniform",
-    }
-    made: dict[str, list[str]] = {name: [] for name in names.values()}
+    made: dict[str, list[str]] = {name: [] for name in WEIGHTS.values()}
     for row in capacity.head_to_head(measured("capacity")):
         if row["against"] == footprint.UNIFORM:
             ratio, *ends = (f"{row[key]:.2f}".removeprefix("0") for key in ("ratio", "low", "high"))
             less = f"{row['less at']} of {row['n']} p {share(row['p'])}"
-            made[names[row["way"]]].append(f"{ratio} [{', '.join(ends)}] {less}")
+            made[WEIGHTS[row["way"]]].append(f"{ratio} [{', '.join(ends)}] {less}")
     assert {name: told for name, *told in rows("weights | linear")} == made
     assert all(len(told) == len(MODELS) for told in made.values())
-    after: dict[str, list[str]] = {name: [] for name in names.values()}
+    after: dict[str, list[str]] = {name: [] for name in WEIGHTS.values()}
     for row in capacity.summary(measured("capacity")):
-        if row["way"] in names:
+        if row["way"] in WEIGHTS:
             below = round(row["five steps, below 1"] * row["n"])
             told = f"{row['five steps']:.2f}".removeprefix("0")
-            after[names[row["way"]]].append(f"{told} {below} of {row['n']}")
+            after[WEIGHTS[row["way"]]].append(f"{told} {below} of {row['n']}")
     assert {name: told for name, *told in rows("weights, five steps ahead")} == after
+
+
+def test_what_weights_do_for_the_papers_model_goes_by_the_robot() -> None:
+    made = {
+        WEIGHTS[row["way"]]: [share(row[env]) for env in ("hopper", "walker2d", "halfcheetah")]
+        for row in capacity.head_to_head(measured("capacity"))
+        if (row["against"], row["model"]) == (footprint.UNIFORM, "200 x 4")
+    }
+    assert {name: told for name, *told in rows("weights, 200 units, by robot")} == made
 
 
 def test_the_scores_at_the_planned_end() -> None:

@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from tom.analysis.settings import variants
 from tom.data.unpack import read_bytes
 from tom.errors import UserError
 from tom.harmless import code, fenced, markdown
@@ -40,10 +41,14 @@ def small_copies(store: Store) -> list[RunReader]:
 
 def index(runs: Sequence[RunReader], weighings: Sequence[Path]) -> str:
     """The page for these small copies and weighings of their buffers."""
-    parts = [HEAD]
+    parts, settings = [HEAD], variants(runs)
     for env, group in groupby(runs, key=lambda run: run.env):
         of = list(group)
-        parts += [f"## {markdown(env)}\n", _table(map(_row, of)), _made([run.config for run in of])]
+        parts += [
+            f"## {markdown(env)}\n",
+            _table(_row(run, settings[run.run_id]) for run in of),
+            _made([run.config for run in of]),
+        ]
     if weighings:
         reports = [read_json(path / REPORT) for path in weighings]
         rows = map(_weighing, weighings, reports)
@@ -73,11 +78,13 @@ def write(path: Path, page: str) -> None:
         ) from error
 
 
-def _row(run: RunReader) -> dict[str, str]:
+def _row(run: RunReader, settings: str) -> dict[str, str]:
+    """The row of a run; `settings` in which it differs from others of its preset, in words."""
     status = run.status
     return {
         "run": code(run.run_id),
         "learner": _label(run.learner),
+        "preset": markdown(", ".join(filter(None, [run.preset, settings]))),
         "seed": str(run.seed),
         "steps": f"{status.env_step:,}",
         "final return": _number(status.last_return),

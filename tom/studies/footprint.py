@@ -61,6 +61,7 @@ def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             "nearer at": one.better,
             "n": one.n,
             **one.by_recording,
+            **one.by_task,
         }
         for one in comparisons(telling(outcomes), lambda outcome: outcome.footprint)
         if one.against != UNIFORM

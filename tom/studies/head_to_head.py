@@ -4,7 +4,7 @@ Two ways share the buffer, the policy and its fresh episodes at a moment, and mo
 more than ways do. The difference at each moment is therefore known much better than either way.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
 from statistics import median
@@ -38,6 +38,8 @@ class Comparison:
     better: int  # moments
     n: int
     recordings: Signs
+    by_task: Mapping[str, float]
+    """the difference in each task, of which `difference` is the mean; NaN without a moment there"""
 
     @property
     def by_recording(self) -> dict[str, float]:
@@ -65,7 +67,13 @@ def comparisons(
         if gaps:
             better = sum(gap < 0 for _, _, gap in gaps)
             difference, signs = over_recordings(gaps), sign_test(gaps)
-            yield Comparison(way, against, difference, better, len(gaps), signs)
+            tasks = {env: _in_task(gaps, env) for env in dict.fromkeys(one.env for one in outcomes)}
+            yield Comparison(way, against, difference, better, len(gaps), signs, tasks)
+
+
+def _in_task(gaps: Sequence[Value], env: str) -> float:
+    here = [gap for gap in gaps if gap[0] == env]
+    return over_recordings(here).value if here else nan
 
 
 def _trial(one: Outcome) -> tuple[str, int, int]:

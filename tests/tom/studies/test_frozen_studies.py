@@ -12,7 +12,7 @@ import torch
 
 from tom.cli import main
 from tom.config import SacRecordingConfig
-from tom.record import RunReader, Store
+from tom.record import RunReader, Store, layout
 from tom.studies import capacity, footprint, frozen
 from tom.studies.footprint_figure import footprint_figure
 from tom.studies.frozen import (
@@ -26,6 +26,7 @@ from tom.studies.frozen import (
     moments,
     seed_of,
 )
+from tom.studies.frozen_table import write_outcomes
 from tom.studies.recordings import sign_test
 from tom.training.presets import resolve
 from tom.training.run import train
@@ -176,6 +177,31 @@ def test_a_capacitys_summary_by_hand():
     assert "1.20" in second
 
 
+def test_a_way_without_uniform_weights_beside_it_has_no_row():
+    errors = (ModelError("linear", 1.0, 2.0),)
+    found = [
+        replace(BASE, errors=errors),
+        replace(BASE, way="ratio", errors=errors),
+        replace(BASE, way="recency", step=200, errors=errors),
+    ]
+    (row,) = capacity.summary(found)
+    assert (row["way"], row["one step"]) == ("ratio", 1)
+    assert capacity.summary(found[2:]) == capacity.verdict(found[2:]) == []
+
+
+@pytest.mark.parametrize("ways", [("ratio",), ("ratio", "recency"), ("uniform",)])
+def test_a_table_that_compares_nothing_is_one_line(
+    ways: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    table, out, errors = tmp_path / "moments.csv", tmp_path / "out", (ModelError("linear", 1, 2),)
+    write_outcomes(table, [replace(BASE, way=way, errors=errors) for way in ways])
+    assert main(["reproduce", "capacity", "--from", str(table), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "no moment with both uniform and other weights" in said
+    assert said.count("\n") == 1
+    assert not out.exists()
+
+
 def test_two_ways_are_compared_moment_by_moment():
     def moment(recording: str, env: str, step: int, mended: float, ratio: float) -> list[Outcome]:
         at = replace(BASE, recording=recording, env=env, step=step)
@@ -201,6 +227,10 @@ def test_two_ways_are_compared_moment_by_moment():
     assert row["difference"] == pytest.approx(((-0.2 + 0.4) / 2 + (-0.2 - 0.6) / 2) / 2)
     assert row["low"] == pytest.approx((-0.2 - 0.6) / 2)  # b and c are not drawn
     assert row["high"] == pytest.approx((0.4 - 0.2) / 2)
+    assert row["hopper"] == pytest.approx((-0.2 + 0.4) / 2)
+    assert row["walker2d"] == pytest.approx((-0.2 - 0.6) / 2)
+    outcomes.append(replace(BASE, way="recency", env="ant", recording="e"))
+    assert np.isnan(footprint.head_to_head(outcomes)[0]["ant"])  # all rows have the same columns
     # Nearer in most moments on a, c and d, further on b: as uneven by chance 10 times in 16.
     assert (row["better on"], row["recordings"], row["p"]) == (3, 4, 0.625)
     assert "on top of the discriminator?" in footprint.verdict(outcomes)[-1]
@@ -271,7 +301,7 @@ def test_two_ways_are_compared_for_every_model():
     assert linear["ratio"] == pytest.approx(1.0)  # a half and twice
     assert (linear["low"], linear["high"]) == pytest.approx((0.5, 2.0))
     assert (linear["less at"], linear["n"]) == (1, 2)
-    assert small["ratio"] == pytest.approx(np.sqrt(3.0))
+    assert small["ratio"] == small["hopper"] == pytest.approx(np.sqrt(3.0))
     last = capacity.verdict(outcomes)[-1]
     assert "linear 1.00 [0.50, 2.00] (less at 1 of 2, p = 1.00); 8 x 2 1.73" in last
     assert (small["better on"], small["recordings"], small["p"]) == (0, 2, 0.5)
@@ -337,6 +367,44 @@ def test_a_run_that_ended_too_early_is_told_so(tmp_path: Path, capsys: pytest.Ca
         asked = ["reproduce", "footprint", *words, "--env", "inverted-pendulum"]
         assert main([*asked, "--store", str(tmp_path), "--out", str(tmp_path / "report")]) == 2
         assert re.search(r"1,000 steps\s+after", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"learner": "mle"},
+        {"learner": "mle", "config": 3},
+        {"learner": "mle", "config": {"exploration_steps": None}},
+        {"learner": "sac", "config": {"exploration_steps": 10}},
+    ],
+)
+@pytest.mark.parametrize("study", ["footprint", "capacity", "improvement"])
+def test_a_run_that_does_not_say_when_its_policy_begins_is_left_out(
+    study: str, content: dict, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    store = tmp_path / "store"
+    policy = store / "foreign" / layout.policy(5000)
+    policy.parent.mkdir(parents=True)
+    policy.touch()
+    config = {"schema": 1, "env": "hopper", **content}
+    (store / "foreign" / layout.CONFIG).write_text(json.dumps(config))
+    words = ["reproduce", study, "--env", "hopper", "--store", str(store)]
+    words += ["--out", str(tmp_path / "out")]
+    for named, says in (((), "has no run with a buffer"), (("foreign",), "foreign has no moment")):
+        assert main([*words[:2], *named, *words[2:]]) == 2
+        said = capsys.readouterr().err
+        assert says in said
+        assert said.count("\n") == 1
+
+
+def test_a_model_that_is_named_twice_is_fitted_once(run: RunReader, tmp_path: Path):
+    words = ["reproduce", "capacity", "frozen", "--store", str(run.path.parent), "--rows", "300"]
+    words += ["--moments", "1", "--jobs", "1", "--ways", "newest", "--out", str(tmp_path)]
+    kept = []
+    for models in (("linear",), ("linear", "linear")):
+        assert main([*words, "--models", *models]) == 0
+        kept.append(sorted(path.name for path in (tmp_path / "cases").iterdir()))
+    assert kept[0] == kept[1]
 
 
 def test_every_way_is_a_learner_of_the_registry_or_the_newest_rows():
