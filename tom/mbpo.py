@@ -35,7 +35,7 @@ from tom.events import (
     TrainedPolicy,
 )
 from tom.exams.diagnostics import fit_metrics
-from tom.exams.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
+from tom.exams.exam import Exam, Fitted, critic_metrics, footprint_metrics, model_metrics
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting, heavy_row
 from tom.metrics import require_finite
@@ -151,7 +151,7 @@ class Mbpo:
         yield Metrics(
             at,
             {
-                **weight_metrics(exam, generator),
+                **footprint_metrics(exam, generator),
                 **model_metrics(self.model, exam, self.terminated, generator),
                 **critic_metrics(self.policy, exam.rows, temperature, discount, generator),
             },

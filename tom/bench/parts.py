@@ -16,7 +16,7 @@ from tom.data.sampling import WeightedSampler
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.envs import task
-from tom.exams.exam import Exam, Fitted, critic_metrics, model_metrics, weight_metrics
+from tom.exams.exam import Exam, Fitted, critic_metrics, footprint_metrics, model_metrics
 from tom.learners.base import FitContext
 from tom.learners.tom import TomLearner
 from tom.policy.rollout import roll_out
@@ -171,7 +171,7 @@ def _exam() -> Part:
 
     def sit() -> None:
         exam = Exam.of(fitted, replay, EXAMINED)
-        weight_metrics(exam, generator)
+        footprint_metrics(exam, generator)
         model_metrics(model, exam, hopper.terminated, generator)
         critic_metrics(critic, exam.rows, 0.2, 0.99, generator)
 

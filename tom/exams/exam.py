@@ -67,7 +67,7 @@ class Critic(Protocol):
         ...
 
 
-def weight_metrics(exam: Exam, generator: torch.Generator) -> dict[str, float]:
+def footprint_metrics(exam: Exam, generator: torch.Generator) -> dict[str, float]:
     """How near the weighted buffer is to the policy's transitions since (`footprint_match`)."""
     if not bool(exam.weights.any()):  # all rows with weight have been dropped
         return {}

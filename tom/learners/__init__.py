@@ -31,8 +31,9 @@ class LearnerEntry:
     `RunConfig`); they are shown only for it and distinguish only its runs. `uniform`: all
     transitions have the same weight. `follows_value`: its weights depend on a value function and
     change with it. `has_terms`: its weights come from a dual Q under `TomConfig`, and their terms
-    are recorded (`tom.learners.terms`). `charts` are its own metrics in a run's layout, by title.
-    `settings` change the preset of its online runs. `own` is the class of a plug-in's settings; the
+    are recorded (`tom.learners.terms`). `clipped`: the fit clips its weights, as
+    `Weighting.clipped` says. `charts` are its own metrics in a run's layout, by title. `settings`
+    change the preset of its online runs. `own` is the class of a plug-in's settings; the
     configuration of its runs has them as `group` (`with_own_settings`).
     """
 
@@ -43,6 +44,7 @@ class LearnerEntry:
     uniform: bool = False
     follows_value: bool = False
     has_terms: bool = False
+    clipped: bool = False
     charts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     own: type[Config] | None = None
@@ -59,12 +61,13 @@ LEARNERS: dict[str, LearnerEntry] = {
         "#c8441c",
         "tom",
         has_terms=True,
+        clipped=True,
         charts={
             "TOM: discriminator and dual Q": ("discriminator/loss", "dual/loss", "dual/q_mean")
         },
     ),
     "ratio": LearnerEntry(
-        "Ratio", lambda c, o, a, g: RatioLearner(c.tom, o, a, g), "#849060", "tom"
+        "Ratio", lambda c, o, a, g: RatioLearner(c.tom, o, a, g), "#849060", "tom", clipped=True
     ),
     "vagram": LearnerEntry(
         "VaGram (MDN)",

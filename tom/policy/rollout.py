@@ -1,6 +1,5 @@
 """Rollouts of the policy in the learnt model: what SAC trains on."""
 
-from collections.abc import Callable
 from typing import Protocol
 
 import torch
@@ -10,10 +9,9 @@ from tom.config import RolloutConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import WeightedSampler, uniform_indices
 from tom.data.transitions import TensorTransitions
+from tom.envs.task import Termination
 from tom.learners.base import Policy
 from tom.nn.mlp import rows_at_once
-
-Termination = Callable[[Tensor], Tensor]  # next_obs (B, O) -> terminated (B,)
 
 EXPLODED = 100.0
 """a modelled state has exploded if it is this many times larger than the largest start state"""

@@ -181,7 +181,8 @@ def _fitted(data: OrderedData, weighed: Weighed, config: OnlineConfig) -> Dynami
     rows, streams = data.transitions, Streams(config.seed)
     dims = rows.obs.shape[1], rows.action.shape[1]
     model = make_model(*dims, config.model, streams.torch("model"))
-    weighting = Weighting(torch.from_numpy(weighed.weights), clipped=config.learner == "tom")
+    clipped = LEARNERS[config.learner].clipped
+    weighting = Weighting(torch.from_numpy(weighed.weights), clipped=clipped)
     model.fit(rows, *weighting.for_fit(config.model), streams.torch("fit"))
     return model
 

@@ -7,7 +7,7 @@ episodes end, both are streams in order, as in training, for every flow.
 """
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,11 +26,10 @@ from tom.analysis.tabular import (
 )
 from tom.data.transitions import Transitions
 from tom.learners.base import Policy
+from tom.learners.discriminator import Inputs
 from tom.learners.tom import occupancy_weights
 from tom.studies.tabular_problems import Case, draw, problem_of, share_on
 from tom.studies.tabular_variants import Variant
-
-Inputs = Literal["transitions", "state-actions"]
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from app.data import pictures, readers
 from app.data.exams import at_fit
 from app.data.readers import RunInfo
 from tom.config import Settings
+from tom.exams.energy import informative
+from tom.learners import LEARNERS
 from tom.metrics import describe
 
-CLIPPED = ("tom", "ratio")
-"""learners whose weights a fit clips"""
 COLUMNS = {
     "footprint": "exam/footprint",
     "its noise": "exam/footprint_noise",
@@ -63,7 +63,7 @@ def of_which_weights(learner: str, settings: Settings) -> str:
             "and the exam is of that; the weights above choose the rollouts' starts alone."
         )
     changes = [f"a share of {share:g} of them uniform"] if share else []
-    if learner in CLIPPED and "model.weight_clip" in settings:
+    if learner in LEARNERS and LEARNERS[learner].clipped and "model.weight_clip" in settings:
         changes.insert(0, f"clipped at {float(settings['model.weight_clip']):g}")
     if not changes:
         return ""
@@ -91,7 +91,7 @@ def about_weights(metrics: Mapping[str, float]) -> str:
     )
     if uniform is None:
         return "Too few steps to tell where the weights should lie."
-    if footprint is None or noise is None or abs(noise) >= 1:
+    if footprint is None or noise is None or not informative(noise):
         return (
             "The footprint says nothing here: without weights the buffer lies no farther from "
             "these steps than two halves of them from each other."

@@ -17,7 +17,7 @@ from tom.exams.exam import (
     critic_metrics,
     model_metrics,
     returns_to_go,
-    weight_metrics,
+    footprint_metrics,
 )
 from tom.learners import LEARNER_NAMES
 from tom.mbpo import Mbpo
@@ -159,10 +159,10 @@ def test_the_exam_is_of_the_newest_rows_and_the_buffer_of_what_the_fit_saw():
 def test_without_a_buffer_or_weights_nothing_is_measured():
     rows = line(10)
     gone = Exam.of(Fitted(3, torch.ones(3)), rows, 12)
-    assert weight_metrics(gone, generator()) == {}
+    assert footprint_metrics(gone, generator()) == {}
     assert model_metrics(Off(0, 0), gone, lambda x: x[:, 0] > 0, generator()) == {}  # pyright: ignore[reportArgumentType]
     dropped = Exam.of(Fitted(9, torch.tensor([1.0, 1, 0, 0, 0, 0, 0, 0, 0])), rows, 3)
-    assert weight_metrics(dropped, generator()) == {}
+    assert footprint_metrics(dropped, generator()) == {}
 
 
 def test_weights_like_the_exams_rows_are_near_it():
@@ -176,7 +176,7 @@ def test_weights_like_the_exams_rows_are_near_it():
         return TensorTransitions(obs, flat[:, None], flat, obs, flat, ends)
 
     weights = torch.cat([torch.zeros(500), 2 * torch.ones(500)])
-    found = weight_metrics(Exam(of(x), weights, of(met + 5)), generator())
+    found = footprint_metrics(Exam(of(x), weights, of(met + 5)), generator())
     assert abs(found["exam/footprint"]) < 3 * found["exam/footprint_se"] < 0.2
     assert abs(found["exam/footprint_noise"]) < 0.2
     assert found["exam/footprint_uniform"] > 0.3

@@ -17,13 +17,14 @@ from tom.cli.reproduce.study import (
     stoppable,
 )
 from tom.cli.tables import show
+from tom.learners.discriminator import Inputs
 from tom.reports.files import write_csv
 from tom.reports.origin import seeds as in_short
 from tom.reports.style import save
 from tom.studies import verdicts
 from tom.studies.each import each
 from tom.studies.report import write_study
-from tom.studies.tabular import Estimate, Inputs, counted, estimate
+from tom.studies.tabular import Estimate, counted, estimate
 from tom.studies.tabular_figure import estimate_figure, estimate_rows
 from tom.studies.tabular_flows import exact_flows
 from tom.studies.tabular_problems import Case, cases, dense_cases, ending_cases
