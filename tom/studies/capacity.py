@@ -6,7 +6,7 @@ Weights for a shifted distribution help if a model is too small for the whole bu
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple
-from math import log, nan
+from math import exp, log, nan
 from statistics import median
 from typing import Any, Literal
 
@@ -30,11 +30,15 @@ def ratios(outcomes: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome,
 
 
 def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """One row for each way and model: the median ratio, its quartiles, how often it is below 1."""
+    """One row for each way and model: the median ratio, its quartiles, how often it is below 1.
+
+    Without those that share no moment and seed with uniform weights.
+    """
     rows = []
     values = {ahead: list(ratios(outcomes, ahead)) for ahead in AHEAD}
+    compared = {(one.way, model) for one, model, _ in values["error"]}
     for way in dict.fromkeys(one.way for one in outcomes if one.way != UNIFORM):
-        for model in _models(outcomes):
+        for model in (each for each in _models(outcomes) if (way, each) in compared):
             row: dict[str, Any] = {"way": way, "model": model}
             for ahead, name in AHEAD.items():
                 of = [r for one, m, r in values[ahead] if one.way == way and m == model]
@@ -51,7 +55,8 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """One row per question of two ways and model: the ratio of their errors one step ahead.
 
-    The ratio is the exponential of the mean difference of logarithms, and so is its interval.
+    The ratio is the exponential of the mean difference of logarithms, and so are its interval and
+    the ratio in each task.
     """
     rows = []
     for model in _models(outcomes):
@@ -62,6 +67,7 @@ def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
                 pair
                 | {"ratio": ratio, "low": low, "high": high, "less at": one.better, "n": one.n}
                 | one.by_recording
+                | {env: exp(gap) for env, gap in one.by_task.items()}
             )
     return sorted(rows, key=lambda row: list(QUESTIONS).index((row["way"], row["against"])))
 

@@ -9,6 +9,7 @@ tested on fresh episodes of the policy of that fit.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -131,11 +132,15 @@ def moments(run: RunReader, most: int) -> list[int]:
     return [steps[round(i)] for i in np.linspace(0, len(steps) - 1, most)]
 
 
-def sac_begins(run: RunReader) -> int:
+def sac_begins(run: RunReader) -> float:
     """The step from which on SAC's policy acts: after exploration, in a recording of SAC after as
-    many random steps as it has of SAC, too."""
-    settings = run.config["config"]
-    return int(settings["exploration_steps"]) + (0 if run.fits_model else int(settings["steps"]))
+    many random steps as it has of SAC, too. Infinity if the run's settings do not say."""
+    settings = run.config.get("config")
+    if not isinstance(settings, dict):
+        return inf
+    named = ("exploration_steps",) if run.fits_model else ("exploration_steps", "steps")
+    steps = [step for name in named if isinstance(step := settings.get(name), int)]
+    return sum(steps) if len(steps) == len(named) else inf
 
 
 def cases(

@@ -140,7 +140,7 @@ def _command(study: FrozenStudy, usual: Mapping[str, Any]) -> Callable[[argparse
         if args.table:
             given = [name for name in usual if getattr(args, name, None) != usual[name]]
             _refuse_beside_a_table(given, args.runs)
-        models = getattr(args, "models", study.models)
+        models = dict.fromkeys(getattr(args, "models", study.models))
         for name in models:
             check_model(name)
         return _run(replace(study, ways=tuple(chosen_ways(args)), models=tuple(models)), args)
@@ -187,6 +187,11 @@ def _measured(study: FrozenStudy, args: argparse.Namespace) -> list[Outcome]:
 def _kept(study: FrozenStudy, args: argparse.Namespace) -> list[Outcome]:
     """The outcomes of an earlier report."""
     outcomes = read_outcomes(args.table, bool(study.models))
+    if study.models and not any(capacity.ratios(outcomes, "error")):
+        raise UserError(
+            f"{args.table} has no moment with both uniform and other weights, whose errors are "
+            "compared: name the moments.csv of another report"
+        )
     out_folder(args.out)
     return outcomes
 
