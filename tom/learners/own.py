@@ -1,7 +1,7 @@
 """Learners of plug-ins, whose answers are checked before a model is fitted with them."""
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,10 @@ from tom.data.transitions import TensorTransitions
 from tom.envs.user_code import running
 from tom.errors import OwnCodeError
 from tom.learners.base import DEGENERATE, FitContext, Learner, Weighting, uniform
+from tom.learners.terms import Terms
 
+OPTIONAL = ("per_dim", "log_ratio")
+"""arrays that an answer may lack"""
 METHODS = ("weigh", "state_dict", "load_state_dict")
 UNIT_MEAN = 1e-3
 """weights whose mean differs from 1 by more are divided by it"""
@@ -83,7 +86,7 @@ class OwnLearner:
             self._learner.load_state_dict({k: v for k, v in state.items() if k != COUNT})
 
     def _formed(self, given: object, replay: TensorTransitions) -> Weighting:
-        """`given` with arrays of the right form, type and device, and metrics that are numbers."""
+        """`given` with all parts of the right form, and arrays of the right type and device."""
         if not isinstance(given, Weighting):
             raise OwnCodeError(
                 f"{self._what} answers with a {type(given).__name__}: weigh must return a Weighting"
@@ -94,22 +97,57 @@ class OwnLearner:
             weights=self._array("weights", given.weights, (rows,), replay.obs),
             per_dim=self._array("per_dim", given.per_dim, (rows, dims), replay.obs),
             log_ratio=self._array("log_ratio", given.log_ratio, (rows,), replay.obs),
-            metrics={name: self._number(name, value) for name, value in given.metrics.items()},
+            terms=self._terms(given.terms, replay.obs),
+            metrics=self._metrics(given.metrics),
+            notices=self._notices(given.notices),
         )
 
+    def _terms(self, given: object, like: Tensor) -> Terms | None:
+        if given is None:
+            return None
+        if not isinstance(given, Terms):
+            raise OwnCodeError(
+                f"{self._what}: terms must be Terms (tom.learners.terms) or None, not "
+                f"{type(given).__name__}"
+            )
+        shape, parts = (len(like),), vars(given)
+        return Terms(*(self._array(f"terms.{n}", parts[n], shape, like) for n in Terms.named()))
+
+    def _metrics(self, given: object) -> dict[str, float]:
+        if not isinstance(given, Mapping):
+            raise OwnCodeError(
+                f"{self._what}: metrics must be numbers by name (a dict), not "
+                f"{type(given).__name__}"
+            )
+        return {name: self._number(name, value) for name, value in given.items()}
+
+    def _notices(self, given: object) -> tuple[tuple[str, str], ...]:
+        several = isinstance(given, list | tuple)
+        wrong = [one for one in given if not _is_notice(one)] if several else [given]
+        if not several or wrong:
+            raise OwnCodeError(
+                f"{self._what}: notices must be pairs of texts (kind, message), not "
+                f"{_shown(wrong[0])}"
+            )
+        return tuple((kind, message) for kind, message in given)
+
     def _array(self, name: str, given: Any, shape: tuple[int, ...], like: Tensor) -> Any:
-        if given is None and name != "weights":
+        if given is None and name in OPTIONAL:
             return None
         if not isinstance(given, Tensor) or tuple(given.shape) != shape:
             has = tuple(given.shape) if isinstance(given, Tensor) else type(given).__name__
             raise OwnCodeError(f"{self._what}: {name} must be a tensor of shape {shape}, not {has}")
         return given.detach().to(like)
 
-    def _number(self, name: str, value: Any) -> float:
+    def _number(self, name: object, value: Any) -> float:
+        if not isinstance(name, str):
+            raise OwnCodeError(
+                f"{self._what}: the name of its metric {_shown(name)} must be a text"
+            )
         try:
             return float(value)
-        except (TypeError, ValueError):
-            said = f"{self._what}: its metric '{name}' is {value!r:.40} and must be one number"
+        except (TypeError, ValueError, OverflowError):
+            said = f"{self._what}: its metric '{name}' is {_shown(value)} and must be one number"
             raise OwnCodeError(said) from None
 
     def _of_mean_one(self, answer: Weighting) -> Weighting:
@@ -147,6 +185,17 @@ def _not_loadable(state: Any, where: str) -> str | None:
         return f"{where} is a {kind.__module__}.{kind.__qualname__}"
     found = (_not_loadable(part, place) for place, part in parts)
     return next((each for each in found if each), None)
+
+
+def _is_notice(given: object) -> bool:
+    if not isinstance(given, list | tuple):
+        return False
+    return len(given) == 2 and all(isinstance(part, str) for part in given)
+
+
+def _shown(given: object) -> str:
+    """The beginning of a value in one line."""
+    return " ".join(repr(given).split())[:40]
 
 
 def _usable(answer: Weighting) -> bool:

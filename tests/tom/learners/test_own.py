@@ -13,6 +13,7 @@ from tom.data.sampling import normalise
 from tom.errors import DivergedError, OwnCodeError
 from tom.learners.base import Weighting
 from tom.learners.own import OwnLearner
+from tom.learners.terms import Terms
 
 N = 50
 
@@ -102,13 +103,34 @@ def test_weights_of_another_type_or_mean_are_brought_to_ours():
         (Weighting([1.0] * N), "not list"),  # pyright: ignore[reportArgumentType]
         (Weighting(weights(), per_dim=torch.ones(N)), r"per_dim must be a tensor of shape \(50, 3"),
         (Weighting(weights(), metrics={"a": "b"}), "metric 'a' is 'b' and must be one number"),  # pyright: ignore[reportArgumentType]
+        (Weighting(weights(), metrics=None), "metrics must be .* not NoneType"),  # pyright: ignore[reportArgumentType]
+        (Weighting(weights(), metrics={1: 2.0}), "the name of its metric 1 must be a text"),  # pyright: ignore[reportArgumentType]
+        (Weighting(weights(), metrics={"a": weights()}), r"metric 'a' is tensor\(.*one number$"),  # pyright: ignore[reportArgumentType]
+        (Weighting(weights(), metrics={"a": 10**400}), "metric 'a' is 10000.* one number$"),
+        (Weighting(weights(), notices=("text",)), "notices must be pairs .* not 'text'"),  # pyright: ignore[reportArgumentType]
+        (Weighting(weights(), notices=(("kind", 3),)), r"not \('kind', 3\)"),  # pyright: ignore[reportArgumentType]
+        (Weighting(weights(), notices="no"), "notices must be pairs .* not 'no'"),  # pyright: ignore[reportArgumentType]
+        (Weighting(weights(), terms={"a": 1}), "terms must be Terms .* not dict"),  # pyright: ignore[reportArgumentType]
+        (
+            Weighting(weights(), terms=Terms(weights(), weights(), weights(), None)),  # pyright: ignore[reportArgumentType]
+            r"terms.restart must be a tensor of shape \(50,\), not NoneType",
+        ),
         (KeyError("nope"), r"learner 'mine' fails: KeyError: 'nope' \(test_own.py, line"),
         (SystemExit(0), "learner 'mine' fails: SystemExit"),
     ],
 )
 def test_another_answer_is_one_line_that_names_the_learner(answer: Any, named: str):
-    with pytest.raises(OwnCodeError, match=named):
+    with pytest.raises(OwnCodeError, match=named) as found:
         own(answer).weigh(context(rows(N)))
+    assert "\n" not in str(found.value)
+
+
+def test_notices_and_terms_of_the_right_form_are_recorded_as_ours():
+    terms = Terms(*(weights().requires_grad_() for _ in range(4)))
+    given = Weighting(weights(), terms=terms, notices=[["kind", "words"]])  # pyright: ignore[reportArgumentType]
+    found = own(given).weigh(context(rows(N)))
+    assert found.notices == (("kind", "words"),)
+    assert found.event(1).terms.keys() == terms.recorded().keys()
 
 
 def test_errors_that_explain_themselves_stay():
