@@ -8,6 +8,7 @@ are in a training. Both are tested on held-out episodes.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 
 import numpy as np
 import torch
@@ -66,13 +67,18 @@ class BrushedFit:
     model: DynamicsModel = field(repr=False, compare=False)
 
 
+def check_factor(factor: float) -> None:
+    """Raises UserError for a factor that weights cannot be multiplied by."""
+    if not 0 <= factor < inf:  # NaN is neither
+        raise UserError(f"factor {factor:g}: must be a finite number, at least 0")
+
+
 def brushed(weights: Tensor, region: Tensor, factor: float) -> Tensor:
     """The weights (N,), multiplied by `factor` in the region (N,), then scaled to mean 1.
 
-    Raises UserError if all weights would be zero.
+    Raises UserError for an impossible factor, or if all weights would be zero.
     """
-    if factor < 0:
-        raise UserError(f"factor {factor:g}: a weight cannot be negative")
+    check_factor(factor)
     normalised, degenerate = normalise(torch.where(region, factor * weights, weights))
     if degenerate:
         raise UserError("all of the weight lies in the region: nothing is left without it")

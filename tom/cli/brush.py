@@ -10,12 +10,23 @@ from time import perf_counter
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
-from tom.analysis.brush import AS_IT_IS, FACTORS, SMALL, Brush, BrushedFit, fits, ghosts
+from tom.analysis.brush import (
+    AS_IT_IS,
+    FACTORS,
+    SMALL,
+    Brush,
+    BrushedFit,
+    check_factor,
+    fits,
+    ghosts,
+)
 from tom.analysis.ordered_data import OrderedData, find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
-from tom.cli.parser import folder, seed_number
+from tom.cli.parser import folder, one_line, seed_number
 from tom.cli.weigh import count
+from tom.config import ModelConfig
 from tom.envs import scene, task
 from tom.errors import UserError
 from tom.machine.matmul import choose_matmul
@@ -59,6 +70,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    config = _settings(args)
     torch.set_num_threads(1)
     choose_matmul("default")
     store = Store(args.store)
@@ -71,7 +83,6 @@ def run(args: argparse.Namespace) -> int:
     name = f"{reader.run_id}-brushed"
     weighing_files.check_free(args.out or store.new_weighing(name))
     begun, models = perf_counter(), list[BrushedFit]()
-    config = SMALL.but(hidden=args.hidden, layers=args.layers)
     seeds = list(dict.fromkeys(args.seeds))
     total = len(dict.fromkeys((AS_IT_IS, *args.factors))) * len(seeds)
     for one in fits(brush, config, args.factors, seeds):
@@ -103,6 +114,16 @@ def run(args: argparse.Namespace) -> int:
         brush_files.write(out, region, models, report, made)
     print(json.dumps({"out": str(out)}) if args.json else out)
     return 0
+
+
+def _settings(args: argparse.Namespace) -> ModelConfig:
+    """The model's. Raises UserError for an impossible one, or for an impossible factor."""
+    for factor in args.factors:
+        check_factor(factor)
+    try:
+        return SMALL.but(hidden=args.hidden, layers=args.layers)
+    except ValidationError as error:
+        raise one_line(error) from None
 
 
 def _region(path: Path, reader: RunReader, data: OrderedData, step: int) -> NDArray[np.bool_]:

@@ -46,6 +46,13 @@ def test_nothing_left_is_refused():
         Brush(rows, torch.ones(40), torch.ones(40, dtype=torch.bool))
 
 
+@pytest.mark.parametrize("factor", [-1.0, float("nan"), float("inf")])
+def test_a_factor_that_is_none_is_refused(factor: float):
+    weights, region = torch.tensor([1.0, 1.0]), torch.tensor([True, False])
+    with pytest.raises(UserError, match="must be a finite number, at least 0"):
+        brushed(weights, region, factor)
+
+
 def test_a_region_that_counts_less_is_modelled_worse_and_the_rest_better():
     found = {(f.factor, f.seed): f.errors for f in fits(brush(), QUICK, (0, 0.25, 4), (0, 1))}
     for seed in (0, 1):

@@ -10,6 +10,7 @@ from tom.record.writer import RunWriter
 from tom.training.presets import resolve
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--learner", "mle", "--preset", "smoke"]
+BRUSH = ["brush", "no-run", "--rows", "no-rows", "--step", "1"]
 
 
 def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
@@ -57,6 +58,11 @@ def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
         (["reproduce", "progression", "--steps", "9" * 20], "--steps 99999999999999999999"),
         (["reproduce", "road", "--seeds", str(2**63)], f"less than {2**63}"),
         ([*TRAIN, "--steps", str(2**60)], f"--steps {2**60}"),
+        (["reproduce", "returns", "--at", "9" * 5000], "--at must be at least 1"),
+        (["reproduce", "returns", "--at", "hopper=" + "9" * 5000], "not 'hopper=999"),
+        ([*BRUSH, "--hidden", str(2 * 10**12)], f"--hidden {2 * 10**12}: must be less"),
+        ([*BRUSH, "--layers", str(2 * 10**12)], f"--layers {2 * 10**12}: must be less"),
+        ([*BRUSH, "--factors", "4", "nan"], "factor nan: must be a finite number"),
         (["trian"], "trian"),
         ([], "COMMAND"),
     ],

@@ -7,7 +7,7 @@ from typing import Any
 
 from tom.analysis.scores import BEST, FINAL, HEIGHT
 from tom.analysis.statistics import RANKED
-from tom.cli.parser import seed_number
+from tom.cli.parser import DIGITS, seed_number, whole_number
 from tom.cli.reproduce.study import (
     add_output,
     add_stored,
@@ -134,17 +134,18 @@ def _steps(words: Sequence[str], envs: Sequence[str]) -> dict[str, int]:
     of_all: dict[str, int] = {}
     of_one: dict[str, int] = {}
     for word in words:
-        env, named, step = word.rpartition("=")
-        if not step.isdecimal() or int(step) < 1:
-            raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word}'")
+        env, named, digits = word.rpartition("=")
+        step = whole_number(digits)
+        if not step:
+            raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word[:DIGITS]}'")
         if not named and of_all:
             raise UserError("--at takes one step of all, and one ENV=STEP for each other")
         if named and task(env).name not in envs:
             raise UserError(f"--at {word}: --env does not name {env}")
         if named:
-            of_one[task(env).name] = int(step)
+            of_one[task(env).name] = step
         else:
-            of_all = dict.fromkeys(envs, int(step))
+            of_all = dict.fromkeys(envs, step)
     return of_all | of_one
 
 
