@@ -20,7 +20,7 @@ from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.config import SacRecordingConfig
 from tom.envs import ENVS, task
-from tom.errors import UserError, unknown
+from tom.errors import DivergedError, UserError, unknown
 from tom.record import RunReader, Store
 from tom.record.files import plain
 from tom.studies.checks import Check
@@ -134,7 +134,7 @@ def out_folder(path: Path) -> None:
 
 def stoppable(work: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
     """`work`, but with one line and exit code 1 on Ctrl-C, SIGTERM, or if a case cannot be
-    finished (a process was killed, the disk is full)."""
+    finished (a process was killed, the disk is full, a loss is not finite)."""
 
     def run(args: argparse.Namespace) -> int:
         try:
@@ -146,6 +146,8 @@ def stoppable(work: Callable[[argparse.Namespace], int]) -> Callable[[argparse.N
             say("a process was killed; fewer --jobs need less memory. The same command goes on")
         except OSError as error:
             say(f"{error}. The same command goes on")
+        except DivergedError as error:
+            say(f"failed: {error}")
         return 1
 
     return run
