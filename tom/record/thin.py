@@ -194,7 +194,8 @@ def _policy(reader: RunReader, to: Path) -> None:
 def _policies(reader: RunReader, to: Path) -> None:
     """Write the policies of the fits whose single weights are kept, in half precision.
 
-    All of a run without weights, as a recording of SAC, which is weighed at its policies.
+    All where none are kept: of a run without weights, as a recording of SAC, which is weighed at
+    its policies, and in a copy without snapshots.
     """
     beside = RunReader(to).snapshot_steps()
     for step in reader.policy_steps():

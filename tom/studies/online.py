@@ -65,7 +65,7 @@ class RunProfiles:
 
 
 def panels(runs: Sequence[RunReader], preset: str) -> list[RunProfiles]:
-    """The longest run of each environment and learner that weighed, in the registry's order."""
+    """The longest run of each environment and learner, if it weighed, in the registry's order."""
     longest: dict[tuple[str, str], RunReader] = {}
     for run in sorted(runs, key=lambda run: (run.status.env_step, run.created)):
         if run.preset == preset and run.env != ROAD and run.learner in LEARNERS:
