@@ -115,17 +115,20 @@ def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str, 
     return env, measure.METRICS[metric], score
 
 
+def profile(look: Look, scores: NDArray, at: NDArray) -> Profile:
+    """A group's share of runs above each threshold; its band is the same beside any other group."""
+    share = statistics.performance_profile(scores[:, None], at)
+    draws = statistics.draws()
+    low, high = statistics.profile_band(scores[:, None], at, draws, resamples=300)
+    return Profile(look, share, low, high)
+
+
 def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep: str) -> None:
     everything = np.concatenate(scores)
     margin = 0.05 * (np.ptp(everything) or 1.0)
     ends = everything.min() - margin, everything.max() + margin
     at = np.unique(np.append(everything, ends))  # shares change at scores alone
-    draws = np.random.default_rng(0)
-    of_groups = []
-    for look, values in zip(looks, scores, strict=True):
-        share = statistics.performance_profile(values[:, None], at)
-        low, high = statistics.profile_band(values[:, None], at, draws, resamples=300)
-        of_groups.append(Profile(look, share, low, high))
+    of_groups = [profile(look, values, at) for look, values in zip(looks, scores, strict=True)]
     with st.container(border=True):
         st.markdown("**Performance profile**: share of runs above a score, 95 % bootstrap band")
         label = f"share of runs whose {score} is above a threshold"

@@ -19,14 +19,17 @@ from studio_runs import PENDULUM_TOM, info
 
 from app.data.readers import profiles
 from app.data.tables import default_level, reached
+from app.figures import statistics
+from app.figures.looks import Look
 from app.figures.side import side_by_side
+from app.figures.statistics import Profile
 from app.links import Links
 from app.parts import replay_link, shortlinks, widgets
 from app.parts.plot import View
 from app.scenes.control import ReplayChoice, Selection, listen
 from app.servers.pages import routes
 from app.theme import learner_colour
-from app.views.compare import zoom
+from app.views.compare import numbers, zoom
 from app.views.compare.choice import matching
 from app.views.compare.comparison import HIDE, switched, toggled
 from app.views.compare.curves import unlike_ends
@@ -40,6 +43,10 @@ from tom.record.store import Store
 
 pytestmark = pytest.mark.usefixtures("studio")
 SEEDS = ("pendulum-tom-0", "pendulum-tom-1")
+LOOKS = (
+    Look("TOM", learner_colour("tom"), "solid", "circle"),
+    Look("MLE", learner_colour("mle"), "solid", "circle"),
+)
 
 
 def recorded(store: Path, run_id: str, metric: str = "eval/return") -> tuple[list, list]:
@@ -283,6 +290,22 @@ def test_statistics_are_those_of_the_scores(store: Path) -> None:
     everything = [recorded(store, run_id)[1] for run_id in (*SEEDS, "pendulum-mle-0")]
     best = np.array([max(values) for values in everything])
     assert app.number_input[0].value == default_level(best)
+
+
+def test_a_profile_has_the_same_band_beside_any_other_group(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[Profile] = []
+    monkeypatch.setattr(
+        numbers, "profiles", lambda of, *rest: shown.extend(of) or statistics.profiles(of, *rest)
+    )
+    scores = {look: np.random.default_rng(n).normal(size=20) for n, look in enumerate(LOOKS)}
+    first, second = LOOKS
+    for looks in ([first, second], [second, first]):
+        numbers._profiles(looks, [scores[look] for look in looks], FINAL, "")
+    bands = [[(one.low, one.high) for one in shown if one.look == look] for look in LOOKS]
+    for before, after in bands:
+        assert np.array_equal(before, after)
 
 
 def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
