@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from app.data.cache import VersionedCache
 from app.data.roadmap import RoadShape, road_share, trajectories, weight_grid
-from tom.record import stamps
+from tom.record import layout, stamps
 from tom.record.reader import RunReader, at_or_before
 
 ENV = "road-and-rocks"
+MODEL, TRAJECTORIES = "model", "trajectories"
+"""recorded fields of every fit"""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,9 @@ _PICTURES: VersionedCache[Picture | None] = VersionedCache(128)
 
 def load(run: RunReader, step: int) -> Picture | None:
     """The fit at `step`; None if the run's folder lacks the map (see `run.problems`)."""
-    version = stamps.snapshot(run.path, step)
+    # A training writes the snapshot first, and these fields a moment later.
+    fields = [run.path / layout.field(name, step) for name in (MODEL, TRAJECTORIES)]
+    version = stamps.snapshot(run.path, step), stamps.stamp(*fields)
     return _PICTURES.get((str(run.path), step), lambda: _read(run, step), version)
 
 
@@ -51,8 +55,8 @@ def _read(run: RunReader, step: int) -> Picture | None:
     weight = run.snapshot(step)["weight"].to_numpy(np.float32)
     obs = np.asarray(run.buffer()[0].obs)[: len(weight)]
     obs, weight = obs.reshape(-1, 2), weight[: len(obs)]
-    model = _field(run, "model", step)
-    lines = _field(run, "trajectories", step)
+    model = _field(run, MODEL, step)
+    lines = _field(run, TRAJECTORIES, step)
     nothing = np.zeros((0, 2), np.float32)
     return Picture(
         learner=run.learner,

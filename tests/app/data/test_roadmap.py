@@ -1,5 +1,6 @@
 """The map's geometry, held against the task itself and what runs recorded."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from app.data.roadmap import (
     weight_grid,
 )
 from tom.analysis.curves import curve_points
+from tom.record import layout
 from tom.record.reader import RunReader
 from tom.road import task
 from tom.road.measure import map_field
@@ -79,6 +81,27 @@ def test_a_picture_says_what_the_run_recorded(store: Path) -> None:
     assert len(picture.expert) == 10
     assert len(picture.learnt) == 5
     assert picture.true.shape == picture.modelled.shape == picture.points.shape == (441, 2)
+
+
+def test_a_picture_that_was_read_while_its_fit_was_written_is_read_again(
+    store: Path, tmp_path: Path
+) -> None:
+    run = RunReader(shutil.copytree(store / ROAD_TOM, tmp_path / ROAD_TOM))
+    before, step = pictures.steps(run)[-2:]
+    fields = {name: run.field(name, step) for name in ("model", "trajectories")}
+    for name in fields:
+        (run.path / layout.field(name, step)).unlink()
+    early = pictures.load(run, step)
+    assert early is not None
+    assert np.array_equal(early.modelled, run.field("model", before)["modelled"])
+    for name, arrays in fields.items():
+        moved = {key: array + 1 for key, array in arrays.items()}
+        np.savez(run.path / layout.field(name, step), allow_pickle=False, **moved)
+        pictures.load(run, step)
+    late = pictures.load(run, step)
+    assert late is not None
+    assert np.array_equal(late.modelled, fields["model"]["modelled"] + 1)
+    assert np.array_equal(late.learnt[0], fields["trajectories"]["learnt_0"] + 1)
 
 
 def test_trajectories_come_in_order() -> None:
