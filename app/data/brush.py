@@ -12,9 +12,7 @@ from app.data.buffer import Rows
 from app.data.readers import RunInfo
 from app.data.weighings import WeighingInfo
 from app.data.why import candidates
-from tom.data.unpack import DAMAGE as UNPACK_DAMAGE
-from tom.data.unpack import read_arrays
-from tom.record.array_files import DAMAGE, read_table
+from tom.record.array_files import DAMAGE, read_arrays, read_table
 from tom.record.files import read_json
 from tom.reports.brush_files import GHOSTS, REGION
 from tom.reports.weighing_files import REPORT, WEIGHTS
@@ -66,11 +64,11 @@ def _read(weighing: WeighingInfo) -> Brushed | None:
                 value = float("nan") if error is None else float(error)
                 errors.setdefault(name, {}).setdefault(float(result["factor"]), []).append(value)
         step, model = int(report["step"]), dict(about["model"])
-    except (OSError, ValueError, KeyError, TypeError, *DAMAGE):
+    except (AttributeError, *DAMAGE):
         return None
     try:
         ghosts = read_arrays(path / GHOSTS)
-    except (OSError, *UNPACK_DAMAGE):
+    except DAMAGE:
         ghosts = {}
     count = int(region.sum())
     return Brushed(weighing.name, count, len(region), step, model, errors, dict(ghosts))

@@ -13,6 +13,7 @@ from app.data.readers import RunInfo
 from app.data.regions import Plane
 from tom.analysis.imagine import step_errors, stored_model, stored_step
 from tom.data.transitions import Transitions
+from tom.envs import Task
 from tom.errors import UserError
 from tom.record import stamps
 from tom.record.task_record import scene_of, task_of
@@ -43,20 +44,23 @@ def rows(run: RunInfo, step: int) -> Rows | None:
 
 def described(run: RunInfo) -> tuple[str, ...]:
     """The recorded names of the run's observation dimensions; empty if there are none."""
-    if run.env == pictures.ENV:
-        return ()
+    known = None if run.env == pictures.ENV else described_task(run)
+    return () if known is None else known.obs_names
+
+
+def described_task(run: RunInfo) -> Task | None:
+    """The run's task; None if its folder does not say what it is."""
     try:
-        return task_of(readers.reader(run)).obs_names
+        return task_of(readers.reader(run))
     except UserError:
-        return ()
+        return None
 
 
 def drawn(run: RunInfo) -> bool:
     """Whether there is a robot to draw in the states of the run's buffer."""
     reader = readers.reader(run)
-    if scene_of(reader) is None:
-        return False
-    return task_of(reader).root_dims is not None or bool(reader.buffer_state())
+    known = None if scene_of(reader) is None else described_task(run)
+    return known is not None and (known.root_dims is not None or bool(reader.buffer_state()))
 
 
 def moments(run: RunInfo, rows: Sequence[int]) -> Floats:

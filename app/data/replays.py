@@ -27,9 +27,8 @@ from tom.record.task_record import scene_of, seconds, task_of
 ROAD_DT = 0.1
 """seconds of a step of road-and-rocks on the screen; the task itself has no clock"""
 HORIZONS = (1, 5, 10, 25, 50, 100, 1000)
-DEFAULT_HORIZON = 25
-"""steps after which a ghost restarts from the real state"""
 """choices of steps after which the ghost restarts from the real state; the last is an episode"""
+DEFAULT_HORIZON = 25
 ALIKE = 1e-6
 """standard deviation of a dimension's change per step up to which the change is constant"""
 
@@ -89,6 +88,7 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
 
     The ghost restarts from the real state every `horizon` steps; 0 means no ghost. The result is
     cached until the episode or the run's model changes; it is shared and must not be changed.
+    Raises UserError if the run's folder does not say what its task is.
     """
     model = stamps.model(run.path)
     key = str(run.path), step, index, horizon
@@ -97,7 +97,10 @@ def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
 
 
 def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | None:
-    """The episode and its ghost as a Rerun recording; None if there is no such episode."""
+    """The episode and its ghost as a Rerun recording; None if there is no such episode.
+
+    Raises UserError as `load` does.
+    """
     replay = load(run, step, index, horizon)
     if replay is None:
         return None

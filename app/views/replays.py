@@ -14,6 +14,7 @@ from app.parts.plot import Point, chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
 from app.theme import learner_label
+from tom.errors import UserError
 
 TITLE = "Replays"
 ICON = ":material/replay:"
@@ -48,14 +49,25 @@ def page() -> None:
         index = _pick_episode(returns)
     with top[3]:
         horizon = _pick_horizon()
-    replay = replays.load(readers.reader(run), step, index, horizon)
+    replay = _loaded(run, step, index, horizon)
     if replay is None:
-        st.warning("This episode cannot be read.")
         return
     _numbers(replay)
     _play(run, replay, returns, index, horizon)
     empty.left_out(run, "other evaluations", "other episodes")
     widgets.show_problems(run)
+
+
+def _loaded(run: RunInfo, step: int, index: int, horizon: int) -> Replay | None:
+    """The chosen episode; None, and why in one line, if it cannot be shown."""
+    try:
+        replay = replays.load(readers.reader(run), step, index, horizon)
+    except UserError as error:
+        st.warning(text.markdown(error))
+        return None
+    if replay is None:
+        st.warning("This episode cannot be read.")
+    return replay
 
 
 @st.fragment(run_every=TICK_S)

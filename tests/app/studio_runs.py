@@ -1,15 +1,27 @@
 """The recorded runs that the studio's tests look at (conftest.py records them)."""
 
+import json
 import os
 import shutil
+import sys
+from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryFile
+
+import numpy as np
 
 from app.data import readers
 from app.data.readers import RunInfo
+from app.data.trainings import Started
+from tom.envs import scene, skeleton
+from tom.machine import processes
+from tom.record import layout
 
 ROAD_TOM = "road-tom"
 ROAD_MLE = "road-mle"
 PENDULUM_TOM = "pendulum-tom-0"
+WAITING = "import time; time.sleep(600)"
+"""a program for `stand_in`"""
 RUNS = (
     (PENDULUM_TOM, "inverted-pendulum", "tom", {"seed": 0, "steps": 400}),
     ("pendulum-tom-1", "inverted-pendulum", "tom", {"seed": 1, "steps": 400}),
@@ -22,6 +34,24 @@ RUNS = (
 def info(store: Path, run_id: str) -> RunInfo:
     """What the pages know of a run."""
     return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
+
+
+def undescribed(run: Path) -> None:
+    """Make a run of the pendulum one in a task of its own, whose description is damaged."""
+    content = json.loads((run / layout.CONFIG).read_text())
+    content["env"] = content["config"]["env"] = "gymnasium:Lost-v0"
+    content["task"] = {"obs_names": []}
+    (run / layout.CONFIG).unlink()  # which may be a link to the file of the run itself
+    (run / layout.CONFIG).write_text(json.dumps(content))
+    geometry = skeleton.arrays(scene.model("inverted-pendulum"))
+    np.savez_compressed(run / layout.SCENE, allow_pickle=False, **geometry)
+
+
+def stand_in(words: Sequence[str], program: str) -> Started:
+    """What a page holds that has started `tom WORDS`, where a line of Python runs in its place."""
+    log = TemporaryFile(buffering=0)  # noqa: SIM115 (the page reads it)
+    command = [sys.executable, "-c", program]
+    return Started(tuple(words), processes.start(command, log, outlives=True), log)
 
 
 def with_weighing(store: Path, made: Path, folder: Path) -> Path:

@@ -1,7 +1,9 @@
 """The counterfactual brush: what if this region of the buffer had counted more or less?"""
 
 from collections.abc import Sequence
+from pathlib import Path
 from tempfile import NamedTemporaryFile
+from threading import Thread
 
 import numpy as np
 import streamlit as st
@@ -18,7 +20,8 @@ from app.parts.plot import chart
 from app.scenes.film.ghosts import ghosts
 from tom.analysis.brush import FACTORS
 from tom.envs import is_code
-from tom.record.task_record import scene_of, task_of
+from tom.machine.processes import Process
+from tom.record.task_record import scene_of
 
 HEIGHT = 380
 KEY = "brush"
@@ -75,7 +78,14 @@ def _start(run: RunInfo, rows: Rows, mask: Mask, of: str | None) -> None:
             np.savetxt(file, rows.first + np.flatnonzero(mask), fmt="%d")
         step = rows.first + len(rows)
         words = command(run.run_id, file.name, step, of or "", factors, session.links().store)
-        st.session_state[BEGUN] = trainings.start(words)
+        begun = st.session_state[BEGUN] = trainings.start(words)
+        Thread(target=_remove_after, args=(begun.process, Path(file.name)), daemon=True).start()
+
+
+def _remove_after(process: Process, rows: Path) -> None:
+    """Remove the file of rows when its reader has ended, whether or not a page looks on."""
+    process.wait()
+    rows.unlink(missing_ok=True)
 
 
 def _why_not(run: RunInfo, count: int, of: int, base: str | None) -> str:
@@ -141,13 +151,11 @@ def _shown(run: RunInfo, brushed: Brushed) -> None:
         )  # fmt: skip
         factor = kept[0] if factor not in kept else factor
         name = f"region {factor_in_words(factor)}"
-        own = readers.reader(run)
-        model = scene_of(own)
-        if model is None:
+        known, model = buffer_reader.described_task(run), scene_of(readers.reader(run))
+        if known is None or model is None:
             st.caption("No ghosts: there is no robot to draw.")
             return
-        drawn = task_of(own), model
-        page = ghosts(drawn, brushed.ghosts, factor, name, run.learner, session.mode())
+        page = ghosts((known, model), brushed.ghosts, factor, name, run.learner, session.mode())
         st.iframe(page, height=HEIGHT)
         st.caption(
             "An evaluation episode, and what two models make of its actions, from the real state "

@@ -1,16 +1,20 @@
 """The counterfactual brush: what the page shows is what `tom brush` measured."""
 
 import json
+import tempfile
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from studio_pages import array, draw, figures, set_links
-from studio_runs import PENDULUM_TOM, info, with_weighing
+from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with_weighing
 
 from app.data import brush, buffer_reader, trainings, weighings
 from app.data.brush import Brushed
+from app.data.weighings import WeighingInfo
 from app.figures.brush import error_bars
 from app.links import Links
 from app.theme import Mode
@@ -19,9 +23,10 @@ from tom.analysis.brush import REGION, REST
 from tom.cli import main
 from tom.record.array_files import read_table
 from tom.record.reader import RunReader
-from tom.reports.weighing_files import copy_small
+from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small
 
 FIT = 300
+WAIT_S = 60
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +103,43 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
     assert brush.of_run(
         [replace(one, path=str(copy)) for one in weighings.of_run(info(there, PENDULUM_TOM), 400)]
     )
+
+
+def test_a_brush_of_a_task_that_is_not_described_has_no_ghosts(brushed: Path) -> None:
+    undescribed(brushed / PENDULUM_TOM)
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    assert "No ghosts: there is no robot to draw." in [said.value for said in app.caption]
+
+
+@pytest.mark.parametrize("results", [[{"errors": []}], [[]], {"errors": {}}, None])
+def test_a_damaged_report_is_no_brush(results: object, tmp_path: Path) -> None:
+    about = {"model": {}, "region": {}}
+    report = {"brush": about, "results": results, "step": FIT}
+    (tmp_path / REPORT).write_text(json.dumps(report))
+    pd.DataFrame({"region": [True, False]}).to_parquet(tmp_path / WEIGHTS)
+    weighing = WeighingInfo(
+        str(tmp_path), "", "own", {}, 2, 0, FIT, 0, brush=True, learners=frozenset()
+    )
+    assert brush.of_run([weighing]) == []
+
+
+def test_the_rows_of_a_brush_are_kept_until_it_ends(
+    studio: Links, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
+    app.button(key="brush it").click().run()
+    begun = app.session_state[BEGUN]
+    try:
+        assert len(np.loadtxt(begun.words[begun.words.index("--rows") + 1])) == 3
+        app.button(key="cancel brush").click().run()
+    finally:
+        begun.process.kill()
+    deadline = time.monotonic() + WAIT_S
+    while list(tmp_path.iterdir()):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_a_brush_that_failed_says_so_until_the_next(brushed: Path) -> None:

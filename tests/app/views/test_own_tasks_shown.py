@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box
 from studio_pages import array, draw, figures, set_links
+from studio_runs import PENDULUM_TOM, undescribed
 
 from app.data import readers, replays, why
 from app.data.readers import RunInfo
@@ -121,6 +122,19 @@ def test_the_film_and_the_rollouts_name_the_task_as_it_is(shown: Path):
     assert rows is not None
     said = why.rollouts(run, rows, 0, 320)
     assert said == "they are drawn for the built-in tasks, and gymnasium:Swimmer-v5 is none of them"
+
+
+def test_a_run_whose_task_is_not_described_is_said_to_be_so(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    undescribed(shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM))
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    (said,) = draw("replays", run=PENDULUM_TOM).warning
+    assert "does not say what its task gymnasium:Lost-v0 is" in said.value.replace("\\", "")
+    assert "\n" not in said.value
+    regions = draw("regions", run=PENDULUM_TOM)
+    assert not regions.get("iframe")
+    assert figures(regions)
 
 
 def test_choices_of_scenes_travel(shown: Path):
