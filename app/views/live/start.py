@@ -1,7 +1,8 @@
 """A form that starts trainings, made from the configuration and checked before the start."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 import streamlit as st
 
@@ -18,8 +19,7 @@ from tom.training.presets import PRESETS, default_preset, learners
 
 COLUMNS = 4
 FORGET = 6
-"""maximum number of remembered trainings that were started here"""
-
+"""trainings started here that are remembered after their end, and failures that are shown"""
 
 FOLD, OPENED = "starting", "start opened"
 
@@ -122,7 +122,7 @@ def _begin(env: str, learner: str, preset: str, seeds: str, given: dict[str, str
         icon=":material/play_arrow:",
         key="start",
     ):
-        _started().extend(trainings.start(words) for words in commands)
+        _remember(trainings.start(words) for words in commands)
         st.toast("Started: it appears below in a few seconds.", icon=":material/play_arrow:")
     with right:
         st.code(form.shown(commands[0]), language="bash", wrap_lines=True)
@@ -137,10 +137,20 @@ def _begin(env: str, learner: str, preset: str, seeds: str, given: dict[str, str
 def failures(runs: Sequence[RunInfo]) -> None:
     """Trainings started here that ended before they had a run, with their output."""
     writers = {run.status.pid for run in runs}
-    for begun in _started()[-FORGET:]:
-        if begun.failed(writers):
-            st.error("A training that was started here did not begin:", icon=":material/error:")
-            st.code(f"$ {form.shown(begun.words)}\n{begun.tail()}", language=None)
+    failed = [begun for begun in _started() if begun.failed(writers)]
+    for begun in failed[-FORGET:]:
+        st.error("A training that was started here did not begin:", icon=":material/error:")
+        st.code(f"$ {form.shown(begun.words)}\n{begun.tail()}", language=None)
+
+
+def _remember(more: Iterable[Started]) -> None:
+    """Add trainings; forget those before the last `FORGET` that have ended, with their output."""
+    begun = _started()
+    begun.extend(more)
+    for old in begun[:-FORGET]:
+        if old.process.poll() is not None:
+            with suppress(ValueError):  # another page has just forgotten it
+                begun.remove(old)
 
 
 @st.cache_resource(show_spinner=False)

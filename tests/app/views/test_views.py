@@ -4,7 +4,7 @@ import json
 import re
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, array, draw, figures, set_links, trace
-from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
+from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, WAITING, info, stand_in
 
+from app.data import trainings
 from app.data.called import names
 from app.data.readers import RunInfo
+from app.data.trainings import Started
 from app.links import Links
 from app.parts import replay_link
 from app.parts.cards import NAMED, settings_line
@@ -273,6 +275,31 @@ def test_live_has_a_form_that_writes_the_command(store: Path) -> None:
     app.text_input(key="start set sac.discount").input("2").run()
     assert "discount" in app.error[0].value
     assert not [button for button in app.button if button.key == "start"]
+
+
+def test_trainings_that_have_ended_are_forgotten_and_those_that_run_are_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def ended(words: Sequence[str]) -> Started:
+        begun = stand_in(words, "")
+        begun.process.wait(TIMEOUT_S)
+        return begun
+
+    monkeypatch.setattr(trainings, "start", lambda words: stand_in(words, WAITING))
+    app = draw("live")
+    app.session_state[start.FOLD] = True
+    app.run().button(key="start").click().run()
+    (first,) = start._started()
+    try:
+        monkeypatch.setattr(trainings, "start", ended)
+        app.text_input(key="start seeds").input(f"1-{start.FORGET + 2}").run()
+        app.button(key="start").click().run()
+        assert len(start._started()) == 1 + start.FORGET
+        assert not app.error
+    finally:
+        first.process.kill()
+        first.process.wait(TIMEOUT_S)
+    assert "did not begin" in app.run().error[0].value
 
 
 def test_the_form_offers_the_tasks_of_plugins(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
