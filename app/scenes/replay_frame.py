@@ -110,12 +110,12 @@ class ReplayFrame(Frame):
             across = 0.5 if self.compact else 0.74
             return (across, -0.4, 1.25), (across, 0.42, 0.0)
         if self._replay is not None and self._replay.env not in ENVS:
-            return self._stands_off(self._replay)
+            return self._stands_off()
         away = 1.6 + 0.9 * height
         beside = 0.0 if self.compact else 0.25 * away
         return (0.45 * away, -away, 0.5 + 0.6 * height), (beside, 0.0, 0.5 * height)
 
-    def _stands_off(self, replay: Replay) -> tuple[Vector, Vector]:
+    def _stands_off(self) -> tuple[Vector, Vector]:
         """A view of an unknown robot, from its extent in the first frame."""
         assert self._scene is not None
         middle, span = self._scene.covered

@@ -26,7 +26,6 @@ class Point:
 
     x: Any
     y: Any
-    trace: int
     index: int | tuple[int, int]
     """place in the trace; (row, column) in a heatmap"""
     meta: Any
@@ -36,7 +35,7 @@ class Point:
     def of(cls, message: Mapping[str, Any]) -> Self:
         index = message["index"]
         index = (int(index[0]), int(index[1])) if isinstance(index, list) else int(index)
-        return cls(message["x"], message["y"], int(message["trace"]), index, message["meta"])
+        return cls(message["x"], message["y"], index, message["meta"])
 
 
 @dataclass(frozen=True)

@@ -70,8 +70,8 @@ function options(Plotly, selects, views) {
   };
 }
 
-function place({ x, y, curveNumber, pointNumber, data }) {
-  return { x, y, trace: curveNumber, index: pointNumber, meta: data.meta ?? null };
+function place({ x, y, pointNumber, data }) {
+  return { x, y, index: pointNumber, meta: data.meta ?? null };
 }
 
 // Of all points under one label, that which lies nearest to the pointer.

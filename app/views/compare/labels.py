@@ -11,6 +11,7 @@ from app.theme import learner_label
 from app.views.compare.choice import names_with_ids
 from tom.errors import UserError
 from tom.record import manage
+from tom.record.labels import NAME_LENGTH, NOTE_LENGTH
 from tom.record.store import Store
 
 
@@ -70,8 +71,10 @@ def _label(chosen: Sequence[RunInfo]) -> None:
     name = note = ""
     with st.form(f"label {key}", border=False):
         if one:
-            name = st.text_input("Name", one.labels.name, max_chars=80, placeholder=one.run_id)
-            note = st.text_area("Note", one.labels.note, max_chars=4000)
+            name = st.text_input(
+                "Name", one.labels.name, max_chars=NAME_LENGTH, placeholder=one.run_id
+            )
+            note = st.text_area("Note", one.labels.note, max_chars=NOTE_LENGTH)
         held = list(dict.fromkeys(tag for run in chosen for tag in run.labels.tags))
         shared = [tag for tag in held if all(tag in run.labels.tags for run in chosen)]
         tags = st.multiselect(

@@ -6,12 +6,12 @@ from app.servers import shell
 
 
 def test_a_point_of_a_curve_knows_its_run() -> None:
-    told = {"x": 250, "y": 3.5, "trace": 1, "index": 7, "meta": "ant-tom-0"}
-    assert Point.of(told) == Point(250, 3.5, 1, 7, "ant-tom-0")
+    told = {"x": 250, "y": 3.5, "index": 7, "meta": "ant-tom-0"}
+    assert Point.of(told) == Point(250, 3.5, 7, "ant-tom-0")
 
 
 def test_a_cell_of_a_heatmap_has_a_row_and_a_column() -> None:
-    assert Point.of({"x": 1, "y": 2, "trace": 0, "index": [4, 9], "meta": None}).index == (4, 9)
+    assert Point.of({"x": 1, "y": 2, "index": [4, 9], "meta": None}).index == (4, 9)
 
 
 def test_a_region_has_points_and_an_outline() -> None:

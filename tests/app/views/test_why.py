@@ -135,7 +135,7 @@ def test_starts_of_rollouts_are_drawn_as_the_run_draws_them(tmp_path: Path) -> N
 def test_a_click_asks_about_the_point_under_it(store: Path) -> None:
     rows = own_rows(store)
     plane = Plane(np.arange(FIT * 1.0), np.zeros(FIT), "a", "b")
-    clicked(rows, plane)(Point(17.0, 0.0, 0, 3, None))
+    clicked(rows, plane)(Point(17.0, 0.0, 3, None))
     assert st.session_state["row"] == 17
     del st.session_state["row"]
 
