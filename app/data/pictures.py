@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from app.data.cache import VersionedCache
 from app.data.roadmap import RoadShape, road_share, trajectories, weight_grid
-from tom.record import layout, stamps
+from tom.record import stamps
 from tom.record.reader import RunReader, at_or_before
 
 ENV = "road-and-rocks"
@@ -42,8 +42,8 @@ _PICTURES: VersionedCache[Picture | None] = VersionedCache(128)
 def load(run: RunReader, step: int) -> Picture | None:
     """The fit at `step`; None if the run's folder lacks the map (see `run.problems`)."""
     # A training writes the snapshot first, and these fields a moment later.
-    fields = [run.path / layout.field(name, step) for name in (MODEL, TRAJECTORIES)]
-    version = stamps.snapshot(run.path, step), stamps.stamp(*fields)
+    fields = stamps.fields(run.path, step, MODEL, TRAJECTORIES)
+    version = stamps.snapshot(run.path, step), fields
     return _PICTURES.get((str(run.path), step), lambda: _read(run, step), version)
 
 

@@ -38,6 +38,10 @@ def snapshot(run: Path, step: int) -> Stamp:
     return stamp(run / layout.snapshot(step))
 
 
+def fields(run: Path, step: int, *names: str) -> Stamp:
+    return stamp(*(run / layout.field(name, step) for name in names))
+
+
 def episodes(run: Path, step: int) -> Stamp:
     return stamp(run / layout.episodes(step))
 
