@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data.pictures import ENV as ROAD
 from tom.data.transitions import Transitions
-from tom.envs import ENVS
+from tom.envs import ENVS, ROAD
 
 Floats = NDArray[np.float64]
 

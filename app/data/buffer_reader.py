@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data import pictures, readers, regions
+from app.data import readers, regions
 from app.data.buffer import Floats, Rows, rows_at, windows
 from app.data.cache import VersionedCache
 from app.data.readers import RunInfo
 from app.data.regions import Plane
 from tom.analysis.imagine import step_errors, stored_model, stored_step
 from tom.data.transitions import Transitions
-from tom.envs import Task
+from tom.envs import ROAD, Task
 from tom.errors import UserError
 from tom.record import stamps
 from tom.record.task_record import scene_of, task_of
@@ -36,7 +36,7 @@ def rows(run: RunInfo, step: int) -> Rows | None:
     def read() -> Rows | None:
         weight = readers.reader(run).snapshot(step)["weight"].to_numpy()
         # Offline data is complete from the first step on; online, each step adds a row.
-        end = len(recorded.rows) if run.env == pictures.ENV else step
+        end = len(recorded.rows) if run.env == ROAD else step
         return rows_at(recorded.rows, recorded.version, weight, end)
 
     return recorded.at_fits.get(step, read, stamps.snapshot(run.folder, step))
@@ -44,7 +44,7 @@ def rows(run: RunInfo, step: int) -> Rows | None:
 
 def described(run: RunInfo) -> tuple[str, ...]:
     """The recorded names of the run's observation dimensions; empty if there are none."""
-    known = None if run.env == pictures.ENV else described_task(run)
+    known = None if run.env == ROAD else described_task(run)
     return () if known is None else known.obs_names
 
 

@@ -10,7 +10,6 @@ from app.data.roadmap import RoadShape, road_share, trajectories, weight_grid
 from tom.record import stamps
 from tom.record.reader import RunReader, at_or_before
 
-ENV = "road-and-rocks"
 MODEL, TRAJECTORIES = "model", "trajectories"
 """recorded fields of every fit"""
 

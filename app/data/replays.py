@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data.cache import VersionedCache
-from app.data.pictures import ENV as ROAD
 from app.data.roadmap import RoadShape
 from tom.analysis.imagine import (
     Imagined,
@@ -15,7 +14,7 @@ from tom.analysis.imagine import (
     joint_positions,
     stored_model,
 )
-from tom.envs import Task, scene
+from tom.envs import ROAD, Task, scene
 from tom.errors import UserError
 from tom.events import Episode
 from tom.record import stamps

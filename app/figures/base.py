@@ -5,8 +5,8 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from app.data.pictures import ENV as OFFLINE
 from app.theme import NEUTRAL
+from tom.envs import ROAD
 
 ENV_STEPS = "env steps"
 ROW, ENTRY, LETTER = 19, 45, 6
@@ -34,9 +34,9 @@ Y_AXIS = {"title": {"standoff": 8}, **_AXIS}  # else wide tick labels overlap th
 def steps_in_words(envs: Iterable[str]) -> str:
     """The title of a step axis: on a fixed data set, steps are not environment steps."""
     shown = set(envs)
-    if OFFLINE not in shown:
+    if ROAD not in shown:
         return ENV_STEPS
-    return "steps of policy optimisation" if shown == {OFFLINE} else "steps"
+    return "steps of policy optimisation" if shown == {ROAD} else "steps"
 
 
 def styled(

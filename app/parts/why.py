@@ -7,7 +7,7 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import buffer_reader, pictures, readers, trainings, weighings
+from app.data import buffer_reader, readers, trainings, weighings
 from app.data import why as reasons
 from app.data.buffer import Rows, dimension_names
 from app.data.readers import RunInfo
@@ -19,6 +19,7 @@ from app.parts.plot import Point, chart
 from app.theme import learner_label
 from tom.analysis.why import Sum
 from tom.config import TomConfig
+from tom.envs import ROAD
 from tom.learners import SUBJECT
 
 KEY = "row"
@@ -65,7 +66,7 @@ def section(run: RunInfo, rows: Rows) -> None:
                 _sum(source, source.sum_of(row))
             with right:
                 _neighbours(run, rows, source, row)
-        if run.env != pictures.ENV:
+        if run.env != ROAD:
             _rollouts(run, rows, row)
 
 
@@ -191,7 +192,7 @@ def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
 def _offer(run: RunInfo, rows: Rows) -> None:
     """Offer to weigh the buffer of this step again, with its terms."""
     step = rows.first + len(rows)
-    if run.env == pictures.ENV or step not in readers.reader(run).policy_steps():
+    if run.env == ROAD or step not in readers.reader(run).policy_steps():
         return
     store = session.links().store
     words = ["weigh", run.run_id, "--policy", run.run_id, "--step", str(step)]

@@ -13,6 +13,7 @@ from app.scenes.frame import Frame
 from app.scenes.road import RoadScene
 from app.scenes.stage import sky
 from app.scenes.words import Words
+from tom.envs import ROAD
 from tom.errors import UserError
 from tom.record.reader import at_or_before
 from tom.record.store import Store
@@ -64,7 +65,7 @@ class RoadFrame(Frame):
         choice = selection.choice
         assert isinstance(choice, RoadChoice)
         store = Store(self.store)
-        newest = (run.run_id for run in store.runs() if run.env == pictures.ENV)
+        newest = (run.run_id for run in store.runs() if run.env == ROAD)
         self._runs = choice.runs or tuple(newest)[:1]
         steps = {step for run in self._runs for step in pictures.steps(store.run(run))}
         self._steps = sorted(steps)

@@ -32,6 +32,7 @@ from app.router import VIEWS
 from app.servers.pages import warm
 from tom.cli.parser import Parser
 from tom.cli.tables import show
+from tom.envs import ROAD
 from tom.record import layout
 from tom.record.reader import RunReader
 from tom.record.store import Store
@@ -43,11 +44,12 @@ OPEN_S, ANSWER_S = 2.0, 0.5
 """the targets: opening the studio, and every page after that"""
 READERS = 4
 """browsers that request a page at the same time; Python serves one after another"""
-ROAD = {"steps": 60, "fit_every": 30}
-PENDULUM = {"steps": 400}
 KINDS = (
-    *(("road-and-rocks", learner, ROAD) for learner in ("mle", "tom")),
-    *(("inverted-pendulum", learner, PENDULUM) for learner in ("mle", "pmac", "tom", "vagram")),
+    *((ROAD, learner, {"steps": 60, "fit_every": 30}) for learner in ("mle", "tom")),
+    *(
+        ("inverted-pendulum", learner, {"steps": 400})
+        for learner in ("mle", "pmac", "tom", "vagram")
+    ),
 )
 """the trained runs, in turn: task, learner, settings"""
 STUDIES, FIGURES, LINES = 3, 2, 300

@@ -11,9 +11,9 @@ import numpy as np
 from PIL import Image
 
 from app.data import readers
-from app.data.pictures import ENV as ROAD
 from app.parts import widgets
 from app.servers.browser import settled_picture
+from tom.envs import ROAD
 from tom.errors import UserError
 
 if TYPE_CHECKING:

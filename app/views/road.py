@@ -7,7 +7,7 @@ import streamlit as st
 from app import session, text
 from app.data import readers
 from app.data.called import names, told_apart
-from app.data.pictures import ENV, Picture
+from app.data.pictures import Picture
 from app.data.readers import RunInfo
 from app.figures.road import road_map
 from app.parts import address, empty, form, pick, widgets
@@ -17,6 +17,7 @@ from app.scenes.control import RoadChoice
 from app.scenes.export import as_html
 from app.theme import learner_label
 from tom.analysis.curves import curve_points
+from tom.envs import ROAD
 from tom.learners import SUBJECT
 from tom.metrics import describe
 from tom.record.reader import at_or_before
@@ -49,11 +50,11 @@ RATIO = (
 
 def page() -> None:
     """A run and a fit, its 3D scene and map, and the numbers of every learner."""
-    runs = [r for r in readers.listing(session.links().store).runs if r.env == ENV]
+    runs = [r for r in readers.listing(session.links().store).runs if r.env == ROAD]
     shown = [run for run in runs if readers.road_steps(run)]
     if not shown:
         st.info("No road-and-rocks run has recorded its weights yet.", icon=":material/add_road:")
-        words = ["train", "--env", ENV, "--learner", SUBJECT, "--store", session.links().store]
+        words = ["train", "--env", ROAD, "--learner", SUBJECT, "--store", session.links().store]
         st.code(form.shown(words), language="bash")
         return
     st.caption(

@@ -12,7 +12,7 @@ from tom.config import ModelConfig
 from tom.data.transitions import Transitions
 from tom.dynamics import make_model
 from tom.dynamics.linear import LinearModel
-from tom.envs import Task
+from tom.envs import ROAD, Task
 from tom.errors import UserError, reason
 from tom.events import Episode
 from tom.exams.diagnostics import row_errors, step_scale
@@ -77,7 +77,7 @@ def stored_model(run: RunReader) -> StoredModel:
 
 
 def _predictor(run: RunReader, state: dict[str, Any]) -> Predictor:
-    if run.env == "road-and-rocks":
+    if run.env == ROAD:
         return RoadModel(LinearModel(state["coefficients"]))
     known = task_of(run)
     # Only the model's settings: other groups may differ in another version.

@@ -11,6 +11,7 @@ from tom.cli.parser import folder, seed_number
 from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.cli.train import number, summary
+from tom.envs import ROAD
 from tom.machine.processes import Process, start, stop
 from tom.record import RunReader, Store
 from tom.sweep import Command, run_commands
@@ -58,7 +59,7 @@ def _demonstrate(store: Store, args: argparse.Namespace) -> int:
 
 def commands(store: Path, seed: int, headless: bool) -> list[Command]:
     """The five trainings of the demo."""
-    road = [("road-and-rocks", learner, ()) for learner in ROAD_LEARNERS]
+    road = [(ROAD, learner, ()) for learner in ROAD_LEARNERS]
     online = [(ONLINE_ENV, name, ("--steps", str(ONLINE_STEPS))) for name in ONLINE_LEARNERS]
     shared = ("--store", str(store), "--seed", str(seed))
     quiet = ("--no-rerun",) if headless else ()

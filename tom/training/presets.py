@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tom.config import OnlineConfig, RoadConfig
-from tom.envs import ENV_NAMES, is_known, task, unknown_task
+from tom.envs import ENV_NAMES, ROAD, is_known, task, unknown_task
 from tom.envs.ends import rule
 from tom.envs.task import Task
 from tom.errors import UserError, unknown
@@ -87,7 +87,7 @@ BY_ENV: dict[str, dict[str, dict[str, Any]]] = {
     "smoke": {},
 }
 
-ROAD: dict[str, dict[str, Any]] = {
+OF_ROAD: dict[str, dict[str, Any]] = {
     "paper": {},
     "mended": {},
     "released": {},
@@ -118,7 +118,7 @@ def resolve(
     preset = preset or default_preset(env, learner)
     if preset not in PRESETS:
         raise unknown("preset", preset, PRESETS)
-    config = _road(preset) if env == "road-and-rocks" else _online(env, learner, preset)
+    config = _road(preset) if env == ROAD else _online(env, learner, preset)
     config = config_type(env, learner).model_validate(config.model_dump())
     given = _without_others(learner, overrides or {})
     config = config.but(env=env, learner=learner, preset=preset, **given)
@@ -132,12 +132,12 @@ def default_preset(env: str, learner: str) -> str:
 
     On road-and-rocks all presets but `smoke` are the paper's.
     """
-    return "mended" if learner == SUBJECT and env != "road-and-rocks" else "paper"
+    return "mended" if learner == SUBJECT and env != ROAD else "paper"
 
 
 def learners(env: str) -> tuple[str, ...]:
     """The learners of an environment; road-and-rocks also has the baselines of its study."""
-    return (*LEARNERS, *BASELINES) if env == "road-and-rocks" else tuple(LEARNERS)
+    return (*LEARNERS, *BASELINES) if env == ROAD else tuple(LEARNERS)
 
 
 def _online(env: str, learner: str, preset: str) -> OnlineConfig:
@@ -160,12 +160,12 @@ def _of_task(known: Task, config: OnlineConfig) -> OnlineConfig:
 
 
 def _road(preset: str) -> RoadConfig:
-    return RoadConfig(learner="mle").but(**ROAD[preset])
+    return RoadConfig(learner="mle").but(**OF_ROAD[preset])
 
 
 def config_type(env: str, *learners: str) -> type[OnlineConfig | RoadConfig]:
     """The configuration class of an environment's runs, with these learners' own settings."""
-    base = RoadConfig if env == "road-and-rocks" else OnlineConfig
+    base = RoadConfig if env == ROAD else OnlineConfig
     return with_own_settings(base, learners)
 
 

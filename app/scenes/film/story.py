@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data import buffer_reader, pictures, readers
+from app.data import buffer_reader, readers
 from app.data.buffer import WINDOW, windows
 from app.data.called import names
 from app.data.readers import RunInfo
@@ -14,7 +14,7 @@ from app.scenes.film.robots import body, packed
 from app.scenes.states import poses
 from tom.analysis.curves import curve_points
 from tom.data.transitions import Transitions
-from tom.envs import Task
+from tom.envs import ROAD, Task
 from tom.envs.scene import Model
 from tom.errors import UserError
 from tom.record.profiles import Profiles
@@ -38,7 +38,7 @@ def story(run: RunInfo) -> dict[str, Any]:
         raise UserError("a story needs two model fits at least, and this run has kept fewer")
     reader = readers.reader(run)
     recorded, _ = reader.buffer()
-    if run.env == pictures.ENV:
+    if run.env == ROAD:
         raise UserError("road-and-rocks has a story of its own: the page Road and rocks plays it")
     if not len(recorded):
         raise UserError("its buffer is not there: no robots and no map of the buffer can be drawn")
@@ -65,7 +65,7 @@ def story(run: RunInfo) -> dict[str, Any]:
 
 def may_be_told(run: RunInfo) -> bool:
     """Whether the run has the parts of a story, as far as is known without reading them."""
-    return run.env != pictures.ENV and readers.has_profiles(run) and buffer_reader.has_rows(run)
+    return run.env != ROAD and readers.has_profiles(run) and buffer_reader.has_rows(run)
 
 
 def _thinned(profiles: Profiles) -> NDArray[np.int64]:

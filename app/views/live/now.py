@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import streamlit as st
 
 from app import session
-from app.data import pictures, readers
+from app.data import readers
 from app.data.readers import RunInfo
 from app.figures.base import steps_in_words
 from app.figures.weights import weight_map
@@ -14,6 +14,7 @@ from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import Choice, ReplayChoice, RoadChoice
 from tom.config import SAC_ALONE
+from tom.envs import ROAD
 
 HEIGHT = 330
 NO_MODEL = "SAC alone fits no model, so there are no weights: Probe weighs its buffer."
@@ -65,7 +66,7 @@ def robot(run: RunInfo) -> None:
 
 def newest_step(run: RunInfo) -> int | None:
     """The step that `robot` shows."""
-    if run.env == pictures.ENV:
+    if run.env == ROAD:
         return next(iter(readers.road_steps(run)[-1:]), None)
     return next(iter(readers.reader(run).evaluation_steps()[-1:]), None)
 
@@ -74,7 +75,7 @@ def _newest(run: RunInfo) -> Choice | None:
     step = newest_step(run)
     if step is None:
         return None
-    if run.env == pictures.ENV:
+    if run.env == ROAD:
         return RoadChoice((run.run_id,), step)
     shown, count = st.session_state.get(SEEN, (None, 0))
     if shown != (run.run_id, step):

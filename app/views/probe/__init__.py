@@ -7,7 +7,7 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import buffer_reader, datasets, pictures, readers, weighings
+from app.data import buffer_reader, datasets, readers, weighings
 from app.data.weighings import WeighingInfo
 from app.figures.probe import probe_profiles
 from app.parts import empty, widgets
@@ -16,6 +16,7 @@ from app.theme import learner_label
 from app.views.probe import answer, exams, model_error, start
 from app.views.probe.length import of_like_length
 from tom.analysis.progression import Progression
+from tom.envs import ROAD
 
 TITLE = "Probe"
 ICON = ":material/experiment:"
@@ -27,7 +28,7 @@ DIGITS = 6  # decimals in the table, because PMAC's weights of old data are 1e-2
 def page() -> None:
     """A buffer, the learners' weights of its rows, and the errors of their models."""
     listing = readers.listing(session.links().store)
-    online = [run for run in listing.runs if run.env != pictures.ENV]
+    online = [run for run in listing.runs if run.env != ROAD]
     kept = [run for run in online if buffer_reader.has_rows(run)]
     buffers = [*kept, *datasets.listing(session.links().store)]
     if not buffers:

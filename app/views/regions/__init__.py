@@ -5,7 +5,7 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from app import session
-from app.data import buffer_reader, datasets, pictures, readers, regions, weighings
+from app.data import buffer_reader, datasets, readers, regions, weighings
 from app.data.buffer import Rows, dimension_names
 from app.data.readers import RunInfo
 from app.data.regions import Mask, Plane
@@ -17,6 +17,7 @@ from app.parts.stage import stage
 from app.scenes.control import StatesChoice
 from app.theme import learner_label
 from app.views.regions import brush, region_tables
+from tom.envs import ROAD
 
 TITLE = "Regions"
 ICON = ":material/lasso_select:"
@@ -47,7 +48,7 @@ def page() -> None:
     if not kept:
         st.info("No run has kept its weights yet: they are recorded with the model fits.")
         return
-    kept.sort(key=lambda run: run.env == pictures.ENV)
+    kept.sort(key=lambda run: run.env == ROAD)
     top = st.columns([4, 3, 4], vertical_alignment="bottom")
     with top[0]:
         run = widgets.pick_run(kept)
@@ -200,7 +201,7 @@ def _map(run: RunInfo, rows: Rows, mask: Mask, plane: Plane, axes: str) -> None:
 
 
 def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
-    if run.env == pictures.ENV:
+    if run.env == ROAD:
         return  # its states are positions on the map, which has its own page
     if not mask.any():
         st.caption("The region is empty: there is nothing to show of it.")

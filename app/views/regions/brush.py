@@ -9,7 +9,7 @@ import numpy as np
 import streamlit as st
 
 from app import session, text
-from app.data import brush, buffer_reader, pictures, readers, trainings, weighings
+from app.data import brush, buffer_reader, readers, trainings, weighings
 from app.data.brush import Brushed
 from app.data.buffer import Rows
 from app.data.readers import RunInfo
@@ -19,7 +19,7 @@ from app.figures.brush import NAMES, change, error_bars, factor_in_words
 from app.parts.plot import chart
 from app.scenes.film.ghosts import ghosts
 from tom.analysis.brush import FACTORS
-from tom.envs import is_code
+from tom.envs import ROAD, is_code
 from tom.machine.processes import Process
 from tom.record.task_record import scene_of
 
@@ -30,7 +30,7 @@ BEGUN = "brush begun"
 
 def section(run: RunInfo, rows: Rows, mask: Mask) -> None:
     """Start a brush of the region, and show earlier ones."""
-    if run.env == pictures.ENV:
+    if run.env == ROAD:
         return
     made = weighings.of_run(run, buffer_reader.length(run))
     regions = {one.name: one for one in brush.of_run(made)}

@@ -5,12 +5,13 @@ import pandas as pd
 import streamlit as st
 
 from app import text
-from app.data import pictures, regions
+from app.data import regions
 from app.data.buffer import Rows
 from app.data.readers import RunInfo
 from app.data.regions import EXPLORED, Mask
 from app.figures.regions import apart_bars
 from app.parts.plot import chart
+from tom.envs import ROAD
 
 LISTED = 300
 """maximum number of transitions in a region's table"""
@@ -20,7 +21,7 @@ def contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
     """Numbers of the region and of the whole buffer, and the dimensions that differ most."""
     st.markdown(f"**In the region**: {mask.sum():,} of {len(rows):,} transitions")
     table = summary(rows, mask)
-    if run.env == pictures.ENV or not rows.policies_known:  # data of others' policies
+    if run.env == ROAD or not rows.policies_known:  # data of others' policies
         table = table[table[""] != EXPLORED]
     right = {c: st.column_config.TextColumn(c, alignment="right") for c in table.columns[1:]}
     st.dataframe(table, hide_index=True, height="content", column_config=right)

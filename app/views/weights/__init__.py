@@ -7,7 +7,7 @@ import streamlit as st
 from numpy.typing import NDArray
 
 from app import session, text
-from app.data import buffer_reader, pictures, readers
+from app.data import buffer_reader, readers
 from app.data.buffer import Floats, against
 from app.data.readers import RunInfo
 from app.figures.base import steps_in_words
@@ -18,6 +18,7 @@ from app.parts.plot import Point, chart
 from app.theme import learner_label
 from app.views.weights import exam, play, same_buffer
 from tom.data.sampling import bin_means
+from tom.envs import ROAD
 from tom.learners import LEARNERS
 from tom.learners.base import DEGENERATE
 from tom.record.profiles import Profiles
@@ -44,7 +45,7 @@ def page() -> None:
     listing = readers.listing(session.links().store)
     with_weights = [run for run in listing.runs if readers.has_profiles(run)]
     # Offline weights hardly change and have their own page.
-    with_weights.sort(key=lambda run: run.env == pictures.ENV)
+    with_weights.sort(key=lambda run: run.env == ROAD)
     if not with_weights:
         st.info("No run has fitted a model yet: weights appear after the first fit.")
         return
@@ -131,7 +132,7 @@ def _against(run: RunInfo, step: int) -> None:
     panels: list[tuple[str, NDArray, Floats]] = [
         ("position in the buffer, % (0: oldest)", rows.age, rows.weight)
     ]
-    if run.env != pictures.ENV:
+    if run.env != ROAD:
         panels.append(("return of the episode", rows.episode_return, rows.weight))
         panels.append(("policy version (0: exploration)", rows.version, rows.weight))
     if not isinstance(errors, str):

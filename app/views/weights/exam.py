@@ -5,10 +5,11 @@ from collections.abc import Mapping
 import streamlit as st
 
 from app import text
-from app.data import pictures, readers
+from app.data import readers
 from app.data.exams import at_fit
 from app.data.readers import RunInfo
 from tom.config import Settings
+from tom.envs import ROAD
 from tom.exams.energy import informative
 from tom.learners import LEARNERS
 from tom.metrics import describe
@@ -24,7 +25,7 @@ COLUMNS = {
 
 def of_fit(run: RunInfo, step: int) -> None:
     """Numbers of the exam and their meaning; a line of text if there is no exam."""
-    if run.env == pictures.ENV:  # offline: nothing is collected after the fit
+    if run.env == ROAD:  # offline: nothing is collected after the fit
         return
     frame = readers.metrics(run)
     metrics = at_fit(frame, step)

@@ -15,9 +15,9 @@ from tom.exams.exam import (
     Exam,
     Fitted,
     critic_metrics,
+    footprint_metrics,
     model_metrics,
     returns_to_go,
-    footprint_metrics,
 )
 from tom.learners import LEARNER_NAMES
 from tom.mbpo import Mbpo
