@@ -63,7 +63,8 @@ def _read(weighing: WeighingInfo) -> Brushed | None:
             for name, error in result["errors"].items():
                 value = float("nan") if error is None else float(error)
                 errors.setdefault(name, {}).setdefault(float(result["factor"]), []).append(value)
-        step, model = int(report["step"]), dict(about["model"])
+        step = int(report["step"])
+        model = {name: int(about["model"][name]) for name in ("layers", "hidden")}
     except (AttributeError, *DAMAGE):
         return None
     try:

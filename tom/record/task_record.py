@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, ValidationError
 from tom.config import Config, Count, Positive, Whole
 from tom.envs import ENVS, ROAD, Task, scene, skeleton, task
 from tom.envs.termination import never
-from tom.errors import UserError, reason
+from tom.errors import UserError
 from tom.record import layout, stamps
 from tom.record.reader import RunReader
 
@@ -101,6 +101,9 @@ def _described(run: RunReader) -> _Described | None:
     try:
         return None if content is None else _Described.model_validate(content)
     except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(map(str, ("task", *first["loc"])))
         raise UserError(
-            f"run '{run.run_id}' does not say what its task {run.env} is: {reason(error)}"
+            f"run '{run.run_id}' does not say what its task {run.env} is: {field} of its "
+            f"{layout.CONFIG}: {first['msg']}"
         ) from None

@@ -111,9 +111,15 @@ def test_a_brush_of_a_task_that_is_not_described_has_no_ghosts(brushed: Path) ->
     assert "No ghosts: there is no robot to draw." in [said.value for said in app.caption]
 
 
-@pytest.mark.parametrize("results", [[{"errors": []}], [[]], {"errors": {}}, None])
-def test_a_damaged_report_is_no_brush(results: object, tmp_path: Path) -> None:
-    about = {"model": {}, "region": {}}
+SIZE = {"layers": 2, "hidden": 8}
+
+
+@pytest.mark.parametrize(
+    ("model", "results"),
+    [(SIZE, [{"errors": []}]), (SIZE, [[]]), (SIZE, {"errors": {}}), (SIZE, None), ({}, [])],
+)
+def test_a_damaged_report_is_no_brush(model: object, results: object, tmp_path: Path) -> None:
+    about = {"model": model, "region": {}}
     report = {"brush": about, "results": results, "step": FIT}
     (tmp_path / REPORT).write_text(json.dumps(report))
     pd.DataFrame({"region": [True, False]}).to_parquet(tmp_path / WEIGHTS)
