@@ -261,13 +261,12 @@ def _load_installed(point: EntryPoint) -> None:
     key = f"{GROUP}:{point.name}"
     if key in _LOADED:
         return
-    _LOADED[key] = point.name  # tried only once, even if it is broken
     try:
         module = point.load()
         _register(getattr(module, "register", module), point.name)
         remember(point.module, sys.modules[point.module])
+        _LOADED[key] = point.name
     except OF_USERS as error:  # a broken package must not stop every command
-        del _LOADED[key]
         said = f"tom: the installed plug-in {point.name} is left out: {reason(error)}"
         print(terminal(said), file=sys.stderr)
 

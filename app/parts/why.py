@@ -19,7 +19,7 @@ from app.parts.plot import Point, chart
 from app.theme import learner_label
 from tom.analysis.why import Sum
 from tom.config import TomConfig
-from tom.envs import ROAD
+from tom.envs import ROAD, is_code
 from tom.learners import SUBJECT
 
 KEY = "row"
@@ -190,9 +190,12 @@ def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
 
 
 def _offer(run: RunInfo, rows: Rows) -> None:
-    """Offer to weigh the buffer of this step again, with its terms."""
+    """Offer to weigh the buffer of this step again, with its terms.
+
+    Not where that would run code of the user's, which a page never starts.
+    """
     step = rows.first + len(rows)
-    if run.env == ROAD or step not in readers.reader(run).policy_steps():
+    if run.env == ROAD or is_code(run.env) or step not in readers.reader(run).policy_steps():
         return
     store = session.links().store
     words = ["weigh", run.run_id, "--policy", run.run_id, "--step", str(step)]

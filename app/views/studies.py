@@ -136,7 +136,8 @@ def _progress() -> None:
         if code is None:
             _goes_on(name, begun)
         elif any(study.name == name for study in studies.listing(studies.FOLDER)):
-            del _running()[name]  # 1: computed, but a check of the acceptance failed
+            # 1: computed, but a check of the acceptance failed. Another tab may have been first.
+            _running().pop(name, None)
             st.rerun()
         else:
             st.error(f"{name} ended without a result:", icon=":material/error:")

@@ -44,4 +44,5 @@ def bench_cost(trial: Trial, ms: Mapping[str, float], done: int = 0) -> Cost | N
         return None
     known = task(trial.env)
     hours = per_step_ms(config, known, ms) * steps_to_train(trial, done) / 3.6e6
-    return Cost(hours, written_bytes(config, known) / 1e6, SOURCE)
+    rest = max(config.total_steps - done, 0) / config.total_steps
+    return Cost(hours, written_bytes(config, known) * rest / 1e6, SOURCE)

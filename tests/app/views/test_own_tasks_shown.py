@@ -152,6 +152,9 @@ def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):
     assert any("tom brush absent" in said.value for said in regions.caption)
     assert "brush it" not in [button.key for button in regions.button]
     assert "brush it" in [button.key for button in draw("regions", run="Swimmer-v5").button]
+    for run, offered in (("absent-Swimmer-v5", False), ("Swimmer-v5", True)):
+        of_a_row = draw("regions", run=run, row="5")
+        assert ("why weigh" in [button.key for button in of_a_row.button]) == offered
     assert "absent_module" not in sys.modules
 
 

@@ -79,12 +79,14 @@ def test_without_runs_a_robot_is_judged_by_the_bench(tmp_path: Path, capsys):
     assert main([*sweep, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     rows = {(row["env"], row["learner"]): row for row in found["runs"]}
-    for trial, left in ((tom, 40_000), (mle, 20_000)):
+    for trial, left, share in ((tom, 40_000, 1.0), (mle, 20_000, 4 / 9)):
         assert isinstance(trial.config, OnlineConfig)
         row = rows["hopper", trial.learner]
         hours = per_step_ms(trial.config, ENVS["hopper"], MS) * left / 3.6e6
         assert row["judged by"] == "tom bench, at most"
         assert row["hours"] == pytest.approx(hours)
+        written = written_bytes(trial.config, ENVS["hopper"]) * share
+        assert row["megabytes"] == pytest.approx(written / 1e6)
     assert rows["road-and-rocks", "tom"]["hours"] is None
     assert found["hours"] == pytest.approx(rows["hopper", "tom"]["hours"])  # beside the other
 

@@ -122,6 +122,8 @@ class RerunView:
 
     def weights(self, env_step: int, weight: NDArray) -> None:
         """Colour the transitions on the map by their weights (N,)."""
+        if not self._places and self._run is not None:  # a resumed run does not collect again
+            self.places(np.asarray(self._run.buffer()[0].obs))
         if self._places != len(weight):
             return
         self._stream.set_time("env_step", sequence=env_step)

@@ -15,14 +15,14 @@ from tom.config import RoadConfig
 from tom.envs import scene
 from tom.events import Collected, Episode, Evaluation, Field, Metrics, Weights
 from tom.learners import LEARNERS
-from tom.record import RunReader, Store
+from tom.record import RunReader, Store, layout
 from tom.record.export import export
 from tom.record.recorder import Recorder
 from tom.record.rerun import sink
 from tom.record.rerun.episode import episode_recording
 from tom.record.rerun.feed import Follower
 from tom.record.rerun.road import heat
-from tom.record.rerun.sink import open_sink
+from tom.record.rerun.sink import RerunSink, open_sink
 from tom.record.writer import RunWriter
 
 mj = scene._mj
@@ -125,6 +125,15 @@ def test_road_and_rocks_is_a_map(road: RunReader):
     assert len(logged(path, "map/data")["Points2D:colors"].iloc[0]) == 4
     text = logged(path, "fit")["TextDocument:text"].iloc[0][0]
     assert "| model/error_road | 0.25 |" in text
+
+
+def test_the_recording_of_a_resumed_run_has_its_places_too(road: RunReader):
+    path = layout.next_rrd(road.path)
+    resumed = RerunSink(path, road.run_id, road.env, road.learner, 10)
+    resumed.weights(Weights(9, np.array([2, 1, 1, 0], np.float32)), np.ones(4))
+    assert resumed.close() is None
+    assert len(logged(path, "map/data")["Points2D:colors"].iloc[-1]) == 4
+    assert held(path)["/map/data"] == 2  # the places, at all times, and the weights
 
 
 def held(path: Path) -> Counter[str]:
