@@ -22,6 +22,8 @@ NAME = "README.md"
 COMMIT = 10  # characters shown of a commit
 WHERE = ("--store", "--run-id", "--no-rerun", "--out")
 """options that set where a result goes, not what it is"""
+FLAGS = ("--no-rerun",)
+"""those of them that have no value"""
 MARK = "This page was written by `tom runs index`."
 """part of every such page; a page without it was written by a person"""
 HEAD = f"""# Gallery
@@ -123,17 +125,19 @@ def _made(origins: Sequence[Mapping[str, Any]]) -> str:
 def short_command(command: str) -> str:
     """A command with its seed as N and without the options for the result's place."""
     kept: list[str] = []
-    name = ""
+    awaited = ""  # the option whose value the next word is
     try:
         words = shlex.split(command)
     except ValueError:  # an unclosed quote: not a shell command
         return command
     for word in words:
         if word.startswith("--"):
-            name = word.partition("=")[0]
+            name, given, _ = word.partition("=")
+            awaited = "" if given or name in FLAGS else name
             word = re.sub(r"(?<=^--seed=)\d+$", "N", word)
-        elif name == "--seed":
-            word = "N"
+        else:
+            name, awaited = awaited, ""
+            word = "N" if name == "--seed" else word
         if name not in WHERE:
             kept.append(word)
     return shlex.join(kept)
