@@ -259,4 +259,9 @@ def _name(reader: RunReader, path: Path) -> str:
 
 
 def _when(unix: float) -> str:
-    return datetime.fromtimestamp(unix).isoformat(" ", "seconds") if unix > 0 else "ever"
+    if unix <= 0:
+        return "ever"
+    try:
+        return datetime.fromtimestamp(unix).isoformat(" ", "seconds")
+    except (ValueError, OverflowError, OSError):  # beyond the last date, as of milliseconds
+        return f"unix second {unix:.0f}"
