@@ -5,13 +5,15 @@ import re
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from pyarrow import fs
 
 from tom.errors import UserError, reason
 
 CONNECT_S, ANSWER_S, TRIES = 10.0, 30.0, 3
+ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL")
+"""the environment's variables for the store's address, the first one counts"""
+ADDRESS = re.compile(r"(?P<scheme>https?)://(?P<host>[^/?#]+).*", re.I)
 URL = re.compile(r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(?:/(?P<prefix>[^?#]*))?")
 
 
@@ -37,7 +39,7 @@ class Bucket:
         try:
             files = _connect(name)
             kind = files.get_file_info(name).type
-        except OSError as error:
+        except (OSError, ValueError) as error:  # pyarrow has ValueErrors of its own
             raise UserError(f"{url}: cannot reach the bucket: {reason(error)}") from error
         if kind is fs.FileType.NotFound:
             raise UserError(f"{url}: there is no bucket '{name}' (or these credentials see none)")
@@ -90,13 +92,9 @@ class Bucket:
 
 def _connect(bucket: str) -> fs.S3FileSystem:
     """Connect with endpoint and time limits; pyarrow's own set-up does not support both."""
-    endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
     region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
-    where: dict[str, str] = {}
-    if endpoint:
-        parts = urlsplit(endpoint)
-        where = {"endpoint_override": parts.netloc, "scheme": parts.scheme}
-    elif not region:
+    where = _endpoint()
+    if not where and not region:
         region = fs.resolve_s3_region(bucket)
     return fs.S3FileSystem(
         region=region,
@@ -106,3 +104,19 @@ def _connect(bucket: str) -> fs.S3FileSystem:
         retry_strategy=fs.AwsStandardS3RetryStrategy(max_attempts=TRIES),
         **where,
     )
+
+
+def _endpoint() -> dict[str, str]:
+    """The endpoint that the environment names, as pyarrow takes it; empty if it names none.
+
+    Raises UserError if it is malformed.
+    """
+    variable = next(filter(os.environ.get, ENDPOINTS), None)
+    if variable is None:
+        return {}
+    match = ADDRESS.fullmatch(os.environ[variable])
+    if match is None:
+        raise UserError(
+            f"{variable}={os.environ[variable]}: must be an address such as http://localhost:9000"
+        )
+    return {"endpoint_override": match["host"], "scheme": match["scheme"].lower()}
