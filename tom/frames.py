@@ -214,9 +214,10 @@ def _weighing(path: Path) -> Weighing:
 
 def _rows(path: Path, report: Mapping[str, Any], count: int) -> Transitions | None:
     """The weighed rows, from the weighing's folder or from the run beside it."""
-    run = RunReader(path) if ROWS in report else _run_of(path, report)
+    kept = ROWS in report  # these are the weighed ones alone; a step counts a run's
+    run = RunReader(path) if kept else _run_of(path, report)
     rows = run.buffer()[0].numpy() if run is not None else None
-    end = count if report.get("step") is None else int(report["step"])
+    end = count if kept or report.get("step") is None else int(report["step"])
     if rows is None or not count <= end <= len(rows):
         return None
     return rows[end - count : end]

@@ -35,6 +35,7 @@ class WeighingInfo:
     written: int  # mtime_ns of the report
     brush: bool  # weights of one learner with a brushed region (`tom brush`), not of several
     learners: frozenset[str]
+    keeps_rows: bool = False  # its folder holds the weighed rows, and no run's `step` counts them
 
     @property
     def name(self) -> str:
@@ -42,8 +43,8 @@ class WeighingInfo:
 
     @property
     def end(self) -> int:
-        """The number of the run's transition after the last weighed one."""
-        return self.rows if self.step is None else self.step
+        """The number of the transition after the last weighed one, of the run or of its rows."""
+        return self.rows if self.step is None or self.keeps_rows else self.step
 
     @property
     def settings(self) -> str:
@@ -54,7 +55,7 @@ class WeighingInfo:
 
     def missing(self, rows: int) -> str:
         """In words, what it leaves out of a buffer of `rows` transitions; empty if nothing."""
-        if self.step is not None:
+        if self.step is not None and not self.keeps_rows:
             return (
                 f"It weighs the {self.rows:,} transitions that the buffer held at step "
                 f"{self.step:,}, of {rows:,} that were collected."
@@ -155,7 +156,8 @@ def _read(path: Path, rows: int) -> WeighingInfo | None:
         brush = "brush" in report
         learners = frozenset(str(one["learner"]) for one in report.get("results", ()))
         return WeighingInfo(
-            str(path), policy, preset, changed, weighed, first, step, written, brush, learners
-        )
+            str(path), policy, preset, changed, weighed, first, step, written, brush, learners,
+            keeps_rows=ROWS in report,
+        )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -10,12 +10,14 @@ import pandas as pd
 import pytest
 
 import tom
+from tom.cli import main
 from tom.errors import UserError
 from tom.frames import Run, Weighing
 from tom.record import RunReader
 
 GALLERY = Path(__file__).parents[2] / "runs"
 RUN = "inverted-pendulum-tom-s0-162b7ad0"
+STEP = 60
 QUICK = {"tom": {"q_steps": 20, "discriminator_steps": 20, "q_hidden": 16}}
 
 
@@ -86,6 +88,26 @@ def test_the_rows_of_a_weighing_come_from_its_run(weighing: Weighing, run: Run):
     assert isinstance(found, Weighing)
     assert len(found.transitions) == len(found.weights) == found.report["rows"]
     assert found.random_share == found.report["ordered_from"] / found.report["rows"]
+
+
+def test_rows_that_a_weighing_keeps_are_all_of_them_at_a_step_too(tmp_path: Path):
+    """Random rows stand before those of the step, so that there are more than the step says."""
+    columns = {"obs": 4, "action": 1, "next_obs": 4}
+    rows = {name: np.full((STEP, size), 0.5, np.float32) for name, size in columns.items()}
+    flags = {name: np.zeros(STEP, np.float32) for name in ("reward", "terminated", "truncated")}
+    np.savez(tmp_path / "random.npz", allow_pickle=False, **rows, **flags)
+    out = tmp_path / "weighings" / "both"
+    of = ["--step", str(STEP), "--random", str(tmp_path / "random.npz"), "--learner", "mle"]
+    where = ["--store", str(GALLERY), "--out", str(out)]
+    by = ["--policy", "random", "--seeds", "0", "--footprint", "50"]
+    assert main(["weigh", RUN, *of, *by, *where]) == 0
+    found = tom.load(out)
+    assert isinstance(found, Weighing)
+    assert (found.report["step"], found.report["rows"]) == (STEP, 2 * STEP)
+    run = RunReader(GALLERY / RUN).buffer()[0]
+    assert len(found.transitions) == 2 * STEP
+    assert found.transitions["obs_0"].tolist()[:STEP] == [0.5] * STEP
+    np.testing.assert_array_equal(found.transitions["obs_0"][STEP:], np.asarray(run.obs)[:STEP, 0])
 
 
 def test_what_is_neither_a_run_nor_a_weighing(tmp_path: Path):

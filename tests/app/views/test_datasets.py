@@ -14,7 +14,7 @@ import torch
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, array, draw, figures, set_links
 
-from app.data import datasets
+from app.data import datasets, weighings
 from app.links import Links
 from app.scenes.states_frame import whose_rows
 from tom.cli import main
@@ -26,6 +26,7 @@ from tom.record.files import read_json
 
 ENV = "inverted-pendulum"
 N = 300
+GALLERY_RUN = str(Path(__file__).parents[3] / "runs" / "inverted-pendulum-tom-s0-162b7ad0")
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +93,21 @@ def test_a_store_without_anything_says_how_own_data_comes_in(
     app = draw("probe")
     assert any(code.value.startswith("tom weigh DATA --policy POLICY") for code in app.code)
     assert any(".npz or Parquet" in caption.value for caption in app.caption)
+
+
+def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
+    weighed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    of = [GALLERY_RUN, "--step", str(N), "--random", str(weighed.parent / "my buffer.npz")]
+    by = ["--policy", "random", "--footprint", "50", "--learner", "pmac", "--seeds", "0"]
+    out = ["--out", str(tmp_path / "weighings" / "both"), "--store", str(weighed)]
+    assert main(["weigh", *of, *by, *out]) == 0
+    (found,) = datasets.listing(str(tmp_path))
+    (made,) = weighings.of_run(found, 2 * N)
+    assert (made.step, made.end, made.missing(2 * N)) == (N, 2 * N, "")
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("regions", run=found.run_id, weights="PMAC s0, both", region="everything")
+    assert figures(app)
 
 
 def test_regions_counts_the_rows_of_the_file(weighed: Path):
