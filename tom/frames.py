@@ -23,7 +23,7 @@ from tom.record import RunReader, Store
 from tom.record.array_files import DAMAGE, read_table
 from tom.record.files import read_json
 from tom.reports import weighing_files
-from tom.reports.weighing_files import NEEDED, REPORT, ROWS, WEIGHTS
+from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS
 
 BINS = 100
 SHOWN = ("learner", "seed", "footprint", "footprint_se", "footprint_noise", "ess", "last_two")
@@ -204,7 +204,7 @@ def _weighing(path: Path) -> Weighing:
     """The weighing in a folder. Raises UserError."""
     try:
         report, weights = read_json(path / REPORT), read_table(path / WEIGHTS)
-        if not report.keys() >= NEEDED:
+        if not weighing_files.is_whole(report):
             raise ValueError(f"{REPORT} is not a weighing's")
     except DAMAGE as error:
         raise UserError(f"weighing {path} cannot be read ({reason(error)}): weigh again") from error

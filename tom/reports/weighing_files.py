@@ -7,7 +7,7 @@ import csv
 import hashlib
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -244,7 +244,35 @@ def _report(path: Path) -> dict[str, Any] | None:
         report = read_json(path / REPORT)
     except (OSError, ValueError):
         return None
-    return report if report.keys() >= NEEDED else None
+    return report if is_whole(report) else None
+
+
+def is_whole(report: Mapping[str, Any]) -> bool:
+    """Whether a report has what its readers need, each entry of its type."""
+    if not report.keys() >= NEEDED or not isinstance(report["results"], list):
+        return False
+    said = report["data"], report["policy"]
+    return (
+        all(isinstance(name, str) for name in said)
+        and decode.is_whole(report["rows"])
+        and all(map(_is_result, report["results"]))
+        and _is_origin(report.get("made", {}))
+    )
+
+
+def _is_result(row: object) -> bool:
+    """Whether it says whose weights these are."""
+    if not isinstance(row, dict):
+        return False
+    return isinstance(row.get("learner"), str) and decode.is_whole(row.get("seed"))
+
+
+def _is_origin(made: object) -> bool:
+    """Whether it can say how a weighing was made; an old one says little."""
+    if not isinstance(made, dict) or not isinstance(made.get("versions", {}), dict):
+        return False
+    hours = made.get("hours", 0.0)
+    return isinstance(hours, float) or decode.is_whole(hours)
 
 
 def _read_weights(path: Path) -> dict[str, NDArray]:

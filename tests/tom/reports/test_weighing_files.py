@@ -9,7 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from tom.errors import UserError
-from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small, of_run
+from tom.frames import load
+from tom.reports.index import index
+from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small, of_run, reports
 
 WHOLE = {"data": "one", "policy": "one", "rows": 3, "results": []}
 
@@ -30,6 +32,32 @@ def test_what_is_no_whole_report_on_a_run_is_none_of_its_weighings(tmp_path: Pat
         part = {name: value for name, value in WHOLE.items() if name != missing}
         weighing(tmp_path, f"without-{missing}", part)
     assert of_run(tmp_path, "one") == [whole]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        *({"results": found} for found in (None, {}, [{}], [[]], [{"learner": "tom"}])),
+        {"results": [{"learner": "tom", "seed": "0"}]},
+        {"results": [{"learner": ["tom"], "seed": 0}]},
+        {"rows": None},
+        {"rows": "3"},
+        {"data": ["one"]},
+        {"policy": None},
+        *({"made": made} for made in (None, [], {"versions": []}, {"hours": "1"}, {"hours": None})),
+    ],
+)
+def test_a_damaged_report_is_left_out_of_the_page(tmp_path: Path, damage: dict[str, object]):
+    made = {"command": "tom weigh one", "hours": 1, "versions": {"torch": "2"}}
+    report = {**WHOLE, "results": [{"learner": "tom", "seed": 0}], "made": made}
+    whole = weighing(tmp_path, "whole", report)
+    damaged = weighing(tmp_path, "damaged", {**report, **damage})
+    pq.write_table(pa.table({"tom-s0": np.ones(3, np.float32)}), damaged / WEIGHTS)
+    found = [path for path, _ in reports(tmp_path)]
+    assert found == [whole]
+    assert "| `whole` | `one` | `one` | TOM | 0 | 3 | 1.00 |" in index([], found)
+    with pytest.raises(UserError, match="cannot be read"):
+        load("damaged", store=tmp_path)
 
 
 @pytest.mark.parametrize("content", [None, b"no parquet"])
