@@ -22,6 +22,9 @@ PAGE = (ROOT / "docs/findings.md").read_text()
 EXAMS_PAGE = (ROOT / "docs/exams.md").read_text()
 FOUR = (0, 1, 2, 3)
 SMALL = "model.hidden 8"
+MODEL_ALONE, STARTS_ALONE = (
+    f"TOM, mended, {place}.uniform_share 1.0" for place in ("rollout", "model")
+)
 WEIGHTS = {
     "tom-discounted": "TOM as printed",
     "tom-mended": "`mended`",
@@ -151,10 +154,38 @@ def test_what_other_robots_returned_and_how_they_passed_their_exams(env: str, na
 
 
 def test_the_scores_of_the_two_by_two() -> None:
-    made = scored(cells(20000, "mle", "tom", seeds=FOUR, apart=True), 20000)
-    assert {label: told for label, *told in rows("Hopper, 2 x 2")} == {
-        label: told for label, told in made.items() if label != "TOM" and SMALL not in label
-    }
+    made = scored(two_by_two(), 40000)
+    assert {label: told for label, *told in rows("Hopper, 2 x 2")} == made
+
+
+def test_the_exams_of_the_two_by_two() -> None:
+    made = passed(two_by_two())
+    for row in rollouts(two_by_two()):
+        made[row["learner"]].append(spread(row, "falls", "falls low", "falls high", ".2f"))
+    assert {label: told for label, *told in rows("exams of the 2 x 2")} == made
+
+
+def test_whether_the_starts_alone_beat_the_model_alone() -> None:
+    """Of the cells as the command has them, whose p's are not those of fewer."""
+    mine = cells(40000, "mle", "tom", seeds=FOUR, apart=True)
+    pair = (MODEL_ALONE, STARTS_ALONE)
+    (area,) = (
+        row
+        for row in improvement(mine)
+        if (row["learner"], row["against"]) == pair and row["by"] == MEASURES[0]
+    )
+    wins, low, high = (share(1 - area[key]) for key in ("wins", "high", "low"))
+    assert f"with {wins} [{low}, {high}] by area (p {share(area['p'])})" in PAGE
+    p = {row["in"]: row for row in less(mine) if (row["learner"], row["against"]) == pair}
+    told = [share(p[name]["p"]) for name in ("error", "error after 5 steps")]
+    assert f"(p {told[0]} and {told[1]}, 1 corrected" in " ".join(PAGE.split())
+    assert all(row["p of all"] == 1 for row in p.values())
+
+
+def two_by_two() -> list[Cell]:
+    """MLE, `mended`, and `mended` with weights in one place alone."""
+    mine = cells(40000, "mle", "tom", seeds=FOUR, apart=True)
+    return [cell for cell in mine if cell.label != "TOM"]
 
 
 def test_what_runs_with_a_small_model_returned_and_how_they_passed_their_exams() -> None:
@@ -207,7 +238,7 @@ def test_how_often_mended_beats_mle_with_a_small_model() -> None:
 @pytest.mark.parametrize("row", rows("effect, the mean"), ids=lambda row: row[0])
 def test_the_effects_of_the_two_by_two(row: list[str]) -> None:
     place, *told = row
-    made = factors(cells(20000, "mle", "tom", seeds=FOUR, apart=True))
+    made = factors(cells(40000, "mle", "tom", seeds=FOUR, apart=True))
     mine = {one["by"]: one for one in made if one["effect of"] == place}
     for i, by in enumerate(MEASURES):
         value, *ends = (f"{mine[by][key]:+.0f}" for key in ("effect", "low", "high"))
