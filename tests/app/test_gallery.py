@@ -120,7 +120,7 @@ def test_its_studies_say_what_was_found_and_by_which_command() -> None:
         assert study.claim, study.name
         assert study.findings, study.name
         assert study.figures, study.name
-        made_by = study.name.partition("-")[0]  # returns-apart is of `tom reproduce returns`
+        made_by = study.name.partition("-")[0]  # returns-apart-40000 is of `tom reproduce returns`
         assert study.origin["command"].startswith(f"tom reproduce {made_by}"), study.name
     assert size_of(RUNS / STUDIES) < STUDIES_BYTES
 
