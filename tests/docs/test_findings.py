@@ -176,9 +176,20 @@ def test_whether_the_starts_alone_beat_the_model_alone() -> None:
     )
     wins, low, high = (share(1 - area[key]) for key in ("wins", "high", "low"))
     assert f"with {wins} [{low}, {high}] by area (p {share(area['p'])})" in PAGE
+    against_mle = {
+        row["learner"]: f"{spread(row, 'wins', 'low', 'high', '.2f')} (p {share(row['p'])})"
+        for row in improvement(mine)
+        if row["against"] == "MLE" and row["by"] == MEASURES[0]
+    }
+    for told, cell in {
+        "starts alone beat MLE with": STARTS_ALONE,
+        "a weighted model alone with": MODEL_ALONE,
+        "`mended` with": "TOM, mended",
+    }.items():
+        assert f"{told} {against_mle[cell].replace('1.00', '1')}" in " ".join(PAGE.split())
     p = {row["in"]: row for row in less(mine) if (row["learner"], row["against"]) == pair}
     told = [share(p[name]["p"]) for name in ("error", "error after 5 steps")]
-    assert f"(p {told[0]} and {told[1]}, 1 corrected" in " ".join(PAGE.split())
+    assert f"starts alone .19 and .56 (p {told[0]} and {told[1]})" in " ".join(PAGE.split())
     assert all(row["p of all"] == 1 for row in p.values())
 
 
