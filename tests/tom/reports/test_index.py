@@ -47,7 +47,7 @@ def test_small_copies_alone_are_listed_with_their_numbers(tmp_path: Path, capsys
     assert (out / "README.md").read_text() == "mine"
     run = Store(store).run("one")
     score = f"{run.status.last_return:.1f}"
-    assert f"| `one` | MLE | paper | 0 | 250 | {score} |" in page
+    assert f"| `one` | MLE | smoke | 0 | 250 | {score} |" in page
     assert str(run.config["git_commit"])[:10] in page
     assert f"torch {run.config['versions']['torch']}" in page
     assert main(["runs", "export", "--keep", "buffer", "--store", str(store)]) == 2
