@@ -4,8 +4,10 @@ Settings, notes, names and error texts cannot be trusted: a store may be a copy 
 """
 
 import re
+from typing import TYPE_CHECKING
 
-import pandas as pd
+if TYPE_CHECKING:
+    import pandas as pd
 
 _MARKDOWN = re.compile(r"([\\`*_\[\]<>|&~])")
 _FORMULA = re.compile(r"[=+\-@\t\r].", re.DOTALL)
@@ -50,7 +52,7 @@ def cell(value: object) -> object:
     return value
 
 
-def as_csv(table: pd.DataFrame) -> str:
+def as_csv(table: "pd.DataFrame") -> str:
     """A table as CSV whose names and texts cannot become spreadsheet formulas."""
     texts = table.select_dtypes(exclude="number")
     safe = table.assign(**{str(name): texts[name].map(cell) for name in texts})

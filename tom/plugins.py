@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -194,13 +193,6 @@ class Registry:
         if name in taken:
             raise UserError(f"plug-in {self.plugin}: there is a {kind} '{name}' already")
         _OWNERS[kind, name] = self.plugin
-
-
-def given(arguments: Sequence[str]) -> list[str]:
-    """The plug-ins that a command line names."""
-    separate = [value for word, value in pairwise(arguments) if word == OPTION]
-    joined = [word for word in arguments if word.startswith(f"{OPTION}=")]
-    return separate + [word.partition("=")[2] for word in joined]
 
 
 def load(named: Sequence[str] = ()) -> None:

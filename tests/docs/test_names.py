@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 
 import tom
 from app.__main__ import _parser as studio_parser
-from tom.cli import build_parser
+from tom.cli import COMMANDS, build_parser
 from tom.cli.parser import leaf_fields
 from tom.config import OnlineConfig, RoadConfig
 from tom.metrics import METRICS
@@ -124,7 +124,11 @@ def options(parser: argparse.ArgumentParser) -> Iterator[str]:
 
 def test_every_option_setting_and_metric_exists():
     road = ["train", "--env", "road-and-rocks"]
-    known = {*options(build_parser(road)), *options(build_parser()), *options(studio_parser())}
+    known = {
+        *options(build_parser(road)),
+        *options(build_parser([*COMMANDS])),
+        *options(studio_parser()),
+    }
     settings = {path for config in (OnlineConfig, RoadConfig) for path, _ in leaf_fields(config)}
     seen = set()
     for page in PAGES:

@@ -136,6 +136,23 @@ def test_reading_a_run_imports_little():
     assert not {"mujoco", "gymnasium", "rerun", "scipy"} & set(loaded)
 
 
+@pytest.mark.parametrize("option", ["--version", "--help"])
+def test_an_option_without_a_command_imports_no_library(option: str):
+    code = f"""
+import sys
+from tom.cli import main
+try:
+    main(["{option}"])
+finally:
+    print(*sys.modules, file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0
+    assert done.stdout
+    heavy = {"torch", "numpy", "pandas", "pydantic", "scipy", "matplotlib", "mujoco", "rerun"}
+    assert not heavy & set(done.stderr.split())
+
+
 def test_the_studio_reads_run_folders_through_one_module():
     """`app/data/readers.py` makes the readers; `app/servers/bench.py` writes its own runs."""
     for module, path in MODULES.items():

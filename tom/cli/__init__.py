@@ -6,16 +6,24 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from tom import __version__, plugins
-from tom.cli.named import bring_named
-from tom.cli.parser import Parser
+from tom import __version__
+from tom.cli.arguments import Parser, named_plugins
 from tom.errors import UserError, reason, unreachable
 from tom.harmless import terminal
 
-COMMANDS = (
-    "demo", "train", "studio", "record-sac", "weigh", "brush", "sweep", "reproduce", "bench",
-    "runs", "doctor",
-)  # fmt: skip
+COMMANDS = {
+    "demo": "train two small comparisons while the studio shows them",
+    "train": "train a learner in an environment",
+    "studio": "open the studio in the browser",
+    "record-sac": "record SAC's replay in order, for `tom weigh`",
+    "weigh": "weigh recorded data by a policy",
+    "brush": "fit a small model with a region of the buffer counting more or less",
+    "sweep": "train many: every environment with every learner and seed",
+    "reproduce": "reproduce a claim of the paper",
+    "bench": "measure this machine",
+    "runs": "list, label, check, export and tidy the runs of a store",
+    "doctor": "check this machine and the store",
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,8 +37,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         studio.hand_over(arguments[1:])
     try:
-        plugins.load(plugins.given(arguments))
+        if not COMMANDS.keys().isdisjoint(arguments):  # else `--help` would wait for torch
+            from tom import plugins
+
+            plugins.load(named_plugins(arguments))
         args = build_parser(arguments).parse_args(arguments)
+        from tom.cli.named import bring_named
+
         bring_named(args)
         code = args.run(args)
         sys.stdout.flush()
@@ -58,15 +71,20 @@ def _close_stdout() -> None:
 
 
 def build_parser(arguments: Sequence[str] = ()) -> Parser:
-    """The parser of all commands; some options depend on `arguments`."""
+    """The parser of the commands that `arguments` name; of the others it knows the name alone.
+
+    Commands and plug-ins take seconds to import, so `tom --help` and `--version` import none.
+    """
     parser = Parser(
         prog="tom",
         description="See which data a learned dynamics model pays attention to, while it trains.",
     )
     parser.add_argument("--version", action="version", version=f"tom {__version__}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    # Of one command alone: the modules of the others take a second to import.
-    for name in [name for name in COMMANDS if arguments[:1] == [name]] or COMMANDS:
-        command = importlib.import_module(f"tom.cli.{name.replace('-', '_')}")
-        command.add_parser(subparsers, list(arguments))
+    for name, summary in COMMANDS.items():
+        if name in arguments:
+            command = importlib.import_module(f"tom.cli.{name.replace('-', '_')}")
+            command.add_parser(subparsers, list(arguments))
+        else:
+            subparsers.add_parser(name, help=summary)
     return parser

@@ -33,9 +33,7 @@ LEARN_RETURN = 950.0
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
-    parser = subparsers.add_parser(
-        "bench", help="measure this machine", description="Measure parts on this machine."
-    )
+    parser = subparsers.add_parser("bench", description="Measure parts on this machine.")
     parser.add_argument(
         "what",
         nargs="?",

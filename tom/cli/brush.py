@@ -44,7 +44,6 @@ HORIZON = 20
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "brush",
-        help="fit a small model with a region of the buffer counting more or less",
         description="Multiply the weights of some transitions of a run's buffer, fit a small model "
         "afresh by them, and measure what it has lost or gained on held-out episodes. Writes a "
         "weighing, with the errors in report.json and the ghosts of an episode in ghosts.npz.",

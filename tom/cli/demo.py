@@ -26,7 +26,6 @@ STUDIO_GRACE_S = 20.0
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "demo",
-        help="train two small comparisons while the studio shows them",
         description="Train road-and-rocks (MLE, PMAC, TOM), then inverted pendulum (MLE, TOM), "
         "while the studio shows them. --headless does the same without servers.",
     )

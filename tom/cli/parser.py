@@ -1,17 +1,14 @@
-"""The argument parser: one-line errors with a suggestion, options made from a configuration."""
+"""Options that commands share: those of a run, and those made from a configuration."""
 
 import argparse
-import sys
 from collections.abc import Iterator
-from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, NoReturn, Union, get_args, get_origin
+from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from tom import plugins
 from tom.errors import UserError
 
 DEST = "config:"  # marks arguments that belong to the configuration
@@ -46,35 +43,6 @@ def seed_number(word: str) -> int:
     if number >= SEEDS:
         raise argparse.ArgumentTypeError(f"'{shown}' is no seed: it must be less than {SEEDS}")
     return number
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and suggest the nearest known option.
-
-    Options cannot be abbreviated: `--seed 3` does not mean `--seeds 3`.
-    """
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, allow_abbrev=False, **options)
-        self.add_argument(
-            plugins.OPTION,
-            action="append",
-            metavar="FILE.py|MODULE",
-            help="a plug-in of yours: its learners, tasks, metrics and pages join ours",
-        )
-
-    def error(self, message: str) -> NoReturn:
-        print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
-        raise SystemExit(2)
-
-    def parse_known_args(self, args=None, namespace=None):  # type: ignore[override]
-        parsed, rest = super().parse_known_args(args, namespace)
-        if rest:
-            known = [option for action in self._actions for option in action.option_strings]
-            near = get_close_matches(rest[0].split("=")[0], known, n=1)
-            hint = f", did you mean {near[0]}?" if near else ""
-            self.error(f"unknown argument {rest[0]}{hint}")
-        return parsed, rest
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:

@@ -16,7 +16,6 @@ WITHOUT_MEANING = ("tom.", "pmac.", "vagram.", "bins", "device")
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "record-sac",
-        help="record SAC's replay in order, for `tom weigh`",
         description="Record N random steps, then N steps of soft actor-critic in order, with the "
         "MuJoCo states and the final policy. `tom weigh RUN --policy RUN` shows what the learners "
         "make of it.",

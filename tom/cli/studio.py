@@ -7,7 +7,7 @@ from typing import NoReturn
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
-    subparsers.add_parser("studio", help="open the studio in the browser")
+    subparsers.add_parser("studio")
 
 
 def hand_over(arguments: Sequence[str], module: str = "app") -> NoReturn:

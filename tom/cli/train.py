@@ -49,7 +49,6 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "train",
         usage="tom train --env ENV --learner LEARNER [options]",
-        help="train a learner in an environment",
         description="Train one learner in one environment, or several learners and seeds at once. "
         "The settings below are those of --env (default hopper); road-and-rocks has its own: "
         "tom train --env road-and-rocks --help.",

@@ -38,7 +38,6 @@ SETTINGS = ("tom.", "pmac.", "vagram.", "threads", "matmul")
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "weigh",
-        help="weigh recorded data by a policy",
         description="Weigh recorded data, oldest first, as each learner would if POLICY were the "
         "policy of interest. Writes weights.parquet, profile.csv, profile.png, profile.svg and "
         "report.json.",

@@ -84,7 +84,7 @@ def test_weight_progression_judges_its_first_preset(tmp_path: Path):
 def test_a_value_that_is_named_twice_counts_once(
     study: str, option: str, values: list[str], kept: list[object]
 ):
-    args = build_parser().parse_args(["reproduce", study, option, *values])
+    args = build_parser(["reproduce"]).parse_args(["reproduce", study, option, *values])
     assert getattr(args, option.strip("-").replace("-", "_")) == kept
 
 

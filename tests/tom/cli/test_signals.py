@@ -62,7 +62,7 @@ class Impatient:
         if name == "torch":
             signal.raise_signal(signal.SIGINT)
 sys.meta_path.insert(0, Impatient)
-sys.argv = ["tom", "--version"]
+sys.argv = ["tom", "runs"]
 script()
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tom.cli.parser import Parser, overrides
+from tom.cli.arguments import Parser
+from tom.cli.parser import overrides
 from tom.cli.train import add_parser
 from tom.errors import UserError
 from tom.events import Tick

@@ -12,7 +12,6 @@ from tom.cli.tables import show
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "doctor",
-        help="check this machine and the store",
         description="Check versions, memory, GPU, matrix products, scenes without a display, "
         "ports, disk, browser and store, with the fix beside each finding. Exit code 1 where "
         "something is bad.",

@@ -26,7 +26,6 @@ STUDIES = (
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "reproduce",
-        help="reproduce a claim of the paper",
         description="Reproduce a claim of the paper: compute it, print its acceptance figures and "
         "write its figure and table. Exit code 0 where all figures are met, 1 otherwise.",
     )

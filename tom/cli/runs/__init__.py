@@ -24,7 +24,6 @@ STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "runs",
-        help="list, label, check, export and tidy the runs of a store",
         description="List the runs of a store, or do something with them.",
     )
     parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")

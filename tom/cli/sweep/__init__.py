@@ -37,7 +37,6 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "sweep",
         usage="tom sweep --env ENV ... --learner LEARNER ... [--seeds N] [options]",
-        help="train many: every environment with every learner and seed",
         description="Train every environment with every learner and seed. Runs that are done are "
         "skipped, broken ones go on from their checkpoint, and one that ends "
         f"{ATTEMPTS} times without getting further is reported and left. Ctrl-C stops all "
