@@ -133,7 +133,7 @@ def test_reading_a_run_imports_little():
     ).stdout.split()
     ours = {name for name in loaded if name.partition(".")[0] == "tom"}
     assert len(ours) <= 22, sorted(ours)
-    assert not {"mujoco", "gymnasium", "rerun", "scipy"} & set(loaded)
+    assert not {"torch", "mujoco", "gymnasium", "rerun", "scipy"} & set(loaded)
 
 
 @pytest.mark.parametrize("option", ["--version", "--help"])

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from tom.cli.parser import folder, seed_number
 from tom.cli.signals import on_stopping
-from tom.cli.tables import show
-from tom.cli.train import number, summary
+from tom.cli.tables import number, show, summary
 from tom.envs import ROAD
 from tom.machine.processes import Process, start, stop
 from tom.record import RunReader, Store

@@ -1,12 +1,14 @@
-"""Tables as wide as the terminal, or in full width elsewhere."""
+"""Tables as wide as the terminal, or in full width elsewhere, and what a table says of a run."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from tom.harmless import is_number, terminal, terminal_lines
+from tom.record import RunReader, Status
 
 WIDTH = 1000  # in a file or a pipe, where a row is one line
 
@@ -30,3 +32,24 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
 def cell(value: object) -> str:
     """A value as text, numbers with two decimals."""
     return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def summary(done: RunReader, status: Status | None = None) -> dict[str, Any]:
+    """A run's last and best return and its folder; `status` is read if None."""
+    status = status or done.status
+    return {
+        "run_id": done.run_id,
+        "env": done.env,
+        "learner": done.learner,
+        "seed": done.seed,
+        "state": status.state,
+        "env_step": status.env_step,
+        "last_return": status.last_return,
+        "best_return": status.best_return,
+        "path": str(done.path),
+    }
+
+
+def number(value: float | None) -> str:
+    """A return as text; a dash before the first evaluation."""
+    return "-" if value is None else f"{value:.1f}"

@@ -27,13 +27,14 @@ from tom.cli.parser import (
 from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
+from tom.cli.tables import number, summary
 from tom.config import completed
 from tom.envs import ANY, ENV_NAMES, ROAD
 from tom.errors import DivergedError, OwnCodeError, UserError
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
-from tom.record import RunReader, Status, Store, checkpoint, manage
+from tom.record import RunReader, Store, checkpoint, manage
 from tom.record.files import size_of
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
@@ -250,22 +251,6 @@ def _steps(given: dict[str, Any]) -> int | None:
     return wanted
 
 
-def summary(done: RunReader, status: Status | None = None) -> dict[str, Any]:
-    """A run's last and best return and its folder; `status` is read if None."""
-    status = status or done.status
-    return {
-        "run_id": done.run_id,
-        "env": done.env,
-        "learner": done.learner,
-        "seed": done.seed,
-        "state": status.state,
-        "env_step": status.env_step,
-        "last_return": status.last_return,
-        "best_return": status.best_return,
-        "path": str(done.path),
-    }
-
-
 def _print_summary(done: RunReader, as_json: bool) -> None:
     row = summary(done)
     row["bytes"] = size_of(done.path)
@@ -294,11 +279,6 @@ def checkpoint_share(done: RunReader) -> float:
         for name in ("time/checkpoint_s", "time/wall_s")
     )
     return spent / wall if wall > 0 else 0.0
-
-
-def number(value: float | None) -> str:
-    """A return as text; a dash before the first evaluation."""
-    return "-" if value is None else f"{value:.1f}"
 
 
 def _given(arguments: list[str], option: str) -> str:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
+
+if TYPE_CHECKING:  # torch takes a second to import, and a reader of runs does without it
+    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Transitions:
 
     def torch(self) -> TensorTransitions:
         """The same rows as float32 tensors; shares memory where it can."""
+        import torch
+
         return TensorTransitions(
             *(torch.as_tensor(getattr(self, f.name)).to(torch.float32) for f in fields(self))
         )
@@ -39,7 +43,7 @@ class Transitions:
     def numpy(self) -> Transitions:
         """The same rows as numpy arrays; shares memory where it can."""
         parts = (getattr(self, f.name) for f in fields(self))
-        return Transitions(*(np.asarray(p.cpu() if isinstance(p, Tensor) else p) for p in parts))
+        return Transitions(*(np.asarray(p.cpu() if hasattr(p, "cpu") else p) for p in parts))
 
     def ended(self) -> np.ndarray:
         """Which rows are the last of their episode, terminated or truncated: (N,) bool."""
@@ -72,6 +76,8 @@ class TensorTransitions(Transitions):
 
     def moves(self) -> Tensor:
         """(s, a, s' - s) of every row, (N, 2 O + A)."""
+        import torch
+
         return torch.cat((self.obs, self.action, self.next_obs - self.obs), 1)
 
     def copy(self) -> TensorTransitions:
@@ -80,6 +86,8 @@ class TensorTransitions(Transitions):
 
     def packed(self) -> Tensor:
         """The same rows as one tensor (..., R), R = 2 O + A + 3; `unpack` is the inverse."""
+        import torch
+
         flags = torch.stack((self.terminated, self.truncated), -1)
         return torch.cat((self.obs, self.action, self.reward[..., None], self.next_obs, flags), -1)
 
@@ -94,6 +102,8 @@ class TensorTransitions(Transitions):
     @staticmethod
     def join(parts: Sequence[TensorTransitions]) -> TensorTransitions:
         """The rows of all parts, in order, as tensors."""
+        import torch
+
         return TensorTransitions(
             *(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(TensorTransitions))
         )

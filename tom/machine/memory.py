@@ -4,8 +4,6 @@ import ctypes
 import sys
 from pathlib import Path
 
-import torch
-
 from tom.errors import reason
 
 # glibc's `mallopt` and its parameters (malloc.h).
@@ -30,6 +28,7 @@ REFUSING = (MemoryError, RuntimeError, ValueError, TypeError)
 """types of the errors that a lack of memory may be; `ran_out` tells which of them are"""
 
 _REFUSALS = (
+    "CUDA out of memory",
     "can't allocate memory",
     "not allocate memory",
     "can't start new thread",
@@ -42,8 +41,7 @@ more bytes, or more rows, than 64 bits count"""
 
 def ran_out(error: BaseException) -> bool:
     """Whether the error means that there was not enough memory."""
-    known = isinstance(error, MemoryError | torch.OutOfMemoryError)
-    return known or any(words in str(error) for words in _REFUSALS)
+    return isinstance(error, MemoryError) or any(words in str(error) for words in _REFUSALS)
 
 
 def out_of_memory(error: BaseException) -> str:

@@ -20,7 +20,8 @@ from typing import Any, BinaryIO, cast
 
 import torch
 
-from tom.data.unpack import DAMAGE, cannot_read_now, check_tensors, check_views, open_file
+from tom.data.tensor_files import check_tensors, check_views
+from tom.data.unpack import DAMAGE, cannot_read_now, open_file
 from tom.errors import reason
 from tom.machine.memory import ran_out
 from tom.record import layout

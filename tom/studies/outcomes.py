@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from numpy.dtypes import Float32DType, Float64DType, Int64DType
 
-from tom.data.unpack import DAMAGE, check_tensors, open_file
+from tom.data.tensor_files import check_tensors
+from tom.data.unpack import DAMAGE, open_file
 from tom.record.files import replace
 
 # Types needed to load arrays; all others are primitives or the outcome's own classes.

@@ -9,8 +9,7 @@ from typing import Any
 from tom.cli.parser import folder
 from tom.cli.runs import fetch, files
 from tom.cli.runs import labels as runs_labels
-from tom.cli.tables import show
-from tom.cli.train import number, summary
+from tom.cli.tables import number, show, summary
 from tom.config import flat
 from tom.envs import ENV_NAMES
 from tom.errors import UserError, unknown
