@@ -1,6 +1,7 @@
 """A sweep as a Slurm array: a script that the user reads and submits."""
 
 import shlex
+import sys
 from collections.abc import Sequence
 from math import ceil
 from pathlib import Path
@@ -52,5 +53,5 @@ def script(trials: Sequence[Trial], store: Path, words: Sequence[str], hours: fl
         hours=wanted,
         logs=shlex.quote(str(logs)),
         folder=shlex.quote(str(Path.cwd())),
-        command=shlex.join(["tom", *words]),
+        command=shlex.join([sys.executable, "-m", "tom", *words]),
     ).rstrip()

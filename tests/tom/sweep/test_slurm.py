@@ -45,8 +45,12 @@ def test_the_time_of_a_slurm_task_is_up__leaves_a_checkpoint_and_queues_again(tm
     queue.parent.mkdir()
     queue.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/asked\n')
     queue.chmod(0o755)
-    path = f"{queue.parent}:{Path(sys.executable).parent}:{os.environ['PATH']}"
-    task = {"PATH": path, "SLURM_ARRAY_TASK_ID": "1", "SLURM_ARRAY_JOB_ID": "77"}
+    # A node has no `tom` on its path.
+    task = {
+        "PATH": f"{queue.parent}:/usr/bin:/bin",
+        "SLURM_ARRAY_TASK_ID": "1",
+        "SLURM_ARRAY_JOB_ID": "77",
+    }
     process = subprocess.Popen(["bash", str(file)], env={**os.environ, **task})
     run_id = planned[1].run_id
     until = time.monotonic() + 60
