@@ -70,8 +70,9 @@ def progression(weights: NDArray, ordered_from: int) -> Progression:
 
 def rank_correlation(x: NDArray, y: NDArray) -> float:
     """Spearman's rank correlation of x and y (n,), ties ranked alike; 0 if one is constant."""
-    # Mean weights are of order one: bins that differ only by rounding are ties.
-    ranks = [pd.Series(np.round(values, 9)).rank().to_numpy() for values in (x, y)]
+    # Bins that differ only by rounding are ties; those of tiny weights are not.
+    digits = [[float(f"{value:.9g}") for value in values] for values in (x, y)]
+    ranks = [pd.Series(values).rank().to_numpy() for values in digits]
     if min(np.ptp(r) for r in ranks) == 0:
         return 0.0
     return float(np.corrcoef(ranks[0], ranks[1])[0, 1])

@@ -64,6 +64,12 @@ def test_no_ordered_rows_is_an_error():
         progression(np.ones(10), ordered_from=10)
 
 
+def test_the_order_of_tiny_weights_counts_and_rounding_does_not():
+    recent = np.repeat(0.01 ** np.arange(10)[::-1], 10)  # down to 1e-18 of the newest
+    assert progression(recent, 0).spearman == pytest.approx(1)
+    assert progression(np.linspace(1, 1 + 1e-15, 100), 0).spearman == 0
+
+
 def test_rank_correlation_with_ties_by_hand():
     # Ranks of y: 1.5, 1.5, 3, 4. Covariance with 1..4: 4.5 over sqrt(5 * 4.5).
     y = np.array([2.0, 2.0, 5.0, 9.0])
