@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -83,7 +84,7 @@ def run_curves(
             go.Scatter(
                 x=step,
                 y=value,
-                uid=curve.run_id,
+                uid=trace_id(curve.run_id),
                 name=text.plotly((called or {}).get(curve.run_id, plain)),
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
@@ -185,7 +186,7 @@ def _single(curve: Curve, look: Look) -> go.Scatter:
     return go.Scatter(
         x=step,
         y=value,
-        uid=curve.run_id,
+        uid=trace_id(curve.run_id),
         name=text.plotly(curve.run_id),
         meta=curve.run_id,
         mode="lines",
@@ -204,7 +205,7 @@ def _band(group: Group, look: Look) -> go.Scatter:
     return go.Scatter(
         x=np.concatenate([step, step[::-1]]),
         y=np.concatenate([group.high[here], group.low[here][::-1]]),
-        uid=f"{_identity(group)} band",
+        uid=trace_id(_identity(group), "band"),
         name="band",
         fill="toself",
         fillcolor=faded(look.colour, 0.18),
@@ -231,7 +232,7 @@ def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
     for i, (part, whole) in enumerate(parts):
         part.update(
-            uid=line_uid(group) if i == 0 else f"{_identity(group)} dots",
+            uid=line_uid(group) if i == 0 else trace_id(_identity(group), "dots"),
             name=text.plotly(name) if i == 0 else "fewer runs than n",
             meta=[curve.run_id for curve in group.curves] if group.n > 1 else only,
             mode="lines+markers" if marked and whole else "lines",
@@ -255,7 +256,12 @@ def _short(title: str) -> str:
 
 def line_uid(group: Group) -> str:
     """The `uid` of a group's line in a chart."""
-    return f"{_identity(group)} line"
+    return trace_id(_identity(group), "line")
+
+
+def trace_id(*words: str) -> str:
+    """A `uid` of a trace from any words: letters and digits, as Plotly makes a CSS class of it."""
+    return sha256(" ".join(words).encode()).hexdigest()[:16]
 
 
 def _beside(here: NDArray[np.bool_]) -> NDArray[np.bool_]:

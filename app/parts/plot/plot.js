@@ -48,7 +48,14 @@ function save(plot, format) {
   };
   const name = plot.getAttribute("aria-label").replace(/[^\w-]+/g, "-").slice(0, 80);
   const { width, height } = plot.getBoundingClientRect();
-  window.Plotly.downloadImage(picture, { format, width, height, scale: 2, filename: name });
+  const options = { format, width, height, scale: 2, filename: name };
+  window.Plotly.downloadImage(picture, options).catch((error) => fail(plot, "saved", error));
+}
+
+function fail(plot, what, { message }) {
+  const note = plot.querySelector(".failed") ?? plot.appendChild(document.createElement("p"));
+  note.className = "failed";
+  note.textContent = `The chart cannot be ${what}: ${message}`;
 }
 
 function options(Plotly, selects, views) {
@@ -163,23 +170,19 @@ export default function ({ data, parentElement, setTriggerValue }) {
   plot.viewed ??= [];
   if (data.view) take(plot, data.view);
   plot.setAttribute("aria-label", data.label);
-  library(data.library).then(
-    (Plotly) => {
+  library(data.library)
+    .then(async (Plotly) => {
       if (!plot.isConnected) return;
       const { data: traces, layout } = JSON.parse(data.figure);
       const seen = plot.taken ? zoomed(layout, plot.taken) : layout;
       plot.querySelector(".failed")?.remove();
       // Plotly starts anew, zoom lost, when it gets other options: also other, equal functions.
       plot.options ??= options(Plotly, data.selects, Boolean(data.view));
-      Plotly.react(plot, traces, dressed(seen, theme(plot)), plot.options);
+      const drawn = Plotly.react(plot, traces, dressed(seen, theme(plot)), plot.options);
       if (!plot.wired) wire(plot, Plotly);
       plot.wired = true;
-    },
-    (error) => {
-      if (plot.wired) return;
-      plot.innerHTML = '<p class="failed"></p>';
-      plot.firstChild.textContent = `The chart cannot be drawn: ${error.message}`;
-    },
-  );
+      await drawn;
+    })
+    .catch((error) => fail(plot, "drawn", error));
   return () => setTimeout(() => plot.isConnected || window.Plotly?.purge(plot));
 }

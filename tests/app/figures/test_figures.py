@@ -1,5 +1,6 @@
 """The numbers in the figures are the numbers in the run folders."""
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,20 @@ def notes(figure: go.Figure) -> list[str]:
 def long_curve(points: int, seed: int = 0) -> Curve:
     value = np.random.default_rng(seed).normal(size=points)
     return Curve(f"run-{seed}", "hopper", "tom", "paper", seed, np.arange(points), value)
+
+
+def test_traces_have_names_that_are_css_classes_whatever_a_group_is_called() -> None:
+    group = aggregate(
+        [replace(long_curve(50, seed), preset="model.hidden 8, <b>.#") for seed in (0, 1)]
+    )
+    figures = [
+        group_curves([group], "x", 300, singles=True),
+        run_curves(group.curves, "x", 300, legend=True),
+    ]
+    ids = [trace.uid for figure in figures for trace in traces(figure)]
+    assert len(ids) == 2 + len(group.curves) * 2
+    assert all(re.fullmatch("[a-z0-9]+", uid) for uid in ids)
+    assert len(set(ids[:-2])) == len(ids) - 2
 
 
 def test_a_curve_shows_what_was_recorded(store: Path) -> None:

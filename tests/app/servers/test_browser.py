@@ -80,7 +80,9 @@ def visit(own: Path) -> Iterator[Visit]:
     with studio_and_browser(own) as (links, browser):
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(1000 * DRAWN_S)
-        yield Visit(page, links)
+        visit = Visit(page, links)
+        yield visit
+        assert visit.errors == []
 
 
 def colourful(element: "Locator", top: float = 1.0) -> float:
