@@ -1,4 +1,4 @@
-"""Every command, option, setting, metric, path and link that README and docs name exists."""
+"""Every command, option, setting, metric, path and link in the documents exists."""
 
 import argparse
 import re
@@ -27,7 +27,6 @@ PLACE = re.compile(r"(?:tom|app|tests|docs|\.ci)/[\w./-]*[\w/]")
 SETTING = re.compile(r"(?:tom|pmac|vagram|sac|model|rollout|evaluation)\.[a-z_]+(?==|$)")
 METRIC = re.compile(r"(?:weights|dual|discriminator|model|exam|eval|planner)/[a-z_]+")
 FROM_PYTHON = {f"tom.{name}" for name in dir(tom)}
-OF_THE_SYSTEM = {"No space left on device"}
 EXAMPLES = {"docs/extend.md"}  # names files that do not exist yet: test_extend makes them
 
 
@@ -145,13 +144,6 @@ def test_every_option_setting_and_metric_exists():
     assert seen == {"option", "setting", "metric"}
 
 
-def test_every_change_says_whether_it_changes_results():
-    _, *changes = re.split(r"^- ", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
-    assert len(changes) > 50
-    for change in changes:
-        assert re.search(r"\(changes\s+results:\s+[^)]+\)\s*$", change), change
-
-
 def test_every_picture_is_shown_somewhere():
     shown = {
         (page.parent / link).resolve() for page in PAGES for link in LINK.findall(page.read_text())
@@ -164,17 +156,6 @@ def test_every_picture_is_shown_somewhere():
 def test_the_commands_are_really_found():
     found = {command.split()[0] for _, command in commands()}
     assert {"train", "studio", "sweep", "runs", "reproduce", "demo", "doctor"} <= found
-
-
-def test_what_troubleshooting_quotes_is_said_by_the_code():
-    source = "".join(p.read_text() for part in ("tom", "app") for p in (ROOT / part).rglob("*.py"))
-    rows = (ROOT / "docs/troubleshooting.md").read_text().splitlines()
-    seen = [row.split("|")[1] for row in rows if row.startswith("| ")]
-    quoted = [text for cell in seen for text in re.findall(r"`([^`]+)`", cell)]
-    assert len(quoted) > 8
-    for text in quoted:
-        if text not in OF_THE_SYSTEM:
-            assert all(part.strip(" '") in source for part in text.split("...")), text
 
 
 def test_the_citation_file_is_of_this_version():

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-ROOMS = {  # from the top down; README.md draws the same tree
+ROOMS = {  # from the top down; docs/architecture.md draws the same tree
     "tom": (
         "__main__",
         "cli",
