@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from app import text
 from app.data import datasets
 from app.data.readers import RunInfo
-from tom.analysis.progression import Progression, progression
 from tom.data.sampling import bin_means
 from tom.record.array_files import DAMAGE, read_table
 from tom.record.files import read_json
@@ -110,14 +109,19 @@ def profiles(of: dict[tuple[str, int], NDArray[np.float32]]) -> dict[str, NDArra
     }
 
 
-def numbers(
-    weighing: WeighingInfo, of: dict[tuple[str, int], NDArray[np.float32]]
-) -> dict[str, list[Progression]]:
-    """A summary of each learner's weights for each seed."""
-    summaries: dict[str, list[Progression]] = {}
-    for (learner, _), weight in of.items():
-        summaries.setdefault(learner, []).append(progression(weight, weighing.ordered_from))
-    return summaries
+def medians(weighing: WeighingInfo) -> dict[str, dict[str, float]]:
+    """By learner the medians over seeds that `tom weigh` reported; empty if they cannot be read."""
+    try:
+        return {
+            str(learner): {str(name): _number(value) for name, value in of.items()}
+            for learner, of in read_json(Path(weighing.path) / REPORT)["medians"].items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else float(value)
 
 
 def footprints(weighing: WeighingInfo) -> dict[str, tuple[float, float]]:
@@ -130,8 +134,7 @@ def footprints(weighing: WeighingInfo) -> dict[str, tuple[float, float]]:
     try:
         for result in read_json(Path(weighing.path) / REPORT)["results"]:
             if result.get("footprint") is not None:
-                error = result.get("footprint_se")
-                measured = float(result["footprint"]), np.nan if error is None else float(error)
+                measured = float(result["footprint"]), _number(result.get("footprint_se"))
                 by_learner.setdefault(str(result["learner"]), []).append(measured)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}

@@ -1,5 +1,6 @@
 """Probe: every learner's weights of one buffer, and whether weighting helps the model."""
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -15,14 +16,20 @@ from app.parts.plot import chart
 from app.theme import learner_label
 from app.views.probe import answer, exams, model_error, start
 from app.views.probe.length import of_like_length
-from tom.analysis.progression import Progression
 from tom.envs import ROAD
 
 TITLE = "Probe"
 ICON = ":material/experiment:"
 PATH = "probe"
 
-DIGITS = 6  # decimals in the table, because PMAC's weights of old data are 1e-20
+COLUMNS = {
+    "ESS": "ess",
+    "zero": "zeros",
+    "random": "random_mean",
+    "newest": "last_two",
+    "rank": "spearman",
+}
+"""columns of the table, and their names in the report of a weighing"""
 
 
 def page() -> None:
@@ -105,20 +112,16 @@ def _weighed(weighing: WeighingInfo, rows: int) -> None:
     with right, st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")
         st.dataframe(
-            table(weighings.numbers(weighing, of), weighings.footprints(weighing)),
+            table(weighings.medians(weighing), weighings.footprints(weighing)),
             hide_index=True, height="content", column_config=_columns(),
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")
 
 
 def table(
-    by_learner: dict[str, list[Progression]], footprints: dict[str, tuple[float, float]]
+    medians: Mapping[str, Mapping[str, float]], footprints: Mapping[str, tuple[float, float]]
 ) -> pd.DataFrame:
     """One row per learner: medians over its seeds."""
-
-    def median(rows: list[Progression], name: str) -> float:
-        values = [getattr(row, name) for row in rows]
-        return float("nan") if None in values else round(float(np.median(values)), DIGITS)
 
     def footprint(learner: str) -> dict[str, str]:
         if not footprints:
@@ -131,13 +134,9 @@ def table(
         {
             "learner": learner_label(learner),
             **footprint(learner),
-            "ESS": median(rows, "ess"),
-            "zero": median(rows, "zeros"),
-            "random": median(rows, "random_mean"),
-            "newest": median(rows, "last_two"),
-            "rank": median(rows, "spearman"),
+            **{column: found.get(name, np.nan) for column, name in COLUMNS.items()},
         }
-        for learner, rows in by_learner.items()
+        for learner, found in medians.items()
     )
 
 

@@ -81,6 +81,14 @@ def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
     assert of["tom", 1] == pytest.approx(table["tom-s1"].to_numpy())
 
 
+def test_the_tables_numbers_are_those_of_the_report(weighed: Path) -> None:
+    shown = draw("probe", run=PENDULUM_TOM).dataframe[0].value.set_index("learner")
+    medians = json.loads((weighed / "report.json").read_text())["medians"]
+    for learner, label in (("tom", "TOM"), ("pmac", "PMAC"), ("mle", "MLE")):
+        row, of = shown.loc[label], medians[learner]
+        assert [row["zero"], row["rank"], row["ESS"]] == [of["zeros"], of["spearman"], of["ess"]]
+
+
 def test_the_table_says_how_far_each_learners_weights_lie_from_the_policy(weighed: Path) -> None:
     app = draw("probe", run=PENDULUM_TOM)
     shown = app.dataframe[0].value
