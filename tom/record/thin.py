@@ -24,8 +24,9 @@ from tom.record.reader import RunReader, at_or_before
 from tom.record.rounding import coarse, half, short
 from tom.record.status import Status
 
-ROWS = 250  # of metrics; rows of evaluations, and FITS rows with exams, are kept in addition
-FITS = 120  # weight profiles
+ROWS = 250  # of metrics; rows of evaluations, and EXAMS rows with exams, are kept in addition
+EXAMS = 120
+FITS = 60  # weight profiles
 SNAPSHOTS = 3
 EVALUATIONS = 3
 SMALL = 200_000
@@ -127,7 +128,7 @@ def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:
     if "eval/return" in table:
         keep |= table["eval/return"].notna().to_numpy()
     if "exam/error" in table:
-        keep[_spread(np.flatnonzero(table["exam/error"].notna()).tolist(), FITS)] = True
+        keep[_spread(np.flatnonzero(table["exam/error"].notna()).tolist(), EXAMS)] = True
     for row in table.loc[keep].to_dict("records"):
         step = int(row.pop("env_step"))
         yield {"env_step": step, **{k: short(v) for k, v in row.items() if v == v}}
