@@ -1,7 +1,7 @@
 """Random streams: each part of a run draws from its own named generator.
 
-A stream depends only on the run's seed and the stream's name. So a new stream never changes another
-one, and a member of a fleet draws the same numbers whatever the other members are.
+A stream depends only on the run's seed and the stream's name, so a new stream never changes another
+one.
 """
 
 import json

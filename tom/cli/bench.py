@@ -21,7 +21,6 @@ from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.errors import UserError, unknown
 from tom.learners import LEARNERS
-from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store
@@ -38,16 +37,14 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "what",
         nargs="?",
         default="parts",
-        choices=("parts", "step", "fleet", "memory", "learn", "record", "studio"),
+        choices=("parts", "step", "memory", "learn", "record", "studio"),
         help="parts: what each part of a training costs, and whole trainings from that [the "
-        "default]; step: a whole env step of the paper's Hopper; fleet: a fleet's steps on a GPU, "
-        "on the clock; memory: a full Humanoid buffer; record: the cost of recording, and of "
+        "default]; step: a whole env step of the paper's Hopper; "
+        "memory: a full Humanoid buffer; record: the cost of recording, and of "
         "listing 1000 runs; learn: does inverted pendulum reach 950 within 6000 steps; studio: how "
         "long its pages take over a store of 200 runs",
     )
-    parser.add_argument("--repeats", type=int, default=9, help="interleaved repeats (parts, fleet)")
-    parser.add_argument("--members", type=int, default=20, help="of the fleet [20] (fleet)")
-    parser.add_argument("--device", default="cuda", help="cuda, cuda:N or cpu [cuda] (fleet)")
+    parser.add_argument("--repeats", type=int, default=9, help="interleaved repeats (parts)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument(
         "--into",
@@ -82,8 +79,6 @@ def run(args: argparse.Namespace) -> int:
         studio.hand_over(studio_words(args), "app.servers.bench")
     if args.what == "parts":
         return _parts(args.repeats, args.json, args.into)
-    if args.what == "fleet":
-        return _fleet(args.device, args.members, args.repeats, args.json)
     return {"record": _record, "step": _step, "memory": _memory}[args.what](args.json)
 
 
@@ -136,27 +131,6 @@ def _step(as_json: bool) -> int:
     row |= {"authors_ms": training.AUTHORS_MS, "met": ms <= training.AUTHORS_MS / 2}
     _print(
         "an env step of the paper's Hopper, CPU ms (the authors' on their machine)", [row], as_json
-    )
-    return 0
-
-
-def _fleet(device: str, members: int, repeats: int, as_json: bool) -> int:
-    from tom.bench import fleet
-
-    require_device(device)
-    if members < 1:
-        raise UserError("--members must be at least 1")
-    torch.set_num_threads(1)
-    choose_matmul()
-    rows = fleet.measure(torch.device(device), members, max(repeats, 1))
-    took = fleet.minutes(rows)
-    if as_json:
-        print(json.dumps({"device": device, "parts": [asdict(r) for r in rows], "minutes": took}))
-        return 0
-    _table(f"wall ms on {device}, all members at once", [asdict(row) for row in rows])
-    print(
-        f"Hopper, {members} members of TOM, preset paper: about {took:.0f} minutes at most "
-        "(without evaluation, recording and the drawing of minibatches)"
     )
     return 0
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from tom.cli import train_many
 from tom.cli.named import add_termination
 from tom.cli.parser import (
     DEST,
@@ -39,7 +38,8 @@ from tom.record.files import size_of
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
-from tom.training.presets import PRESETS, config_type, resolve
+from tom.training.plan import Trial
+from tom.training.presets import PRESETS, config_type, default_preset, resolve
 from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import AnyConfig, Stop, train
 
@@ -67,14 +67,8 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     parser.add_argument(
         "--seeds", nargs="+", type=seed_number, metavar="N",
-        help="a training for each of these seeds",
+        help="a training for each of these seeds, one a core",
     )  # fmt: skip
-    parser.add_argument(
-        "--engine",
-        choices=train_many.ENGINES,
-        help="several trainings: processes, one a core [on a CPU], or a fleet, all in one process "
-        "with their networks stacked [on a GPU]. The same command goes on where they were stopped",
-    )
     parser.add_argument(
         "--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [mended for TOM, else paper]"
     )
@@ -103,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         return _resume(args, args.resume, _steps(_without_rule(given, args.resume, args.store)))
     if not (args.env and args.learner):
         raise UserError("--resume auto needs the --env and --learner of the run")
-    if len(args.learner) > 1 or args.seeds or args.engine or given.get("device", "cpu") != "cpu":
+    if len(args.learner) > 1 or args.seeds:
         return _train_many(args)
     try:
         config = resolve(args.env, args.learner[0], args.preset, given)
@@ -144,15 +138,35 @@ def _make_room(store: Store, run: RunReader) -> None:
 
 
 def _train_many(args: argparse.Namespace) -> int:
-    trials, store = train_many.trials_of(args), Store(args.store)
-    if train_many.wants_fleet(args, trials):
-        stop, rerun = Stop(), not args.no_rerun
-        with on_stopping(stop):
-            return train_many.run_fleets(args, [trials], stop, rerun=rerun)
+    trials, store = _trials(args), Store(args.store)
     store.ensure_writable()
     engine = LocalEngine(len(os.sched_getaffinity(0)))
     home = FolderBackend(store)
     return drive(args, Driver(home, trials, engine, accept_versions=args.accept_versions))
+
+
+def _trials(args: argparse.Namespace) -> list[Trial]:
+    """Every learner with every seed, without duplicates. Raises UserError if one is impossible."""
+    settings = overrides(args)
+    if args.seeds and "seed" in settings:
+        raise UserError("--seed and --seeds: give one of them")
+    if args.run_id or args.resume not in (None, "auto"):
+        raise UserError("--run-id and --resume RUN are for one training alone")
+    seed = str(settings.pop("seed", 0))
+    if (one := whole_number(seed)) is None:
+        raise UserError(f"--seed {seed[:DIGITS]}: must be a whole number, 0 or more")
+    seeds = args.seeds or [one]
+    trials = [
+        Trial(args.env, learner, seed, args.preset or default_preset(args.env, learner), settings)
+        for learner in dict.fromkeys(args.learner)
+        for seed in dict.fromkeys(seeds)
+    ]
+    for trial in trials:
+        try:
+            _ = trial.config
+        except ValidationError as error:
+            raise one_line(error) from None
+    return trials
 
 
 def record(config: AnyConfig, args: argparse.Namespace) -> int:
@@ -209,7 +223,7 @@ def _watched(
 
 def _refuse_others(args: argparse.Namespace) -> None:
     """Raises UserError for options that have no meaning when a named run is resumed."""
-    for option in ("seeds", "engine", "run_id"):
+    for option in ("seeds", "run_id"):
         if getattr(args, option) is not None:
             name = option.replace("_", "-")
             raise UserError(

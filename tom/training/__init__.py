@@ -1,1 +1,1 @@
-"""Trainings: from a preset to a finished run folder, resumed, or many as a fleet."""
+"""Trainings: from a preset to a finished run folder, or resumed."""

@@ -80,7 +80,6 @@ def test_a_second_ctrl_c_ends_at_once():
     "words",
     [
         ("train", *SMOKE),
-        ("train", *SMOKE, "--seeds", "0", "--engine", "fleet"),
         ("sweep", *SMOKE),
         ("train", *SMOKE, "--sac.lr", "-1"),
     ],

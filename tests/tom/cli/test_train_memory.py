@@ -1,6 +1,5 @@
 """`tom train` with settings that no memory holds."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -25,21 +24,3 @@ def test_a_buffer_of_more_rows_than_64_bits_count(capsys, tmp_path: Path):
     assert "failed: not enough memory" in error
     assert error.count("\n") == 1
     assert "not enough memory" in Store(tmp_path).run("a").status.reason
-
-
-def test_a_fleet_whose_joint_work_finds_no_memory_on_a_cpu(capsys, tmp_path: Path):
-    words = ["--learner", "mle", "pmac", "--engine", "fleet", "--model.batch-size", str(10**11)]
-    out, error = failed(tmp_path, [*words, "--json"], capsys)
-    assert json.loads(out) == []
-    assert "2 in a fleet: failed: not enough memory" in error
-    assert "Traceback" not in error
-    for run in Store(tmp_path).runs():
-        assert run.status.state == "failed"
-        assert "not enough memory" in run.status.reason
-
-
-def test_members_of_a_fleet_of_which_each_finds_no_memory(capsys, tmp_path: Path):
-    words = ["--learner", "mle", "pmac", "--engine", "fleet", *BEYOND]
-    out, error = failed(tmp_path, [*words, "--json"], capsys)
-    assert all(row["error"].startswith("not enough memory") for row in json.loads(out))
-    assert error.count("failed: not enough memory") == error.count("failed: ") == 2

@@ -69,7 +69,6 @@ def test_an_endpoint_that_is_no_address_is_one_line(
         (("--store", "s3://nowhere/x"), "there is no bucket 'nowhere'"),
         (("--store", "s3://No_Bucket/x"), "must be s3://BUCKET/PREFIX"),
         (("--store", "gs://store/x"), "s3://BUCKET/PREFIX"),
-        (("--store", "s3://store/x", "--engine", "fleet"), "needs a folder"),
         (("--store", "s3://store/x", "--engine", "slurm"), "needs a folder"),
     ],
 )

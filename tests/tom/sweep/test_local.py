@@ -69,7 +69,6 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
         ((*SMOKE, "--seeds", "0"), "--seeds 0: it is how many"),
         ((*SMOKE, "--seeds", "0", "3"), "`seeds: [0, 3]`"),
         ((*SMOKE, "--jobs", "0"), "--jobs 0"),
-        ((*SMOKE, "--jobs", "2", "--engine", "fleet"), "leave out --jobs"),
         ((*SMOKE, "--only", "1"), "runs 0 to 0"),
         ((*SMOKE, "--sac.lr", "-1"), "sac.lr"),
         ((*SMOKE, "--engine", "pbs"), "pbs"),
@@ -77,10 +76,6 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
         (("--sead", "3"), "did you mean --seed"),
         ((*SMOKE, "--seed", "3"), "unknown argument --seed, did you mean --seeds?"),
         ((*SMOKE, "--only", "0", "--engine", "slurm"), "--only is given to each task"),
-        (
-            ("--env", "inverted-pendulum", "road-and-rocks", *SMOKE[2:6], "--engine", "fleet"),
-            "road-and-rocks trains alone",
-        ),
     ],
 )
 def test_bad_input(words: tuple[str, ...], named: str, tmp_path: Path, capsys):
@@ -114,16 +109,6 @@ def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
     code, out, _ = sweep(capsys, tmp_path / "store", *words)
     assert code == 0
     assert [(r["learner"], r["seed"]) for r in json.loads(out)["runs"]] == [("tom", 0), ("tom", 1)]
-
-
-def test_a_sweep_of_fleets_goes_on_where_processes_left_off(tmp_path: Path, capsys):
-    words = (*SMOKE[:2], "--learner", "mle", "pmac", *SMOKE[4:], "--engine", "fleet")
-    code, out, _ = sweep(capsys, tmp_path, *words, "--json")
-    assert code == 0
-    assert {row["learner"]: row["env_step"] for row in json.loads(out)} == {"mle": 250, "pmac": 250}
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE)  # the same runs, now for processes
-    assert code == 0
-    assert "was there already" in out
 
 
 def test_a_small_copy_of_a_finished_run_is_done_and_called_one(tmp_path: Path, capsys):

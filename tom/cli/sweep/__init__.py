@@ -16,7 +16,6 @@ from tom.cli.signals import on_stopping
 from tom.cli.sweep.dry import dry_run, longest
 from tom.cli.sweep.places import open_backend, open_engine, place, refuse_mismatch
 from tom.cli.sweep.table import Watcher, job_row
-from tom.cli.train_many import run_fleets
 from tom.config import OnlineConfig, RoadConfig, merged
 from tom.envs import ANY, ENV_NAMES, ROAD, bring
 from tom.envs.ends import bring_rule
@@ -27,7 +26,6 @@ from tom.sweep.engine import GoneError
 from tom.sweep.slurm import script
 from tom.training.plan import Trial, checked, read_plan, trials
 from tom.training.presets import PRESETS
-from tom.training.run import Stop
 
 POLL_S = 0.5
 OWN_OPTIONS = {"env", "learner", "preset", "seed", "steps"}
@@ -59,11 +57,10 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("--jobs", type=int, metavar="N", help="runs at a time [one a core]")
     parser.add_argument(
         "--engine",
-        choices=("local", "fleet", "ray", "slurm"),
+        choices=("local", "ray", "slurm"),
         default="local",
-        help="local: processes, one a core, or fleets where --device is a GPU; fleet: the runs of "
-        "each environment in one process, networks stacked; ray: processes on the machines of a "
-        "Ray cluster; slurm: print an array script [local]",
+        help="local: processes, one a core; ray: processes on the machines of a Ray cluster; "
+        "slurm: print an array script [local]",
     )
     parser.add_argument(
         "--address",
@@ -96,7 +93,7 @@ def _named(arguments: list[str], option: str) -> set[str]:
 def run(args: argparse.Namespace) -> int:
     planned, jobs = _planned(args), _jobs(args)
     on_gpu = any(trial.config.device != "cpu" for trial in planned)
-    refuse_mismatch(args.engine, args.address, args.jobs, args.store, on_gpu)
+    refuse_mismatch(args.engine, args.address, args.store, on_gpu)
     if args.engine == "slurm" and args.only is not None:
         raise UserError("--only is given to each task of the array: leave it out")
     with open_backend(args.store, planned) as backend:
@@ -105,10 +102,6 @@ def run(args: argparse.Namespace) -> int:
         if args.engine == "slurm":
             print(script(planned, args.store, _own_words(), longest(backend.store, planned)))
             return 0
-        if args.engine == "fleet" or on_gpu:
-            stop = Stop()
-            with on_stopping(stop):
-                return run_fleets(args, _by_env(planned), stop, rerun=False)
         with open_engine(args.engine, args.address, args.jobs) as engine:
             backend.store.ensure_writable()
             driver = Driver(backend, planned, engine, accept_versions=args.accept_versions)
@@ -155,11 +148,6 @@ def _jobs(args: argparse.Namespace) -> int:
     if args.jobs is not None and args.jobs < 1:
         raise UserError(f"--jobs {args.jobs}: must be at least 1")
     return args.jobs or len(os.sched_getaffinity(0))
-
-
-def _by_env(planned: list[Trial]) -> list[list[Trial]]:
-    envs = dict.fromkeys(trial.env for trial in planned)
-    return [[trial for trial in planned if trial.env == env] for env in envs]
 
 
 def drive(args: argparse.Namespace, driver: Driver) -> int:

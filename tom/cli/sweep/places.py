@@ -22,20 +22,14 @@ def place(word: str) -> Path | str:
     return word if "://" in word else Path(word)
 
 
-def refuse_mismatch(
-    engine: str, address: str | None, jobs: int | None, store: Path | str, on_gpu: bool
-) -> None:
+def refuse_mismatch(engine: str, address: str | None, store: Path | str, on_gpu: bool) -> None:
     """Raises UserError for options that do not go together."""
-    if jobs is not None and (on_gpu or engine == "fleet"):
-        where = "on a GPU" if on_gpu else "with --engine fleet"
-        raise UserError(f"{where} all runs of a task train at once: leave out --jobs")
     if address is not None and engine != "ray":
         raise UserError("--address is that of a Ray cluster: add --engine ray")
     if engine == "ray" and on_gpu:
         raise UserError("--engine ray trains on CPUs, one run a core: leave out --device")
-    if isinstance(store, str) and (on_gpu or engine in ("fleet", "slurm")):
-        which = "a GPU" if on_gpu else f"--engine {engine}"
-        raise UserError(f"{which} needs a folder: --store {store} goes with local and ray on a CPU")
+    if isinstance(store, str) and engine == "slurm":
+        raise UserError(f"--engine slurm needs a folder: --store {store} goes with local and ray")
 
 
 def open_backend(store: Path | str, trials: list[Trial]) -> AbstractContextManager[Backend]:
