@@ -4,12 +4,10 @@ The lines named below are those of its print in appendix B. As in the released c
 21-23) are made once a fit and not at each step. Lines 3-14, the weights, are the learner's.
 
 `Mbpo.events()` is a generator. Its consumers do the recording, progress display, checkpoints and
-evaluation curves: this file uses no file, clock or socket. Heavy work goes through `do` and `call`,
-which do it at once, or in a fleet together with that of the other members (`tom.nn.lockstep`).
+evaluation curves: this file uses no file, clock or socket.
 """
 
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,11 +37,10 @@ from tom.exams.exam import Exam, Fitted, critic_metrics, footprint_metrics, mode
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting, heavy_row
 from tom.metrics import require_finite
-from tom.nn.lockstep import call, do
+from tom.policy.batches import mixed_batches
 from tom.policy.evaluate import Evaluator
 from tom.policy.rollout import roll_out, start_states
 from tom.policy.sac import Sac
-from tom.policy.sac_work import Act, SacUpdates, mixed_batches
 from tom.policy.stored import policy_arrays
 from tom.rng import Streams
 
@@ -57,8 +54,8 @@ class Mbpo:
         self.streams = Streams(config.seed, config.device)
         obs_dim, action_dim = self.task.obs_dim, self.task.action_dim
         generator = self.streams.torch
-        self.sac = Sac(obs_dim, action_dim, config.sac, [generator("sac")])
-        self.policy = self.sac.member(0)
+        self.sac = Sac(obs_dim, action_dim, config.sac, generator("sac"))
+        self.policy = self.sac.policy
         self.model = make_model(obs_dim, action_dim, config.model, generator("model"))
         self.terminated = rule(self.task, config.model.termination)
         self.ending: EndingHead | None = None
@@ -182,7 +179,7 @@ class Mbpo:
         if self._simulated is not None:
             data = self._simulated.data
             self._states.append((data.qpos.copy(), data.qvel.copy()))
-        next_obs, reward, terminated, truncated, _ = call(partial(self.env.step, action))
+        next_obs, reward, terminated, truncated, _ = self.env.step(action)
         version = 0 if explore else self.policy_version
         self.replay.add(obs, action, float(reward), next_obs, terminated, truncated, version)
         self.env_step += 1
@@ -207,7 +204,7 @@ class Mbpo:
             config.real_ratio,
             self.streams.torch("batches"),
         )
-        self._sac_metrics = do(SacUpdates(self.sac, batches)).metrics
+        self._sac_metrics = self.sac.updates(batches)
         if self.streams.device.type == "cpu":  # on a GPU this check would force a wait
             self._sac_losses()
         self.policy_version += 1
@@ -217,8 +214,7 @@ class Mbpo:
         yield Tick(self.env_step, "evaluate")
         yield Metrics(self.env_step, self._sac_losses())
         seed = self.streams.integer(f"evaluation {self.env_step}")
-        episodes = call(partial(self.evaluator.run, self.policy.mean, seed))
-        yield Evaluation(self.env_step, episodes)
+        yield Evaluation(self.env_step, self.evaluator.run(self.policy.mean, seed))
 
     # State
 
@@ -312,8 +308,8 @@ class Mbpo:
         return action.astype(np.float32)
 
     def _policy_action(self, obs: np.ndarray) -> np.ndarray:
-        seen = torch.as_tensor(obs, dtype=torch.float32)
-        return do(Act(self.sac, seen, self.streams.torch("act"))).action.numpy()
+        seen = torch.as_tensor(obs, dtype=torch.float32)[None].to(self.streams.device)
+        return self.policy(seen, 1, self.streams.torch("act"))[0, 0].cpu().numpy()
 
     def _fit_context(self) -> FitContext:
         return FitContext(

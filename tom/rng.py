@@ -5,16 +5,11 @@ one.
 """
 
 import json
-from collections.abc import Sequence
 from typing import Any
 from zlib import crc32
 
 import numpy as np
 import torch
-from torch import Tensor
-
-Generators = Sequence[torch.Generator]
-"""one generator per member, in member order"""
 
 
 class Streams:
@@ -57,11 +52,6 @@ class Streams:
     def integer(self, name: str) -> int:
         """A 32-bit seed for a library that needs one (an environment's reset)."""
         return int(np.random.SeedSequence([self.seed, crc32(name.encode())]).generate_state(1)[0])
-
-
-def normal(generators: Generators, shape: Sequence[int]) -> Tensor:
-    """Standard normal draws, (M, *shape): member m from its own generator."""
-    return torch.stack([torch.randn(*shape, generator=g, device=g.device) for g in generators])
 
 
 def fork(generator: torch.Generator) -> torch.Generator:

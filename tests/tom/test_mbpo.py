@@ -1,5 +1,5 @@
-from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,14 +11,12 @@ from gymnasium.wrappers import TimeLimit
 from tom.config import OnlineConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.transitions import TensorTransitions, Transitions
-from tom.dynamics.fitting import Fit
+from tom.dynamics.base import FitReport
 from tom.events import Collected, Evaluation, Event, Metrics, Notice, Weights
 from tom.learners import LEARNER_NAMES
 from tom.learners.base import FitContext, Weighting
 from tom.learners.mle import MleLearner
 from tom.mbpo import Mbpo
-from tom.nn.lockstep import Lockstep, Work
-from tom.policy.sac_work import SacUpdates
 from tom.training.presets import resolve
 
 
@@ -31,19 +29,6 @@ def smoke(learner: str = "tom", **changes: object) -> OnlineConfig:
 def run(config: OnlineConfig) -> tuple[Mbpo, list[Event]]:
     training = Mbpo(config)
     return training, list(training.events())
-
-
-def unfolded(training: Mbpo) -> list[Event | Work]:
-    """What the run tells and the pieces of its work, in order."""
-    items: list[Event | Work] = []
-
-    class Noting(Lockstep):
-        def do(self, works: Sequence[Work]) -> None:
-            items.extend(works)
-            super().do(works)
-
-    assert Noting().run([lambda: items.extend(training.events())]) == [None]
-    return items
 
 
 def of(events: list[Event], kind: type) -> list:
@@ -164,17 +149,21 @@ def packed(buffer: ReplayBuffer) -> set[bytes]:
 
 def test_every_step_updates_the_policy_on_its_share_of_real_transitions():
     changes = {"updates_per_step": 3, "real_ratio": 0.25, "sac": {"batch_size": 40}}
-    training, found = Mbpo(smoke("mle", steps=202, **changes)), 0
-    for item in unfolded(training):
-        if isinstance(item, SacUpdates):
-            found += 1
-            real, model = packed(training.replay), packed(training.model_buffer)
-            assert item.batches.shape[:2] == (3, 40)
-            for batch in item.batches.numpy():
-                rows = [row.tobytes() for row in batch]
-                assert sum(row in real for row in rows) == 10
-                assert sum(row in model for row in rows) == 30
-    assert found == 2  # one an env step after exploration
+    training, found = Mbpo(smoke("mle", steps=202, **changes)), []
+    updates = training.sac.updates
+
+    def noted(batches: torch.Tensor) -> dict[str, torch.Tensor]:
+        real, model = packed(training.replay), packed(training.model_buffer)
+        found.append(batches.shape)
+        for batch in batches.numpy():
+            rows = [row.tobytes() for row in batch]
+            assert sum(row in real for row in rows) == 10
+            assert sum(row in model for row in rows) == 30
+        return updates(batches)
+
+    training.sac.updates = noted
+    list(training.events())
+    assert [shape[:2] for shape in found] == [(3, 40)] * 2  # an env step after exploration each
     assert float(training.sac.actor_optimiser.taken[0]) == 6
 
 
@@ -215,14 +204,18 @@ def test_a_fit_whose_rollouts_start_from_one_row_is_told():
         assert {one.kind for one in of(list(training.events()), Notice)} == told
 
 
-def test_the_model_is_fitted_to_clipped_weights_and_the_record_keeps_them_whole():
+def test_the_model_is_fitted_to_clipped_weights_and_the_record_keeps_them_whole(
+    monkeypatch: pytest.MonkeyPatch,
+):
     training = Mbpo(smoke(steps=301, model={"weight_clip": 1.01}))
-    fits, recorded = [], []
-    for item in unfolded(training):
-        if isinstance(item, Fit):
-            fits.append(item.weights)
-        elif isinstance(item, Weights):
-            recorded.append(torch.from_numpy(item.weight))
+    fits, fit = [], training.model.fit
+
+    def noted(data: TensorTransitions, weights: torch.Tensor, *rest: Any) -> FitReport:
+        fits.append(weights)
+        return fit(data, weights, *rest)
+
+    monkeypatch.setattr(training.model, "fit", noted)
+    recorded = [torch.from_numpy(w.weight) for w in of(list(training.events()), Weights)]
     assert recorded[1].max() > 1.01
     assert torch.equal(fits[1], recorded[1].clamp(max=1.01))
 

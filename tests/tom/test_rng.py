@@ -1,6 +1,6 @@
 import torch
 
-from tom.rng import Streams, normal
+from tom.rng import Streams
 
 
 def test_streams_depend_on_seed_and_name_alone():
@@ -11,11 +11,3 @@ def test_streams_depend_on_seed_and_name_alone():
     )
     assert first.integer("a") != first.integer("b")
     assert first.integer("a") != Streams(4).integer("a")
-
-
-def test_a_member_draws_the_same_in_any_company():
-    def make(seed: int) -> torch.Generator:
-        return torch.Generator().manual_seed(seed)
-
-    together = normal([make(1), make(2)], (3, 2))
-    assert torch.equal(together[1], normal([make(2)], (3, 2))[0])

@@ -87,8 +87,8 @@ def sac_flops(config: SacConfig, obs: int = OBS, action: int = ACTION) -> float:
 
 def _sac() -> Part:
     config = SacConfig()
-    sac = Sac(OBS, ACTION, config, [torch.Generator().manual_seed(0)])
-    batches = transitions(BATCH)[None].packed().expand(5, -1, -1, -1)
+    sac = Sac(OBS, ACTION, config, torch.Generator().manual_seed(0))
+    batches = transitions(BATCH).packed().expand(5, -1, -1)
     return Part(
         "SAC update", lambda: [sac.updates(batches) for _ in range(4)], 20, sac_flops(config)
     )
@@ -109,7 +109,7 @@ def _model_step(kind: str) -> Part:
 
 def _tom_steps() -> Iterator[Part]:
     data = transitions(WEIGHED)
-    policy = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
+    policy = Sac(OBS, ACTION, SacConfig(), torch.Generator().manual_seed(0)).policy
 
     def weigh(steps: dict[str, int], rows: int) -> object:
         config = TomConfig.preset("paper").but(warmup=1, **steps)
@@ -150,7 +150,7 @@ def _tom_steps() -> Iterator[Part]:
 
 def _rollout() -> Part:
     model = make_model(OBS, ACTION, ModelConfig(), torch.Generator().manual_seed(0))
-    policy = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
+    policy = Sac(OBS, ACTION, SacConfig(), torch.Generator().manual_seed(0)).policy
     buffer = ReplayBuffer(ROLLED, OBS, ACTION)
     starts, generator = transitions(ROLLED).obs, torch.Generator().manual_seed(1)
     hopper, config = task("hopper"), RolloutConfig()
@@ -164,7 +164,7 @@ def _rollout() -> Part:
 
 def _exam() -> Part:
     model = make_model(OBS, ACTION, ModelConfig(), torch.Generator().manual_seed(0))
-    critic = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)]).member()
+    critic = Sac(OBS, ACTION, SacConfig(), torch.Generator().manual_seed(0)).policy
     generator, hopper, replay = torch.Generator(), task("hopper"), transitions(WEIGHED)
     replay.terminated[99::100] = 1.0
     fitted = Fitted(0, torch.rand(WEIGHED - EXAMINED, generator=generator))

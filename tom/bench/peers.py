@@ -89,7 +89,7 @@ def _autograd_mdn() -> Part:
 
 def _autograd_sac() -> Part:
     """Our own networks and three losses, with gradients by autograd and torch's fused Adam."""
-    sac = Sac(OBS, ACTION, SacConfig(), [torch.Generator().manual_seed(0)])
+    sac = Sac(OBS, ACTION, SacConfig(), torch.Generator().manual_seed(0))
     actor, critic = sac.actor.requires_grad_(True), sac.critic.requires_grad_(True)
     temperature = sac.log_temperature.clone().requires_grad_(True)
     optimisers = [

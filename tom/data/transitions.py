@@ -71,7 +71,6 @@ class TensorTransitions(Transitions):
     truncated: Tensor
 
     def __getitem__(self, index: slice | Tensor | np.ndarray | None) -> TensorTransitions:
-        """Some rows; `[None]` puts a member axis of one in front."""
         return TensorTransitions(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def moves(self) -> Tensor:

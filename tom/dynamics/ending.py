@@ -39,7 +39,7 @@ class EndingHead:
     """The head of one member, with its threshold; before the first fit it never ends an episode."""
 
     def __init__(self, obs_dim: int, config: ModelConfig, generator: torch.Generator) -> None:
-        net = StackedMLP(1, [obs_dim, HIDDEN, HIDDEN, 1], relu, [generator])
+        net = StackedMLP(1, [obs_dim, HIDDEN, HIDDEN, 1], relu, generator)
         self.config = config
         self.network = Trained(net, config.lr)
         device = self.network.device

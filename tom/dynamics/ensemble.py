@@ -1,7 +1,5 @@
 """Ensembles of uni-modal networks: Janner's Gaussian ensemble and VaGram's mean-only one."""
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
@@ -9,7 +7,6 @@ from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.fitting import FittedDynamics
 from tom.dynamics.neural import soft_bound
-from tom.nn.mlp import share
 
 WEIGHT_DECAY = (2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4)  # by layer (Janner et al. 2019)
 BOUND_PENALTY = 0.01
@@ -37,10 +34,6 @@ class GaussianEnsemble(_Ensemble):
 
     def extra_parameters(self) -> list[Tensor]:
         return [self.max_log_var, self.min_log_var]
-
-    def share_extra(self, parts: Sequence[list[Tensor]]) -> None:
-        high, low = zip(*parts, strict=True)
-        self.max_log_var, self.min_log_var = (share(x).requires_grad_() for x in (high, low))
 
     def _log_var(self, raw: Tensor) -> Tensor:
         return soft_bound(raw, self.min_log_var, self.max_log_var)

@@ -1,14 +1,6 @@
-"""The weighted fit of neural dynamics models, one or many in lock-step.
-
-Members of a fleet share the gradient steps and nothing else: each has its own data, weights, random
-stream, holdout and stopping time.
-"""
+"""The weighted fit of neural dynamics models."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
-from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -18,8 +10,6 @@ from tom.data.sampling import WeightedSampler, block_size, uniform_indices
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import FitReport
 from tom.dynamics.neural import NeuralDynamics
-from tom.nn.graphs import captured_step
-from tom.nn.lockstep import Rank, Work, do
 
 BLOCK, GPU_BLOCK = 10, 100  # minibatches gathered at once
 UNWEIGHTED = (
@@ -28,39 +18,11 @@ UNWEIGHTED = (
 )
 """kind of the notice about a fit whose training rows have no weight"""
 
-Step = Callable[..., Tensor]
-"""(x, y, *scales), (E, B, ...) each -> each network's loss (E,): `NeuralDynamics.step`."""
-
-
-@dataclass
-class Fit(Work):
-    """Work that fits a model to N transitions; afterwards `report` is set.
-
-    `weights` are (N,), per-dimension weights (N, O).
-    """
-
-    rank: ClassVar[Rank] = Rank.FIT
-    subject: NeuralDynamics
-    data: TensorTransitions
-    weights: Tensor
-    per_dim: Tensor | None
-    generator: torch.Generator
-    report: FitReport = field(init=False)
-
-    @property
-    def kind(self) -> Hashable:
-        return type(self.subject), self.subject.config, self.subject.targets
-
-    @classmethod
-    def do(cls, works: Sequence[Fit], subject: NeuralDynamics) -> None:
-        reports = fit(works, captured_step(subject))
-        for work, report in zip(works, reports, strict=True):
-            work.report = report
-
 
 class FittedDynamics(NeuralDynamics):
-    """Networks and their fit, alone or in lock-step."""
+    """Networks and their fit."""
 
+    @torch.no_grad()
     def fit(
         self,
         data: TensorTransitions,
@@ -68,25 +30,18 @@ class FittedDynamics(NeuralDynamics):
         per_dim: Tensor | None,
         generator: torch.Generator,
     ) -> FitReport:
-        """Weighted maximum likelihood with early stopping: see this module's `fit`."""
-        return do(Fit(self, data, weights, per_dim, generator)).report
+        """Weighted maximum likelihood (eq. 18) with early stopping; the best networks are kept.
 
-
-@torch.no_grad()
-def fit(works: Sequence[Fit], step: Step) -> list[FitReport]:
-    """Weighted maximum likelihood (eq. 18) with early stopping; the best networks are kept.
-
-    Weights have mean 1. They draw the minibatches or scale the loss, never both. A round is
-    `batches_per_round` minibatches. A gain is a weighted holdout loss that is `min_gain` (relative)
-    below that of the last gain; the first round counts as one. A fit stops after more than
-    `patience` rounds in a row without a gain. If no row to train on has any weight, all have the
-    same, and a notice says so. `step` updates the networks of all works at once;
-    their configs are equal.
-    """
-    members = [_Member(work) for work in works]
-    while any(m.goes_on for m in members):
-        _round(members, step)
-    return [m.report() for m in members]
+        `weights` (N,) have mean 1, those of single dimensions are (N, O). They draw the minibatches
+        or scale the loss, never both. A round is `batches_per_round` minibatches. A gain is a
+        weighted holdout loss that is `min_gain` (relative) below that of the last gain; the first
+        round counts as one. The fit stops after more than `patience` rounds in a row without a
+        gain. If no row to train on has any weight, all have the same, and a notice says so.
+        """
+        state = _Fit(self, data, weights, per_dim, generator)
+        while state.goes_on:
+            state.round()
+        return state.report()
 
 
 def holdout_loss(
@@ -108,61 +63,55 @@ def split(n: int, config: ModelConfig, generator: torch.Generator) -> tuple[Tens
     return order[held:], order[: max(held, 1)]
 
 
-def _round(members: Sequence[_Member], step: Step) -> None:
-    count = members[0].config.batches_per_round
-    scale_dims = any(m.scales_dims for m in members)
-    plans = [m.plan() for m in members]
-    device = members[0].weights.device
-    losses, size = torch.zeros(len(members), device=device), block_size(device, BLOCK, GPU_BLOCK)
-    for first in range(0, count, size):
-        block = slice(first, first + size)
-        parts = [m.gather(p[block], scale_dims) for m, p in zip(members, plans, strict=True)]
-        stacked = [p[0] if len(p) == 1 else torch.cat(p, 1) for p in zip(*parts, strict=True)]
-        for batch in zip(*stacked, strict=True):
-            losses += step(*batch).view(len(members), -1).sum(1)
-    for member, loss in zip(members, losses, strict=True):
-        member.end_round(loss)
+class _Fit:
+    """The state of a fit."""
 
-
-class _Member:
-    """The state of one model's fit."""
-
-    def __init__(self, work: Fit) -> None:
-        self.model, self.data, self.generator = work.subject, work.data, work.generator
-        self.config = self.model.config
-        self.weights = work.weights
-        self.per_dim = work.per_dim
-        self.train, held = split(len(self.data), self.config, self.generator)
+    def __init__(
+        self,
+        model: NeuralDynamics,
+        data: TensorTransitions,
+        weights: Tensor,
+        per_dim: Tensor | None,
+        generator: torch.Generator,
+    ) -> None:
+        self.model, self.data, self.generator = model, data, generator
+        self.config = model.config
+        self.weights = weights
+        self.per_dim = per_dim
+        self.train, held = split(len(data), self.config, generator)
         self._notices: tuple[tuple[str, str], ...] = ()
         if not bool(self.weights[self.train].any()):
             self.weights, self._notices = torch.ones_like(self.weights), (UNWEIGHTED,)
-        self.model.fit_scales(self.data, self.train)
-        rows = self.data[held]
-        self._held = self.model.inputs(rows), self.model.scaled_targets(rows)
+        model.fit_scales(data, self.train)
+        rows = data[held]
+        self._held = model.inputs(rows), model.scaled_targets(rows)
         self._held_weights = self.weights[held], self._dims(held)
         self._sampler = None
         if self.config.weights == "sample":
-            self._sampler = WeightedSampler(self.weights[self.train], self.generator)
-        self._best = _Best(self.model, self.config.min_gain)
-        self._best.keep(holdout_loss(self.model, *self._held, *self._held_weights))
+            self._sampler = WeightedSampler(self.weights[self.train], generator)
+        self._best = _Best(model, self.config.min_gain)
+        self._best.keep(holdout_loss(model, *self._held, *self._held_weights))
         self._rounds = self._idle = 0
         self._train_loss = torch.tensor(float("nan"))
-        self._stopped: list[Tensor] = []  # the optimiser's tensors at the stop
 
     @property
     def goes_on(self) -> bool:
         return self._rounds < self.config.rounds and self._idle <= self.config.patience
 
-    @property
-    def scales_dims(self) -> bool:
-        """Whether this round's loss weighs dimensions differently."""
-        return self.per_dim is not None and self.model.uses_dim_weights(self._rounds == 0)
+    def round(self) -> None:
+        """Gradient steps on the round's minibatches; the networks that improved are kept."""
+        plan, size = self._plan(), block_size(self.weights.device, BLOCK, GPU_BLOCK)
+        self._train_loss = torch.zeros((), device=self.weights.device)
+        for block in plan.split(size):
+            for batch in zip(*self._gather(block), strict=True):
+                self._train_loss += self.model.step(*batch).sum()
+        losses = holdout_loss(self.model, *self._held, *self._held_weights)
+        self._idle = 0 if self._best.offer(losses) else self._idle + 1
+        self._rounds += 1
 
-    def plan(self) -> Tensor:
+    def _plan(self) -> Tensor:
         """Row numbers (batches of the round, E, B); each network draws its own."""
         shape = self.config.batches_per_round, self.model.ensemble, self.config.batch_size
-        if not self.goes_on:  # the shared steps still change it; `report` restores it at the end
-            return self.train[:1].expand(shape)
         n = shape[0] * shape[1] * shape[2]
         if self._sampler:
             drawn = self._sampler.draw(n)
@@ -170,33 +119,20 @@ class _Member:
             drawn = uniform_indices(len(self.train), n, self.generator)
         return self.train[drawn].view(shape)
 
-    def gather(self, index: Tensor, scale_dims: bool) -> list[Tensor]:
+    def _gather(self, index: Tensor) -> list[Tensor]:
         """Inputs, targets and the loss's factors of rows (n, E, B), each (n, E, B, ...)."""
         rows = self.data[index.flatten()]
         parts = [self.model.inputs(rows), self.model.scaled_targets(rows)]
-        if scale_dims:
-            dims = self._dims(index.flatten()) if self.scales_dims else torch.ones_like(parts[1])
-            parts.append(torch.ones_like(parts[1]) if dims is None else dims)
+        dims = self._dims(index.flatten())
+        if dims is not None and self.model.uses_dim_weights(self._rounds == 0):
+            parts.append(dims)
         if self.config.weights == "scale":
             parts.append(self.weights[index.flatten()].unsqueeze(-1))
         return [part.view(*index.shape, -1) for part in parts]
 
-    def end_round(self, loss: Tensor) -> None:
-        """Keep the networks that improved on the holdout; stop if none has for long enough."""
-        if not self.goes_on:
-            return
-        self._train_loss = loss
-        losses = holdout_loss(self.model, *self._held, *self._held_weights)
-        self._idle = 0 if self._best.offer(losses) else self._idle + 1
-        self._rounds += 1
-        if not self.goes_on:
-            self._stopped = [x.clone() for x in self.model.optimiser.tensors()]
-
     def report(self) -> FitReport:
-        """Restore the best networks, also if other members' later rounds have changed them."""
+        """Restore the best networks."""
         self._best.restore()
-        for tensor, kept in zip(self.model.optimiser.tensors(), self._stopped, strict=True):
-            tensor.copy_(kept)
         model, (x, y), losses = self.model, self._held, self._best.losses
         model.elites = losses.argsort()[: len(model.elites)]
         steps = self.config.batches_per_round * model.ensemble

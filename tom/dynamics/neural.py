@@ -1,13 +1,11 @@
 """The base of the neural dynamics models: E networks, z-scored inputs and targets.
 
 A model is a stack of E networks over inputs (obs, action) and targets (reward, next_obs - obs).
-Subclasses define the distribution and its loss (`mdn`, `ensemble`); `fitting` defines the fit,
-alone or in a fleet.
+Subclasses define the distribution and its loss (`mdn`, `ensemble`); `fitting` defines the fit.
 """
 
-from collections.abc import Callable, Sequence
-from copy import copy
-from typing import Any, Self
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,8 +29,6 @@ def soft_bound(x: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
 class NeuralDynamics:
     """E stacked networks and a gradient step; subclasses define the meaning of the outputs."""
 
-    capture: Callable[..., Any] | None = None
-
     def __init__(
         self,
         obs_dim: int,
@@ -48,7 +44,7 @@ class NeuralDynamics:
         self.ensemble = ensemble
         hidden = [config.hidden] * config.layers
         sizes = [obs_dim + action_dim, *hidden, self.targets * outputs_per_dim]
-        self.net = StackedMLP(ensemble, sizes, silu, [generator]).requires_grad_(False)
+        self.net = StackedMLP(ensemble, sizes, silu, generator).requires_grad_(False)
         self.input_scaling = Scaling.identity(obs_dim + action_dim, generator.device)
         self.target_scaling = Scaling.identity(self.targets, generator.device)
         self.elites = torch.arange(min(config.elites, ensemble), device=generator.device)
@@ -79,9 +75,6 @@ class NeuralDynamics:
     def extra_parameters(self) -> list[Tensor]:
         """Learnt tensors outside the networks, with a leading E."""
         return []
-
-    def share_extra(self, parts: Sequence[list[Tensor]]) -> None:
-        """Turn the `extra_parameters()` of many models into views of this model's."""
 
     def weight_decay(self) -> float | list[float]:
         """L2 coefficient of all `parameters()`, or one for each."""
@@ -120,19 +113,6 @@ class NeuralDynamics:
             total = means.sum() + self.regulariser()
         grad, *extra_gradients = torch.autograd.grad(total, [output, *extra])
         return means.detach(), grad, extra_gradients
-
-    @classmethod
-    def joined(cls, models: Sequence[Self]) -> Self:
-        """One model of all networks; from now on the models' parameters are views of its own.
-
-        It only serves to take steps: it has no fitted scalings or elites.
-        """
-        joint = copy(models[0])
-        joint.net = StackedMLP.joined([m.net for m in models])
-        joint.ensemble = joint.net.members
-        joint.optimiser = Adam.joined([m.optimiser for m in models])
-        joint.share_extra([m.extra_parameters() for m in models])
-        return joint
 
     # Network inputs and targets
 

@@ -8,9 +8,9 @@ s') is log p(s, a)/q(s, a). A discriminator of (s, a) alone then has the same op
 space of fewer dimensions.
 """
 
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -22,8 +22,6 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.nn.averaging import Average
 from tom.nn.backprop import forward_trace, gradients
-from tom.nn.graphs import captured_step
-from tom.nn.lockstep import Rank, Work, do
 from tom.nn.mlp import StackedMLP, rows_at_once
 from tom.nn.trained import Trained
 
@@ -40,38 +38,38 @@ def discriminator_net(
     (1, B, D) -> (1, B, 1)."""
     hidden = config.discriminator_hidden
     inputs = (2 if config.discriminator_input == "transitions" else 1) * obs_dim + action_dim
-    return StackedMLP(1, [inputs, hidden, hidden, 1], torch.tanh, [generator])
+    return StackedMLP(1, [inputs, hidden, hidden, 1], torch.tanh, generator)
 
 
 class Discriminator(Trained):
-    """The network and its optimiser, for one member or for many in lock-step."""
+    """The network and its optimiser."""
 
     def __init__(self, net: StackedMLP, config: TomConfig) -> None:
         super().__init__(net, config.discriminator_lr)
         self.config = config
 
     def step(self, positive: Tensor, negative: Tensor, *mix: Tensor) -> tuple[Tensor, Tensor]:
-        """A gradient step on rows (M, B, D) of both kinds; the losses (M,), the logits (M, 2 B).
+        """A gradient step on rows (B, D) of both kinds; the loss and the logits (2 B,) before it.
 
-        `mix` (M, B, 1), uniform on [0, 1), interpolates the points of the gradient penalty.
+        `mix` (B, 1), uniform on [0, 1), interpolates the points of the gradient penalty.
         """
-        x, smoothing = torch.cat((positive, negative), 1), self.config.label_smoothing
+        x, smoothing = torch.cat((positive, negative))[None], self.config.label_smoothing
         if mix:
-            logits = self.net(x)[..., 0]
-            losses = torch.stack([cross_entropy(one, smoothing) for one in logits])
+            logits = self.net(x)[0, :, 0]
+            loss = cross_entropy(logits, smoothing)
             penalty = gradient_penalty(self.net, mix[0] * positive + (1 - mix[0]) * negative)
-            total = (losses + self.config.gradient_penalty * penalty).sum()
+            total = loss + self.config.gradient_penalty * penalty
             grads = torch.autograd.grad(total, self.net.tensors())
         else:
             with torch.no_grad():
                 trace = forward_trace(self.net, x)
-            logits = trace.output[..., 0].requires_grad_()
-            losses = torch.stack([cross_entropy(one, smoothing) for one in logits])
-            (slope,) = torch.autograd.grad(losses.sum(), logits)
+            logits = trace.output[0, :, 0].requires_grad_()
+            loss = cross_entropy(logits, smoothing)
+            (slope,) = torch.autograd.grad(loss, logits)
             with torch.no_grad():
-                grads = gradients(self.net, trace, slope.unsqueeze(-1))
+                grads = gradients(self.net, trace, slope[None, :, None])
         self.optimiser.step(grads)
-        return losses.detach(), logits.detach()
+        return loss.detach(), logits.detach()
 
 
 @dataclass(frozen=True)
@@ -96,9 +94,30 @@ class RatioProblem:
     def solve(
         self, discriminator: Discriminator, generator: torch.Generator
     ) -> tuple[StackedMLP, dict[str, float]]:
-        """`TrainDiscriminator`: the discriminator's (average) network, and metrics."""
-        work = do(TrainDiscriminator(self, discriminator, generator))
-        return work.net, work.metrics
+        """Take the gradient steps on the cross entropy: the (average) network, and metrics.
+
+        The metrics are means over the last tenth of the steps.
+        """
+        config = discriminator.config
+        average = Average(discriminator.net, config.parameter_average)
+        last = config.discriminator_steps - max(config.discriminator_steps // 10, 1)
+        losses, judged = [], []
+        for step, rows in enumerate(self._drawn(config, generator)):
+            loss, logits = discriminator.step(*rows)
+            average.update()
+            if step >= last:
+                losses.append(loss)
+                judged.append(logits.view(2, -1))
+        return average.net, _measures(losses, judged) if losses else {}
+
+    def _drawn(self, config: TomConfig, generator: torch.Generator) -> Iterator[tuple[Tensor, ...]]:
+        """The arguments of `Discriminator.step` for every step."""
+        for rows in self.batches(config, generator):
+            if config.gradient_penalty > 0:
+                mix = torch.rand(len(rows[0]), 1, generator=generator, device=generator.device)
+                yield *rows, mix.to(rows[0])
+            else:
+                yield rows
 
     @torch.no_grad()
     def log_ratio(self, net: StackedMLP) -> Tensor:
@@ -132,65 +151,20 @@ class RatioProblem:
         return self.scaling(rows.moves())
 
 
-@dataclass
-class TrainDiscriminator(Work):
-    """Work that takes gradient steps on the cross entropy; then `net` is the (average) network.
-
-    `metrics` are means over the last tenth of the steps.
-    """
-
-    rank: ClassVar[Rank] = Rank.DISCRIMINATOR
-    problem: RatioProblem
-    subject: Discriminator
-    generator: torch.Generator
-    net: StackedMLP = field(init=False)
-    metrics: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def kind(self) -> Hashable:
-        return repr(self.subject.config)
-
-    @classmethod
-    def do(cls, works: "Sequence[TrainDiscriminator]", subject: Discriminator) -> None:
-        config = subject.config
-        averages = [Average(w.subject.net, config.parameter_average) for w in works]
-        last = config.discriminator_steps - max(config.discriminator_steps // 10, 1)
-        step_on, losses, judged = captured_step(subject), [], []
-        for step, rows in enumerate(zip(*(w._inputs() for w in works), strict=True)):
-            loss, logits = step_on(*(torch.stack(part) for part in zip(*rows, strict=True)))
-            for average in averages:
-                average.update()
-            if step >= last:
-                losses.append(loss.clone())
-                judged.append(logits.clone().unflatten(1, (2, -1)))
-        for m, (work, average) in enumerate(zip(works, averages, strict=True)):
-            work.net = average.net
-            if losses:
-                work._measure([one[m] for one in losses], [one[m] for one in judged])
-
-    def _inputs(self) -> Iterator[tuple[Tensor, ...]]:
-        config, generator = self.subject.config, self.generator
-        for rows in self.problem.batches(config, generator):
-            if config.gradient_penalty > 0:
-                mix = torch.rand(len(rows[0]), 1, generator=generator, device=generator.device)
-                yield *rows, mix.to(rows[0])
-            else:
-                yield rows
-
-    def _measure(self, losses: list[Tensor], judged: list[Tensor]) -> None:
-        logits = torch.cat(judged, dim=1).flatten()
-        self.metrics = {
-            "discriminator/loss": float(torch.stack(losses).mean()),
-            "discriminator/accuracy": float(accuracy(logits)),
-            "discriminator/calibration": float(calibration_error(logits)),
-        }
+def _measures(losses: list[Tensor], judged: list[Tensor]) -> dict[str, float]:
+    logits = torch.cat(judged, dim=1).flatten()
+    return {
+        "discriminator/loss": float(torch.stack(losses).mean()),
+        "discriminator/accuracy": float(accuracy(logits)),
+        "discriminator/calibration": float(calibration_error(logits)),
+    }
 
 
 def gradient_penalty(net: StackedMLP, x: Tensor) -> Tensor:
-    """E[(|d logit / d x| - 1)^2] at x (M, B, D), (M,)."""
+    """E[(|d logit / d x| - 1)^2] at x (B, D), ()."""
     x = x.detach().requires_grad_()
-    (slope,) = torch.autograd.grad(net(x).sum(), x, create_graph=True)
-    return torch.stack([(one.norm(dim=1) - 1).square().mean() for one in slope])
+    (slope,) = torch.autograd.grad(net(x[None]).sum(), x, create_graph=True)
+    return (slope.norm(dim=1) - 1).square().mean()
 
 
 def cross_entropy(logits: Tensor, smoothing: float) -> Tensor:

@@ -1,8 +1,7 @@
 """The dual problem of TOM (paper, eq. 16) for a network Q, and the weights at that Q (eq. 17)."""
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -20,8 +19,6 @@ from tom.learners.terms import Terms
 from tom.learners.validation import Validation
 from tom.nn.averaging import Average
 from tom.nn.backprop import forward_trace, gradients
-from tom.nn.graphs import captured_step
-from tom.nn.lockstep import Rank, Work, do
 from tom.nn.mlp import StackedMLP, rows_at_once
 from tom.nn.trained import Trained
 from tom.rng import fork
@@ -33,17 +30,13 @@ BLOCK, GPU_BLOCK = 8, 100  # minibatches gathered, and their actions drawn, at o
 
 @dataclass(frozen=True)
 class Batch:
-    """B transitions and B start states as inputs of Q; for many members with a leading M."""
+    """B transitions and B start states as inputs of Q."""
 
     inputs: Tensor  # (B + K B + L B, O + A): (s, a), every (s', a'), every (s0, a0)
     next_probs: Tensor  # (K, B) of the a'
     start_probs: Tensor  # (L, B) of the a0
     log_ratio: Tensor  # (B,)
     ends: Tensor  # (B,), as the flow counts them
-
-    def fields(self) -> tuple[Tensor, ...]:
-        """All fields in order, as `QFunction.step` takes them."""
-        return self.inputs, self.next_probs, self.start_probs, self.log_ratio, self.ends
 
 
 @dataclass(frozen=True)
@@ -60,7 +53,7 @@ def q_net(
 ) -> StackedMLP:
     """A fresh Q with two ReLU layers: (1, B, O + A) -> (1, B, 1)."""
     sizes = [obs_dim + action_dim, config.q_hidden, config.q_hidden, 1]
-    return StackedMLP(1, sizes, relu, [generator])
+    return StackedMLP(1, sizes, relu, generator)
 
 
 def dual_argument(values: Values, log_ratio: Tensor, ends: Tensor, flow: Flow) -> Tensor:
@@ -101,85 +94,37 @@ def values_of(q: Tensor, batch: Batch, config: TomConfig) -> Values:
 
 
 class QFunction(Trained):
-    """TOM's dual variable, for one member or for many in lock-step."""
+    """TOM's dual variable."""
 
     def __init__(self, net: StackedMLP, config: TomConfig) -> None:
         super().__init__(net, config.q_lr, config.q_weight_decay)
         self.config = config
 
     @torch.no_grad()
-    def step(self, bias_step: Tensor, *batches: Tensor) -> Tensor:
-        """A gradient step on the fields of `Batch`, members stacked in front; the losses (M,).
-
-        `bias_step` (M,) is that of `DualProblem.bias_step`.
-        """
-        trace = forward_trace(self.net, batches[0])
-        output = trace.output[..., 0].requires_grad_()
+    def step(self, bias_step: float, batch: Batch) -> Tensor:
+        """A gradient step; the loss before it. `bias_step` is that of `DualProblem.bias_step`."""
+        trace = forward_trace(self.net, batch.inputs[None])
+        output = trace.output[0, :, 0].requires_grad_()
         with torch.enable_grad():
-            batch, q = Batch(*batches), as_value(output, self.config)
-            losses = dual_loss(values_of(q, batch, self.config), batch, self.config)
-            (slope,) = torch.autograd.grad(losses.sum(), output)
-        grads = gradients(self.net, trace, slope.unsqueeze(-1))
+            q = as_value(output, self.config)
+            loss = dual_loss(values_of(q, batch, self.config), batch, self.config)
+            (slope,) = torch.autograd.grad(loss, output)
+        grads = gradients(self.net, trace, slope[None, :, None])
         self.optimiser.step(grads)
         if self.config.q_bias_step:
-            self.net.layers[-1][1].sub_(bias_step[:, None, None] * grads[-1])
-        return losses.detach()
+            self.net.layers[-1][1].sub_(bias_step * grads[-1])
+        return loss.detach()
 
 
-@dataclass
-class Minimise(Work):
-    """Work that takes gradient steps on the dual; then `net` is the resulting (average) network.
+@dataclass(frozen=True)
+class Minimum:
+    """The outcome of minimising the dual."""
 
-    It is the last one, or if episodes are held out, the one with the lowest held-out loss.
-    """
-
-    rank: ClassVar[Rank] = Rank.DUAL
-    problem: "DualProblem"
-    subject: QFunction
-    generator: torch.Generator
-    net: StackedMLP = field(init=False)
-    loss: float = field(init=False)  # mean of the last tenth
-    metrics: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def kind(self) -> Hashable:
-        return repr(self.problem.config)
-
-    @classmethod
-    def do(cls, works: "Sequence[Minimise]", subject: QFunction) -> None:
-        config = subject.config
-        averages = [Average(w.subject.net, config.parameter_average) for w in works]
-        judges = [w._judged(average.net) for w, average in zip(works, averages, strict=True)]
-        bias_step = works[0].problem.log_ratio.new_tensor([w.problem.bias_step() for w in works])
-        step_on, losses = captured_step(subject), []
-        for step, batches in enumerate(zip(*(w._batches() for w in works), strict=True), 1):
-            stacked = [
-                torch.stack(parts) for parts in zip(*(one.fields() for one in batches), strict=True)
-            ]
-            losses.append(step_on(bias_step, *stacked).clone())
-            for average in averages:
-                average.update()
-            over = [judge.look(step) for judge in judges if judge]
-            if over and all(over):
-                break
-        for m, (work, average, judge) in enumerate(zip(works, averages, judges, strict=True)):
-            own = [loss[m] for loss in losses[: judge.steps if judge else None]]
-            work.loss = float(torch.stack(own[-max(len(own) // 10, 1) :]).mean())
-            work.net = judge.best() if judge else average.net
-            work.metrics = judge.metrics if judge else {}
-
-    def _judged(self, net: StackedMLP) -> "Validation | None":
-        """If the settings say so, hold episodes out and validate `net` on them from now on."""
-        if not self.problem.config.q_holdout:
-            return None
-        self.problem, held_out = self.problem.split(self.generator)
-        return Validation(net, held_out.loss_of(HELD_OUT, self.generator), self.problem.config)
-
-    def _batches(self) -> Iterator[Batch]:
-        # A member of a fleet that has stopped is still stepped with the others; its later draws
-        # must not depend on their number.
-        validated = self.problem.config.q_holdout > 0
-        return self.problem.batches(fork(self.generator) if validated else self.generator)
+    net: StackedMLP
+    """the last (or average) network; if episodes are held out, that of the lowest held-out loss"""
+    loss: float
+    """mean over the last tenth of the steps"""
+    metrics: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -201,9 +146,25 @@ class DualProblem:
     def flow(self) -> Flow:
         return Flow.of(self.config)
 
-    def minimise(self, q: QFunction, generator: torch.Generator) -> Minimise:
-        """Take the gradient steps on the dual."""
-        return do(Minimise(self, q, generator))
+    def minimise(self, q: QFunction, generator: torch.Generator) -> Minimum:
+        """Take the gradient steps on the dual, on training episodes alone if some are held out."""
+        average = Average(q.net, self.config.parameter_average)
+        problem, judge, source = self, None, generator
+        if self.config.q_holdout:
+            problem, held_out = self.split(generator)
+            loss = held_out.loss_of(HELD_OUT, generator)
+            judge = Validation(average.net, loss, self.config)
+            source = fork(generator)  # later draws do not depend on when this stops
+        bias_step, losses = problem.bias_step(), []
+        for step, batch in enumerate(problem.batches(source), 1):
+            losses.append(q.step(bias_step, batch))
+            average.update()
+            if judge and judge.look(step):
+                break
+        loss = float(torch.stack(losses[-max(len(losses) // 10, 1) :]).mean())
+        if judge:
+            return Minimum(judge.best(), loss, judge.metrics)
+        return Minimum(average.net, loss, {})
 
     def split(self, generator: torch.Generator) -> "tuple[DualProblem, DualProblem]":
         """The same problem on the training episodes, and on the held-out ones.

@@ -34,18 +34,11 @@ class Adam:
         self.taken = self.counters * len(self.parameters)  # steps so far: one counter for all
         one = isinstance(weight_decay, int | float)
         self.decays = [weight_decay] * len(self.parameters) if one else list(weight_decay)
-        self.members = 1
         self._group()
 
     @torch.no_grad()
     def step(self, gradients: Sequence[Tensor]) -> None:
-        """Update every parameter in place.
-
-        A joined optimiser takes the gradients of the joined networks, with a leading member axis.
-        """
-        if self.members > 1:
-            parts = [g.chunk(self.members) for g in gradients]
-            gradients = [g for member in zip(*parts, strict=True) for g in member]
+        """Update every parameter in place."""
         # The fused kernel ignores a gradient's strides.
         gradients = [g.contiguous() for g in gradients]
         torch._foreach_add_(self.counters, 1)  # pyright: ignore[reportPrivateImportUsage]
@@ -55,19 +48,6 @@ class Adam:
                 lr=self.lr, beta1=BETAS[0], beta2=BETAS[1], weight_decay=decay, eps=EPS,
                 amsgrad=False, maximize=False,
             )  # fmt: skip
-
-    @staticmethod
-    def joined(optimisers: "Sequence[Adam]") -> "Adam":
-        """One Adam over all parameters. The tensors are shared, so that each optimiser stays valid.
-
-        They may have taken different numbers of steps.
-        """
-        joint = Adam([], optimisers[0].lr)
-        joint.members = len(optimisers)
-        for name in ("parameters", "means", "squares", "counters", "taken", "decays"):
-            setattr(joint, name, [x for one in optimisers for x in getattr(one, name)])
-        joint._group()
-        return joint
 
     def tensors(self) -> list[Tensor]:
         """All tensors that a step changes, except the parameters."""

@@ -1,7 +1,7 @@
 """Stacked multi-layer perceptrons: M independent networks evaluated by batched matrix products.
 
-Twin critics, ensemble members and the seeds of a fleet are all members. A parameter's leading
-axis is always the member axis M.
+Twin critics and the networks of an ensemble are members. A parameter's leading axis is always the
+member axis M.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from torch.nn.functional import relu, silu
 
 from tom.machine import matmul
-from tom.rng import Generators
 
 BULK = 256  # number of rows from which passes over memory dominate
 GPU_ROWS = 20_000
@@ -33,9 +32,7 @@ _IN_PLACE: dict[Activation, Activation] = {
 class StackedMLP(nn.Module):
     """M independent MLPs with sizes (in, hidden, ..., out): (M, B, in) -> (M, B, out).
 
-    Weights start as in `torch.nn.Linear`, uniform in +-1/sqrt(in). `generators` is one generator
-    for each seed; if there are more members than generators (twin critics, ensembles), each
-    initialises an equal number of consecutive members.
+    Weights start as in `torch.nn.Linear`, uniform in +-1/sqrt(in).
     """
 
     def __init__(
@@ -43,21 +40,15 @@ class StackedMLP(nn.Module):
         members: int,
         sizes: Sequence[int],
         activation: Activation,
-        generators: Generators,
+        generator: torch.Generator,
     ) -> None:
         super().__init__()
-        if members % len(generators):
-            raise ValueError(f"{members} members cannot be shared by {len(generators)} generators")
-        per_generator = members // len(generators)
         layers = []
         for n_in, n_out in pairwise(sizes):
             bound = 1.0 / sqrt(n_in)
-            shape = (per_generator, n_in + 1, n_out)
-            rows = [
-                (torch.rand(shape, generator=g, device=g.device) * 2 - 1) * bound
-                for g in generators
-            ]
-            drawn = torch.cat(rows)  # (M, in + 1, out); the last row is the bias
+            shape = (members, n_in + 1, n_out)  # the last row is the bias
+            uniform = torch.rand(shape, generator=generator, device=generator.device)
+            drawn = (uniform * 2 - 1) * bound
             layers.append((drawn[:, :-1].contiguous(), drawn[:, -1:].contiguous()))
         self._hold(layers, activation)
 
@@ -74,24 +65,8 @@ class StackedMLP(nn.Module):
         return [*(weight for weight, _ in self.layers), *(bias for _, bias in self.layers)]
 
     def own_state(self) -> dict[str, Tensor]:
-        """A copy of `state_dict`.
-
-        Saving a view writes all the memory behind it, and parameters of a joined stack are views.
-        """
+        """A copy of `state_dict`."""
         return {name: value.clone() for name, value in self.state_dict().items()}
-
-    @classmethod
-    def joined(cls, nets: "Sequence[StackedMLP]") -> "StackedMLP":
-        """One stack of all networks; the parameters of `nets` become views of its parameters.
-
-        From now on a change of one changes the other.
-        """
-        joint = cls.__new__(cls)
-        nn.Module.__init__(joint)
-        layers = zip(*(net.layers for net in nets), strict=True)
-        shared = [(share([w for w, _ in one]), share([b for _, b in one])) for one in layers]
-        joint._hold(shared, nets[0].activation)
-        return joint.requires_grad_(nets[0].layers[0][0].requires_grad)
 
     def forward(self, x: Tensor) -> Tensor:
         return self._run(x, self.layers)
@@ -128,11 +103,3 @@ def _is_bulk(x: Tensor) -> bool:
 def rows_at_once(device: torch.device, in_cache: int) -> int:
     """How many rows to evaluate at once: on a CPU as many as fit its cache."""
     return in_cache if device.type == "cpu" else max(in_cache, GPU_ROWS)
-
-
-def share(tensors: Sequence[Tensor]) -> Tensor:
-    """Join tensors (M_i, ...) into one (sum M_i, ...); each becomes a view of its part."""
-    joint = torch.cat([t.detach() for t in tensors])
-    for tensor, part in zip(tensors, joint.split([len(t) for t in tensors]), strict=True):
-        tensor.data = part
-    return joint

@@ -1,10 +1,8 @@
-"""A network that is trained further from fit to fit, alone or joined with other members'."""
+"""A network that is trained further from fit to fit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from copy import copy
-from typing import Any, Self
+from typing import Any
 
 import torch
 
@@ -15,8 +13,6 @@ from tom.nn.mlp import StackedMLP
 class Trained:
     """A network and its optimiser."""
 
-    capture: Callable[..., Any] | None = None
-
     def __init__(self, net: StackedMLP, lr: float, weight_decay: float = 0.0) -> None:
         self.net = net
         self.optimiser = Adam(net.tensors(), lr, weight_decay)
@@ -24,14 +20,6 @@ class Trained:
     @property
     def device(self) -> torch.device:
         return self.net.layers[0][0].device
-
-    @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """All networks as one; each stays valid, its tensors become views of this one's."""
-        joint = copy(parts[0])
-        joint.net = StackedMLP.joined([one.net for one in parts])
-        joint.optimiser = Adam.joined([one.optimiser for one in parts])
-        return joint
 
     def restart(self, net: StackedMLP) -> None:
         """Copy the parameters of `net` in place and reset the optimiser."""

@@ -40,7 +40,7 @@ class ClonedPolicy:
 def clone(rows: TensorTransitions, generator: torch.Generator) -> ClonedPolicy:
     """The policy that maximises the likelihood of `rows`' actions, with a constant std."""
     sizes = [rows.obs.shape[1], HIDDEN, HIDDEN, rows.action.shape[1]]
-    net = StackedMLP(1, sizes, relu, [generator])
+    net = StackedMLP(1, sizes, relu, generator)
     spread, centre = torch.std_mean(rows.obs, 0, correction=0)
     policy = ClonedPolicy(net, centre, spread.clamp(min=1e-6), torch.zeros(sizes[-1]))
     optimiser = torch.optim.AdamW(net.parameters(), LR, weight_decay=WEIGHT_DECAY)

@@ -1,11 +1,6 @@
-"""Soft actor-critic (Haarnoja et al. 2018) with a learnt temperature, for M members at once.
+"""Soft actor-critic (Haarnoja et al. 2018) with a learnt temperature."""
 
-Everything has a leading member axis M; a member is one seed of one learner. Members share neither
-parameters nor random numbers, so each trains as it would alone.
-"""
-
-from collections.abc import Callable, Sequence
-from copy import copy, deepcopy
+from copy import deepcopy
 from math import log
 from typing import Any, NamedTuple
 
@@ -17,8 +12,7 @@ from tom.config import SacConfig
 from tom.data.transitions import TensorTransitions
 from tom.nn.adam import Adam
 from tom.nn.backprop import forward_trace, gradients, input_gradient
-from tom.nn.mlp import StackedMLP, share
-from tom.rng import Generators, normal
+from tom.nn.mlp import StackedMLP
 
 LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
 
@@ -36,75 +30,48 @@ def squashed_gaussian(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Ten
 
 
 class Sac:
-    """Actor, twin critics, their targets and the temperature of M members."""
-
-    capture: Callable[..., Any] | None = None
+    """Actor, twin critics, their targets and the temperature."""
 
     def __init__(
-        self, obs_dim: int, action_dim: int, config: SacConfig, generators: Generators
+        self, obs_dim: int, action_dim: int, config: SacConfig, generator: torch.Generator
     ) -> None:
-        members, hidden = len(generators), [config.hidden] * config.layers
+        hidden = [config.hidden] * config.layers
         self.config = config
         self.dims = obs_dim, action_dim
-        self.generators = generators
+        self.generator = generator
         self.target_entropy = (
             float(-action_dim) if config.target_entropy is None else config.target_entropy
         )
-        self.actor = StackedMLP(members, [obs_dim, *hidden, 2 * action_dim], relu, generators)
-        self.critic = StackedMLP(2 * members, [obs_dim + action_dim, *hidden, 1], relu, generators)
+        self.actor = StackedMLP(1, [obs_dim, *hidden, 2 * action_dim], relu, generator)
+        self.critic = StackedMLP(2, [obs_dim + action_dim, *hidden, 1], relu, generator)
         self.target_critic = deepcopy(self.critic)
         for net in (self.actor, self.critic, self.target_critic):
             net.requires_grad_(False)
         self.log_temperature = torch.full(
-            (members,), log(config.initial_temperature), device=generators[0].device
+            (1,), log(config.initial_temperature), device=generator.device
         )
         self.actor_optimiser = Adam(self.actor.tensors(), config.lr)
         self.critic_optimiser = Adam(self.critic.tensors(), config.lr)
         self.temperature_optimiser = Adam([self.log_temperature], config.lr)
+        self.policy = ActorCritic(self.actor, self.critic)
         self._critics = self.critic.tensors(), self.target_critic.tensors()
 
-    @property
-    def device(self) -> torch.device:
-        return self.log_temperature.device
-
-    @classmethod
-    def joined(cls, members: "Sequence[Sac]") -> "Sac":
-        """All members' SACs as one; each stays valid, its tensors become views of this one's."""
-        joint = copy(members[0])
-        joint.generators = [g for one in members for g in one.generators]
-        for name in ("actor", "critic", "target_critic"):
-            setattr(joint, name, StackedMLP.joined([getattr(one, name) for one in members]))
-        joint.log_temperature = share([one.log_temperature for one in members])
-        for name in ("actor_optimiser", "critic_optimiser", "temperature_optimiser"):
-            setattr(joint, name, Adam.joined([getattr(one, name) for one in members]))
-        joint._critics = joint.critic.tensors(), joint.target_critic.tensors()
-        return joint
-
     def update(self, batch: TensorTransitions) -> dict[str, Tensor]:
-        """One gradient step of critics, actor and temperature on a (M, B, ...) batch.
-
-        Returns its metrics, (M,) each.
-        """
+        """One gradient step of critics, actor and temperature on a (B, ...) batch; its metrics."""
         return self.updates(batch.packed()[None])
 
     @torch.no_grad()
-    def updates(
-        self, batches: Tensor, step: Callable[..., "SacStep"] | None = None
-    ) -> dict[str, Tensor]:
-        """G gradient steps on packed transitions (G, M, B, R); the last one's metrics, (M,).
-
-        `step` is this object's own, or its captured form.
-        """
-        shape = (len(batches), 2, batches.shape[2], self.dims[1])
-        noise = normal(self.generators, shape).movedim(0, 2)  # (G, 2, M, B, A)
-        take = step or self.step
-        steps = [take(*drawn) for drawn in zip(batches, noise, strict=True)]
+    def updates(self, batches: Tensor) -> dict[str, Tensor]:
+        """G gradient steps on packed transitions (G, B, R); the last one's metrics, (1,) each."""
+        shape = (len(batches), 2, batches.shape[1], self.dims[1])
+        noise = torch.randn(*shape, generator=self.generator, device=self.generator.device)
+        steps = [self.step(*drawn) for drawn in zip(batches, noise, strict=True)]
         return {**steps[-1].metrics(), "temperature/value": self.log_temperature.exp()}
 
     def step(self, rows: Tensor, noise: Tensor) -> "SacStep":
-        """A gradient step on packed transitions (M, B, R) with normal draws (2, M, B, A).
+        """A gradient step on packed transitions (B, R) with normal draws (2, B, A).
 
-        Gradients are written out by hand (see `backprop`): on a GPU this whole step is one graph.
+        Gradients are written out by hand (see `backprop`).
         """
         batch = TensorTransitions.unpack(rows, *self.dims)
         critic_gradients, error, q = self.critic_gradients(batch, noise[0])
@@ -112,83 +79,59 @@ class Sac:
         actor_gradients, loss, log_prob = self.actor_gradients(batch.obs, noise[1])
         self.actor_optimiser.step(actor_gradients)
         # d/d log_temperature of -log_temperature * (log_prob + target_entropy)
-        self.temperature_optimiser.step([-(log_prob.mean(1) + self.target_entropy)])
+        self.temperature_optimiser.step([-(log_prob.mean(0, keepdim=True) + self.target_entropy)])
         critics, targets = self._critics
         torch._foreach_lerp_(targets, critics, self.config.tau)  # pyright: ignore[reportPrivateImportUsage]
         return SacStep(error, q, loss, log_prob)
 
     def critic_target(self, batch: TensorTransitions, noise: Tensor) -> Tensor:
-        """r + g (1 - terminated) (min_k Q'_k(s', a') - temperature log pi(a'|s')), (M, B).
+        """r + g (1 - terminated) (min_k Q'_k(s', a') - temperature log pi(a'|s')), (B,).
 
         Bootstraps through truncation, never through termination.
         """
-        mean, log_std = self._gaussian(forward_trace(self.actor, batch.next_obs).output)
+        mean, log_std = _gaussian(forward_trace(self.actor, batch.next_obs[None]).output[0])
         action, log_prob = squashed_gaussian(mean, log_std, noise)
-        inputs = self._twin_inputs(batch.next_obs, action)
-        next_q = _twins(forward_trace(self.target_critic, inputs).output)
-        soft_value = torch.minimum(*next_q.unbind(1)) - self._temperature() * log_prob.squeeze(-1)
+        inputs = _twin_inputs(batch.next_obs, action)
+        next_q = forward_trace(self.target_critic, inputs).output.squeeze(-1)
+        temperature = self.log_temperature.exp()
+        soft_value = torch.minimum(*next_q) - temperature * log_prob.squeeze(-1)
         return batch.reward + self.config.discount * (1.0 - batch.terminated) * soft_value
 
     def critic_gradients(
         self, batch: TensorTransitions, noise: Tensor
     ) -> tuple[list[Tensor], Tensor, Tensor]:
-        """Gradients of sum_k E[(Q_k(s, a) - target)^2]; the errors and Q_k(s, a), (M, 2, B)."""
+        """Gradients of sum_k E[(Q_k(s, a) - target)^2]; the errors and Q_k(s, a), (2, B)."""
         target = self.critic_target(batch, noise)
-        trace = forward_trace(self.critic, self._twin_inputs(batch.obs, batch.action))
-        q = _twins(trace.output)
-        error = q - target.unsqueeze(1)
+        trace = forward_trace(self.critic, _twin_inputs(batch.obs, batch.action))
+        q = trace.output.squeeze(-1)
+        error = q - target
         grad = error * (2.0 / error.shape[-1])
-        return gradients(self.critic, trace, grad.flatten(0, 1).unsqueeze(-1)), error, q
+        return gradients(self.critic, trace, grad.unsqueeze(-1)), error, q
 
     def actor_gradients(self, obs: Tensor, noise: Tensor) -> tuple[list[Tensor], Tensor, Tensor]:
-        """Gradients of E[temperature log pi(a|s) - min_k Q_k(s, a)]; its terms, log pi, (M, B)."""
-        trace = forward_trace(self.actor, obs)
-        mean, log_std = self._gaussian(trace.output)
+        """Gradients of E[temperature log pi(a|s) - min_k Q_k(s, a)]; its terms, log pi, (B,)."""
+        trace = forward_trace(self.actor, obs[None])
+        output = trace.output[0]
+        mean, log_std = _gaussian(output)
         action, log_prob = squashed_gaussian(mean, log_std, noise)
-        q_trace = forward_trace(self.critic, self._twin_inputs(obs, action))
-        first, second = _twins(q_trace.output).unbind(1)
-        q, first_is_lower = torch.minimum(first, second), first <= second  # (M, B)
+        q_trace = forward_trace(self.critic, _twin_inputs(obs, action))
+        first, second = q_trace.output.squeeze(-1)
+        q, first_is_lower = torch.minimum(first, second), first <= second  # (B,)
 
         # -1/B flows into the lower of the two critics, and on to the action.
-        grad_q = torch.stack([first_is_lower, ~first_is_lower], 1) * (-1.0 / q.shape[-1])
-        grad_input = input_gradient(self.critic, q_trace, grad_q.flatten(0, 1).unsqueeze(-1))
-        grad_action = _twins(grad_input)[..., obs.shape[-1] :].sum(1)
+        grad_q = torch.stack([first_is_lower, ~first_is_lower]) * (-1.0 / len(q))
+        grad_input = input_gradient(self.critic, q_trace, grad_q.unsqueeze(-1))
+        grad_action = grad_input[..., obs.shape[-1] :].sum(0)
         # a = tanh(u), u = mean + std noise: da/du = 1 - a^2, d log_prob/du = 2 a, and log_std
         # also stands in log_prob itself, with slope -1.
-        temperature = self._temperature()
-        share = temperature.unsqueeze(-1) / q.shape[-1]
+        temperature = self.log_temperature.exp()
+        share = temperature / len(q)
         grad_u = grad_action * (1.0 - action.square()) + 2.0 * share * action
         grad_log_std = grad_u * log_std.exp() * noise - share
-        grad_log_std.mul_(trace.output.chunk(2, -1)[1] == log_std)  # nothing flows where clamped
-        actor_gradients = gradients(self.actor, trace, torch.cat([grad_u, grad_log_std], -1))
+        grad_log_std.mul_(output.chunk(2, -1)[1] == log_std)  # nothing flows where clamped
+        grad = torch.cat([grad_u, grad_log_std], -1)[None]
         log_prob = log_prob.squeeze(-1)
-        return actor_gradients, temperature * log_prob - q, log_prob
-
-    # Acting
-
-    @torch.no_grad()
-    def act(self, obs: Tensor, generators: Generators) -> Tensor:
-        """Sampled actions for obs (M, B, O): (M, B, A)."""
-        mean, log_std = self._gaussian(self.actor(obs))
-        noise = normal(generators, mean.shape[1:])
-        return torch.tanh(mean + log_std.exp() * noise)
-
-    def member(self, index: int = 0) -> "MemberPolicy":
-        """Member `index` alone, without the member axis."""
-        return MemberPolicy(self.actor, self.critic, index)
-
-    # Parts
-
-    def _gaussian(self, output: Tensor) -> tuple[Tensor, Tensor]:
-        mean, log_std = output.chunk(2, -1)
-        return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
-
-    def _temperature(self) -> Tensor:
-        return self.log_temperature.exp().unsqueeze(-1)  # (M, 1)
-
-    def _twin_inputs(self, obs: Tensor, action: Tensor) -> Tensor:
-        """The inputs of both critics, (2 M, B, O + A)."""
-        return torch.cat([obs, action], -1).repeat_interleave(2, 0)
+        return gradients(self.actor, trace, grad), temperature * log_prob - q, log_prob
 
     def state_dict(self) -> dict[str, Any]:
         return {
@@ -212,26 +155,26 @@ class Sac:
 class SacStep(NamedTuple):
     """The values of a gradient step, reduced to metrics only on request."""
 
-    critic_error: Tensor  # (M, 2, B)
-    critic_q: Tensor  # (M, 2, B)
-    actor_loss: Tensor  # (M, B)
-    log_prob: Tensor  # (M, B)
+    critic_error: Tensor  # (2, B)
+    critic_q: Tensor  # (2, B)
+    actor_loss: Tensor  # (B,)
+    log_prob: Tensor  # (B,)
 
     def metrics(self) -> dict[str, Tensor]:
-        return {
-            "critic/loss": self.critic_error.square().mean(-1).sum(1),
-            "critic/q": self.critic_q.mean((1, 2)),
-            "actor/loss": self.actor_loss.mean(1),
-            "actor/entropy": -self.log_prob.mean(1),
+        values = {
+            "critic/loss": self.critic_error.square().mean(-1).sum(),
+            "critic/q": self.critic_q.mean(),
+            "actor/loss": self.actor_loss.mean(),
+            "actor/entropy": -self.log_prob.mean(),
         }
+        return {name: value.view(1) for name, value in values.items()}
 
 
-class GaussianPolicy:
-    """Network `index` of an actor as a policy (`tom.learners.base.Policy`)."""
+class Actor:
+    """An actor network as a policy (`tom.learners.base.Policy`)."""
 
-    def __init__(self, actor: StackedMLP, index: int) -> None:
+    def __init__(self, actor: StackedMLP) -> None:
         self._actor = actor
-        self._index = index
 
     @torch.no_grad()
     def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
@@ -247,15 +190,14 @@ class GaussianPolicy:
 
     def _gaussian(self, obs: Tensor) -> tuple[Tensor, Tensor]:
         obs = obs.to(self._actor.layers[0][0].device)
-        mean, log_std = self._actor.member(self._index, obs).chunk(2, -1)
-        return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
+        return _gaussian(self._actor.member(0, obs))
 
 
-class MemberPolicy(GaussianPolicy):
-    """One member of a SAC: its policy and its value heads, networks 2 i and 2 i + 1 of `critic`."""
+class ActorCritic(Actor):
+    """SAC's policy and its two value heads."""
 
-    def __init__(self, actor: StackedMLP, critic: StackedMLP, index: int) -> None:
-        super().__init__(actor, index)
+    def __init__(self, actor: StackedMLP, critic: StackedMLP) -> None:
+        super().__init__(actor)
         self._critic = critic
 
     @torch.no_grad()
@@ -283,10 +225,15 @@ class MemberPolicy(GaussianPolicy):
 
     def _heads(self, obs: Tensor, action: Tensor) -> Tensor:
         x = torch.cat([obs, action], -1)
-        heads = [self._critic.member(2 * self._index + k, x).squeeze(-1) for k in (0, 1)]
-        return torch.stack(heads)
+        return torch.stack([self._critic.member(k, x).squeeze(-1) for k in (0, 1)])
 
 
-def _twins(x: Tensor) -> Tensor:
-    """(2 M, B, D) -> (M, 2, B, D); a D of one is dropped."""
-    return x.unflatten(0, (-1, 2)).squeeze(-1)
+def _gaussian(output: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and log_std of the actor's output (..., 2 A)."""
+    mean, log_std = output.chunk(2, -1)
+    return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
+
+
+def _twin_inputs(obs: Tensor, action: Tensor) -> Tensor:
+    """The inputs of both critics, (2, B, O + A)."""
+    return torch.cat([obs, action], -1).repeat(2, 1, 1)

@@ -22,7 +22,7 @@ from tom.config import SacConfig
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import UserError, reason
 from tom.nn.mlp import StackedMLP
-from tom.policy.sac import GaussianPolicy, MemberPolicy, Sac
+from tom.policy.sac import Actor, ActorCritic, Sac
 
 NAME = "policy.npz"
 CRITIC = "critic_"
@@ -43,7 +43,7 @@ def policy_arrays(env: str, sac: Sac) -> dict[str, NDArray]:
     return arrays
 
 
-class StoredPolicy(GaussianPolicy):
+class StoredPolicy(Actor):
     """The policy in a file, with the name of the task it was trained for.
 
     `value_gradient` is that of its critics, None if the file has no critics.
@@ -57,7 +57,7 @@ class StoredPolicy(GaussianPolicy):
         if sizes[-1] % 2:
             raise ValueError("its last layer is not a mean and a deviation of each action")
         self.obs_dim, self.action_dim = sizes[0], sizes[-1] // 2
-        super().__init__(actor, 0)
+        super().__init__(actor)
         self.value_gradient = self._value_gradient(arrays, actor)
 
     def _value_gradient(
@@ -69,7 +69,7 @@ class StoredPolicy(GaussianPolicy):
         critic, sizes = _network(layers, members=TWINS)
         if (sizes[0], sizes[-1]) != (self.obs_dim + self.action_dim, 1):
             raise ValueError("its critics do not fit its actor")
-        return MemberPolicy(actor, critic, 0).value_gradient
+        return ActorCritic(actor, critic).value_gradient
 
 
 def resumed_sac(
@@ -82,7 +82,7 @@ def resumed_sac(
     """
     actor, sizes = _network({name: a[None] for name, a in _layers(arrays).items()}, members=1)
     critic, _ = _network(_layers(arrays, CRITIC), members=TWINS)
-    sac = Sac(sizes[0], sizes[-1] // 2, config, [generator])
+    sac = Sac(sizes[0], sizes[-1] // 2, config, generator)
     for net, stored in ((sac.actor, actor), (sac.critic, critic), (sac.target_critic, critic)):
         net.load_state_dict(stored.state_dict())
     sac.log_temperature.fill_(log(temperature))
@@ -139,7 +139,7 @@ def _network(layers: Arrays, members: int) -> tuple[StackedMLP, list[int]]:
     sizes = [weights[0].shape[1], *(bias.shape[1] for bias in biases)]
     if [tuple(w.shape) for w in weights] != [(members, *pair) for pair in pairwise(sizes)]:
         raise ValueError("its layers do not fit together")
-    net = StackedMLP(members, sizes, relu, [torch.Generator()]).requires_grad_(False)
+    net = StackedMLP(members, sizes, relu, torch.Generator()).requires_grad_(False)
     for own, stored in zip(net.tensors(), (*weights, *biases), strict=True):
         own.copy_(stored.view_as(own))
     return net, sizes

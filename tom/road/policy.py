@@ -22,13 +22,13 @@ class RoadSac:
     """One SAC as a policy over positions (a `tom.learners.base.Policy`) and its optimiser."""
 
     def __init__(self, config: SacConfig, generator: torch.Generator) -> None:
-        self._sac = Sac(OBS_DIM, ACTION_DIM, config, [generator])
-        self._policy = self._sac.member(0)
+        self._sac = Sac(OBS_DIM, ACTION_DIM, config, generator)
+        self._policy = self._sac.policy
 
     def update(self, rows: TensorTransitions) -> dict[str, Tensor]:
         """One gradient step of everything on a (B, ...) batch; metrics (1,) each."""
         seen = replace(rows, obs=_seen(rows.obs), next_obs=_seen(rows.next_obs))
-        return self._sac.update(seen[None])
+        return self._sac.update(seen)
 
     def state_dict(self) -> dict[str, Any]:
         return self._sac.state_dict()

@@ -34,11 +34,10 @@ from tom.envs import Termination, task
 from tom.envs.ends import learns_ends, rule
 from tom.errors import UserError, reason
 from tom.learners.base import Weighting
-from tom.nn.lockstep import do
+from tom.policy.batches import mixed_batches
 from tom.policy.evaluate import Evaluator
 from tom.policy.rollout import roll_out, start_states
 from tom.policy.sac import Sac
-from tom.policy.sac_work import SacUpdates, mixed_batches
 from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
 from tom.record import RunReader, layout
 from tom.rng import Streams
@@ -193,7 +192,7 @@ def _return_during(
     replay = ReplayBuffer(len(rows), *dims)
     replay.extend(rows)
     modelled = ReplayBuffer(rollout.starts * rollout.length, *dims)
-    generator, policy = streams.torch("rollout"), sac.member(0)
+    generator, policy = streams.torch("rollout"), sac.policy
     starts = start_states(rows, weights, rollout.starts, generator)
     roll_out(model, policy, ends, starts, rollout.length, rollout, modelled, generator)
     evaluator, returns, generator = Evaluator(known, trial.episodes), [], streams.torch("batches")
@@ -201,7 +200,7 @@ def _return_during(
     for _ in range(PARTS):
         updates = trial.updates // PARTS
         batches = mixed_batches(replay, modelled, updates, size, real, generator)
-        metrics = do(SacUpdates(sac, batches)).metrics
+        metrics = sac.updates(batches)
         if not all(bool(value.isfinite().all()) for value in metrics.values()):
             return float("nan")
         returns.append(_evaluate(evaluator, policy.mean, config.seed))

@@ -44,8 +44,8 @@ class SacRecording:
         self.task: Task = task(config.env)
         self.streams = Streams(config.seed)
         dims = self.task.obs_dim, self.task.action_dim
-        self.sac = Sac(*dims, config.sac, [self.streams.torch("sac")])
-        self.policy = self.sac.member(0)
+        self.sac = Sac(*dims, config.sac, self.streams.torch("sac"))
+        self.policy = self.sac.policy
         self.replay = ReplayBuffer(config.steps, *dims)  # SAC never sees the random half
         self.evaluator = Evaluator(self.task, config.evaluation.episodes)
         self.env_step = 0
@@ -94,7 +94,7 @@ class SacRecording:
             rows = uniform_indices(
                 len(self.replay), config.sac.batch_size, self.streams.torch("batches")
             )
-            self._sac_metrics = self.sac.update(self.replay.gather(rows)[None])
+            self._sac_metrics = self.sac.update(self.replay.gather(rows))
         require_finite(self._sac_metrics, self.env_step)
         self.policy_version += 1
 

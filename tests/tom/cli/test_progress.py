@@ -1,4 +1,4 @@
-"""What a training, or a fleet of them, says of itself as it goes."""
+"""What a training says of itself as it goes."""
 
 import io
 import re

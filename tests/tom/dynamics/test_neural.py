@@ -1,4 +1,3 @@
-from dataclasses import replace
 from math import log
 
 import pytest
@@ -10,7 +9,7 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
-from tom.dynamics.fitting import Fit, _Best, fit, holdout_loss, split
+from tom.dynamics.fitting import _Best, holdout_loss, split
 from tom.dynamics.mdn import Mdn, pick_component
 from tom.dynamics.neural import NeuralDynamics
 
@@ -86,34 +85,6 @@ def test_a_step_is_autograds_gradient_and_torchs_adam(kind: str, scaled: int):
             assert torch.equal(model.step(x, y, *scales), expected)
         for p, reference in zip(model.parameters(), parameters, strict=True):
             assert torch.equal(p, reference)
-
-
-@pytest.mark.parametrize("kind", ["mdn", "ensemble"])
-def test_fitted_together_is_fitted_alone(kind: str):
-    """Each has its own data, weights and random stream, and stops where it would alone."""
-    config = SMALL.but(kind=kind, rounds=9, patience=1, min_gain=0.05, batches_per_round=20)
-    models = [[make_model(2, 1, config, generator(s)) for s in range(3)] for _ in range(2)]
-    per_dim = torch.rand(600, 2, generator=generator())
-    reports = []
-    for fitted, together in zip(models, (False, True), strict=True):
-        works = [
-            Fit(m, rows(300 * (s + 1), s), torch.ones(300 * (s + 1)), dims, generator(s))
-            for s, (m, dims) in enumerate(zip(fitted, (None, per_dim, None), strict=True))
-            if isinstance(m, NeuralDynamics)
-        ]
-        joint = type(works[0].subject).joined([w.subject for w in works]) if together else None
-        for again in range(2):  # the second fit begins with unequal numbers of steps
-            generators = [generator(10 * again + s) for s in range(3)]
-            now = [replace(w, generator=g) for w, g in zip(works, generators, strict=True)]
-            done = fit(now, joint.step) if joint else [fit([w], w.subject.step)[0] for w in now]
-            reports.append([r.metrics for r in done])
-    assert [r["model/rounds"] for r in reports[1]] == [r["model/rounds"] for r in reports[3]]
-    assert len({r["model/rounds"] for r in reports[0] + reports[1]}) > 1
-    probe = rows(50, 7)
-    for alone, joined in zip(*models, strict=True):
-        for a, b in zip(alone.predict(probe.obs, probe.action),
-                        joined.predict(probe.obs, probe.action), strict=True):  # fmt: skip
-            torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
 
 
 def test_small_gains_add_up_and_what_is_not_a_number_is_none():

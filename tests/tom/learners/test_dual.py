@@ -13,7 +13,6 @@ from tom.learners.base import policy_actions
 from tom.learners.dual import (
     Batch,
     DualProblem,
-    Minimise,
     QFunction,
     Values,
     dual_argument,
@@ -122,17 +121,12 @@ def test_the_level_of_q_moves_nothing_in_a_stationary_flow():
 def test_a_validated_q_is_the_best_on_episodes_that_it_never_saw():
     config = QUICK.but(q_steps=600, q_lr=1e-2, q_holdout=0.25, q_check_every=20, flow="stationary")
     found, q = problem(ended(rows(600), "terminated"), config), net(config)
-    work = Minimise(found, QFunction(q, config), generator())
-    Minimise.do([work], work.subject)
-    trained_on, held_out = replace(found).split(generator())
-    drawn, expected = work.problem.drawn_from, trained_on.drawn_from
-    assert drawn is not None
-    assert expected is not None
-    assert torch.equal(drawn, expected)
+    minimum = found.minimise(QFunction(q, config), generator())
+    _, held_out = found.split(generator())
     # The overfitted last network is worse on the held-out rows than the one that was kept.
-    assert 0 < work.metrics["dual/steps"] < 600
+    assert 0 < minimum.metrics["dual/steps"] < 600
     loss = held_out.loss_of(2000, generator(5))
-    assert loss(work.net) < loss(q)
+    assert loss(minimum.net) < loss(q)
 
 
 def test_the_last_step_is_judged_though_it_is_between_two_looks():
@@ -148,9 +142,7 @@ def test_the_last_step_is_judged_though_it_is_between_two_looks():
 def test_a_buffer_of_one_row_is_validated_on_itself():
     config = QUICK.but(q_steps=20, q_holdout=0.25, q_check_every=5)
     q = net(config)
-    work = Minimise(problem(rows(1), config), QFunction(q, config), generator())
-    Minimise.do([work], work.subject)
-    assert isfinite(work.loss)
+    assert isfinite(problem(rows(1), config).minimise(QFunction(q, config), generator()).loss)
 
 
 def test_what_a_validated_q_draws_does_not_depend_on_when_it_stops():

@@ -23,21 +23,6 @@ def test_it_is_torchs_own_with_its_weight_decay():
         assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
-def test_a_joined_one_moves_each_by_its_own_number_of_steps():
-    alone, joined = [tensors(s) for s in (1, 2)], [tensors(s) for s in (1, 2)]
-    single, parts = ([Adam(x, 1e-2) for x in each] for each in (alone, joined))
-    for one in (single[1], parts[1]):
-        one.step(tensors(8))
-    both = Adam.joined(parts)
-    gradients = [torch.cat(g) for g in zip(tensors(6), tensors(7), strict=True)]
-    both.step(gradients)
-    single[0].step(tensors(6))
-    single[1].step(tensors(7))
-    for a, b in zip(alone, joined, strict=True):
-        assert all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
-    assert [float(part.taken[0]) for part in parts] == [1, 2]
-
-
 def test_its_state_is_loaded_in_place():
     first, second = Adam(tensors(0), 1e-2), Adam(tensors(0), 1e-2)
     kept = second.means

@@ -8,7 +8,7 @@ from tom.data.replay import ReplayBuffer
 from tom.dynamics.mdn import Mdn
 from tom.envs import task
 from tom.policy.rollout import EXPLODED, roll_out
-from tom.policy.sac import MemberPolicy, Sac
+from tom.policy.sac import ActorCritic, Sac
 
 HOPPER = task("hopper")
 DIMS = HOPPER.obs_dim, HOPPER.action_dim
@@ -18,11 +18,11 @@ def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def parts() -> tuple[MemberPolicy, Mdn]:
+def parts() -> tuple[ActorCritic, Mdn]:
     """A policy, and a model whose steps sometimes end a rollout."""
     model = Mdn(*DIMS, ModelConfig(hidden=16, layers=2, components=3), generator(1))
     model.net.layers[-1][0].mul_(3)
-    return Sac(*DIMS, SacConfig(hidden=16), [generator(2)]).member(), model
+    return Sac(*DIMS, SacConfig(hidden=16), generator(2)).policy, model
 
 
 def starts(n: int) -> Tensor:

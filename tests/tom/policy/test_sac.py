@@ -8,19 +8,18 @@ from tom.config import SacConfig
 from tom.data.transitions import TensorTransitions
 from tom.nn.mlp import StackedMLP
 from tom.policy.sac import Sac, squashed_gaussian
-from tom.rng import normal
 
 OBS, ACTION, BATCH = 3, 2, 64
 
 
-def make(*seeds: int, **changes: float) -> Sac:
+def make(seed: int, **changes: float) -> Sac:
     config = SacConfig(hidden=32).but(**changes)
-    return Sac(OBS, ACTION, config, [torch.Generator().manual_seed(s) for s in seeds])
+    return Sac(OBS, ACTION, config, torch.Generator().manual_seed(seed))
 
 
-def batch(members: int = 1, seed: int = 0, **flags: float) -> TensorTransitions:
+def batch(seed: int = 0, **flags: float) -> TensorTransitions:
     g = torch.Generator().manual_seed(seed)
-    one = TensorTransitions(
+    return TensorTransitions(
         torch.randn(BATCH, OBS, generator=g),
         torch.rand(BATCH, ACTION, generator=g) * 2 - 1,
         torch.randn(BATCH, generator=g),
@@ -28,7 +27,6 @@ def batch(members: int = 1, seed: int = 0, **flags: float) -> TensorTransitions:
         torch.full((BATCH,), flags.get("terminated", 0.0)),
         torch.full((BATCH,), flags.get("truncated", 0.0)),
     )
-    return TensorTransitions.join([one[None]] * members)
 
 
 def test_log_prob_of_the_squashed_gaussian_is_the_transformed_density():
@@ -48,25 +46,16 @@ def autograd_critic_loss(sac: Sac, rows: TensorTransitions, noise: torch.Tensor)
     with torch.no_grad():
         target = sac.critic_target(rows, noise)
     x = torch.cat([rows.obs, rows.action], -1)
-    losses = []
-    for m in range(len(sac.generators)):
-        for k in (0, 1):
-            q = sac.critic.member(2 * m + k, x[m]).squeeze(-1)
-            losses.append((q - target[m]).square().mean())
-    return torch.stack(losses).sum()
+    q = sac.critic(torch.stack([x, x])).squeeze(-1)
+    return (q - target).square().mean(-1).sum()
 
 
 def autograd_actor_loss(sac: Sac, obs: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-    losses = []
-    mean, log_std = sac.actor(obs).chunk(2, -1)
-    log_std = log_std.clamp(-20, 2)
-    action, log_prob = squashed_gaussian(mean, log_std, noise)
-    for m in range(len(sac.generators)):
-        x = torch.cat([obs[m], action[m]], -1)
-        q = torch.stack([sac.critic.member(2 * m + k, x).squeeze(-1) for k in (0, 1)]).amin(0)
-        temperature = sac.log_temperature[m].detach().exp()
-        losses.append((temperature * log_prob[m].squeeze(-1) - q).mean())
-    return torch.stack(losses).sum()
+    mean, log_std = sac.actor(obs[None])[0].chunk(2, -1)
+    action, log_prob = squashed_gaussian(mean, log_std.clamp(-20, 2), noise)
+    x = torch.cat([obs, action], -1)
+    q = sac.critic(torch.stack([x, x])).squeeze(-1).amin(0)
+    return (sac.log_temperature.detach().exp() * log_prob.squeeze(-1) - q).mean()
 
 
 def assert_gradients_match(net: StackedMLP, found: list[torch.Tensor], loss: torch.Tensor) -> None:
@@ -82,13 +71,12 @@ def double(sac: Sac, rows: TensorTransitions) -> TensorTransitions:
 
 
 def drawn(sac: Sac) -> torch.Tensor:
-    return normal(sac.generators, (BATCH, ACTION)).double()
+    return torch.randn(BATCH, ACTION, generator=sac.generator).double()
 
 
-@pytest.mark.parametrize("seeds", [(0,), (3, 4, 5)])
-def test_critic_gradients_are_autograds(seeds: tuple[int, ...]):
-    sac = make(*seeds)
-    rows, noise = double(sac, batch(len(seeds), terminated=0.0)), drawn(sac)
+def test_critic_gradients_are_autograds():
+    sac = make(0)
+    rows, noise = double(sac, batch(terminated=0.0)), drawn(sac)
     found, error, _ = sac.critic_gradients(rows, noise)
     sac.critic.requires_grad_()
     reference = autograd_critic_loss(sac, rows, noise)
@@ -96,22 +84,21 @@ def test_critic_gradients_are_autograds(seeds: tuple[int, ...]):
     assert_gradients_match(sac.critic, found, reference)
 
 
-@pytest.mark.parametrize("seeds", [(0,), (3, 4, 5)])
 @pytest.mark.parametrize("spread", [0.0, 40.0])  # the second clamps most of log_std
-def test_actor_gradients_are_autograds(seeds: tuple[int, ...], spread: float):
-    sac = make(*seeds)
-    rows, noise = double(sac, batch(len(seeds))), drawn(sac)
+def test_actor_gradients_are_autograds(spread: float):
+    sac = make(0)
+    rows, noise = double(sac, batch()), drawn(sac)
     sac.actor.biases[-1][..., ACTION:] += spread * torch.linspace(-1, 1, ACTION)
     found, loss, _ = sac.actor_gradients(rows.obs, noise)
     sac.actor.requires_grad_()
     reference = autograd_actor_loss(sac, rows.obs, noise)
-    torch.testing.assert_close(loss.mean(1).sum(), reference.detach())
+    torch.testing.assert_close(loss.mean(), reference.detach())
     assert_gradients_match(sac.actor, found, reference)
 
 
 def test_target_bootstraps_through_truncation_but_not_through_termination():
     plain, truncated, terminated = (
-        make(0).critic_target(rows, torch.zeros(1, BATCH, ACTION))
+        make(0).critic_target(rows, torch.zeros(BATCH, ACTION))
         for rows in (batch(), batch(truncated=1.0), batch(terminated=1.0))
     )
     assert torch.equal(truncated, plain)
@@ -135,17 +122,6 @@ def test_temperature_falls_when_entropy_is_above_its_target():
     assert float(sac.log_temperature) < before
 
 
-def test_a_member_learns_the_same_alone_and_in_a_fleet():
-    alone, fleet = make(5), make(1, 5, 9)
-    for step in range(5):
-        alone.update(batch(1, seed=step))
-        fleet.update(batch(3, seed=step))
-    obs = torch.randn(4, OBS)
-    torch.testing.assert_close(
-        fleet.member(1).mean(obs), alone.member().mean(obs), rtol=1e-4, atol=1e-5
-    )
-
-
 def test_updates_in_one_go_are_the_updates_one_by_one():
     together, single = make(0), make(0)
     rows = [batch(seed=step) for step in range(5)]
@@ -154,30 +130,11 @@ def test_updates_in_one_go_are_the_updates_one_by_one():
     assert all(torch.equal(measured[k], last[k]) for k in last)
 
 
-def test_members_that_were_joined_learn_as_they_did_alone():
-    """Each keeps its own networks, which are views of the joint one's."""
-    alone, joined = [make(s) for s in (1, 5)], [make(s) for s in (1, 5)]
-    for sac in (alone[1], joined[1]):
-        sac.update(batch(seed=9))  # another number of steps than the first
-    fleet = Sac.joined(joined)
-    for step in range(4):
-        for sac in alone:
-            sac.update(batch(seed=step))
-        fleet.update(batch(2, seed=step))
-    obs = torch.randn(4, OBS)
-    for a, b in zip(alone, joined, strict=True):
-        torch.testing.assert_close(b.member().mean(obs), a.member().mean(obs), rtol=1e-4, atol=1e-5)
-        torch.testing.assert_close(b.log_temperature, a.log_temperature)
-        for x, y in zip(a.target_critic.parameters(), b.target_critic.parameters(), strict=True):
-            torch.testing.assert_close(x, y, rtol=1e-4, atol=1e-6)
-    torch.testing.assert_close(fleet.member(1).mean(obs), joined[1].member().mean(obs))
-
-
 def test_value_gradient_matches_finite_differences_for_each_head():
     sac = make(0)
     for net in (sac.actor, sac.critic):
         net.double()
-    policy = sac.member()
+    policy = sac.policy
     obs = torch.randn(3, OBS, dtype=torch.float64)
     gradient = policy.value_gradient(obs)
     for d in range(OBS):
@@ -191,30 +148,30 @@ def test_state_round_trip_continues_bit_for_bit():
     first, second = make(0), make(1)
     first.update(batch())
     second.load_state_dict(first.state_dict())
-    second.generators[0].set_state(first.generators[0].get_state())
+    second.generator.set_state(first.generator.get_state())
     a, b = first.update(batch(seed=3)), second.update(batch(seed=3))
     assert all(torch.equal(a[k], b[k]) for k in a)
 
 
 def test_learns_a_one_step_bandit():
     """Reward -(a - 0.5)^2, every step terminal: the mean action must go to 0.5."""
-    sac = Sac(1, 1, SacConfig(hidden=32, lr=3e-3), [torch.Generator().manual_seed(0)])
+    sac = Sac(1, 1, SacConfig(hidden=32, lr=3e-3), torch.Generator().manual_seed(0))
     g = torch.Generator().manual_seed(1)
     for _ in range(400):
-        action = torch.rand(1, 128, 1, generator=g) * 2 - 1
-        zeros, ones = torch.zeros(1, 128, 1), torch.ones(1, 128)
+        action = torch.rand(128, 1, generator=g) * 2 - 1
+        zeros, ones = torch.zeros(128, 1), torch.ones(128)
         reward = -10 * (action.squeeze(-1) - 0.5).square()
         sac.update(TensorTransitions(zeros, action, reward, zeros, ones, 0 * ones))
-    assert abs(float(sac.member().mean(torch.zeros(1, 1))) - 0.5) < 0.1
+    assert abs(float(sac.policy.mean(torch.zeros(1, 1))) - 0.5) < 0.1
 
 
 def test_a_members_draws_and_values_are_those_that_its_critics_are_trained_on():
     """Q's target at a truncated row, by the online critics: r + g (Q(s', a') - alpha log pi)."""
     sac = make(3, discount=0.9)
     sac.log_temperature.fill_(-0.7)
-    one, member = batch(truncated=1.0), sac.member()
+    one, member = batch(truncated=1.0), sac.policy
     noise = torch.randn(BATCH, ACTION, generator=torch.Generator().manual_seed(5))
-    target = sac.critic_target(one, noise[None])[0]
-    action, log_prob = member.draw(one.next_obs[0], torch.Generator().manual_seed(5))
-    soft = member.value(one.next_obs[0], action) - sac.log_temperature.exp() * log_prob
-    torch.testing.assert_close(one.reward[0] + 0.9 * soft, target)
+    target = sac.critic_target(one, noise)
+    action, log_prob = member.draw(one.next_obs, torch.Generator().manual_seed(5))
+    soft = member.value(one.next_obs, action) - sac.log_temperature.exp() * log_prob
+    torch.testing.assert_close(one.reward + 0.9 * soft, target)

@@ -41,7 +41,7 @@ def test_sac_goes_on_with_the_stored_networks(run: RunReader):
     for name, array in policy_arrays("hopper", sac).items():
         assert np.array_equal(array, arrays[name]), name
     obs, action = torch.randn(7, 11), torch.rand(7, 3) * 2 - 1
-    assert torch.equal(sac.member().mean(obs), StoredPolicy(arrays).mean(obs))
+    assert torch.equal(sac.policy.mean(obs), StoredPolicy(arrays).mean(obs))
     inputs = torch.cat([obs, action], -1).expand(2, -1, -1)
     assert torch.equal(sac.critic(inputs), sac.target_critic(inputs))
     assert sac.log_temperature.exp().item() == pytest.approx(0.25)
@@ -49,7 +49,7 @@ def test_sac_goes_on_with_the_stored_networks(run: RunReader):
         obs, action, torch.zeros(7), obs.clone(), torch.zeros(7), torch.zeros(7)
     )
     before = sac.critic(inputs).clone()
-    sac.updates(batch.packed()[None, None])
+    sac.updates(batch.packed()[None])
     assert not torch.equal(sac.critic(inputs), before)
     assert np.array_equal(arrays_of(run)["weight_0"], arrays["weight_0"])  # the file's own arrays
 
