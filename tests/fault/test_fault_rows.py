@@ -71,7 +71,7 @@ def refused(store: Store, run_id: str, capsys: pytest.CaptureFixture[str]) -> st
 
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("name", LINES)
-def test_a_finished_run_that_lost_rows_is_refused_until_it_is_repaired(
+def test_a_finished_run_that_lost_rows__a_resume_is_refused_until_it_is_repaired(
     store: Store, name: str, damage: Callable[[bytes], bytes], capsys: pytest.CaptureFixture[str]
 ):
     run = store.run("finished")
@@ -94,7 +94,7 @@ def test_a_finished_run_that_lost_rows_is_refused_until_it_is_repaired(
 
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("name", LINES)
-def test_a_killed_run_that_lost_rows_is_refused_until_it_is_repaired(
+def test_a_killed_run_that_lost_rows__a_resume_is_refused_until_it_is_repaired(
     store: Store, name: str, damage: Callable[[bytes], bytes], capsys: pytest.CaptureFixture[str]
 ):
     run = store.run("stopped")
@@ -109,7 +109,7 @@ def test_a_killed_run_that_lost_rows_is_refused_until_it_is_repaired(
     assert (after.status.state, verify(after)) == ("finished", [])
 
 
-def test_a_checkpoint_of_an_earlier_version_without_digests_goes_on(store: Store):
+def test_a_checkpoint_of_an_earlier_version_without_digests__goes_on(store: Store):
     folder = store.path / "stopped" / checkpoint.FOLDER
     held = checkpoint.load(folder)
     assert held is not None
@@ -131,7 +131,7 @@ def replace_by_an_older_copy(path: Path) -> None:
 @pytest.mark.parametrize("at", [130, 300])
 @pytest.mark.parametrize("change", [replace_by_a_copy, replace_by_an_older_copy, Path.unlink])
 @pytest.mark.parametrize("name", LINES)
-def test_rows_that_are_replaced_or_deleted_during_a_training_are_all_there(
+def test_rows_that_are_replaced_or_deleted_during_a_training__are_all_there(
     store: Store, name: str, change: Callable[[Path], object], at: int
 ):
     done: list[int] = []
@@ -146,14 +146,14 @@ def test_rows_that_are_replaced_or_deleted_during_a_training_are_all_there(
     assert verify(run) == []
 
 
-def test_a_buffer_that_was_lost_is_a_problem_of_the_checkpoint_that_counts_on_it(store: Store):
+def test_a_buffer_that_was_lost__is_a_problem_of_the_checkpoint_that_counts_on_it(store: Store):
     run = store.run("stopped")
     shutil.rmtree(run.path / "buffer")
     (run.path / "buffer").mkdir()
     assert any("buffer" in problem for problem in verify(run))
 
 
-def test_a_damaged_row_is_found_although_the_copy_and_the_digests_agree(store: Store):
+def test_a_damaged_row_with_which_copy_and_digests_agree__is_found(store: Store):
     run = store.run("finished")
     path = run.path / "metrics.jsonl"
     path.write_bytes(path.read_bytes().replace(b'{"env_step"', b"{nothing", 1))
