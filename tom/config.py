@@ -262,6 +262,7 @@ class RunConfig(Config):
     """environment steps in all (offline: steps of policy optimisation in the model)"""
     preset: str = "paper"
     device: str = "cpu"
+    """cpu or cuda (plain torch; almost untried)"""
     threads: Annotated[int, Field(ge=1, le=256)] = 1
     """threads of torch (one is fastest for one run; give other cores to other seeds)"""
     matmul: Literal["auto", "default", "onednn"] = "auto"

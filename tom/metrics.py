@@ -105,6 +105,13 @@ METRICS: dict[str, str] = {
     "time/checkpoint_s": "seconds spent writing checkpoints so far",
 }
 
+OURS = frozenset(
+    name
+    for name in ("env_step", *METRICS)
+    if not name.startswith(("discriminator/", "dual/", "weights/degenerate", "weights/raw_mean"))
+)
+"""the names that a training records itself, whatever its learner"""
+
 
 def describe(path: str) -> str:
     """The meaning of a metric path; the path itself if the table does not have it."""

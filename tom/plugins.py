@@ -39,7 +39,7 @@ from tom.harmless import terminal
 from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
 from tom.learners.own import OwnLearner
-from tom.metrics import FATAL, METRICS
+from tom.metrics import FATAL, METRICS, OURS
 from tom.road.baselines import BASELINES
 
 GROUP = "tom_studio"
@@ -152,7 +152,7 @@ class Registry:
 
         With `advice` (what to try), a value that is not finite ends the training.
         """
-        if path in METRICS:
+        if path in METRICS or path in OURS:
             raise UserError(f"plug-in {self.plugin}: there is a metric '{path}' already")
         METRICS[path] = meaning
         if advice is not None:

@@ -14,6 +14,7 @@ from tom.envs.user_code import running
 from tom.errors import OwnCodeError
 from tom.learners.base import DEGENERATE, FitContext, Learner, Weighting, uniform
 from tom.learners.terms import Terms
+from tom.metrics import OURS
 
 OPTIONAL = ("per_dim", "log_ratio")
 """arrays that an answer may lack"""
@@ -143,6 +144,11 @@ class OwnLearner:
         if not isinstance(name, str):
             raise OwnCodeError(
                 f"{self._what}: the name of its metric {_shown(name)} must be a text"
+            )
+        if name in OURS:
+            raise OwnCodeError(
+                f"{self._what}: its metric '{name}' is one that the training records itself: give "
+                "it another name"
             )
         try:
             return float(value)

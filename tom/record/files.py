@@ -1,13 +1,14 @@
 """Atomic writes of files and folders, and append-only JSON lines, safe also after a kill."""
 
 import errno
+import hashlib
 import json
 import math
 import os
 import secrets
 import shutil
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -84,9 +85,7 @@ class JsonLines:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW  # never follow a link
-        self._file = os.open(path, flags, 0o644)
-        self._drop_half_line()
+        self._open()
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Append one row.
@@ -94,7 +93,8 @@ class JsonLines:
         Raises OSError if the disk is full; a partly written row is cut off again, so that the next
         row starts a new line.
         """
-        line = (json.dumps(plain(row), allow_nan=False, separators=(",", ":")) + "\n").encode()
+        self.keep_name()
+        line = json_line(row)
         size = os.fstat(self._file).st_size
         try:
             written = os.write(self._file, line)
@@ -103,11 +103,17 @@ class JsonLines:
         if written != len(line):
             os.ftruncate(self._file, size)
             raise OSError(errno.ENOSPC, f"cannot write {self.path}: is the disk full?")
+        self._digest.update(line)
 
     @property
     def size(self) -> int:
         """Bytes in the file."""
         return os.fstat(self._file).st_size
+
+    @property
+    def sha256(self) -> str:
+        """The digest of what was written."""
+        return self._digest.hexdigest()
 
     def rows(self, since: int) -> list[dict[str, Any]]:
         """The rows after the first `since` bytes; damaged lines are left out."""
@@ -119,12 +125,23 @@ class JsonLines:
 
     def cut(self, size: int) -> None:
         """Truncate the file to `size` bytes, and to whole rows: mended ones may be shorter."""
-        if size < self.size:
-            os.ftruncate(self._file, size)
-            self._drop_half_line()
+        os.ftruncate(self._file, self._content()[:size].rfind(b"\n") + 1)
+        self._digest = hashlib.sha256(self._content())
+
+    def rewrite(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Replace the whole file by `rows`."""
+        self._replace(b"".join(map(json_line, rows)))
+
+    def keep_name(self) -> None:
+        """Put the file back if it was deleted, or replaced by a copy as synchronisers do."""
+        with suppress(FileNotFoundError):
+            if os.path.samestat(self.path.lstat(), os.fstat(self._file)):
+                return
+        self._replace(self._content())
 
     def sync(self) -> None:
         """Wait until the rows are on the disk."""
+        self.keep_name()
         os.fsync(self._file)
 
     def close(self) -> None:
@@ -132,10 +149,29 @@ class JsonLines:
             os.close(self._file)
             self._file = -1
 
-    def _drop_half_line(self) -> None:
-        size = os.fstat(self._file).st_size
-        if size and os.pread(self._file, 1, size - 1) != b"\n":
-            os.ftruncate(self._file, self.path.read_bytes().rfind(b"\n") + 1)
+    def _open(self) -> None:
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW  # never follow a link
+        self._file = os.open(self.path, flags, 0o644)
+        self._digest = hashlib.sha256(self._content())
+
+    def _content(self) -> bytes:
+        return os.pread(self._file, self.size, 0)
+
+    def _replace(self, content: bytes) -> None:
+        replace(self.path, lambda file: file.write(content), sync=True)
+        self.close()
+        self._open()
+
+
+def json_line(row: Mapping[str, Any]) -> bytes:
+    """A row as a line of JSON; numbers that are not finite become null."""
+    return (json.dumps(plain(row), allow_nan=False, separators=(",", ":")) + "\n").encode()
+
+
+def begins_with(path: Path, size: int, sha256: str | None) -> bool:
+    """Whether the file begins with `size` bytes of that digest (None: whatever they are)."""
+    content = path.read_bytes()[:size] if path.is_file() else b""
+    return len(content) == size and sha256 in (None, hashlib.sha256(content).hexdigest())
 
 
 def sync(path: Path) -> None:

@@ -18,7 +18,7 @@ from tom.record import checkpoint, digests, layout
 from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
 from tom.record.aside import copy_aside, set_aside
 from tom.record.decode import is_whole
-from tom.record.files import modified, read_json_lines, replace_json
+from tom.record.files import begins_with, modified, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import refused, unwritten
 from tom.record.mend import mend_lines
@@ -28,9 +28,9 @@ from tom.record.status import Status
 
 PASSING = ("weights", layout.POLICIES)
 """folders from which a training deletes files as it goes (`RunWriter.snapshot`)"""
-LINES = (layout.PROFILES, layout.NOTICES)
 ENDED = "its process ended without a word: "
 GOES_ON = "tom train --resume {run} goes on from a checkpoint"
+NO_WAY_ON = "the run cannot go on"
 NO_CHECKPOINT = "it has no checkpoint to go on from"
 
 
@@ -39,10 +39,13 @@ def verify(reader: RunReader) -> list[str]:
     fresh = RunReader(reader.path)
     _ = fresh.config, fresh.labels
     status = fresh.status
+    folder = fresh.path / checkpoint.FOLDER
+    held, unread = checkpoint.look_for(folder)  # before the rows, which a training may add to
     fresh.metrics()
+    fresh.metric_rows()
     fresh.profiles()
     fresh.notices()
-    fresh.buffer()
+    rows, _ = fresh.buffer()
     problems = list(fresh.problems)
     for path in _arrays(fresh.path):
         error = _unreadable(path, fresh.most_bytes)
@@ -56,11 +59,12 @@ def verify(reader: RunReader) -> list[str]:
     for name, what in _altered(fresh.path).items():
         if not any(name in problem for problem in problems):
             problems.append(f"{name} {what}")
-    folder = fresh.path / checkpoint.FOLDER
-    held, unread = checkpoint.look_for(folder)
-    problems += held.problems if held else []
-    if held is None and checkpoint.newest(folder) is not None:
-        problems.append(unread or "no checkpoint is whole: the run cannot go on")
+    if held is not None:
+        problems += [*held.problems, *unlike(fresh.path, held)]
+        if len(rows) < (collected := held.state.get("training", {}).get("collected", 0)):
+            problems.append(f"{layout.BUFFER} has {len(rows)} of {collected} rows: {NO_WAY_ON}")
+    elif checkpoint.newest(folder) is not None:
+        problems.append(unread or f"no checkpoint is whole: {NO_WAY_ON}")
     if (fresh.path / layout.MODEL).is_dir() and checkpoint.load(fresh.path / layout.MODEL) is None:
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
     if not status.alive:
@@ -85,7 +89,10 @@ def repair(reader: RunReader) -> list[str]:
             path.unlink()
             done.append(f"{_name(reader, path)}: removed, it was never whole")
         altered = _altered(reader.path)
-        mended = [_mend_metrics(reader, altered), *(_mend_lines(reader, name) for name in LINES)]
+        mended = [
+            _mend_metrics(reader, altered),
+            *(_mend_lines(reader, name) for name in layout.LINES[1:]),
+        ]
         done += [text for text in mended if text]
         for path in _arrays(reader.path):
             if _name(reader, path) in altered or _unreadable(path, reader.most_bytes):
@@ -93,6 +100,27 @@ def repair(reader: RunReader) -> list[str]:
         done += [text for text in (_mend_status(reader, altered), _mend_table(reader)) if text]
         done += _accept(reader, [name for name in altered if name not in "\n".join(done)])
     return done
+
+
+def unlike(path: Path, held: checkpoint.Checkpoint) -> list[str]:
+    """The rows that differ from what the checkpoint `held` counts on, one line a file.
+
+    Digests of the whole run, which a repair makes anew, count more than those of the checkpoint.
+    """
+    altered = _altered(path)
+    if os.path.lexists(path / layout.DIGESTS) and layout.DIGESTS not in altered:
+        return [f"{name} {altered[name]}" for name in layout.LINES if name in altered]
+    try:
+        files = held.state["record"]["files"]
+        sha256 = files.get("sha256", [None] * len(layout.LINES))  # missing in earlier ones
+        marks = [*zip(layout.LINES, files["lines"], sha256, strict=True)]
+    except (LookupError, TypeError, ValueError):  # another version's, which a resume refuses
+        return []
+    return [
+        f"{name} is not what checkpoint {held.env_step} counts on"
+        for name, size, digest in marks
+        if not begins_with(path / name, size, digest)
+    ]
 
 
 def _arrays(path: Path) -> Iterator[Path]:
@@ -126,13 +154,15 @@ def _altered(path: Path) -> dict[str, str]:
 
 def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
     """Write new digests of a repaired run; returns lines on `altered` files that stay."""
-    if not _altered(reader.path):
+    held = checkpoint.load(reader.path / checkpoint.FOLDER)
+    lost = unlike(reader.path, held) if held is not None else []
+    if not lost and not _altered(reader.path):
         return []
     if (reader.path / layout.DIGESTS).is_dir():
         _set_aside(reader, reader.path / layout.DIGESTS)
     digests.write(reader.path)
     kept = [name for name in altered if (reader.path / name).is_file()]
-    return [
+    return [f"{text}: kept as it is now" for text in lost if text.split()[0] not in altered] + [
         f"{name}: made again"
         if name == layout.DIGESTS
         else f"{name}: reads well, and nothing tells what it was: kept"

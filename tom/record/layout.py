@@ -24,6 +24,8 @@ BUFFER = "buffer"
 SCENE = "scene.npz"
 DAMAGED = "damaged"
 DIGESTS = "digests.json"
+LINES = (METRICS, PROFILES, NOTICES)
+"""the files that grow by a row at a time"""
 WEIGHINGS = "weighings"
 STUDIES = "studies"
 BESIDE_RUNS = {WEIGHINGS: "weighings", STUDIES: "studies"}

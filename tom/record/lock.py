@@ -51,7 +51,9 @@ class RunLock:
             return True
 
     def check(self) -> None:
-        """Raises LostError if the folder was taken over; nothing may be written then."""
+        """Raises LostError if the folder was taken over or is gone; nothing may be written then."""
+        if not self.path.exists():
+            raise LostError(f"the folder of run '{self.path.name}' was moved or removed")
         if self.lost:
             raise LostError(f"run '{self.path.name}' was taken over by another writer")
 

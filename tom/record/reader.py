@@ -152,6 +152,10 @@ class RunReader:
             read = self._read(layout.METRICS_TABLE, self._table)
             if read is not None and "env_step" in read:
                 return read
+        return self.metric_rows()
+
+    def metric_rows(self) -> pd.DataFrame:
+        """`metrics` of the rows themselves, whatever the Parquet copy says."""
         read = self._read(layout.METRICS, read_metrics)
         if read is None:
             return decode.metrics_table([])

@@ -90,7 +90,7 @@ class Recorder:
         }
 
     def _go_on(self, mark: Mapping[str, Any]) -> None:
-        self._writer.rewind(mark["files"])
+        self._writer.rewind(mark["files"], mark["env_step"])
         self._started -= mark["wall_s"]
         self._last_row = (self._timer(), mark["env_step"])
         self._record_s = mark["record_s"]

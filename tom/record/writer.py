@@ -18,7 +18,7 @@ from tom.events import Episode, Weights
 from tom.record import decode, digests, layout, lock, opening
 from tom.record.array_files import NUMBERS, read_arrays, write_table
 from tom.record.creating import make_folder
-from tom.record.files import JsonLines, read_json, replace, replace_json, sync
+from tom.record.files import JsonLines, begins_with, read_json, replace, replace_json, sync
 from tom.record.reader import RunReader
 from tom.record.rows import read_metrics
 from tom.record.status import Status
@@ -79,22 +79,33 @@ class RunWriter:
         return cls(make_folder(store, run_id, config, matmul, command), config)
 
     def mark(self) -> dict[str, Any]:
-        """The sizes of the files, for `rewind`."""
+        """The sizes and digests of the files, for `rewind`."""
         return {
             "lines": [lines.size for lines in self._lines()],
+            "sha256": [lines.sha256 for lines in self._lines()],
             "segment": self._tail_first,
             "segment_rows": self._tail_rows(),
             "latest_snapshot": self._latest_snapshot,
         }
 
-    def rewind(self, mark: Mapping[str, Any]) -> None:
-        """Go back to `mark`; a resumed training writes everything after it again.
+    def rewind(self, mark: Mapping[str, Any], env_step: int) -> None:
+        """Go back to `mark` at `env_step`; a resumed training writes everything after it again.
 
-        What an earlier resume said stays: it is not said again, as its versions count from then on.
+        Of metrics that were repaired, the rows up to that step stay, wherever they lie. What an
+        earlier resume said stays: it is not said again, as its versions count from then on.
         """
         digests.forget(self.path)
         said = [row for row in self._notices.rows(mark["lines"][-1]) if row.get("kind") in RESUMING]
-        for lines, size in zip(self._lines(), mark["lines"], strict=True):
+        digest = mark.get("sha256", [None])[0]  # missing in earlier checkpoints
+        if begins_with(self._metrics.path, mark["lines"][0], digest):
+            self._metrics.cut(mark["lines"][0])
+        else:
+            rows = RunReader(self.path).metrics().to_dict("records")
+            kept = [row for row in rows if row["env_step"] <= env_step]
+            self._metrics.rewrite(
+                {"env_step": row["env_step"], **decode.numbers(row)} for row in kept
+            )
+        for lines, size in zip(self._lines()[1:], mark["lines"][1:], strict=True):
             lines.cut(size)
         for row in said:
             self._append(self._notices, row)
@@ -233,6 +244,9 @@ class RunWriter:
 
     def metrics_table(self) -> None:
         """Write the Parquet copy of the metrics."""
+        self._lock.check()
+        for lines in self._lines():
+            lines.keep_name()
         rows, _ = read_metrics(self.path / layout.METRICS)
         table = pa.Table.from_pandas(rows, preserve_index=False)
         self._table(layout.METRICS_TABLE, table, sync=True)

@@ -17,6 +17,7 @@ from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store, checkpoint, lock
 from tom.record.checkpoint import Checkpoint
 from tom.record.heartbeat import BEAT_S
+from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import open_sink
 from tom.record.writer import RunWriter
@@ -60,6 +61,7 @@ def resume(
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
         held = _checkpoint(reader, config)
+        _refuse_lost_rows(reader, held)
         torch.set_num_threads(config.threads)
         choose_matmul(reader.config.get("matmul", {}).get("chosen", config.matmul))
         training, watch = make_training(config), Watch(config)
@@ -163,6 +165,15 @@ def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
             f"run '{reader.run_id}' is complete at step {held.env_step}: give it more with --steps"
         )
     return held
+
+
+def _refuse_lost_rows(reader: RunReader, held: Checkpoint) -> None:
+    """Raises UserError for rows that a resume would lose for good."""
+    if lost := unlike(reader.path, held):
+        raise UserError(
+            f"run '{reader.run_id}' has lost rows ({'; '.join(lost)}): `tom runs repair "
+            f"{reader.run_id}` puts back what it can, then resume"
+        )
 
 
 def _complete(reader: RunReader, held: Checkpoint, config: AnyConfig) -> bool:

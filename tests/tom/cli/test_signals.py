@@ -9,6 +9,7 @@ import pytest
 from commands import code_of
 
 from tom.cli.signals import STOPPING, on_stopping
+from tom.record import Store
 from tom.training.run import Stop
 
 HUP, TERM, INT = signal.SIGHUP, signal.SIGTERM, signal.SIGINT
@@ -88,3 +89,15 @@ def test_handlers_are_put_back_after_a_command(words: tuple[str, ...], tmp_path:
     before = [signal.getsignal(number) for number in STOPPING]
     code_of([*words, "--store", str(tmp_path / "store")])
     assert [signal.getsignal(number) for number in STOPPING] == before
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_closed_stream_does_not_change_how_a_training_ends(tmp_path: Path, closed: str):
+    words = [sys.executable, "-m", "tom", "train", *SMOKE, "--no-rerun", "--store", str(tmp_path)]
+    shell = subprocess.run(
+        ["sh", "-c", f'"$@" {closed}', "sh", *words], capture_output=True, text=True, check=False
+    )
+    assert shell.returncode == 0
+    assert "Traceback" not in shell.stderr
+    (run,) = Store(tmp_path).runs()
+    assert run.status.state == "finished"

@@ -14,6 +14,7 @@ from tom.errors import DivergedError, OwnCodeError
 from tom.learners.base import Weighting
 from tom.learners.own import OwnLearner
 from tom.learners.terms import Terms
+from tom.metrics import METRICS
 
 N = 50
 
@@ -91,6 +92,15 @@ def test_weights_of_another_type_or_mean_are_brought_to_ours():
     assert (found.weights.dtype, found.weights.requires_grad) == (torch.float32, False)
     assert found.metrics == {"a": 2.0}
     assert "mean 7" in dict(found.notices)["weights-scaled"]
+
+
+OURS = ["env_step", *(name for name in METRICS if name.startswith(("eval/", "weights/m", "time/")))]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_metric_named_like_one_that_the_training_records_is_refused_by_name(name: str):
+    with pytest.raises(OwnCodeError, match=name):
+        own(Weighting(weights(), metrics={name: 7.0})).weigh(context(rows(N)))
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,7 @@ def test_half_a_last_line_is_skipped_by_readers_and_cut_off_by_the_next_writer(t
     assert rows == [{"env_step": 1}]
     assert problems == ["m: the last line is half written and was skipped"]
     lines = JsonLines(path)
+    lines.cut(lines.size)
     lines.append({"env_step": 2})
     lines.close()
     assert read_json_lines(path) == ([{"env_step": 1}, {"env_step": 2}], [])

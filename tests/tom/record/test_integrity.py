@@ -90,7 +90,7 @@ def test_a_run_that_was_mended_goes_on_where_its_checkpoint_was(store: Store):
     path.write_bytes(path.read_bytes().replace(b'{"env_step":1,', b'{"env_step"1;,'))
     repair(store.run("a"))
     writer = RunWriter(store.path / "a", Config)
-    writer.rewind(mark)
+    writer.rewind(mark, 2)
     for step in (3, 4):
         writer.metrics({"env_step": step, "x": step})
     writer.close()
@@ -173,7 +173,7 @@ def test_a_training_that_goes_on_cuts_a_file_that_was_mended_shorter_to_whole_ro
         writer.metrics({"env_step": step, "x": step})
     mark = writer.mark()
     mark["lines"][0] -= 5  # within the last row, if the file was as much longer
-    writer.rewind(mark)
+    writer.rewind(mark, 2)
     writer.metrics({"env_step": 3, "x": 4})
     writer.close()
     run = store.run("a")

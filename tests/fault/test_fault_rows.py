@@ -1,0 +1,164 @@
+"""Rows of a run that are lost, changed or replaced by another program."""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from faults import config, one_line, stopped
+from same_records import assert_same_record, untimed
+
+from tom.cli import main
+from tom.events import Event
+from tom.record import Store, checkpoint, digests
+from tom.record.integrity import repair, verify
+from tom.training.resume import resume
+from tom.training.run import train
+
+pytestmark = [pytest.mark.fault, pytest.mark.quick]
+
+LINES = ["metrics.jsonl", "weights/profiles.jsonl"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that finished, one that was stopped, and a longer one that nothing happened to."""
+    path = tmp_path_factory.mktemp("made") / "store"
+    train(config(), Store(path), "finished", rerun=False)
+    stopped(Store(path), 130, "stopped")
+    train(config(steps=300), Store(path), "whole", rerun=False)
+    return path
+
+
+@pytest.fixture
+def store(made: Path, tmp_path: Path) -> Store:
+    return Store(shutil.copytree(made, tmp_path / "store"))
+
+
+def halved(content: bytes) -> bytes:
+    lines = content.splitlines(keepends=True)
+    return b"".join(lines[: len(lines) // 2])
+
+
+def without_its_second_row(content: bytes) -> bytes:
+    first, _, *rest = content.splitlines(keepends=True)
+    return b"".join([first, *rest])
+
+
+def edited(content: bytes) -> bytes:
+    """The last digit of the first row is another."""
+    first, *rest = content.splitlines(keepends=True)
+    changed = re.sub(rb"\d(\D*)$", lambda found: b"%d" % (found[0][:1] == b"0") + found[1], first)
+    return b"".join([changed, *rest])
+
+
+def torn(content: bytes) -> bytes:
+    return content[:-20]
+
+
+DAMAGES = [halved, without_its_second_row, edited, torn]
+
+
+def refused(store: Store, run_id: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line in which a resume of the run is refused."""
+    capsys.readouterr()
+    command = ["train", "--resume", run_id, "--steps=300", "--no-rerun", "--store", str(store.path)]
+    assert main(command) == 2
+    return one_line(capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("name", LINES)
+def test_a_finished_run_that_lost_rows__a_resume_is_refused_until_it_is_repaired(
+    store: Store, name: str, damage: Callable[[bytes], bytes], capsys: pytest.CaptureFixture[str]
+):
+    run = store.run("finished")
+    before = untimed(run)
+    copy, path = run.path / "metrics.parquet", run.path / name
+    table = copy.read_bytes()
+    path.write_bytes(damage(path.read_bytes()))
+    assert name in refused(store, "finished", capsys)
+    assert copy.read_bytes() == table
+    assert any(name in problem for problem in verify(run))
+    repair(run)
+    assert verify(run) == []
+    after = resume(store, "finished", steps=300, rerun=False)
+    assert verify(after) == []
+    count = sum(
+        step < 240 for step in before["env_step"]
+    )  # the next fit adds to the row of step 240
+    pd.testing.assert_frame_equal(untimed(after).head(count), before.head(count), check_like=True)
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("name", LINES)
+def test_a_killed_run_that_lost_rows__a_resume_is_refused_until_it_is_repaired(
+    store: Store, name: str, damage: Callable[[bytes], bytes], capsys: pytest.CaptureFixture[str]
+):
+    run = store.run("stopped")
+    (run.path / "metrics.parquet").unlink()  # it is written at the end
+    path = run.path / name
+    path.write_bytes(damage(path.read_bytes()))
+    assert any(name in problem for problem in verify(run))
+    assert name in refused(store, "stopped", capsys)
+    repair(run)
+    assert verify(run) == []
+    after = resume(store, "stopped", rerun=False)
+    assert (after.status.state, verify(after)) == ("finished", [])
+
+
+def test_a_checkpoint_of_an_earlier_version_without_digests__goes_on(store: Store):
+    folder = store.path / "stopped" / checkpoint.FOLDER
+    held = checkpoint.load(folder)
+    assert held is not None
+    del held.state["record"]["files"]["sha256"]
+    checkpoint.save(folder, held.env_step, held.state)
+    assert_same_record(store.run("finished"), resume(store, "stopped", rerun=False))
+
+
+def replace_by_a_copy(path: Path) -> None:
+    shutil.copy2(path, path.with_suffix(".copy"))
+    path.with_suffix(".copy").rename(path)
+
+
+def replace_by_an_older_copy(path: Path) -> None:
+    path.with_suffix(".copy").write_bytes(halved(path.read_bytes()))
+    path.with_suffix(".copy").rename(path)
+
+
+@pytest.mark.parametrize("at", [130, 300])
+@pytest.mark.parametrize("change", [replace_by_a_copy, replace_by_an_older_copy, Path.unlink])
+@pytest.mark.parametrize("name", LINES)
+def test_rows_that_are_replaced_or_deleted_during_a_training__are_all_there(
+    store: Store, name: str, change: Callable[[Path], object], at: int
+):
+    done: list[int] = []
+
+    def changed(event: Event) -> None:
+        if event.env_step == at and not done:
+            done.append(event.env_step)
+            change(store.path / "a" / name)
+
+    run = train(config(steps=300), store, "a", rerun=False, watchers=(changed,))
+    assert_same_record(store.run("whole"), run)
+    assert verify(run) == []
+
+
+def test_a_buffer_that_was_lost__is_a_problem_of_the_checkpoint_that_counts_on_it(store: Store):
+    run = store.run("stopped")
+    shutil.rmtree(run.path / "buffer")
+    (run.path / "buffer").mkdir()
+    assert any("buffer" in problem for problem in verify(run))
+
+
+def test_a_damaged_row_with_which_copy_and_digests_agree__is_found(store: Store):
+    run = store.run("finished")
+    path = run.path / "metrics.jsonl"
+    path.write_bytes(path.read_bytes().replace(b'{"env_step"', b"{nothing", 1))
+    (run.path / "metrics.parquet").touch()
+    digests.write(run.path)
+    assert any("metrics.jsonl" in problem for problem in verify(run))
+    repair(run)
+    assert verify(run) == []
