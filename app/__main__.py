@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.servers.launcher import Studio, run
 from tom import plugins
-from tom.cli.arguments import Parser, named_plugins
+from tom.cli.arguments import Parser
 from tom.cli.parser import folder
 from tom.errors import UserError, unreachable
 from tom.harmless import terminal
@@ -18,7 +18,7 @@ from tom.record.store import Store
 def main(argv: Sequence[str] | None = None) -> int:
     """Open the studio until Ctrl-C: 0 stopped, 1 a server failed, 2 bad input."""
     try:
-        plugins.load(named_plugins(sys.argv[1:] if argv is None else argv))
+        plugins.load(plugins.given(sys.argv[1:] if argv is None else argv))
         args = _parser().parse_args(argv)
         store = _readable(args.store)
         if args.screenshots and args.cinema:

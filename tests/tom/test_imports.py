@@ -136,21 +136,30 @@ def test_reading_a_run_imports_little():
     assert not {"torch", "mujoco", "gymnasium", "rerun", "scipy"} & set(loaded)
 
 
-@pytest.mark.parametrize("option", ["--version", "--help"])
-def test_an_option_without_a_command_imports_no_library(option: str):
+LIBRARIES = {"torch", "scipy", "matplotlib", "mujoco", "gymnasium", "rerun", "streamlit"}
+
+
+@pytest.mark.parametrize(
+    ("words", "others"),
+    [
+        (["--version"], {"numpy", "pandas", "pydantic"}),
+        (["--help"], {"numpy", "pandas", "pydantic"}),
+        (["runs", "list", "--store", "runs"], set()),
+    ],
+)
+def test_a_command_that_only_reads_imports_no_heavy_library(words: list[str], others: set[str]):
     code = f"""
 import sys
 from tom.cli import main
 try:
-    main(["{option}"])
+    main({words})
 finally:
     print(*sys.modules, file=sys.stderr)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0
     assert done.stdout
-    heavy = {"torch", "numpy", "pandas", "pydantic", "scipy", "matplotlib", "mujoco", "rerun"}
-    assert not heavy & set(done.stderr.split())
+    assert not (LIBRARIES | others) & set(done.stderr.split())
 
 
 def test_the_studio_reads_run_folders_through_one_module():

@@ -16,9 +16,9 @@ from tom.config import OnlineConfig
 from tom.data.transitions import Transitions
 from tom.events import Collected, Episode, Evaluation, Event, Metrics, Tick, Weights
 from tom.metrics import METRICS
-from tom.record.heartbeat import BEAT_S
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import open_sink
+from tom.record.status import BEAT_S
 from tom.record.store import Store
 from tom.record.writer import RunWriter
 

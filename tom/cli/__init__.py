@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from tom import __version__
-from tom.cli.arguments import Parser, named_plugins
+from tom import __version__, plugins
+from tom.cli.arguments import Parser
 from tom.errors import UserError, reason, unreachable
 from tom.harmless import terminal
 
@@ -37,10 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         studio.hand_over(arguments[1:])
     try:
-        if not COMMANDS.keys().isdisjoint(arguments):  # else `--help` would wait for torch
-            from tom import plugins
-
-            plugins.load(named_plugins(arguments))
+        plugins.load(plugins.given(arguments))
         args = build_parser(arguments).parse_args(arguments)
         from tom.cli.named import bring_named
 
@@ -73,7 +70,7 @@ def _close_stdout() -> None:
 def build_parser(arguments: Sequence[str] = ()) -> Parser:
     """The parser of the commands that `arguments` name; of the others it knows the name alone.
 
-    Commands and plug-ins take seconds to import, so `tom --help` and `--version` import none.
+    Commands take seconds to import.
     """
     parser = Parser(
         prog="tom",

@@ -1,13 +1,11 @@
-"""The argument parser: one-line errors with a suggestion, and the plug-ins of every command."""
+"""The argument parser: one-line errors with a suggestion."""
 
 import argparse
 import sys
-from collections.abc import Sequence
 from difflib import get_close_matches
-from itertools import pairwise
 from typing import Any, NoReturn
 
-PLUGIN = "--plugin"
+from tom import plugins
 
 
 class Parser(argparse.ArgumentParser):
@@ -19,7 +17,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, allow_abbrev=False, **options)
         self.add_argument(
-            PLUGIN,
+            plugins.OPTION,
             action="append",
             metavar="FILE.py|MODULE",
             help="a plug-in of yours: its learners, tasks, metrics and pages join ours",
@@ -37,10 +35,3 @@ class Parser(argparse.ArgumentParser):
             hint = f", did you mean {near[0]}?" if near else ""
             self.error(f"unknown argument {rest[0]}{hint}")
         return parsed, rest
-
-
-def named_plugins(arguments: Sequence[str]) -> list[str]:
-    """The plug-ins that a command line names."""
-    separate = [value for word, value in pairwise(arguments) if word == PLUGIN]
-    joined = [word for word in arguments if word.startswith(f"{PLUGIN}=")]
-    return separate + [word.partition("=")[2] for word in joined]

@@ -3,8 +3,6 @@
 import argparse
 
 from tom.cli.parser import DEST
-from tom.envs import bring
-from tom.envs.ends import bring_rule
 
 TERMINATION = "model.termination"
 
@@ -22,7 +20,12 @@ def add_termination(parser: argparse._ActionsContainer) -> None:
 
 def bring_named(args: argparse.Namespace) -> None:
     """Import the modules of the tasks and the rule that these arguments name. Raises UserError."""
-    given = getattr(args, "env", None)
+    given, rule = getattr(args, "env", None), getattr(args, DEST + TERMINATION, None)
+    if given is None and rule is None:
+        return
+    from tom.envs import bring  # a simulator takes a second to import
+    from tom.envs.ends import bring_rule
+
     for name in given if isinstance(given, list) else [given]:
         bring(name)
-    bring_rule(getattr(args, DEST + TERMINATION, None))
+    bring_rule(rule)

@@ -18,9 +18,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
-import torch
-
-from tom.data.tensor_files import check_tensors, check_views
 from tom.data.unpack import DAMAGE, cannot_read_now, open_file
 from tom.errors import reason
 from tom.machine.memory import ran_out
@@ -173,6 +170,8 @@ class _Hashing:
 
 def _save_state(folder: Path, state: dict[str, Any]) -> dict[str, Any]:
     """Write the state; returns the manifest."""
+    import torch  # takes a second to import; who lists checkpoints does without it
+
     with (folder / STATE).open("wb") as file:
         hashing = _Hashing(file)
         try:
@@ -196,6 +195,10 @@ def _whole(path: Path) -> Iterator[BinaryIO]:
 
 
 def _load_one(path: Path) -> dict[str, Any]:
+    import torch
+
+    from tom.data.tensor_files import check_tensors, check_views
+
     with _whole(path) as file:
         check_tensors(file)
         # On the CPU, so that it can be read on a machine without GPU.

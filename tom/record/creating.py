@@ -11,7 +11,6 @@ from tom.errors import UserError
 from tom.record import layout
 from tom.record.files import replace_json, whole_folder
 from tom.record.store import Store
-from tom.record.task_record import description, save_scene
 from tom.record.versions import git_commit, machine, versions
 
 TAKEN = "exists already"
@@ -28,6 +27,8 @@ def make_folder(store: Store, run_id: str, config: RunConfig, matmul: object, co
     `matmul` is the result of the probe for fast matrix products (any JSON value).
     Raises UserError if the id is invalid or taken, or if the store cannot be written.
     """
+    from tom.record.task_record import save_scene  # a simulator takes a second to import
+
     path = store.resolve(run_id)
     store.ensure_writable()
     if os.path.lexists(path):
@@ -47,6 +48,8 @@ def make_folder(store: Store, run_id: str, config: RunConfig, matmul: object, co
 
 
 def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> dict[str, Any]:
+    from tom.record.task_record import description
+
     task = description(config.env)
     return {
         "schema": layout.SCHEMA,

@@ -6,11 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from tom.record.status import Status
+from tom.record.status import BEAT_S, Status
 from tom.record.writer import RunWriter
-
-BEAT_S = 2.0
-"""seconds between two heartbeats"""
 
 WARNINGS = 8
 """kinds of notices that appear as warnings in the status"""

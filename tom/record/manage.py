@@ -10,9 +10,9 @@ from pathlib import Path
 from tom.errors import UserError
 from tom.record import labels, layout, lock
 from tom.record.files import read_json, replace_json
-from tom.record.heartbeat import BEAT_S
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
+from tom.record.status import BEAT_S
 from tom.record.store import Store
 
 TRASH = ".trash"

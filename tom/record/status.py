@@ -4,6 +4,9 @@ import time
 from dataclasses import dataclass, fields
 from typing import Any, TypeGuard
 
+BEAT_S = 2.0
+"""seconds between two heartbeats"""
+
 DEAD_AFTER_S = 30.0
 """seconds without heartbeat after which a running run counts as dead"""
 

@@ -16,10 +16,10 @@ from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store, checkpoint, lock
 from tom.record.checkpoint import Checkpoint
-from tom.record.heartbeat import BEAT_S
 from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import open_sink
+from tom.record.status import BEAT_S
 from tom.record.writer import RunWriter
 from tom.training.presets import config_type
 from tom.training.resume_checks import check_training, check_versions

@@ -11,10 +11,8 @@ from tom.cli.runs import fetch, files
 from tom.cli.runs import labels as runs_labels
 from tom.cli.tables import number, show, summary
 from tom.config import flat
-from tom.envs import ENV_NAMES
 from tom.errors import UserError, unknown
 from tom.harmless import terminal
-from tom.learners import LEARNERS
 from tom.record import RunReader, Status, Store, small_copy
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
@@ -139,13 +137,21 @@ def _comparable(run: RunReader) -> dict[str, Any]:
 
 def _check_filters(args: argparse.Namespace, runs: Sequence[RunReader]) -> None:
     """Raises UserError for an environment or learner that is unknown and that no run has."""
-    known = {
-        "env": (args.env, [*ENV_NAMES, *(run.env for run in runs)]),
-        "learner": (args.learner, [*LEARNERS, *(run.learner for run in runs)]),
+    asked = {"env": args.env, "learner": args.learner}
+    missing = {
+        kind: name
+        for kind, name in asked.items()
+        if name is not None and name not in {getattr(run, kind) for run in runs}
     }
-    for kind, (asked, names) in known.items():
-        if asked is not None and asked not in names:
-            raise unknown(kind, asked, dict.fromkeys(names))
+    if not missing:
+        return
+    from tom.envs import ENV_NAMES  # they take seconds to import
+    from tom.learners import LEARNERS
+
+    for kind, name in missing.items():
+        ours = ENV_NAMES if kind == "env" else tuple(LEARNERS)
+        if name not in ours:
+            raise unknown(kind, name, dict.fromkeys([*ours, *(getattr(r, kind) for r in runs)]))
 
 
 def _wanted(run: RunReader, status: Status, args: argparse.Namespace) -> bool:

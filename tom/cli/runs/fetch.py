@@ -6,8 +6,6 @@ import json
 from tom.errors import UserError
 from tom.harmless import terminal
 from tom.record import Store
-from tom.record.bucket.fetching import fetch_run, run_ids
-from tom.record.bucket.objects import Bucket
 
 
 def add_verbs(verbs, add_verb) -> None:
@@ -17,6 +15,9 @@ def add_verbs(verbs, add_verb) -> None:
 
 
 def fetch(args: argparse.Namespace) -> int:
+    from tom.record.bucket.fetching import fetch_run, run_ids
+    from tom.record.bucket.objects import Bucket
+
     bucket, store = Bucket.open(args.url), Store(args.store)
     done: dict[str, str] = {}
     try:

@@ -12,12 +12,8 @@ from tom.errors import UserError
 from tom.harmless import terminal
 from tom.record import RunReader, Store, sizes
 from tom.record.export import EXPORTERS, export, export_small
-from tom.record.integrity import repair, verify
 from tom.record.layout import WEIGHINGS
 from tom.record.thin import OPTIONAL, SERIES
-from tom.reports.index import NAME as README
-from tom.reports.index import index, small_copies, write
-from tom.reports.weighing_files import copy_small, of_run
 
 MB = 1e6
 
@@ -58,6 +54,8 @@ def add_verbs(verbs, add_verb) -> None:
 
 
 def verify_runs(args: argparse.Namespace) -> int:
+    from tom.record.integrity import verify
+
     store = Store(args.store)
     runs = _chosen(store, args.run_ids)
     problems = {run.run_id: verify(run) for run in runs}
@@ -74,6 +72,8 @@ def verify_runs(args: argparse.Namespace) -> int:
 
 
 def repair_runs(args: argparse.Namespace) -> int:
+    from tom.record.integrity import repair
+
     repairs = {run.run_id: repair(run) for run in _chosen(Store(args.store), args.run_ids)}
     if args.json:
         print(json.dumps(repairs))
@@ -108,6 +108,8 @@ def export_runs(args: argparse.Namespace) -> int:
 def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
     """Export a run; a small copy brings copies of the weighings of its buffer."""
     if args.small:
+        from tom.reports.weighing_files import copy_small
+
         yield export_small(run, args.out, args.keep, args.without)
         yield from copy_small(args.store, run.run_id, args.out)
     else:
@@ -131,11 +133,14 @@ def _all_or_none(folder: Path) -> Iterator[list[Path]]:
 
 
 def write_index(args: argparse.Namespace) -> int:
+    from tom.reports.index import NAME, index, small_copies, write
+    from tom.reports.weighing_files import of_run
+
     store = Store(args.store)
     runs = small_copies(store)
     if not runs:
         raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
-    path = store.path / README
+    path = store.path / NAME
     write(path, index(runs, [w for run in runs for w in of_run(store.path, run.run_id)]))
     print(json.dumps(str(path)) if args.json else terminal(path))
     return 0

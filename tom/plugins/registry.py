@@ -1,22 +1,9 @@
-"""Plug-ins: user modules that register learners, tasks, termination rules, metrics and pages.
+"""What a plug-in may register."""
 
-A plug-in has one function, `register(registry)`. It is code that the user chose to run, by
-`--plugin FILE.py|module` or by installing a package with an entry point in the group `tom_studio`.
-Its entries go into the same registries as ours. A run records the names of the plug-ins that it
-needs; nothing is ever imported because a run names it.
-"""
-
-import importlib.util
-import json
-import os
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import torch
@@ -33,19 +20,14 @@ from tom.config import (
 from tom.envs import ENV_NAMES, OTHERS, Task, Termination
 from tom.envs.ends import LEARNT, RULES
 from tom.envs.gymnasium_task import STEPS, look_at
-from tom.envs.user_code import import_named, remember
-from tom.errors import OF_USERS, UserError, reason
-from tom.harmless import terminal
+from tom.errors import UserError
 from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
 from tom.learners.own import OwnLearner
 from tom.metrics import FATAL, METRICS, OURS
+from tom.plugins.kept import CHARTS, OWNERS, PAGES, Chart, Page
 from tom.road.baselines import BASELINES
 
-GROUP = "tom_studio"
-VARIABLE = "TOM_STUDIO_PLUGINS"
-"""tells child processes which plug-ins the user named"""
-OPTION = "--plugin"
 NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
 COLOUR = re.compile(r"#[0-9a-f]{6}")
 OUR_SETTINGS = frozenset(
@@ -54,24 +36,6 @@ OUR_SETTINGS = frozenset(
 
 Make = Callable[[Any, int, int, torch.Generator], Learner]
 """(config, obs_dim, action_dim, generator) -> learner; the config has the learner's settings."""
-Chart = Callable[[Sequence[Any], int], Any]
-"""(curves, height) -> a Plotly figure; a curve has `run_id`, `learner`, `step` and `value`."""
-
-
-@dataclass(frozen=True)
-class Page:
-    """A page of the studio from a plug-in, with the same attributes as a module of our pages."""
-
-    TITLE: str
-    ICON: str
-    PATH: str
-    page: Callable[[], None]
-
-
-CHARTS: dict[str, Chart] = {}
-PAGES: list[Page] = []
-_LOADED: dict[str, str] = {}  # what was loaded -> the plug-in's name
-_OWNERS: dict[tuple[str, str], str] = {}  # (kind, name) -> the plug-in's name
 
 
 class Registry:
@@ -192,104 +156,4 @@ class Registry:
             )
         if name in taken:
             raise UserError(f"plug-in {self.plugin}: there is a {kind} '{name}' already")
-        _OWNERS[kind, name] = self.plugin
-
-
-def load(named: Sequence[str] = ()) -> None:
-    """Load installed plug-ins, those that the parent process named, and `named`.
-
-    Child processes will load the same. Raises UserError if one cannot be loaded; a broken installed
-    plug-in is skipped with one line on stderr.
-    """
-    for point in entry_points(group=GROUP):
-        _load_installed(point)
-    wanted = list(dict.fromkeys([*wanted_here(), *map(_absolute, named)]))
-    for word in wanted:
-        _load(word)
-    if wanted:
-        os.environ[VARIABLE] = json.dumps(wanted)
-
-
-def wanted_here() -> list[str]:
-    """The plug-ins that the user named to this process, or to the one that started it."""
-    return json.loads(os.environ.get(VARIABLE, "[]"))
-
-
-def needed(config: RunConfig) -> list[str]:
-    """The names of the plug-ins that a run of this configuration needs."""
-    rule = getattr(getattr(config, "model", None), "termination", None)
-    uses = ("learner", config.learner), ("task", config.env), ("termination", rule or "")
-    return sorted({_OWNERS[use] for use in uses if use in _OWNERS})
-
-
-def require(run_id: str, names: object) -> None:
-    """Raises UserError for the first plug-in of a run's `names` that is not loaded."""
-    for name in names if isinstance(names, list) else ():
-        if name not in _LOADED.values():
-            raise UserError(
-                f"run '{run_id}' was made with the plug-in {name}: add {OPTION} {name} (its file "
-                "or module, where it lies now)"
-            )
-
-
-def _absolute(word: str) -> str:
-    return str(Path(word).absolute()) if _is_file(word) else word
-
-
-def _is_file(word: str) -> bool:
-    return word.endswith(".py") or "/" in word
-
-
-def _load(word: str) -> None:
-    if word in _LOADED or (word in _LOADED.values() and not _is_file(word)):
-        return
-    name = Path(word).name if _is_file(word) else word
-    module = _of_file(Path(word)) if _is_file(word) else import_named(word, f"{OPTION} {word}")
-    _register(getattr(module, "register", None), name)
-    _LOADED[word] = name
-
-
-def _load_installed(point: EntryPoint) -> None:
-    key = f"{GROUP}:{point.name}"
-    if key in _LOADED:
-        return
-    try:
-        module = point.load()
-        _register(getattr(module, "register", module), point.name)
-        remember(point.module, sys.modules[point.module])
-        _LOADED[key] = point.name
-    except OF_USERS as error:  # a broken package must not stop every command
-        said = f"tom: the installed plug-in {point.name} is left out: {reason(error)}"
-        print(terminal(said), file=sys.stderr)
-
-
-def _of_file(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise UserError(f"{OPTION} {path}: there is no such file")
-    name = f"tom_plugin_{re.sub(r'[^A-Za-z0-9]', '_', path.stem)}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise UserError(f"{OPTION} {path}: no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except OF_USERS as error:  # the user's own code
-        raise UserError(_failure(str(path), error)) from error
-    remember(str(path), module)
-    return module
-
-
-def _register(register: object, name: str) -> None:
-    if not callable(register):
-        raise UserError(f"plug-in {name} has no function register(registry)")
-    try:
-        register(Registry(name))
-    except UserError:
-        raise
-    except OF_USERS as error:
-        raise UserError(_failure(name, error)) from error
-
-
-def _failure(name: str, error: BaseException) -> str:
-    return f"plug-in {name} fails: {type(error).__name__}: {reason(error)}"
+        OWNERS[kind, name] = self.plugin
