@@ -33,7 +33,7 @@ class SurpriseLearner:
     def __init__(
         self, config: SurpriseConfig, obs_dim: int, action_dim: int, generator: torch.Generator
     ) -> None:
-        net = StackedMLP(1, [obs_dim + action_dim, config.hidden, 1], torch.tanh, [generator])
+        net = StackedMLP(1, [obs_dim + action_dim, config.hidden, 1], torch.tanh, generator)
         self.config = config
         self.network = Trained(net, config.lr)
 

@@ -18,7 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tom.errors import OF_USERS, UserError, reason
 from tom.harmless import terminal
@@ -26,8 +26,19 @@ from tom.plugins.kept import CHARTS, OWNERS, PAGES
 
 if TYPE_CHECKING:
     from tom.config import RunConfig
+    from tom.plugins.registry import Registry
 
-__all__ = ["CHARTS", "OPTION", "PAGES", "given", "load", "needed", "require", "wanted_here"]
+__all__ = [
+    "CHARTS",
+    "OPTION",
+    "PAGES",
+    "Registry",
+    "given",
+    "load",
+    "needed",
+    "require",
+    "wanted_here",
+]
 
 GROUP = "tom_studio"
 VARIABLE = "TOM_STUDIO_PLUGINS"
@@ -35,6 +46,14 @@ VARIABLE = "TOM_STUDIO_PLUGINS"
 OPTION = "--plugin"
 
 _LOADED: dict[str, str] = {}  # what was loaded -> the plug-in's name
+
+
+def __getattr__(name: str) -> Any:
+    if name != "Registry":
+        raise AttributeError(f"module 'tom.plugins' has no attribute '{name}'")
+    from tom.plugins.registry import Registry
+
+    return Registry
 
 
 def given(arguments: Sequence[str]) -> list[str]:

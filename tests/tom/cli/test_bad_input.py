@@ -128,7 +128,7 @@ def test_steps_that_a_run_cannot_go_on_to(steps: str, named: str, capsys, tmp_pa
 
 
 def test_a_seed_of_thousands_of_digits(capsys, tmp_path: Path):
-    words = [*TRAIN, "--seed", "9" * 5000, "--engine", "processes", "--store", str(tmp_path)]
+    words = [*TRAIN, "--learner", "mle", "tom", "--seed", "9" * 5000, "--store", str(tmp_path)]
     code, message = outcome(words, capsys)
     assert code == 2
     assert "must be a whole number, 0 or more" in message
