@@ -24,7 +24,8 @@ VISER, RERUN = "3D scene", "Rerun"
 STAGE_HEIGHT = 520
 CURVE_HEIGHT = 150
 """of one dimension's curves"""
-TICK_S = 0.5
+TICK_S, REST_S = 0.5, 1.0
+"""between two looks at the scene's clock while it plays, and while it stands"""
 CHOSEN = "another episode was chosen"
 
 
@@ -53,7 +54,12 @@ def page() -> None:
     if replay is None:
         return
     _numbers(replay)
-    _play(run, replay, returns, index, horizon)
+    playing = player.follow(replay)
+    st.fragment(_play, run_every=TICK_S if playing else None)(
+        run, replay, returns, index, horizon, playing
+    )
+    if not playing:
+        _wake(replay)
     empty.left_out(run, "other evaluations", "other episodes")
     widgets.show_problems(run)
 
@@ -70,12 +76,20 @@ def _loaded(run: RunInfo, step: int, index: int, horizon: int) -> Replay | None:
     return replay
 
 
-@st.fragment(run_every=TICK_S)
-def _play(run: RunInfo, replay: Replay, returns: np.ndarray, index: int, horizon: int) -> None:
+@st.fragment(run_every=REST_S)
+def _wake(replay: Replay) -> None:
+    """Redraw the page when the scene, which has controls of its own, plays or has moved."""
+    before = st.session_state.get(player.FRAME)
+    if player.follow(replay) or st.session_state.get(player.FRAME) != before:
+        st.rerun()
+
+
+def _play(
+    run: RunInfo, replay: Replay, returns: np.ndarray, index: int, horizon: int, playing: bool
+) -> None:
     """The episode and its charts, which follow the clock of the scene during playback."""
-    if st.session_state.pop(CHOSEN, False):
+    if st.session_state.pop(CHOSEN, False) or player.follow(replay) != playing:
         st.rerun()  # the choice of a click here is read above
-    playing = player.follow(replay)
     frame = player.marked(replay)
     left, right = st.columns([3, 2])
     with left:

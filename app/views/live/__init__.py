@@ -24,7 +24,8 @@ TITLE = "Live"
 ICON = ":material/monitor_heart:"
 PATH = ""
 
-REFRESH_S = 2
+REFRESH_S, REST_S = 2, 5
+"""between two redraws while something trains, and between two looks at the store else"""
 MOURNED_S = 900
 """seconds for which a dead run stays on the page"""
 MAIN_METRIC = "eval/return"
@@ -61,7 +62,10 @@ def page() -> None:
         select_all=False,
     )
     start.panel()
-    _followed(chosen, metrics)
+    alive = any(run.status.alive for run in runs)
+    st.fragment(_followed, run_every=REFRESH_S if alive else None)(chosen, metrics, alive)
+    if not alive:
+        _wake(_states(runs))
     icon, asked = ":material/view_in_ar:", rerun.CHOICE in st.query_params
     with st.expander("Rerun: everything that one run has recorded", icon=icon, expanded=asked):
         rerun.frame(runs)
@@ -106,11 +110,23 @@ def available(runs: Sequence[RunInfo]) -> list[str]:
     return first + sorted(metrics.difference(first))
 
 
-@st.fragment(run_every=REFRESH_S)
-def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
+@st.fragment(run_every=REST_S)
+def _wake(drawn: list[tuple[str, str, int]]) -> None:
+    """Redraw the page when a run has come, gone or changed."""
+    if _states(readers.listing(session.links().store).runs) != drawn:
+        st.rerun()
+
+
+def _states(runs: Sequence[RunInfo]) -> list[tuple[str, str, int]]:
+    return [(run.run_id, run.status.shown, run.status.env_step) for run in runs]
+
+
+def _followed(chosen: Sequence[str], metrics: Sequence[str], refreshed: bool) -> None:
     runs = readers.listing(session.links().store).runs
     shown = watched(runs, chosen)
     alive = sum(run.status.alive for run in runs)
+    if bool(alive) != refreshed:
+        st.rerun()
     st.caption(_headline(alive, shown, chosen))
     start.failures(runs)
     cards(shown, runs)
