@@ -130,7 +130,7 @@ def _figure(
             alone, how.metric, height, legend=len(alone) <= 12, axes=how.axes, looks=looks,
             called=apart,
         )  # fmt: skip
-        entries = {curve.run_id: curve.run_id for curve in alone}
+        entries = {line_uid(curve): curve.run_id for curve in alone}
 
     def switch(uids: Sequence[str]) -> None:
         off = [entries[uid] for uid in uids if uid in entries]
