@@ -228,7 +228,7 @@ def columns() -> dict:
         "n": number("n", width=45, help="runs in the group"),
         "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
         "final": number(
-            "final", format="%.4g", help="over runs, of the last value up to that step"
+            "final", format="%.4g", help="over runs, of the value at that step, as the line has it"
         ),
         **{
             name: number(
