@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -84,7 +84,7 @@ def run_curves(
             go.Scatter(
                 x=step,
                 y=value,
-                uid=trace_id(curve.run_id),
+                uid=line_uid(curve),
                 name=text.plotly((called or {}).get(curve.run_id, plain)),
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
@@ -163,8 +163,13 @@ def _rows_beyond(figure: go.Figure, width: int) -> int:
     return max(0, legend_rows((trace.name for trace in traces if trace.showlegend), width) - ROWS)
 
 
-def _identity(group: Group | Curve) -> str:
-    return text.plotly(" ".join((group.env, *group.kind)))
+def _identity(group: Group | Curve, part: str = "") -> str:
+    return _identifier(group.env, *group.kind, part)
+
+
+def _identifier(*words: str) -> str:
+    """A name for these words that Plotly can make a CSS class of, whatever they are."""
+    return blake2b("\n".join(words).encode(), digest_size=8).hexdigest()
 
 
 def _draw_axes(
@@ -186,7 +191,7 @@ def _single(curve: Curve, look: Look) -> go.Scatter:
     return go.Scatter(
         x=step,
         y=value,
-        uid=trace_id(curve.run_id),
+        uid=line_uid(curve),
         name=text.plotly(curve.run_id),
         meta=curve.run_id,
         mode="lines",
@@ -205,7 +210,7 @@ def _band(group: Group, look: Look) -> go.Scatter:
     return go.Scatter(
         x=np.concatenate([step, step[::-1]]),
         y=np.concatenate([group.high[here], group.low[here][::-1]]),
-        uid=trace_id(_identity(group), "band"),
+        uid=_identity(group, "band"),
         name="band",
         fill="toself",
         fillcolor=faded(look.colour, 0.18),
@@ -232,7 +237,7 @@ def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
     for i, (part, whole) in enumerate(parts):
         part.update(
-            uid=line_uid(group) if i == 0 else trace_id(_identity(group), "dots"),
+            uid=line_uid(group) if i == 0 else _identity(group, "dots"),
             name=text.plotly(name) if i == 0 else "fewer runs than n",
             meta=[curve.run_id for curve in group.curves] if group.n > 1 else only,
             mode="lines+markers" if marked and whole else "lines",
@@ -254,14 +259,9 @@ def _short(title: str) -> str:
     return title if len(title) <= LONGEST else f"{title[: LONGEST - 3]}..."
 
 
-def line_uid(group: Group) -> str:
-    """The `uid` of a group's line in a chart."""
-    return trace_id(_identity(group), "line")
-
-
-def trace_id(*words: str) -> str:
-    """A `uid` of a trace from any words: letters and digits, as Plotly makes a CSS class of it."""
-    return sha256(" ".join(words).encode()).hexdigest()[:16]
+def line_uid(of: Group | Curve) -> str:
+    """The `uid` of a group's or a run's line in a chart."""
+    return _identity(of, "line") if isinstance(of, Group) else _identifier(of.run_id)
 
 
 def _beside(here: NDArray[np.bool_]) -> NDArray[np.bool_]:

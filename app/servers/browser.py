@@ -16,7 +16,7 @@ SETTLE_S = 45.0
 PATIENCE_MS = 180_000
 """time limit of a screenshot, long because the machine may be training"""
 DRAWN = """[...document.querySelectorAll(".plot")].every(
-    (plot) => plot.querySelector(".main-svg, .failed")
+    (plot) => plot.parentElement.querySelector(".main-svg, .plot-failed:not([hidden])")
 )"""
 """whether every chart is there, or its error message"""
 CHROMIUM_FLAGS = (

@@ -1,5 +1,6 @@
 """Streamlit's process: the pages, and the recordings for the Rerun viewer."""
 
+import gc
 import logging
 import re
 from pathlib import Path
@@ -149,9 +150,14 @@ def options(links: Links) -> dict:
 
 
 def warm(store: str) -> None:
-    """Read all metrics into the cache, for the first page that compares runs."""
+    """Read all metrics into the cache, for the first page that compares runs.
+
+    Streamlit collects garbage after every run of a page or fragment; what lives for good is frozen,
+    else each of these collections takes a quarter of a second.
+    """
     for run in readers.listing(store).runs:
         readers.metrics(run)
+    gc.freeze()
 
 
 def main() -> None:

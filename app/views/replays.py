@@ -24,7 +24,7 @@ VISER, RERUN = "3D scene", "Rerun"
 STAGE_HEIGHT = 520
 CURVE_HEIGHT = 150
 """of one dimension's curves"""
-TICK_S, REST_S = 0.5, 1.0
+TICK_S, REST_S = 0.5, 1.5
 """between two looks at the scene's clock while it plays, and while it stands"""
 CHOSEN = "another episode was chosen"
 

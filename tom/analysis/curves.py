@@ -157,7 +157,8 @@ def aggregate(
     between = any(((grid >= c.step[0]) & (grid <= c.step[-1])).sum() > len(c.step) for c in curves)
     thinned = len(grid) > GRID
     if thinned:
-        grid = grid[np.linspace(0, len(grid) - 1, GRID).astype(int)]
+        some = grid[np.linspace(0, len(grid) - 1, GRID - 1).astype(int)]
+        grid = np.union1d(some, [min(c.step[-1] for c in curves)])  # where a table compares runs
     values = np.stack([on_grid(c, grid) for c in curves])  # (n, T)
     count = np.isfinite(values).sum(0)
     complete = count == len(curves)

@@ -12,6 +12,7 @@ from tom.analysis.statistics import Interval
 Floats = NDArray[np.float64]
 
 FINAL, BEST, HEIGHT = "value at the end", "best value", "mean height"
+"""of the curve as it is drawn: between two points it is the straight line that joins them"""
 SCORES = (FINAL, BEST, HEIGHT)
 
 
@@ -41,14 +42,17 @@ def scores_of(curves: Sequence[Curve], score: str, until: float, since: float = 
 
 def _score(curve: Curve, score: str, until: float, since: float) -> float:
     cut = curve.until(until)
+    if not len(cut.step):
+        return np.nan
+    end = float(np.interp(until, curve.step, curve.value))
     if score == FINAL:
-        return cut.final
+        return end
     if score == BEST:
-        return cut.best
-    if not len(cut.step) or curve.step[-1] < until:
+        return max(cut.best, end)
+    if curve.step[-1] < until:
         return np.nan
     if until <= max(since, curve.step[0]):
-        return cut.final  # an area without width: its value is the mean height
+        return end  # an area without width: its value is the mean height
     return statistics.area_under_curve(curve.step, curve.value, until, since)
 
 

@@ -130,7 +130,7 @@ def chart(
 def _mount():
     return component(
         "tom_plot",
-        html='<div class="plot" role="img"></div>',
+        html='<p class="plot-failed" role="alert" hidden></p><div class="plot" role="img"></div>',
         css=_STYLE.read_text(),
         js=_SCRIPT.read_text(),
         isolate_styles=False,

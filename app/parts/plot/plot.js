@@ -48,14 +48,18 @@ function save(plot, format) {
   };
   const name = plot.getAttribute("aria-label").replace(/[^\w-]+/g, "-").slice(0, 80);
   const { width, height } = plot.getBoundingClientRect();
-  const options = { format, width, height, scale: 2, filename: name };
-  window.Plotly.downloadImage(picture, options).catch((error) => fail(plot, "saved", error));
+  const file = { format, width, height, scale: 2, filename: name };
+  window.Plotly.downloadImage(picture, file).catch(say(plot, "The chart cannot be saved"));
 }
 
-function fail(plot, what, { message }) {
-  const note = plot.querySelector(".failed") ?? plot.appendChild(document.createElement("p"));
-  note.className = "failed";
-  note.textContent = `The chart cannot be ${what}: ${message}`;
+// Puts above the chart that something failed, until it is drawn anew.
+function say(plot, what) {
+  return (error) => {
+    console.error(error);
+    const words = plot.parentElement.querySelector(".plot-failed");
+    words.textContent = `${what}: ${error?.message ?? error}`;
+    words.hidden = false;
+  };
 }
 
 function options(Plotly, selects, views) {
@@ -156,10 +160,11 @@ function wire(plot, Plotly) {
   });
   plot.on("plotly_restyle", () => plot.hides && plot.tell("hidden", hiddenLines(plot)));
   plot.on("plotly_deselect", () => plot.selects && select({ points: [], outline: [] }));
-  new ResizeObserver(() => {
+  plot.watch ??= new ResizeObserver(() => {
     // A chart on a hidden tab has no width until it is shown.
-    if (plot.isConnected && plot.clientWidth) Plotly.Plots.resize(plot);
-  }).observe(plot);
+    if (plot.wired && plot.isConnected && plot.clientWidth) Plotly.Plots.resize(plot);
+  });
+  plot.watch.observe(plot);
 }
 
 export default function ({ data, parentElement, setTriggerValue }) {
@@ -175,7 +180,7 @@ export default function ({ data, parentElement, setTriggerValue }) {
       if (!plot.isConnected) return;
       const { data: traces, layout } = JSON.parse(data.figure);
       const seen = plot.taken ? zoomed(layout, plot.taken) : layout;
-      plot.querySelector(".failed")?.remove();
+      plot.parentElement.querySelector(".plot-failed").hidden = true;
       // Plotly starts anew, zoom lost, when it gets other options: also other, equal functions.
       plot.options ??= options(Plotly, data.selects, Boolean(data.view));
       const drawn = Plotly.react(plot, traces, dressed(seen, theme(plot)), plot.options);
@@ -183,6 +188,12 @@ export default function ({ data, parentElement, setTriggerValue }) {
       plot.wired = true;
       await drawn;
     })
-    .catch((error) => fail(plot, "drawn", error));
+    .catch((error) => {
+      if (!plot.isConnected) return;
+      // What was drawn before is of other data.
+      window.Plotly?.purge(plot);
+      plot.wired = false;
+      say(plot, "The chart cannot be drawn")(error);
+    });
   return () => setTimeout(() => plot.isConnected || window.Plotly?.purge(plot));
 }

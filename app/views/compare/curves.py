@@ -130,7 +130,7 @@ def _figure(
             alone, how.metric, height, legend=len(alone) <= 12, axes=how.axes, looks=looks,
             called=apart,
         )  # fmt: skip
-        entries = {curve.run_id: curve.run_id for curve in alone}
+        entries = {line_uid(curve): curve.run_id for curve in alone}
 
     def switch(uids: Sequence[str]) -> None:
         off = [entries[uid] for uid in uids if uid in entries]
@@ -228,7 +228,7 @@ def columns() -> dict:
         "n": number("n", width=45, help="runs in the group"),
         "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
         "final": number(
-            "final", format="%.4g", help="over runs, of the last value up to that step"
+            "final", format="%.4g", help="over runs, of the value at that step, as the line has it"
         ),
         **{
             name: number(

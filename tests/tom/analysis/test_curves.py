@@ -114,7 +114,7 @@ def test_interpolation_is_known_where_the_group_is_thinned_too() -> None:
 def test_a_group_of_very_long_runs_is_thinned() -> None:
     group = aggregate([curve(list(range(5000)))])
     assert group.thinned
-    assert len(group.step) == GRID
+    assert GRID - 1 <= len(group.step) <= GRID
     assert (group.step[0], group.step[-1]) == (0, 4999)
 
 
