@@ -43,17 +43,20 @@ def requested(key: str) -> list[str] | None:
     return st.query_params.get_all(key) if left is None else left
 
 
-def carried(key: str) -> list[str] | None:
-    """As `requested`; on a page that is come to without words for it, those of another page."""
+def carried(key: str, of: str = "") -> list[str] | None:
+    """As `requested`; on a page that is come to without words for it, those of another page.
+
+    `of` is what the choice belongs to: one of another task is not carried into this one.
+    """
     given = requested(key)
     if given == [] and not _went_back():
-        return st.session_state.get(_CARRIED, {}).get(key, [])
+        return st.session_state.get(_CARRIED, {}).get((key, of), [])
     return given
 
 
-def carry(key: str, words: Sequence[str]) -> None:
+def carry(key: str, words: Sequence[str], of: str = "") -> None:
     """Set what `carried` gives on other pages."""
-    st.session_state.setdefault(_CARRIED, {})[key] = list(words)
+    st.session_state.setdefault(_CARRIED, {})[key, of] = list(words)
 
 
 def keep(key: str, words: Sequence[str]) -> None:
@@ -109,9 +112,13 @@ def choose_step(
     usual: T,
     key: str = "step",
     widget: Callable[..., Any] = st.select_slider,
+    *,
+    of: str,
     **more: Any,
 ) -> int | T:
     """A kept step, chosen by the user, a click or the address, else `usual`, which it then follows.
+
+    `of` is the task of the steps: in another task the step is the usual one again.
 
     In place of a step that was not kept the nearest is shown and named in the address, and a line
     says so. An address that names a step goes on naming the one that is shown. A choice without an
@@ -122,7 +129,7 @@ def choose_step(
         return min(steps, key=lambda at: abs(at - step)) if steps and _is_step(step) else usual
 
     follow(key, usual)
-    wanted = _wanted_step(key, usual)
+    wanted = _wanted_step(key, usual, of)
     step = nearest(wanted)
     if step != wanted:
         st.session_state[f"{key} asked"] = wanted
@@ -142,7 +149,7 @@ def choose_step(
         st.caption(f"Step {_in_words(asked)} was not kept; this is {which}{_in_words(step)}.")
     named = _is_step(step) and (step != usual or st.query_params.get_all(key))
     keep(key, [str(step)] if named else [])
-    carry(key, [str(asked)] if asked != usual else [])
+    carry(key, [str(asked)] if asked != usual else [], of)
     return step
 
 
@@ -229,11 +236,15 @@ def value_of(key: str, read: Callable[[list[str]], T]) -> T:
     return st.session_state[key]
 
 
-def _wanted_step(key: str, usual: object) -> Any:
+def _wanted_step(key: str, usual: object, of: str) -> Any:
     """The step that is asked for, kept or not."""
-    given = carried(key)
-    if given is None:
+    given = carried(key, of)
+    same = st.session_state.get(f"{key} of", of) == of
+    st.session_state[f"{key} of"] = of
+    if given is None and same:
         return st.session_state[key]
+    if given is None:  # of another task
+        given = st.session_state.get(_CARRIED, {}).get((key, of), [])
     st.session_state.pop(f"{key} asked", None)
     step = text.whole("".join(given[-1:]))
     return usual if step is None else step

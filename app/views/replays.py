@@ -41,7 +41,7 @@ def page() -> None:
         run = widgets.pick_run(played)
     with top[1]:
         steps = readers.evaluation_steps(run)
-        step = address.choose_step("Evaluation at step", steps, steps[-1])
+        step = address.choose_step("Evaluation at step", steps, steps[-1], of=run.env)
     returns = readers.returns(run, step)
     if not len(returns):
         st.warning("The episodes of this evaluation cannot be read.")

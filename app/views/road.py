@@ -68,7 +68,7 @@ def page() -> None:
         beside = _pick_others(run, shown)
     with top[2]:
         steps = readers.road_steps(run)
-        step = address.choose_step("Record at step", steps, steps[-1])
+        step = address.choose_step("Record at step", steps, steps[-1], of=run.env)
     picture = readers.road_picture(run, step)
     if picture is None:
         st.warning("This run's map cannot be read.")

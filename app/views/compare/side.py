@@ -76,7 +76,7 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
     step = min(of_run[-1] for of_run in evaluated.values() if of_run)
     row = st.columns([5, 1], vertical_alignment="bottom")
     with row[0]:
-        step = address.choose_step("At step", steps, step, UNTIL)
+        step = address.choose_step("At step", steps, step, UNTIL, of=chosen[0].env)
     played = st.session_state.setdefault("side played", 0)
     if row[1].button("Play all", icon=":material/play_arrow:", width="stretch"):
         played = st.session_state["side played"] = played + 1

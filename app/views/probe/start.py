@@ -87,7 +87,7 @@ def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
     empty.left_out(run, "policies")
     with place:
         chosen = address.choose_step(
-            "As it was at step", readers.policy_steps(run), END, "at", st.selectbox,
+            "As it was at step", readers.policy_steps(run), END, "at", st.selectbox, of=run.env,
             help="the buffer and the policies at that fit; the steps are those where both were "
             "kept",
         )  # fmt: skip

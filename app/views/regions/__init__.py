@@ -101,7 +101,7 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
     if not own:
         return None  # its weights cannot be read
     fits = buffer_reader.fits(run)
-    return buffer_reader.rows(run, address.choose_step("Fit at step", fits, fits[-1]))
+    return buffer_reader.rows(run, address.choose_step("Fit at step", fits, fits[-1], of=run.env))
 
 
 def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:

@@ -68,7 +68,7 @@ def page() -> None:
     with top[2]:
         plays = play.button(profiles.env_step.tolist())
     steps = profiles.env_step.tolist()
-    step = address.choose_step("Fit at step", steps, steps[-1])
+    step = address.choose_step("Fit at step", steps, steps[-1], of=run.env)
     chosen = steps.index(step)
     _numbers(run, profiles, chosen)
     _figures(run, profiles, chosen, relative=scale == RELATIVE)

@@ -151,7 +151,8 @@ from app.parts import address
 address.visit(st.session_state.get("page", "page"))
 steps = st.session_state.get("steps", [100, 200, 300])
 usual = "the end" if st.session_state.get("ends") else steps[-1]
-st.session_state["shown"] = address.choose_step("At", steps, usual)
+task = st.session_state.get("task", "hopper")
+st.session_state["shown"] = address.choose_step("At", steps, usual, of=task)
 address.write()
 """
 
@@ -199,6 +200,23 @@ def test_in_place_of_a_step_that_was_not_kept_the_nearest_is_shown_said_and_in_t
 def test_what_is_no_step_opens_the_usual_one(word: str) -> None:
     step, _, said = shown(at_step(word))
     assert (step, said) == (300, [])
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_step_of_one_task_is_not_carried_into_another(elsewhere: bool) -> None:
+    app = at_step()
+    app.select_slider[0].set_value(200).run()
+    other = {"task": "ant", "steps": [10, 150, 900], **({"page": "other"} if elsewhere else {})}
+    for name, value in other.items():
+        app.session_state[name] = value
+    if elsewhere:
+        del app.query_params["step"]
+    step, _, said = shown(app.run())
+    assert (step, said) == (900, [])
+    app.select_slider[0].set_value(150).run()
+    for name, value in {"task": "hopper", "steps": [100, 200, 300]}.items():
+        app.session_state[name] = value
+    assert shown(app.run()) == (200, {"step": ["200"]}, [])
 
 
 def test_an_untouched_choice_of_a_step_follows_the_newest() -> None:
