@@ -6,19 +6,24 @@ from app import text
 from app.data.trainings import Started
 
 
-@st.fragment(run_every=2)
 def progress(key: str) -> None:
     """The output of the weighing that the session holds as `key`; a redraw when it is done."""
     begun: Started | None = st.session_state.get(key)
     if begun is None:
         return
     if begun.process.poll() is None:
-        last = begun.tail().splitlines()[-1:] or ["started"]
-        st.caption(f"Weighing: {text.markdown(last[0])}")
-        return
-    if begun.process.returncode:
+        _output(begun)
+    elif begun.process.returncode:
         st.error("The weighing ended without a result:", icon=":material/error:")
         st.code(begun.tail(), language=None)
-        return
-    del st.session_state[key]
-    st.rerun()
+    else:
+        del st.session_state[key]
+        st.rerun()
+
+
+@st.fragment(run_every=2)
+def _output(begun: Started) -> None:
+    if begun.process.poll() is not None:
+        st.rerun()
+    last = begun.tail().splitlines()[-1:] or ["started"]
+    st.caption(f"Weighing: {text.markdown(last[0])}")

@@ -128,12 +128,10 @@ def command(name: str, store: str) -> list[str]:
     return ["reproduce", name, *about_a_store]
 
 
-@st.fragment(run_every=2)
 def _progress() -> None:
     """The output of studies started here; the page is redrawn when one is done."""
     for name, begun in list(_running().items()):
-        code = begun.process.poll()
-        if code is None:
+        if begun.process.poll() is None:
             _goes_on(name, begun)
         elif any(study.name == name for study in studies.listing(studies.FOLDER)):
             # 1: computed, but a check of the acceptance failed. Another tab may have been first.
@@ -144,7 +142,10 @@ def _progress() -> None:
             st.code(begun.tail(), language=None)
 
 
+@st.fragment(run_every=2)
 def _goes_on(name: str, begun: Started) -> None:
+    if begun.process.poll() is not None:
+        st.rerun()
     kept = len(list((studies.FOLDER / name / CASES).glob("*")))
     last = begun.tail().splitlines()[-1:] or ["started"]
     left, right = st.columns([5, 1], vertical_alignment="center")

@@ -12,7 +12,7 @@ from app.data.called import names, told_apart
 from app.data.readers import RunInfo
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
-from app.parts import pick, replay_link, rerun, widgets
+from app.parts import again, pick, replay_link, rerun, widgets
 from app.parts.cards import cards
 from app.parts.plot import chart
 from app.views.live import now, start
@@ -24,7 +24,8 @@ TITLE = "Live"
 ICON = ":material/monitor_heart:"
 PATH = ""
 
-REFRESH_S = 2
+REFRESH_S, LOOK_S = 2, 5
+"""seconds between two drawings while a run trains, and between two looks at which runs train"""
 MOURNED_S = 900
 """seconds for which a dead run stays on the page"""
 MAIN_METRIC = "eval/return"
@@ -61,7 +62,9 @@ def page() -> None:
         select_all=False,
     )
     start.panel()
-    _followed(chosen, metrics)
+    alive = any(run.status.alive for run in runs)
+    st.fragment(_followed, run_every=REFRESH_S if alive else None)(chosen, metrics)
+    again.when_changed(_state, LOOK_S)
     icon, asked = ":material/view_in_ar:", rerun.CHOICE in st.query_params
     with st.expander("Rerun: everything that one run has recorded", icon=icon, expanded=asked):
         rerun.frame(runs)
@@ -106,7 +109,13 @@ def available(runs: Sequence[RunInfo]) -> list[str]:
     return first + sorted(metrics.difference(first))
 
 
-@st.fragment(run_every=REFRESH_S)
+def _state() -> object:
+    """What decides which runs the page shows and whether it refreshes."""
+    runs = readers.listing(session.links().store).runs
+    known = [(run.run_id, run.status.shown, _just_died(run)) for run in runs]
+    return known, len(start.failed(runs))
+
+
 def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     runs = readers.listing(session.links().store).runs
     shown = watched(runs, chosen)
@@ -153,7 +162,6 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
                 )
                 chart(figure, f"curve {name}", f"{name} against env steps")
     _warnings(shown)
-    rerun.look_again(runs)
 
 
 def _headline(alive: int, shown: Sequence[RunInfo], chosen: Sequence[str]) -> str:

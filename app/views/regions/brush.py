@@ -99,29 +99,33 @@ def _why_not(run: RunInfo, count: int, of: int, base: str | None) -> str:
     return "" if base is not None else "The file that these weights come from has changed."
 
 
-@st.fragment(run_every=1)
 def _progress() -> None:
-    """The progress of the fits, and a button that ends them."""
     begun: Started | None = st.session_state.get(BEGUN)
     if begun is None:
         return
-    code = begun.process.poll()
-    if code is None:
-        said = begun.tail().splitlines()[-1:] or ["model 0 of 1: reading the buffer"]
-        columns = st.columns([5, 1], vertical_alignment="center")
-        columns[0].progress(_share(said[0]), text.markdown(said[0]))
-        if columns[1].button("Cancel", key="cancel brush"):
-            begun.process.terminate()
-            begun.process.wait()
-            del st.session_state[BEGUN]
-            st.rerun()
-        return
-    if code:
+    if begun.process.poll() is None:
+        _goes_on(begun)
+    elif begun.process.returncode:
         st.error(text.markdown(begun.tail()), icon=":material/error:")
-        return
-    del st.session_state[BEGUN]
-    st.session_state.pop(KEY, None)  # show the newest
-    st.rerun()
+    else:
+        del st.session_state[BEGUN]
+        st.session_state.pop(KEY, None)  # show the newest
+        st.rerun()
+
+
+@st.fragment(run_every=1)
+def _goes_on(begun: Started) -> None:
+    """The progress of the fits, and a button that ends them."""
+    if begun.process.poll() is not None:
+        st.rerun()
+    said = begun.tail().splitlines()[-1:] or ["model 0 of 1: reading the buffer"]
+    columns = st.columns([5, 1], vertical_alignment="center")
+    columns[0].progress(_share(said[0]), text.markdown(said[0]))
+    if columns[1].button("Cancel", key="cancel brush"):
+        begun.process.terminate()
+        begun.process.wait()
+        del st.session_state[BEGUN]
+        st.rerun()
 
 
 def _share(said: str) -> float:
