@@ -24,7 +24,7 @@ VISER, RERUN = "3D scene", "Rerun"
 STAGE_HEIGHT = 520
 CURVE_HEIGHT = 150
 """of one dimension's curves"""
-TICK_S, LISTEN_S = 0.5, 2
+TICK_S, LISTEN_S = 0.5, 4
 """how often the page asks the scene for its clock: while it plays, and otherwise"""
 CHOSEN = "another episode was chosen"
 

@@ -26,8 +26,8 @@ PATH = ""
 
 REFRESH_S, LOOK_S = 2, 5
 """seconds between two drawings while a run trains, and between two looks at which runs train"""
-MOURNED_S = 900
-"""seconds for which a dead run stays on the page"""
+RECENT_S, RECENT = 900, 8
+"""seconds for which a run that has ended stays on the page, and the number of those that do"""
 MAIN_METRIC = "eval/return"
 PREFERRED = (
     "weights/road_share",
@@ -71,14 +71,18 @@ def page() -> None:
 
 
 def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
-    """The chosen runs; else the training ones; else each learner's newest run of one task.
+    """The chosen runs; else those that train or have just ended; else each learner's newest run.
 
-    It is the task of the newest run, of a recording of SAC only if no run has weights to show. Runs
-    with a replay go before those without.
+    The newest are those of one task: that of the newest run, of a recording of SAC only if no run
+    has weights to show. Runs with a replay go before those without, and small copies count only in
+    a store of nothing else.
     """
     picked = [run for run in runs if run.run_id in chosen]
-    picked = picked or [run for run in runs if run.status.alive or _just_died(run)]
+    if not picked:
+        ended = [run for run in runs if _just_ended(run)]
+        picked = [run for run in runs if run.status.alive] + ended[:RECENT]
     if not picked and runs:
+        runs = [run for run in runs if not run.small_copy] or runs
         last = next((run for run in runs if run.learner != SAC_ALONE), runs[0])
         of_task = [run for run in runs if run.env == last.env]
         for learner in dict.fromkeys(run.learner for run in of_task):
@@ -97,8 +101,9 @@ def usual(runs: Sequence[RunInfo]) -> list[str]:
     return (lines or metrics)[:3]
 
 
-def _just_died(run: RunInfo) -> bool:
-    return run.status.shown == "dead" and time.time() - run.status.heartbeat < MOURNED_S
+def _just_ended(run: RunInfo) -> bool:
+    recent = time.time() - run.status.heartbeat < RECENT_S
+    return recent and not run.status.alive and not run.small_copy
 
 
 def available(runs: Sequence[RunInfo]) -> list[str]:
@@ -112,7 +117,7 @@ def available(runs: Sequence[RunInfo]) -> list[str]:
 def _state() -> object:
     """What decides which runs the page shows and whether it refreshes."""
     runs = readers.listing(session.links().store).runs
-    known = [(run.run_id, run.status.shown, _just_died(run)) for run in runs]
+    known = [(run.run_id, run.status.shown, _just_ended(run)) for run in runs]
     return known, len(start.failed(runs))
 
 
@@ -154,12 +159,15 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
             with column, st.container(border=True):
                 st.markdown(f"**{text.markdown(name)}**", help=text.markdown(describe(name)))
                 curves = [widgets.curve(run, name) for run in shown]
-                own = CHARTS.get(name)
-                figure = (
-                    own(curves, 230)
-                    if own
-                    else run_curves(curves, name, 230, legend=False, keep=keep)
-                )
+                try:
+                    figure = (
+                        CHARTS[name](curves, 230)
+                        if name in CHARTS
+                        else run_curves(curves, name, 230, legend=False, keep=keep)
+                    )
+                except Exception as error:  # a plug-in's, which must not take the page with it
+                    st.exception(error)
+                    continue
                 chart(figure, f"curve {name}", f"{name} against env steps")
     _warnings(shown)
 
