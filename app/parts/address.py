@@ -56,6 +56,14 @@ def carry(key: str, words: Sequence[str]) -> None:
     st.session_state.setdefault(_CARRIED, {})[key] = list(words)
 
 
+def forget(key: str) -> None:
+    """Go back to the usual choice, unless the address that the user has just come by names one."""
+    carry(key, [])
+    if not st.session_state.get(_ARRIVED):
+        st.session_state.pop(f"{key} asked", None)
+        st.session_state[key] = st.session_state.get(f"{key} usual")
+
+
 def keep(key: str, words: Sequence[str]) -> None:
     """Set what the address says of a choice from now on; no words for the default choice."""
     st.session_state.setdefault(_KEEPING, {})[key] = list(words)

@@ -11,7 +11,7 @@ from app import text
 from app.data import readers
 from app.data.called import names
 from app.data.readers import RunInfo
-from app.parts import pick
+from app.parts import address, pick
 from tom.analysis.curves import Curve, curve_points
 from tom.learners import LEARNERS, SUBJECT
 
@@ -22,6 +22,7 @@ def curve(run: RunInfo, metric: str) -> Curve:
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
 
 
+TASK = "task of the step"
 TOWERS = 20.0
 """a weight (relative to uniform) that makes the others invisible on a linear axis"""
 
@@ -31,7 +32,11 @@ def pick_run(
 ) -> RunInfo:
     """A run, chosen by the user or the address (`?run=`), else the `most_telling` of `likely`."""
     by_id = {run.run_id: run for run in runs}
-    return by_id[pick.one(label, names(runs), most_telling(likely or runs).run_id, "run")]
+    run = by_id[pick.one(label, names(runs), most_telling(likely or runs).run_id, "run")]
+    if st.session_state.get(TASK) not in (None, run.env):
+        address.forget("step")  # it is of another task
+    st.session_state[TASK] = run.env
+    return run
 
 
 def most_telling(runs: Sequence[RunInfo]) -> RunInfo:
