@@ -4,6 +4,8 @@ import html
 import math
 import re
 
+from tom.harmless import unlinked
+
 DIGITS = 12
 """maximum number of digits of a number in an address"""
 _MARKDOWN = re.compile(r"([\\`*_{}\[\]()#+\-.!|~$:<>&])")
@@ -11,7 +13,7 @@ _MARKDOWN = re.compile(r"([\\`*_{}\[\]()#+\-.!|~$:<>&])")
 
 def markdown(text: object) -> str:
     """`text` for a Markdown field, shown literally, without links, images, HTML or icons."""
-    return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
+    return _MARKDOWN.sub(r"\\\1", unlinked(" ".join(str(text).split())))
 
 
 def plotly(text: object) -> str:

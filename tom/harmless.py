@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _MARKDOWN = re.compile(r"([\\`*_\[\]<>|&~])")
+_ADDRESS = re.compile(r"(https?:|www|@)(?=[/.\w])", re.IGNORECASE)
 _FORMULA = re.compile(r"[=+\-@\t\r].", re.DOTALL)
 
 
@@ -28,7 +29,15 @@ def terminal_lines(text: object) -> str:
 
 def markdown(text: object) -> str:
     """`text` for a line of Markdown, without HTML, links, images or table cells."""
-    return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
+    return _MARKDOWN.sub(r"\\\1", unlinked(" ".join(str(text).split())))
+
+
+def unlinked(text: str) -> str:
+    """`text` with invisible word joiners where Markdown would make a link of a bare address.
+
+    A backslash does not help: addresses are looked for after it has been taken out.
+    """
+    return _ADDRESS.sub("\\1\u2060", text)
 
 
 def code(text: object) -> str:

@@ -7,6 +7,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
+from app.parts import address
 from tom.record import manage
 from tom.record.store import Store
 
@@ -20,7 +21,8 @@ def tell(name: str, there: Collection[str]) -> None:
     Must be called before the widget of that name is made, which drops them from the address. The
     message stays until the user chooses there (`answered`).
     """
-    unknown = [run_id for run_id in st.query_params.get_all(name) if run_id not in there]
+    # Only what the user came with: a run may also leave a page that follows what happens.
+    unknown = [run_id for run_id in address.requested(name) or [] if run_id not in there]
     if unknown:
         _open()[name] = unknown
     for run_id in _open().get(name, ()):

@@ -56,7 +56,10 @@ def card(run: RunInfo, preset: str = "") -> None:
     numbers = figures(run)
     for column, (label, value) in zip(st.columns(len(numbers), gap="small"), numbers, strict=True):
         column.metric(label, value)
-    for words in (settings_line(run), status.reason, *status.warnings):
+    # The run's record does not know the folder that this studio's terminal would need to be in.
+    whole = resume(run, session.links().store)
+    reason = status.reason.replace(f"tom train --resume {run.run_id}", whole)
+    for words in (settings_line(run), reason, *status.warnings):
         if words:
             st.caption(text.markdown(words))
 

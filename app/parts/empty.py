@@ -8,7 +8,7 @@ import streamlit as st
 from app import session
 from app.data import datasets, readers
 from app.data.readers import RunInfo
-from app.parts import widgets
+from app.parts import again, widgets
 
 EVALUATIONS = "evaluations"
 """what a small copy lacks that has no replay"""
@@ -27,7 +27,7 @@ def page() -> None:
     st.caption("One training. It appears on the Live page as soon as it has begun.")
     st.text(f"Store: {store}")
     widgets.show_store_problems(readers.listing(store).problems)
-    _look_again(store)
+    again.when_changed(lambda: bool(readers.listing(store).runs or datasets.listing(store)), 2)
 
 
 def left_out(run: RunInfo, *parts: str) -> bool:
@@ -49,9 +49,3 @@ def left_out_of_all(runs: Sequence[RunInfo], part: str) -> bool:
         copies = "the small copy" if lacking == 1 else f"the {lacking} small copies"
         st.info(f"Left out of {copies} in this store: {part}.", icon=":material/content_cut:")
     return lacking > 0
-
-
-@st.fragment(run_every=2)
-def _look_again(store: str) -> None:
-    if readers.listing(store).runs or datasets.listing(store):
-        st.rerun()

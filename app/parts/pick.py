@@ -14,6 +14,7 @@ def one(label: str, names: Mapping[str, str], first: str, key: str) -> str:
     What was chosen on another page counts here as well, if it is among `names`.
     """
     asked.tell(key, names)
+    address.follow(key, first)
     given = address.carried(key)
     wanted = [st.session_state[key]] if given is None else given
     start = next((run_id for run_id in wanted if run_id in names), first)

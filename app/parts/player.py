@@ -30,6 +30,14 @@ def follow(replay: Replay) -> bool:
     return now.playing
 
 
+def position() -> tuple[int, bool]:
+    """The scene's step and whether it plays; the page's wish until the scene has heard it."""
+    now, (asked, wish, _) = _clock(), st.session_state.get(ASKED, NOTHING)
+    if now is None or now.asked != asked:
+        return st.session_state.get(FRAME, 0), now is not None and wish == "play"
+    return now.frame, now.playing
+
+
 def marked(replay: Replay) -> int:
     """The shown step of the episode; the address (`?frame=`) gives the first one."""
     if FRAME not in st.session_state:

@@ -13,8 +13,6 @@ from app.parts import pick
 NOTHING = ""
 HEIGHT = 720
 CHOICE = "recording"
-SHOWN = "rerun shows"
-"""the run in the viewer, and whether it was training when the viewer was opened"""
 
 
 def frame(runs: Sequence[RunInfo]) -> None:
@@ -29,7 +27,6 @@ def frame(runs: Sequence[RunInfo]) -> None:
     by_id = {run.run_id: run for run in runs if run.status.alive or readers.recordings(run)}
     called = {NOTHING: "no run: the viewer is not loaded", **names(list(by_id.values()))}
     chosen = by_id.get(pick.one("Show in Rerun", called, NOTHING, CHOICE))
-    st.session_state[SHOWN] = None if chosen is None else (chosen.run_id, chosen.status.alive)
     if chosen is not None:
         st.iframe(_address(chosen), height=HEIGHT)
 
@@ -42,15 +39,6 @@ def episode(run_id: str, step: int, index: int, horizon: int, height: int) -> No
         return
     where = links.rerun_episode(session.host(), run_id, step, index, horizon, session.mode())
     st.iframe(where, height=height)
-
-
-def look_again(runs: Sequence[RunInfo]) -> None:
-    """Redraw the page when the run in the viewer has ended, to show its recording."""
-    shown = st.session_state.get(SHOWN)
-    for run in runs:
-        if shown is not None and run.run_id == shown[0] and run.status.alive != shown[1]:
-            st.session_state[SHOWN] = None  # only once, even if the page is interrupted
-            st.rerun()
 
 
 def _address(run: RunInfo) -> str:

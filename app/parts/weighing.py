@@ -12,7 +12,7 @@ def progress(key: str) -> None:
     if begun is None:
         return
     if begun.process.poll() is None:
-        _running(begun)
+        _output(begun)
     elif begun.process.returncode:
         st.error("The weighing ended without a result:", icon=":material/error:")
         st.code(begun.tail(), language=None)
@@ -22,7 +22,7 @@ def progress(key: str) -> None:
 
 
 @st.fragment(run_every=2)
-def _running(begun: Started) -> None:
+def _output(begun: Started) -> None:
     if begun.process.poll() is not None:
         st.rerun()
     last = begun.tail().splitlines()[-1:] or ["started"]

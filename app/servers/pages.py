@@ -150,13 +150,11 @@ def options(links: Links) -> dict:
 
 
 def warm(store: str) -> None:
-    """Read all metrics into the cache, for the first page that compares runs.
-
-    Streamlit collects garbage after every run of a page or fragment; what lives for good is frozen,
-    else each of these collections takes a quarter of a second.
-    """
+    """Read all metrics into the cache, for the first page that compares runs."""
     for run in readers.listing(store).runs:
         readers.metrics(run)
+    # Streamlit collects garbage after every drawing of a page or a part of it. The libraries'
+    # 400 000 objects, which last as long as the process, would take 0.3 s of that each time.
     gc.freeze()
 
 

@@ -9,7 +9,7 @@ from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
 from app.figures.observations import observed_curves
 from app.figures.replay import error_curve, return_curve, reward_curve
-from app.parts import address, empty, player, rerun, widgets
+from app.parts import address, again, empty, player, rerun, widgets
 from app.parts.plot import Point, chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
@@ -24,8 +24,8 @@ VISER, RERUN = "3D scene", "Rerun"
 STAGE_HEIGHT = 520
 CURVE_HEIGHT = 150
 """of one dimension's curves"""
-TICK_S, REST_S = 0.5, 1.5
-"""between two looks at the scene's clock while it plays, and while it stands"""
+TICK_S, LISTEN_S = 0.5, 4
+"""how often the page asks the scene for its clock: while it plays, and otherwise"""
 CHOSEN = "another episode was chosen"
 
 
@@ -54,12 +54,11 @@ def page() -> None:
     if replay is None:
         return
     _numbers(replay)
-    playing = player.follow(replay)
-    st.fragment(_play, run_every=TICK_S if playing else None)(
-        run, replay, returns, index, horizon, playing
-    )
-    if not playing:
-        _wake(replay)
+    _, moves = player.position()
+    play = st.fragment(_play, run_every=TICK_S if moves else None)
+    play(run, replay, returns, index, horizon, moves=moves)
+    if not moves:
+        again.when_changed(player.position, LISTEN_S)
     empty.left_out(run, "other evaluations", "other episodes")
     widgets.show_problems(run)
 
@@ -76,20 +75,13 @@ def _loaded(run: RunInfo, step: int, index: int, horizon: int) -> Replay | None:
     return replay
 
 
-@st.fragment(run_every=REST_S)
-def _wake(replay: Replay) -> None:
-    """Redraw the page when the scene, which has controls of its own, plays or has moved."""
-    before = st.session_state.get(player.FRAME)
-    if player.follow(replay) or st.session_state.get(player.FRAME) != before:
-        st.rerun()
-
-
 def _play(
-    run: RunInfo, replay: Replay, returns: np.ndarray, index: int, horizon: int, playing: bool
+    run: RunInfo, replay: Replay, returns: np.ndarray, index: int, horizon: int, *, moves: bool
 ) -> None:
     """The episode and its charts, which follow the clock of the scene during playback."""
-    if st.session_state.pop(CHOSEN, False) or player.follow(replay) != playing:
-        st.rerun()  # the choice of a click here is read above
+    if st.session_state.pop(CHOSEN, False) or player.position()[1] != moves:
+        st.rerun()  # the choice of a click here is read above, and so is whether to follow
+    playing = player.follow(replay)
     frame = player.marked(replay)
     left, right = st.columns([3, 2])
     with left:

@@ -12,7 +12,7 @@ from app.data.called import names, told_apart
 from app.data.readers import RunInfo
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
-from app.parts import pick, replay_link, rerun, widgets
+from app.parts import again, pick, replay_link, rerun, widgets
 from app.parts.cards import cards
 from app.parts.plot import chart
 from app.views.live import now, start
@@ -24,10 +24,10 @@ TITLE = "Live"
 ICON = ":material/monitor_heart:"
 PATH = ""
 
-REFRESH_S, REST_S = 2, 5
-"""between two redraws while something trains, and between two looks at the store else"""
-MOURNED_S = 900
-"""seconds for which a dead run stays on the page"""
+REFRESH_S, LOOK_S = 2, 5
+"""seconds between two drawings while a run trains, and between two looks at which runs train"""
+RECENT_S, RECENT = 900, 8
+"""seconds for which a run that has ended stays on the page, and the number of those that do"""
 MAIN_METRIC = "eval/return"
 PREFERRED = (
     "weights/road_share",
@@ -63,23 +63,26 @@ def page() -> None:
     )
     start.panel()
     alive = any(run.status.alive for run in runs)
-    st.fragment(_followed, run_every=REFRESH_S if alive else None)(chosen, metrics, alive)
-    if not alive:
-        _wake(_states(runs))
+    st.fragment(_followed, run_every=REFRESH_S if alive else None)(chosen, metrics)
+    again.when_changed(_state, LOOK_S)
     icon, asked = ":material/view_in_ar:", rerun.CHOICE in st.query_params
     with st.expander("Rerun: everything that one run has recorded", icon=icon, expanded=asked):
         rerun.frame(runs)
 
 
 def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
-    """The chosen runs; else the training ones; else each learner's newest run of one task.
+    """The chosen runs; else those that train or have just ended; else each learner's newest run.
 
-    It is the task of the newest run, of a recording of SAC only if no run has weights to show. Runs
-    with a replay go before those without.
+    The newest are those of one task: that of the newest run, of a recording of SAC only if no run
+    has weights to show. Runs with a replay go before those without, and small copies count only in
+    a store of nothing else.
     """
     picked = [run for run in runs if run.run_id in chosen]
-    picked = picked or [run for run in runs if run.status.alive or _just_died(run)]
+    if not picked:
+        ended = [run for run in runs if _just_ended(run)]
+        picked = [run for run in runs if run.status.alive] + ended[:RECENT]
     if not picked and runs:
+        runs = [run for run in runs if not run.small_copy] or runs
         last = next((run for run in runs if run.learner != SAC_ALONE), runs[0])
         of_task = [run for run in runs if run.env == last.env]
         for learner in dict.fromkeys(run.learner for run in of_task):
@@ -98,8 +101,9 @@ def usual(runs: Sequence[RunInfo]) -> list[str]:
     return (lines or metrics)[:3]
 
 
-def _just_died(run: RunInfo) -> bool:
-    return run.status.shown == "dead" and time.time() - run.status.heartbeat < MOURNED_S
+def _just_ended(run: RunInfo) -> bool:
+    recent = time.time() - run.status.heartbeat < RECENT_S
+    return recent and not run.status.alive and not run.small_copy
 
 
 def available(runs: Sequence[RunInfo]) -> list[str]:
@@ -110,23 +114,17 @@ def available(runs: Sequence[RunInfo]) -> list[str]:
     return first + sorted(metrics.difference(first))
 
 
-@st.fragment(run_every=REST_S)
-def _wake(drawn: list[tuple[str, str, int]]) -> None:
-    """Redraw the page when a run has come, gone or changed."""
-    if _states(readers.listing(session.links().store).runs) != drawn:
-        st.rerun()
+def _state() -> object:
+    """What decides which runs the page shows and whether it refreshes."""
+    runs = readers.listing(session.links().store).runs
+    known = [(run.run_id, run.status.shown, _just_ended(run)) for run in runs]
+    return known, len(start.failed(runs))
 
 
-def _states(runs: Sequence[RunInfo]) -> list[tuple[str, str, int]]:
-    return [(run.run_id, run.status.shown, run.status.env_step) for run in runs]
-
-
-def _followed(chosen: Sequence[str], metrics: Sequence[str], refreshed: bool) -> None:
+def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     runs = readers.listing(session.links().store).runs
     shown = watched(runs, chosen)
     alive = sum(run.status.alive for run in runs)
-    if bool(alive) != refreshed:
-        st.rerun()
     st.caption(_headline(alive, shown, chosen))
     start.failures(runs)
     cards(shown, runs)
@@ -161,15 +159,17 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str], refreshed: bool) ->
             with column, st.container(border=True):
                 st.markdown(f"**{text.markdown(name)}**", help=text.markdown(describe(name)))
                 curves = [widgets.curve(run, name) for run in shown]
-                own = CHARTS.get(name)
-                figure = (
-                    own(curves, 230)
-                    if own
-                    else run_curves(curves, name, 230, legend=False, keep=keep)
-                )
+                try:
+                    figure = (
+                        CHARTS[name](curves, 230)
+                        if name in CHARTS
+                        else run_curves(curves, name, 230, legend=False, keep=keep)
+                    )
+                except Exception as error:  # a plug-in's, which must not take the page with it
+                    st.exception(error)
+                    continue
                 chart(figure, f"curve {name}", f"{name} against env steps")
     _warnings(shown)
-    rerun.look_again(runs)
 
 
 def _headline(alive: int, shown: Sequence[RunInfo], chosen: Sequence[str]) -> str:

@@ -136,11 +136,15 @@ def _begin(env: str, learner: str, preset: str, seeds: str, given: dict[str, str
 
 def failures(runs: Sequence[RunInfo]) -> None:
     """Trainings started here that ended before they had a run, with their output."""
-    writers = {run.status.pid for run in runs}
-    failed = [begun for begun in _started() if begun.failed(writers)]
-    for begun in failed[-FORGET:]:
+    for begun in failed(runs)[-FORGET:]:
         st.error("A training that was started here did not begin:", icon=":material/error:")
         st.code(f"$ {form.shown(begun.words)}\n{begun.tail()}", language=None)
+
+
+def failed(runs: Sequence[RunInfo]) -> list[Started]:
+    """Trainings started here that ended before they had one of the `runs`, all those known."""
+    writers = {run.status.pid for run in runs}
+    return [begun for begun in _started() if begun.failed(writers)]
 
 
 def _remember(more: Iterable[Started]) -> None:

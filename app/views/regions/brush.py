@@ -100,14 +100,12 @@ def _why_not(run: RunInfo, count: int, of: int, base: str | None) -> str:
 
 
 def _progress() -> None:
-    """The progress of the fits, or why they failed."""
     begun: Started | None = st.session_state.get(BEGUN)
     if begun is None:
         return
-    code = begun.process.poll()
-    if code is None:
-        _running(begun)
-    elif code:
+    if begun.process.poll() is None:
+        _goes_on(begun)
+    elif begun.process.returncode:
         st.error(text.markdown(begun.tail()), icon=":material/error:")
     else:
         del st.session_state[BEGUN]
@@ -116,7 +114,7 @@ def _progress() -> None:
 
 
 @st.fragment(run_every=1)
-def _running(begun: Started) -> None:
+def _goes_on(begun: Started) -> None:
     """The progress of the fits, and a button that ends them."""
     if begun.process.poll() is not None:
         st.rerun()

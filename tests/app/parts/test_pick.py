@@ -31,3 +31,31 @@ def test_so_does_a_choice_in_the_address() -> None:
     app = draw("live", runs=[*BOTH, "pendulum-mle-0"], follow=PENDULUM_TOM)
     assert app.selectbox(key="follow").value == PENDULUM_TOM
     assert starts_at(app).endswith("TOM · seed 0")
+
+
+FOLLOWED = """
+import streamlit as st
+from app.parts import address, pick
+
+address.visit("")
+names = {name: name for name in st.session_state["offered"]}
+pick.one("Follow", names, st.session_state["offered"][0], "follow")
+address.write()
+"""
+
+
+@pytest.mark.parametrize("chosen", ["b", "c"])
+def test_a_run_that_leaves_the_page_is_no_broken_link(chosen: str) -> None:
+    app = AppTest.from_string(FOLLOWED)
+    app.session_state["offered"] = ["b", "c"]
+    app.run().selectbox(key="follow").select(chosen).run()
+    app.session_state["offered"] = ["a", "b", "c"]
+    assert app.run().selectbox(key="follow").value == ("a" if chosen == "b" else "c")
+    app.session_state["offered"] = ["a"]
+    assert app.run().selectbox(key="follow").value == "a"
+    assert not app.exception
+    assert not app.warning
+    app = AppTest.from_string(FOLLOWED)
+    app.session_state["offered"] = ["a"]
+    app.query_params["follow"] = chosen
+    assert len(app.run().warning) == 1

@@ -8,7 +8,7 @@ from studio_pages import draw
 pytestmark = pytest.mark.usefixtures("studio")
 
 
-REPEATING = {"live": [5.0], "replays": [1.5]}
+REPEATING = {"live": [5.0], "replays": [4.0]}
 """seconds between two looks, which draw nothing, at what may have begun elsewhere"""
 
 

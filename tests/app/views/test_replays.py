@@ -10,7 +10,7 @@ import pytest
 import torch
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, array, draw, figures, set_links, trace
-from studio_runs import PENDULUM_TOM, ROAD_TOM
+from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
 from app.data import replays
 from app.data.replays import ROAD_DT, Replay
@@ -234,6 +234,16 @@ def test_the_last_evaluation_of_one_run_is_no_choice_in_another() -> None:
     assert app.select_slider(key="step").value == 60
     app.selectbox(key="run").select(PENDULUM_TOM).run()
     assert not any("nearest" in caption.value for caption in app.caption)
+
+
+def test_a_step_of_one_task_is_no_choice_in_another() -> None:
+    app = draw("replays", run=ROAD_TOM, step="30")
+    app.selectbox(key="run").select(ROAD_MLE).run()
+    assert app.select_slider(key="step").value == 30
+    app.selectbox(key="run").select(PENDULUM_TOM).run()
+    assert not any("nearest" in caption.value for caption in app.caption)
+    app.selectbox(key="run").select(ROAD_TOM).run()
+    assert app.select_slider(key="step").value == 30  # that of this task
 
 
 def test_a_frame_of_a_longer_episode_is_forgotten() -> None:

@@ -10,9 +10,10 @@ from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+import plotly.graph_objects as go
 import pytest
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, array, draw, figures, set_links, trace
+from studio_pages import PAGE, TIMEOUT_S, array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, WAITING, info, stand_in
 
 from app.data import trainings
@@ -23,14 +24,17 @@ from app.links import Links
 from app.parts import replay_link
 from app.parts.cards import NAMED, settings_line
 from app.parts.cards import figures as figures_of
+from app.views import live
 from app.views.live import now, start, usual, watched
 from app.views.weights import newest_fifth, play
 from tom.envs import ENVS, OTHERS, Task
 from tom.errors import UserError
+from tom.plugins import CHARTS
 from tom.record import layout
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
 from tom.training.presets import resolve
+from tom.training.run import STOPPED
 
 pytestmark = pytest.mark.usefixtures("studio")
 
@@ -42,6 +46,12 @@ def recorded(store: Path, run_id: str, metric: str) -> tuple[list[int], list[flo
 
 def metric_values(app: AppTest) -> dict[str, str]:
     return {metric.label: metric.value for metric in app.metric}
+
+
+@pytest.fixture
+def long_after(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last training has ended long ago."""
+    monkeypatch.setattr(live, "RECENT_S", -1)
 
 
 def test_live_follows_the_chosen_run(store: Path) -> None:
@@ -83,6 +93,7 @@ def test_the_map_of_another_run_is_not_zoomed_as_the_last_one_was() -> None:
     assert figures(app)[0]["layout"]["uirevision"] != before
 
 
+@pytest.mark.usefixtures("long_after")
 def test_live_says_whether_its_runs_were_chosen() -> None:
     def said(app: AppTest) -> str:
         return app.caption[0].value
@@ -93,11 +104,13 @@ def test_live_says_whether_its_runs_were_chosen() -> None:
     assert "the last runs" in said(draw("live", runs="gone"))
 
 
+@pytest.mark.usefixtures("long_after")
 def test_live_without_a_training_shows_each_learners_newest_run() -> None:
     names = [line["meta"] for line in figures(draw("live"))[0]["data"]]
     assert names == [ROAD_MLE, ROAD_TOM]
 
 
+@pytest.mark.usefixtures("long_after")
 def test_live_without_a_training_prefers_runs_with_weights_and_replays(
     store: Path, tmp_path: Path
 ) -> None:
@@ -110,6 +123,57 @@ def test_live_without_a_training_prefers_runs_with_weights_and_replays(
     bare = replace(trained, run_id="bare", path=str(folder))
     assert watched([bare, trained], []) == [trained]  # the newest, but without a replay
     assert watched([bare], []) == [bare]
+
+
+def test_a_training_that_ends_stays_beside_the_next_and_before_small_copies(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended = info(store, PENDULUM_TOM)
+    recent = replace(ended, status=replace(ended.status, heartbeat=time.time()))
+    status = replace(recent.status, state="running")
+    trains = replace(recent, run_id="trains", learner="mle", status=status)
+    copy = replace(recent, run_id="copy", learner="mle", small_copy=True)
+    assert set(ids(watched([trains, recent, copy], []))) == {"trains", PENDULUM_TOM}
+    many = [replace(recent, run_id=f"ended-{i}") for i in range(100)]
+    assert len(watched([trains, *many], [])) == 1 + live.RECENT
+    monkeypatch.setattr(live, "RECENT_S", -1)
+    assert ids(watched([trains, recent], [])) == ["trains"]
+    assert ids(watched([copy, recent], [])) == [PENDULUM_TOM]
+
+
+def ids(runs: Sequence[RunInfo]) -> list[str]:
+    return [run.run_id for run in runs]
+
+
+def test_a_chart_of_a_plugin_that_raises_takes_nothing_else_with_it(
+    store: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = draw("live", runs=PENDULUM_TOM)
+    first = usual([info(store, PENDULUM_TOM)])[0]
+
+    def broken(*_: object) -> go.Figure:
+        raise ZeroDivisionError("of a plug-in")
+
+    monkeypatch.setitem(CHARTS, first, broken)
+    app = AppTest.from_string(PAGE.format(view="live"), default_timeout=TIMEOUT_S)
+    app.query_params["runs"] = PENDULUM_TOM
+    app.run()
+    assert len(app.exception) == 1
+    assert len(figures(app)) == len(figures(before)) - 1
+
+
+def test_a_stopped_card_says_how_to_go_on_from_any_folder(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
+    status = json.loads((run / layout.STATUS).read_text())
+    status |= {"state": "stopped", "reason": STOPPED.format(step=7, run=PENDULUM_TOM)}
+    (run / layout.STATUS).write_text(json.dumps(status))
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    captions = [caption.value.replace("\\", "") for caption in draw("live").caption]
+    assert sum("tom train --resume" in words for words in captions) == 1
+    assert any(f"--resume {PENDULUM_TOM} --store {tmp_path}" in words for words in captions)
 
 
 def test_runs_of_two_presets_have_two_names_on_live(
@@ -585,6 +649,7 @@ def test_the_pages_of_an_empty_store_say_what_to_run(
     assert any("tom train" in command and "'" in command for command in commands)
 
 
+@pytest.mark.usefixtures("long_after")
 @pytest.mark.parametrize(
     "view", ["live", "compare", "weights", "regions", "probe", "replays", "road"]
 )
@@ -627,7 +692,7 @@ def hostile_metric(studio: Links, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_live_shows_the_name_of_a_metric_as_words() -> None:
     (heading,) = [part for part in draw("live", curves=METRIC).markdown if "evil" in part.value]
     for shown in (heading.value, heading.proto.help):
-        assert shown.strip("*").replace("\\", "") == METRIC
+        assert re.sub(r"[\\\u2060]", "", shown.strip("*")) == METRIC
         assert not re.search(r"(?<!\\)(!\[|<img|:material)", shown)
 
 

@@ -1,0 +1,17 @@
+"""Drawing a page again once something that it shows has changed."""
+
+from collections.abc import Callable
+
+import streamlit as st
+
+
+def when_changed(state: Callable[[], object], every_s: float) -> None:
+    """Draw the whole page again when `state`, looked at every few seconds, is another than now."""
+    before = state()
+
+    @st.fragment(run_every=every_s)
+    def look() -> None:
+        if state() != before:
+            st.rerun()
+
+    look()
