@@ -16,6 +16,8 @@ from tom.analysis.curves import Group
 from tom.analysis.grouping import Kind
 
 HIDE = "hide"
+ALIKE = 0.9
+"""runs whose last steps differ by less have ended at about the same step"""
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,25 @@ class Comparison:
 
     @property
     def members(self) -> list[RunInfo]:
-        """The runs that are not hidden themselves; their group may be."""
-        return [run for run in self.runs if run.run_id not in self.hidden]
+        """The runs that count in their group: not hidden themselves, and not cut short."""
+        cut = self.cut_short
+        return [run for run in self.runs if run.run_id not in self.hidden and run not in cut]
+
+    @property
+    def cut_short(self) -> list[RunInfo]:
+        """Runs that ended well before a finished one of their group, and do not go on."""
+        ends: dict[tuple[str, Kind], int] = {}
+        for run in self.runs:
+            if run.status.state == "finished":
+                key = run.env, self.kinds[run.run_id]
+                ends[key] = max(ends.get(key, 0), run.status.env_step)
+        return [
+            run
+            for run in self.runs
+            if run.status.state != "finished"
+            and not run.status.alive
+            and run.status.env_step < ALIKE * ends.get((run.env, self.kinds[run.run_id]), 0)
+        ]
 
     @property
     def shown(self) -> list[RunInfo]:
@@ -67,6 +86,8 @@ class Comparison:
         """The list beside the figure: one row per group, with its runs."""
         several = len({run.env for run in self.runs}) > 1
         called = names(self.runs) if several else short_names(self.runs)
+        for run in self.cut_short:
+            called[run.run_id] += f", ended at {run.status.env_step:,}: left out"
         rows = []
         for kind, look in self.looks.items():
             mine = [run for run in self.runs if self.kinds[run.run_id] == kind]

@@ -15,7 +15,7 @@ from app.figures.curves import group_curves, line_uid, metric_title, run_curves
 from app.parts.eyes import eyes
 from app.parts.plot import View, chart
 from app.views.compare import measure, replay_beside, zoom
-from app.views.compare.comparison import Comparison, hide, switched, toggled
+from app.views.compare.comparison import ALIKE, Comparison, hide, switched, toggled
 from app.views.compare.measure import Measure
 from tom.analysis import statistics
 from tom.analysis.curves import Curve, Group
@@ -24,8 +24,6 @@ from tom.config import SAC_ALONE
 from tom.harmless import as_csv
 
 Files = Mapping[str, tuple[Callable[[], pd.DataFrame], str]]
-ALIKE = 0.9
-"""rows whose last steps differ by less have ended at about the same step"""
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
 
 
@@ -181,6 +179,9 @@ def _remarks(
         words.append(twice)
     if any(curve.learner == SAC_ALONE for curve in curves):
         words.append("The first half of a recording of SAC is random steps, which count here.")
+    if cut := comparison.cut_short:
+        which = ", ".join(f"{names(cut)[run.run_id]} ({run.status.env_step:,})" for run in cut)
+        words.append(f"Left out, as they ended well before the others: {text.markdown(which)}.")
     if empty := sum(not len(curve.step) for curve in curves):
         have = "1 run has" if empty == 1 else f"{empty} runs have"
         words.append(f"{have} recorded nothing of this yet.")

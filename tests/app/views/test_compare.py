@@ -37,7 +37,7 @@ from app.views.compare.replay_beside import nearest
 from tom.analysis.curves import Curve, Group, aggregate
 from tom.analysis.scores import BEST, FINAL, HEIGHT, scores_of
 from tom.errors import UserError
-from tom.record import manage
+from tom.record import layout, manage
 from tom.record.reader import RunReader
 from tom.record.store import Store
 
@@ -516,3 +516,25 @@ def test_a_figure_without_intervals_speaks_of_those_of_the_table() -> None:
 
     assert "100 such intervals" in said("95 % bootstrap")
     assert "100 of the table's intervals" in said("standard deviation")
+
+
+def test_a_run_that_was_cut_short_does_not_count_in_its_group(own: Path) -> None:
+    def lines() -> tuple[dict, list[str]]:
+        app = draw("compare", env="inverted-pendulum")
+        table = next(t.value for t in app.dataframe if "n" in t.value and "final" in t.value)
+        tom = table[table["learner"] == "TOM"].iloc[0]
+        return tom[["n", "steps", "final"]].to_dict(), [words.value for words in app.caption]
+
+    whole, _ = lines()
+    assert whole["n"] == 2
+    for state, n in (("stopped", 1), ("running", 2)):
+        run = own / SEEDS[1]
+        (run / layout.LOCK).unlink(missing_ok=True)  # as if another machine wrote it
+        status = json.loads((run / "status.json").read_text())
+        status |= {"state": state, "env_step": 200, "heartbeat": time.time() + 20}
+        (run / "status.json").write_text(json.dumps(status))
+        (run / "metrics.jsonl").write_text('{"env_step": 200, "eval/return": 5.0}\n')
+        (run / "metrics.parquet").unlink(missing_ok=True)
+        told, said = lines()
+        assert told["n"] == n
+        assert any("seed 1" in words and "200" in words for words in said) == (n == 1)
