@@ -130,8 +130,8 @@ def recorded_after(rows: Rows, row: int) -> NDArray[np.float32]:
     return np.concatenate([obs[row : last + 1], following[last : last + 1]])
 
 
-_SOURCES: VersionedCache[Source | str] = VersionedCache(4)
-_ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache(16)
+_SOURCES: VersionedCache[Source | str] = VersionedCache()
+_ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache()
 
 
 def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source | str:

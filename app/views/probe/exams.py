@@ -39,7 +39,7 @@ OWN = (
 NAMED = 3
 """groups that a sentence names at most"""
 NEEDED = f"two learners with {statistics.RANKED} seeds each are needed"
-_RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache(16)
+_RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache()
 
 
 def draw(runs: Sequence[RunInfo]) -> None:
