@@ -5,10 +5,10 @@ were used least recently are dropped first.
 """
 
 import sys
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from itertools import count
 from threading import RLock
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import pandas as pd
 from cachetools import LRUCache
@@ -48,6 +48,14 @@ class VersionedCache(Generic[T]):
         return made
 
 
+@runtime_checkable
+class Weighted(Protocol):
+    """A `torch.nn.Module`; importing torch takes seconds."""
+
+    def parameters(self) -> Iterable[Any]: ...
+    def buffers(self) -> Iterable[Any]: ...
+
+
 def bytes_of(value: object) -> int:
     """The approximate bytes of arrays, tables and tensors in `value`, at any depth."""
     size, seen, waiting = 0, set[int](), [value]
@@ -69,7 +77,7 @@ def _own_bytes(one: object) -> int:
 
 
 def _parts(one: object) -> list[Any]:
-    if hasattr(one, "parameters") and hasattr(one, "buffers"):  # a torch module
+    if isinstance(one, Weighted):
         return [*one.parameters(), *one.buffers()]
     if isinstance(one, Mapping):
         return [*one.keys(), *one.values()]
