@@ -137,7 +137,7 @@ _ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache(16)
 def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source | str:
     reader = readers.reader(run)
     whose_sum = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
-    without = f"none of its weights are {whose_sum}"
+    without = "no learner's file holds these weights: a brush changed them, or the file has changed"
     for table, weight, named in candidates(reader, weighings):
         if len(table[weight]) != len(rows) or not np.array_equal(table[weight], rows.weight):
             continue

@@ -38,6 +38,8 @@ MATCH = ("footprint", "footprint_se", "footprint_noise", "footprint_uniform")
 """the match of the weighted data to fresh episodes of the policy; null if not measured"""
 NEEDED = {"data", "policy", "rows", "results"}
 """the required entries of a report"""
+BRUSH = "brush"
+"""entry of the report of `tom brush`"""
 ROWS = "rows_digest"
 """entry of a report whose weighing holds its rows: their digest"""
 SEGMENT_BYTES = 64 * 2**20
@@ -258,6 +260,11 @@ def is_whole(report: Mapping[str, Any]) -> bool:
         and all(map(_is_result, report["results"]))
         and _is_origin(report.get("made", {}))
     )
+
+
+def is_brush(report: Mapping[str, Any]) -> bool:
+    """Whether the weights are a what-if (`tom brush`), a learner's multiplied in a region."""
+    return BRUSH in report
 
 
 def _is_result(row: object) -> bool:

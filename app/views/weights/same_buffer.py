@@ -25,8 +25,7 @@ def at_fit(run: RunInfo, step: int) -> None:
     rows = buffer_reader.length(run)
     if not rows:
         return
-    stored = [w for w in weighings.of_run(run, rows) if not w.brush]
-    stored.sort(key=lambda w: (len(w.learners), w.written))
+    stored = sorted(weighings.of_run(run, rows), key=lambda w: (len(w.learners), w.written))
     weighed = {w.step: w for w in stored if Path(w.policy).name == run.run_id}  # an id or a folder
     steps = sorted({*readers.policy_steps(run), *(at for at in weighed if at is not None)})
     if not steps:
