@@ -154,7 +154,12 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
         )
         if terms is not None:
             return Source(terms, config, whose, lately, among, step)
-        without = "its terms were not kept: this run or weighing is older than they are, or small"
+        if np.ptp(rows.weight) == 0:
+            return f"{LEARNERS[learner].label} did not weigh yet: all count the same"
+        without = (
+            "its terms were not kept; runs trained with this version have them, and small copies "
+            "of such runs with their buffer, but not the gallery nor small copies of weighings"
+        )
     return without
 
 
