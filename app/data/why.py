@@ -155,7 +155,7 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
         if terms is not None:
             return Source(terms, config, whose, lately, among, step)
         if np.ptp(rows.weight) == 0:
-            return f"{LEARNERS[learner].label} did not weigh yet: all count the same"
+            return f"{LEARNERS[learner].label} did not weigh here: all count the same"
         without = (
             "its terms were not kept; runs trained with this version have them, and small copies "
             "of such runs with their buffer, but not the gallery nor small copies of weighings"
