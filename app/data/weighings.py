@@ -34,6 +34,7 @@ class WeighingInfo:
     written: int  # mtime_ns of the report
     brush: bool  # of `tom brush`: a learner's weights multiplied in a region, and no learner's own
     learners: frozenset[str]
+    notices: tuple[str, ...] = ()  # what the learners noticed about their weights
     keeps_rows: bool = False  # its folder holds the weighed rows, and no run's `step` counts them
 
     @property
@@ -170,9 +171,10 @@ def _read(path: Path, rows: int) -> WeighingInfo | None:
         changed = {str(path): str(value) for path, value in report.get("changed", {}).items()}
         step = None if report.get("step") is None else int(report["step"])
         learners = frozenset(str(one["learner"]) for one in report.get("results", ()))
+        notices = tuple(weighing_files.notices(report))
         return WeighingInfo(
-            str(path), policy, preset, changed, weighed, first, step, written,
-            is_brush(report), learners, keeps_rows=ROWS in report,
+            str(path), policy, preset, changed, weighed, first, step, written, is_brush(report),
+            learners, notices, keeps_rows=ROWS in report,
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

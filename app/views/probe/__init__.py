@@ -13,6 +13,7 @@ from app.data.weighings import WeighingInfo
 from app.figures.probe import probe_profiles
 from app.parts import empty, widgets
 from app.parts.plot import chart
+from app.parts.weighing import show_notices
 from app.theme import learner_label
 from app.views.probe import answer, exams, left_out, model_error, start
 from app.views.probe.length import of_like_length
@@ -103,6 +104,7 @@ def _weighed(weighing: WeighingInfo, rows: int) -> None:
         return
     if missing := weighing.missing(rows):
         st.caption(missing)
+    show_notices(weighing)
     count = len(next(iter(of.values())))
     left, right = st.columns([5, 4])
     with left, st.container(border=True):

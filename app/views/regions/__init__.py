@@ -14,6 +14,7 @@ from app.figures.regions import region_map
 from app.parts import address, empty, why, widgets
 from app.parts.plot import Region, chart
 from app.parts.stage import stage
+from app.parts.weighing import show_notices
 from app.scenes.control import StatesChoice
 from app.theme import learner_label
 from app.views.regions import brush, region_tables
@@ -101,6 +102,7 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
         weight, weighing = others[chosen]
         if missing := weighing.missing(length):
             st.caption(missing)
+        show_notices(weighing)
         return buffer_reader.weighed_rows(run, weight, weighing.end)
     if not own:
         return None  # its weights cannot be read

@@ -10,6 +10,7 @@ from app.data import buffer_reader, readers, weighings
 from app.data.readers import RunInfo
 from app.figures.probe import probe_profiles
 from app.parts.plot import chart
+from app.parts.weighing import show_notices
 from app.theme import learner_label
 from tom.record.reader import at_or_before
 
@@ -50,6 +51,7 @@ def at_fit(run: RunInfo, step: int) -> None:
             "from fit to fit; lines are medians over seeds, bands their range; the dotted line "
             "ends the random data",
         )
+        show_notices(weighed[at])
         share = weighed[at].ordered_from / weighed[at].rows
         profiles, keep = weighings.profiles(of), weighed[at].name
         figure = probe_profiles(profiles, share, HEIGHT, log=False, keep=keep)

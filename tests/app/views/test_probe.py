@@ -151,6 +151,28 @@ def test_the_page_lays_all_learners_over_one_buffer(weighed: Path) -> None:
     assert shown.loc["MLE", "random"] == pytest.approx(1)
 
 
+@pytest.mark.parametrize(
+    ("view", "words", "step"),
+    [
+        ("probe", {}, None),
+        ("regions", {"weights": "TOM s1, made"}, None),
+        ("weights", {"step": "300"}, 300),
+    ],
+)
+def test_what_the_learners_noticed_stands_beside_their_weights(
+    view: str, words: dict[str, str], step: int | None, weighed: Path
+) -> None:
+    assert not draw(view, run=PENDULUM_TOM, **words).warning
+    report = json.loads((weighed / "report.json").read_text()) | {"step": step}
+    of_tom = [result for result in report["results"] if result["learner"] == "tom"]
+    for result in of_tom:
+        result["notices"] = ["no trust in this"]
+    (weighed / "report.json").write_text(json.dumps(report))
+    (said,) = draw(view, run=PENDULUM_TOM, **words).warning
+    assert "no trust in this" in said.value
+    assert "TOM" in said.value
+
+
 def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
     there = weighed.parents[1]
     step = RunReader(there / PENDULUM_TOM).policy_steps()[1]
