@@ -218,7 +218,10 @@ class Driver:
             rest = [f"--steps={steps}"] if given_fewer(job.trial, run) else []
             return [f"--resume={job.run_id}", *rest, *job.trial.code(), *named, *self._accepted]
         job.run_id, job.anew = job.trial.run_id, False
-        if (self.store.path / job.run_id).is_dir():  # it has no checkpoint to resume from
+        path = self.store.path / job.run_id
+        if at is None and (closed := checkpoint.look_for(path / checkpoint.FOLDER)[1]):
+            raise UserError(f"{closed}: make it readable")
+        if path.is_dir():  # it has no checkpoint to resume from
             where = self.backend.begin_anew(job.run_id)
             job.note = f"began anew; what was there is in {where}"
         return [*job.trial.options(), f"--run-id={job.run_id}", *named, *self._accepted]

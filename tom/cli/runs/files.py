@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tom.cli.tables import show
+from tom.cli.tables import name_problems, show
 from tom.errors import UserError
 from tom.harmless import terminal
 from tom.record import RunReader, Store, sizes
@@ -63,8 +63,6 @@ def verify_runs(args: argparse.Namespace) -> int:
         print(json.dumps({"runs": problems, "store": store.problems}))
     else:
         for problem in [f"{r}: {text}" for r, texts in problems.items() for text in texts]:
-            print(terminal(problem))
-        for problem in store.problems:
             print(terminal(problem))
         bad = sum(map(bool, problems.values()))
         print(f"{len(problems)} runs read, {bad} with problems")
@@ -138,6 +136,7 @@ def write_index(args: argparse.Namespace) -> int:
 
     store = Store(args.store)
     runs = small_copies(store)
+    name_problems(store)
     if not runs:
         raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
     path = store.path / NAME
@@ -181,7 +180,11 @@ def _chosen(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
     """
     store.ensure_there()
     named = dict.fromkeys(run_ids)
-    return [store.run(run_id) for run_id in named] if named else store.runs()
+    if named:
+        return [store.run(run_id) for run_id in named]
+    runs = store.runs()
+    name_problems(store)
+    return runs
 
 
 def _finished(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
