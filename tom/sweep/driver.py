@@ -17,11 +17,11 @@ from typing import Literal
 
 from tom import plugins
 from tom.errors import NOT_NOW, START_AGAIN, UserError
-from tom.record import RunReader, checkpoint, lock
+from tom.record import RunReader, checkpoint, layout, lock
 from tom.record.creating import TAKEN
 from tom.record.lock import BusyError
 from tom.record.versions import ACCEPT
-from tom.sweep.backend import LOGS, Backend
+from tom.sweep.backend import Backend
 from tom.sweep.engine import Engine, Exit, Process, lives
 from tom.sweep.watchdog import lost
 from tom.training.plan import Trial, given_fewer, given_more, is_done, same_run
@@ -75,7 +75,7 @@ class Driver:
         self.back_off_s = back_off_s
         self._accepted = [ACCEPT] if accept_versions else []
         runs = self.store.runs()
-        logs = self.store.path / LOGS
+        logs = self.store.beside(layout.LOGS)
         self.jobs: list[Job] = []
         for trial in trials:
             run = same_run(trial, runs)

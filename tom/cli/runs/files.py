@@ -64,6 +64,8 @@ def verify_runs(args: argparse.Namespace) -> int:
     else:
         for problem in [f"{r}: {text}" for r, texts in problems.items() for text in texts]:
             print(terminal(problem))
+        for problem in store.problems:
+            print(terminal(problem))
         bad = sum(map(bool, problems.values()))
         print(f"{len(problems)} runs read, {bad} with problems")
     return 1 if any(problems.values()) or store.problems else 0
@@ -146,7 +148,9 @@ def write_index(args: argparse.Namespace) -> int:
 
 
 def size(args: argparse.Namespace) -> int:
-    bytes_of = {run.run_id: sizes.sizes(run) for run in _chosen(Store(args.store), args.run_ids)}
+    store = Store(args.store)
+    bytes_of = {run.run_id: sizes.sizes(run) for run in _chosen(store, args.run_ids)}
+    name_problems(store)
     if args.json:
         print(json.dumps(bytes_of))
         return 0
@@ -180,16 +184,13 @@ def _chosen(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
     """
     store.ensure_there()
     named = dict.fromkeys(run_ids)
-    if named:
-        return [store.run(run_id) for run_id in named]
-    runs = store.runs()
-    name_problems(store)
-    return runs
+    return [store.run(run_id) for run_id in named] if named else store.runs()
 
 
 def _finished(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
     """The named runs, or all finished runs."""
     runs = _chosen(store, run_ids)
+    name_problems(store)
     return runs if run_ids else [run for run in runs if run.status.state == "finished"]
 
 
