@@ -1,7 +1,10 @@
-"""The list of pages. A new page is one module with TITLE, ICON, PATH and page(), named here."""
+"""The list of pages. A new page is one module of `app.views` with `page()`, named here."""
 
+import gc
+import sys
 from collections.abc import Callable
-from types import ModuleType
+from dataclasses import dataclass
+from importlib import import_module
 from typing import Protocol
 
 import numpy as np
@@ -11,17 +14,16 @@ from streamlit.errors import StreamlitAPIException
 from streamlit.navigation.page import StreamlitPage
 
 from app import session
-from app.data import datasets, readers
-from app.parts import address, empty
+from app.data import readers
+from app.parts import address
 from app.scenes.colours import rgb
 from app.theme import LEARNER_COLOURS, NEUTRAL
-from app.views import cinema, compare, live, probe, regions, replays, road, studies, weights
 from tom.learners import SUBJECT
 from tom.plugins import PAGES
 
 
 class Page(Protocol):
-    """A page: a module, or a plug-in's object with the same attributes."""
+    """A page: one of ours, or a plug-in's object with the same attributes."""
 
     @property
     def TITLE(self) -> str: ...  # noqa: N802
@@ -33,18 +35,39 @@ class Page(Protocol):
     def page(self) -> Callable[[], None]: ...
 
 
+@dataclass(frozen=True)
+class View:
+    """A page of ours. Its module, `app.views.<name>`, is imported when it is drawn first."""
+
+    name: str
+    TITLE: str
+    ICON: str
+    PATH: str
+
+    def page(self) -> None:
+        """Draw it."""
+        module = f"app.views.{self.name}"
+        if module not in sys.modules:
+            import_module(module)
+            # Streamlit collects garbage after every drawing of a page or a part of it. The
+            # libraries' 400 000 objects, which last as long as the process, would take 0.3 s of
+            # that each time.
+            gc.freeze()
+        sys.modules[module].page()
+
+
 PLAIN_ICON = ":material/extension:"
 
-VIEWS: tuple[ModuleType, ...] = (
-    live,
-    compare,
-    weights,
-    regions,
-    probe,
-    replays,
-    cinema,
-    road,
-    studies,
+VIEWS = (
+    View("live", "Live", ":material/monitor_heart:", ""),
+    View("compare", "Compare", ":material/stacked_line_chart:", "compare"),
+    View("weights", "Weights", ":material/gradient:", "weights"),
+    View("regions", "Regions", ":material/lasso_select:", "regions"),
+    View("probe", "Probe", ":material/experiment:", "probe"),
+    View("replays", "Replays", ":material/replay:", "replays"),
+    View("cinema", "Cinema", ":material/movie:", "cinema"),
+    View("road", "Road and rocks", ":material/add_road:", "road"),
+    View("studies", "Studies", ":material/lab_profile:", "studies"),
 )
 BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS[SUBJECT]))
 """the studio's logo: heights and colours of a weight profile"""
@@ -61,7 +84,7 @@ LOGO = (
 )
 
 
-def views() -> tuple[Page | ModuleType, ...]:
+def views() -> tuple[Page, ...]:
     """Our pages, then those of plug-ins."""
     return (*VIEWS, *PAGES)
 
@@ -86,7 +109,7 @@ def run() -> None:
     session.drawn()
 
 
-def _listed(view: Page | ModuleType, icon: str, first: bool) -> StreamlitPage:
+def _listed(view: Page, icon: str, first: bool) -> StreamlitPage:
     """The page as Streamlit lists it. A plug-in's icon that is none must not stop the others."""
     try:
         return st.Page(view.page, title=view.TITLE, icon=icon, url_path=view.PATH, default=first)
@@ -99,7 +122,13 @@ def _listed(view: Page | ModuleType, icon: str, first: bool) -> StreamlitPage:
 def draw(page: Callable[[], None]) -> None:
     """The page, or the empty store's page if there are neither runs nor weighed data."""
     store = session.links().store
-    if readers.listing(store).runs or datasets.listing(store):
+    if readers.listing(store).runs:
+        page()
+        return
+    from app.data import datasets  # here: a store with runs needs neither
+    from app.parts import empty
+
+    if datasets.listing(store):
         page()
     else:
         empty.page()

@@ -3,7 +3,6 @@
 from typing import Any, Literal
 
 import numpy as np
-from plotly.colors import sample_colorscale
 
 from tom.config import SAC_ALONE
 from tom.learners import LEARNERS
@@ -66,6 +65,8 @@ _RAMP: dict[Mode, tuple[float, float]] = {"light": (0.0, 0.6), "dark": (0.32, 1.
 
 def ramp(count: int, mode: Mode) -> list[str]:
     """`count` colours of a scale for ordered groups, as `#rrggbb`, the lowest first."""
+    from plotly.colors import sample_colorscale  # here: servers need no plotly
+
     at = np.linspace(*_RAMP[mode], count).tolist()
     return [
         "#" + "".join(f"{round(255 * float(part)):02x}" for part in colour)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import viser
 
 from app.scenes.colours import rgb
-from app.scenes.control import Selection
+from app.scenes.control import Clock, Selection
 from app.scenes.words import Words
 from app.theme import ACCENT, Mode
 
@@ -73,6 +73,10 @@ class Frame:
                 camera = self.client.camera.position
                 for words in self._words():
                     words.face(camera)
+
+    def clock(self) -> Clock | None:
+        """The state of playback; None if this kind of scene plays nothing."""
+        return None
 
     def look(self, position: Vector, at: Vector) -> None:
         """Set the user's camera."""

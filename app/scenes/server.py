@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http import HTTPStatus
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import viser
@@ -25,24 +25,17 @@ from app.scenes.control import (
     StatesChoice,
     listen,
 )
-from app.scenes.frame import Frame
-from app.scenes.replay_frame import ReplayFrame
-from app.scenes.road_frame import RoadFrame
-from app.scenes.states_frame import StatesFrame
 from app.theme import BACKGROUND, Mode
 from tom import plugins
 from tom.errors import UserError
 from tom.machine.address import framing, refusal
 
+if TYPE_CHECKING:
+    from app.scenes.frame import Frame
+
 Answer = Callable[[ServerConnection, Request], Response | None]
 
 TICK_S = 1 / 30
-FRAMES: dict[type[Choice], type[Frame]] = {
-    RoadChoice: RoadFrame,
-    ReplayChoice: ReplayFrame,
-    StatesChoice: StatesFrame,
-}
-"""the frame class for each kind of choice"""
 
 
 class SceneServer:
@@ -77,7 +70,8 @@ class SceneServer:
     def clock(self, client: str) -> Clock | None:
         """The clock of a page's frame; None if nothing plays there."""
         frames = [frame for _, (name, frame) in list(self.frames.items()) if name == client]
-        return next((f.clock() for f in reversed(frames) if isinstance(f, ReplayFrame)), None)
+        clocks = [clock for frame in frames if (clock := frame.clock())]
+        return clocks[-1] if clocks else None
 
     def tick(self, seconds: float) -> None:
         """Advance all frames by `seconds`."""
@@ -94,9 +88,9 @@ class SceneServer:
         return asked > begun
 
     def _show(
-        self, number: int, name: str, frame: Frame, selection: Selection, *, play: bool
+        self, number: int, name: str, frame: "Frame", selection: Selection, *, play: bool
     ) -> None:
-        if type(frame) is not FRAMES[type(selection.choice)]:
+        if type(frame) is not frame_class(selection.choice):
             frame.close()
             frame = self._frame(frame.client, selection)
             if not self._insert(number, name, frame):
@@ -119,7 +113,7 @@ class SceneServer:
         play = self._asked_to_play(name, selection.choice)
         self._show(client.client_id, name, frame, selection, play=play)
 
-    def _insert(self, number: int, name: str, frame: Frame) -> bool:
+    def _insert(self, number: int, name: str, frame: "Frame") -> bool:
         """Store a frame; returns False if its tab was closed while it was built (see `_left`)."""
         self.frames[number] = (name, frame)
         if number in self.server.get_clients():
@@ -127,8 +121,8 @@ class SceneServer:
         self.frames.pop(number, None)
         return False
 
-    def _frame(self, client: viser.ClientHandle, selection: Selection) -> Frame:
-        kind = FRAMES[type(selection.choice)]
+    def _frame(self, client: viser.ClientHandle, selection: Selection) -> "Frame":
+        kind = frame_class(selection.choice)
         return kind(client, self.links.store, selection.mode, compact=selection.compact)
 
     def _left(self, client: viser.ClientHandle) -> None:
@@ -138,6 +132,23 @@ class SceneServer:
         # viser has no public attribute for a client's request; its path is the only thing that a
         # page can set (`?websocket=` in Links.viser).
         return self.server._websock_server._live_connections[client.client_id].request
+
+
+def frame_class(choice: Choice) -> "type[Frame]":
+    """What shows a choice; imported when a page first asks for it, since a robot needs MuJoCo."""
+    match choice:
+        case RoadChoice():
+            from app.scenes.road_frame import RoadFrame
+
+            return RoadFrame
+        case ReplayChoice():
+            from app.scenes.replay_frame import ReplayFrame
+
+            return ReplayFrame
+        case StatesChoice():
+            from app.scenes.states_frame import StatesFrame
+
+            return StatesFrame
 
 
 @contextmanager

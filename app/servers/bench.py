@@ -54,7 +54,7 @@ KINDS = (
 """the trained runs, in turn: task, learner, settings"""
 STUDIES, FIGURES, LINES = 3, 2, 300
 """for the page of studies: number of figures and table lines of each"""
-PAGES = tuple(view.__name__.rpartition(".")[2] for view in VIEWS)
+PAGES = tuple(view.name for view in VIEWS)
 HARNESS = (
     "import streamlit as st\n"
     "if 'measured' in st.session_state:\n"

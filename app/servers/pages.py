@@ -1,6 +1,5 @@
 """Streamlit's process: the pages, and the recordings for the Rerun viewer."""
 
-import gc
 import logging
 import re
 from pathlib import Path
@@ -20,7 +19,7 @@ from starlette.responses import (
 from starlette.routing import Route
 from streamlit import config
 
-from app.data import readers, replays, studies
+from app.data import readers, studies
 from app.guard import Guard
 from app.links import Links
 from app.parts import shortlinks
@@ -102,6 +101,8 @@ def app(links: Links) -> st.App:
 def episode(store: str, run_id: str, step: int, index: int, horizon: int) -> bytes | None:
     """A recording of one evaluation episode and its ghost; None if there is no such episode."""
     try:
+        from app.data import replays  # here: it imports torch, the simulator and Rerun
+
         run = Store(store).run(run_id)
         return replays.recording(run, step, index, horizon)
     except UserError:
@@ -149,9 +150,6 @@ def warm(store: str) -> None:
     """Read all metrics into the cache, for the first page that compares runs."""
     for run in readers.listing(store).runs:
         readers.metrics(run)
-    # Streamlit collects garbage after every drawing of a page or a part of it. The libraries'
-    # 400 000 objects, which last as long as the process, would take 0.3 s of that each time.
-    gc.freeze()
 
 
 def main() -> None:

@@ -1,14 +1,12 @@
 """Screenshots of every page, by headless Chromium on a running studio."""
 
 import io
-import logging
 from pathlib import Path
 from threading import Event
-from types import ModuleType
 
 from PIL import Image
-from streamlit.logger import get_logger
 
+from app.router import VIEWS
 from app.servers import screen_capture
 from app.servers.browser import chromium, settled_picture
 from app.servers.launcher import Studio, servers
@@ -25,7 +23,6 @@ def take(store: Path, folder: Path) -> int:
 
     Raises UserError if the browser is missing, or if an animation would be too large.
     """
-    views = _views()
     with servers(Studio(store=store), Event()) as (links, running), chromium() as browser:
         if running is None:
             return 1
@@ -35,7 +32,7 @@ def take(store: Path, folder: Path) -> int:
                 context = browser.new_context(
                     viewport={"width": width, "height": 900}, color_scheme=mode
                 )
-                for view in views:
+                for view in VIEWS:
                     page = context.new_page()
                     page.goto(links.opened(view.PATH))
                     name = view.PATH or "live"
@@ -47,14 +44,6 @@ def take(store: Path, folder: Path) -> int:
         for story in screen_capture.stories(store):
             screen_capture.film(browser, links.address, story, folder / f"{story.view}.webp")
     return 0
-
-
-def _views() -> tuple[ModuleType, ...]:
-    """The pages. None is drawn here, so that their caches need no server."""
-    get_logger("streamlit.runtime.caching.cache_data_api").setLevel(logging.ERROR)
-    from app.router import VIEWS
-
-    return VIEWS
 
 
 def compact(picture: bytes) -> bytes:

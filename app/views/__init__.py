@@ -1,1 +1,1 @@
-"""The studio's pages: `TITLE`, `ICON`, `PATH` and `page()`. A page with parts is a package."""
+"""The studio's pages, each with `page()`. A page with parts is a package."""

@@ -13,10 +13,6 @@ from app.scenes.film.page import SECONDS, cinema
 from app.scenes.film.story import may_be_told, story
 from tom.errors import UserError
 
-TITLE = "Cinema"
-ICON = ":material/movie:"
-PATH = "cinema"
-
 HEIGHT = 700
 LENGTHS = {"15 s": 15.0, "30 s": 30.0, "1 min": SECONDS, "2 min": 120.0}
 

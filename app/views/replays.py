@@ -16,10 +16,6 @@ from app.scenes.control import ReplayChoice
 from app.theme import learner_label
 from tom.errors import UserError
 
-TITLE = "Replays"
-ICON = ":material/replay:"
-PATH = "replays"
-
 VISER, RERUN = "3D scene", "Rerun"
 STAGE_HEIGHT = 520
 CURVE_HEIGHT = 150

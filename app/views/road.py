@@ -22,10 +22,6 @@ from tom.learners import SUBJECT
 from tom.metrics import describe
 from tom.record.reader import at_or_before
 
-TITLE = "Road and rocks"
-ICON = ":material/add_road:"
-PATH = "road"
-
 HEIGHT = 620
 SMALL = 360
 """height of a flat map beside others"""

@@ -14,10 +14,6 @@ from app.parts import form
 from tom.harmless import as_csv
 from tom.studies.each import FOLDER as CASES
 
-TITLE = "Studies"
-ICON = ":material/lab_profile:"
-PATH = "studies"
-
 SHORT = 20
 """maximum lines of a table that is shown unfolded; longer ones have single values"""
 LISTED = 200

@@ -14,10 +14,11 @@ from app.scenes.control import clock
 TIMEOUT_S = 60
 PAGE = """
 from app.parts import address
-from app.views import {view}
+from app.router import VIEWS
 
-address.visit({view}.PATH)
-{view}.page()
+[view] = [view for view in VIEWS if view.name == "{view}"]
+address.visit(view.PATH)
+view.page()
 address.write()
 """
 

@@ -41,7 +41,7 @@ from tom.training.run import train
 
 pytestmark = pytest.mark.fault
 
-NAMES = [view.__name__.rpartition(".")[2] for view in VIEWS]
+NAMES = [view.name for view in VIEWS]
 EYES = "tom_eyes"
 HOSTILE = "<img src=http://evil.example/x.png onerror=alert(1)>![x](http://evil.example/y.png)"
 ESCAPES = ("../../etc/passwd", "..", "a/../../b", "/etc/passwd", "\x00", HOSTILE, "' OR 1=1 --")

@@ -162,6 +162,23 @@ finally:
     assert not (LIBRARIES | others) & set(done.stderr.split())
 
 
+@pytest.mark.parametrize(
+    ("module", "its_own"),
+    [
+        ("app.servers.launcher", set()),
+        ("app.servers.pages", {"streamlit"}),
+        ("app.scenes.server", set()),
+        ("tom.record.rerun.hub", set()),
+    ],
+)
+def test_a_server_of_the_studio_starts_without_heavy_libraries(module: str, its_own: set[str]):
+    code = f"import sys, {module}; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    ).stdout.split()
+    assert LIBRARIES & set(loaded) == its_own
+
+
 def test_the_studio_reads_run_folders_through_one_module():
     """`app/data/readers.py` makes the readers; `app/servers/bench.py` writes its own runs."""
     for module, path in MODULES.items():

@@ -1,25 +1,26 @@
-"""The learners: one file and one registry line each."""
+"""The learners: one file and one registry line each.
+
+A learner's file is imported when it is built: whoever only shows runs needs no torch.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import torch
 from pydantic import create_model
 
 from tom.config import Config, RunConfig
 from tom.errors import unknown
-from tom.learners.base import Learner
-from tom.learners.mle import MleLearner
-from tom.learners.pmac import PmacLearner
-from tom.learners.ratio import RatioLearner
-from tom.learners.tom import TomLearner
-from tom.learners.vagram import VagramLearner
+
+if TYPE_CHECKING:
+    import torch
+
+    from tom.learners.base import Learner
 
 C = TypeVar("C", bound=Config)
 
-Build = Callable[[RunConfig, int, int, torch.Generator], Learner]
+Build = Callable[[RunConfig, int, int, "torch.Generator"], "Learner"]
 """(config, obs_dim, action_dim, generator) -> learner."""
 
 
@@ -50,14 +51,44 @@ class LearnerEntry:
     own: type[Config] | None = None
 
 
+def _mle(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.mle import MleLearner
+
+    return MleLearner()
+
+
+def _pmac(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.pmac import PmacLearner
+
+    return PmacLearner(c.pmac)
+
+
+def _tom(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.tom import TomLearner
+
+    return TomLearner(c.tom, o, a, g)
+
+
+def _ratio(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.ratio import RatioLearner
+
+    return RatioLearner(c.tom, o, a, g)
+
+
+def _vagram(c: RunConfig, o: int, a: int, g: "torch.Generator") -> "Learner":
+    from tom.learners.vagram import VagramLearner
+
+    return VagramLearner(c.vagram)
+
+
 # Colours: at least 3:1 against light and dark; any two differ by 14 or more (CIE 1976) under
 # normal, red-blind, green-blind and blue-blind vision. tests/app/test_theme.py measures both.
 LEARNERS: dict[str, LearnerEntry] = {
-    "mle": LearnerEntry("MLE", lambda *_: MleLearner(), "#2b6fe0", uniform=True),
-    "pmac": LearnerEntry("PMAC", lambda c, o, a, g: PmacLearner(c.pmac), "#0c8577", "pmac"),
+    "mle": LearnerEntry("MLE", _mle, "#2b6fe0", uniform=True),
+    "pmac": LearnerEntry("PMAC", _pmac, "#0c8577", "pmac"),
     "tom": LearnerEntry(
         "TOM",
-        lambda c, o, a, g: TomLearner(c.tom, o, a, g),
+        _tom,
         "#c8441c",
         "tom",
         has_terms=True,
@@ -66,19 +97,17 @@ LEARNERS: dict[str, LearnerEntry] = {
             "TOM: discriminator and dual Q": ("discriminator/loss", "dual/loss", "dual/q_mean")
         },
     ),
-    "ratio": LearnerEntry(
-        "Ratio", lambda c, o, a, g: RatioLearner(c.tom, o, a, g), "#849060", "tom", clipped=True
-    ),
+    "ratio": LearnerEntry("Ratio", _ratio, "#849060", "tom", clipped=True),
     "vagram": LearnerEntry(
         "VaGram (MDN)",
-        lambda c, o, a, g: VagramLearner(c.vagram),
+        _vagram,
         "#e056c0",
         "vagram",
         follows_value=True,
     ),
     "vagram-ensemble": LearnerEntry(
         "VaGram (Ensemble)",
-        lambda c, o, a, g: VagramLearner(c.vagram),
+        _vagram,
         "#bd8d12",
         "vagram",
         follows_value=True,
@@ -128,8 +157,8 @@ def _extended(base: type[C], groups: tuple[tuple[str, type[Config]], ...]) -> ty
 
 
 def make_learner(
-    name: str, config: RunConfig, obs_dim: int, action_dim: int, generator: torch.Generator
-) -> Learner:
+    name: str, config: RunConfig, obs_dim: int, action_dim: int, generator: "torch.Generator"
+) -> "Learner":
     """Make the learner `name`; `generator` draws its initial parameters.
 
     Raises UserError if there is no learner of that name.

@@ -14,10 +14,6 @@ from app.views.compare.comparison import Comparison, compare
 from tom.analysis import grouping
 from tom.analysis.settings import NONE
 
-TITLE = "Compare"
-ICON = ":material/stacked_line_chart:"
-PATH = "compare"
-
 CURVES = "Curves"
 MOST_COLUMNS = 24
 GROUP_WIDTH = 230

@@ -20,10 +20,6 @@ from tom.config import SAC_ALONE
 from tom.metrics import describe
 from tom.plugins import CHARTS
 
-TITLE = "Live"
-ICON = ":material/monitor_heart:"
-PATH = ""
-
 REFRESH_S, LOOK_S = 2, 5
 """seconds between two drawings while a run trains, and between two looks at which runs train"""
 RECENT_S, RECENT = 900, 8

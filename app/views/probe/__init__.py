@@ -20,10 +20,6 @@ from app.views.probe.length import of_like_length
 from tom.config import SAC_ALONE
 from tom.envs import ROAD
 
-TITLE = "Probe"
-ICON = ":material/experiment:"
-PATH = "probe"
-
 COLUMNS = {
     "ESS": "ess",
     "zero": "zeros",

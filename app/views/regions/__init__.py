@@ -22,10 +22,6 @@ from tom.analysis.brush import AS_IT_IS
 from tom.envs import ROAD
 from tom.reports.brush_files import called
 
-TITLE = "Regions"
-ICON = ":material/lasso_select:"
-PATH = "regions"
-
 MAP_HEIGHT = 690
 STAGE_HEIGHT = 560
 MOMENT_HEIGHT = 150

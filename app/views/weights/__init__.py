@@ -25,10 +25,6 @@ from tom.record.profiles import Profiles
 from tom.record.reader import at_or_before
 from tom.record.thin import FITS
 
-TITLE = "Weights"
-ICON = ":material/gradient:"
-PATH = "weights"
-
 EVEN = 0.9999
 """effective sample size (share) from which weights count as uniform"""
 RELATIVE = "against uniform"

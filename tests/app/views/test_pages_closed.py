@@ -13,7 +13,7 @@ from app.data import readers
 from app.links import Links
 from app.router import VIEWS
 
-PAGES = [view.__name__.rpartition(".")[2] for view in VIEWS]
+PAGES = [view.name for view in VIEWS]
 OF_PARTS = [page for page in PAGES if page not in ("compare", "studies")]
 PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "weights")
 LISTED = 0o444

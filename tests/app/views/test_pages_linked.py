@@ -18,7 +18,7 @@ from tom.record import Store, layout, manage
 from tom.reports.html import Report, write_report
 from tom.reports.weighing_files import REPORT
 
-PAGES = [view.__name__.rpartition(".")[2] for view in VIEWS]
+PAGES = [view.name for view in VIEWS]
 TRASHED = "pendulum-mle-0"
 CODE = "56de132e"
 """of the short link to `compare?env=hopper`"""

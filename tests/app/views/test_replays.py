@@ -197,7 +197,7 @@ from app.parts import address
 from app.parts.plot import Point
 from app.views import replays
 
-address.visit(replays.PATH)
+address.visit("replays")
 st.button("click", on_click=replays._choose_episode, args=(Point(1, 0.0, 0, None),))
 replays.page()
 address.write()
