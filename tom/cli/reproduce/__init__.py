@@ -4,12 +4,13 @@ from tom.cli.reproduce import (
     focus,
     frozen,
     improvement,
-    online,
     progression,
     returns,
     road,
+    runner,
     tabular,
 )
+from tom.studies import online
 
 STUDIES = (
     road,
@@ -17,7 +18,6 @@ STUDIES = (
     focus,
     frozen,
     improvement,
-    online,
     returns,
     tabular,
 )
@@ -32,3 +32,5 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
     for study in STUDIES:
         study.add_parser(studies, arguments)
+    for study in (online.STUDY,):
+        runner.add_parser(studies, study)

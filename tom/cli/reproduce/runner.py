@@ -1,0 +1,176 @@
+"""`tom reproduce`: compute a claim of the paper again and test it against its acceptance.
+
+A study says what is computed and found (tom/studies); here are its progress, its files, its report,
+what is printed, and the exit code.
+"""
+
+import json
+import shlex
+import signal
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from matplotlib import rc_context
+from pydantic import ValidationError
+
+from tom.cli.parser import folder, one_line, seed_number
+from tom.cli.progress import ProgressReport
+from tom.cli.signals import on_stopping
+from tom.cli.tables import show
+from tom.config import SacRecordingConfig
+from tom.errors import DivergedError, UserError
+from tom.record import RunReader, Store
+from tom.record.files import plain
+from tom.reports.files import write_csv
+from tom.reports.html import Report, text_of, write_report
+from tom.reports.origin import origin
+from tom.reports.style import STYLE, save
+from tom.studies.each import each
+from tom.studies.study import Study, Table
+from tom.training.resume import resume, unfinished
+from tom.training.run import Stop, train
+
+Case = TypeVar("Case")
+Outcome = TypeVar("Outcome")
+
+_BEGUN = time.monotonic()  # a study is a separate process
+
+
+def add_parser(studies, study: Study) -> None:
+    """Add the command of a study."""
+    question = (study.doc or "").partition("\n")[0]
+    parser = studies.add_parser(study.name, help=question, description=study.doc)
+    parser.register("type", "folder", folder)
+    parser.register("type", "seed", seed_number)
+    study.options(parser)
+    out = Path("reports") / study.name
+    parser.add_argument("--out", type=Path, default=out, help="[%(default)s]")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.set_defaults(run=partial(run, study))
+
+
+def run(study: Study, args: Namespace) -> int:
+    """Run a study. Returns 0 where its acceptance is met, 1 where it is not or cannot be told.
+
+    It cannot on Ctrl-C or SIGTERM, or if a case cannot be finished: a process was killed, the disk
+    is full, a loss is not finite.
+    """
+    for name, value in vars(args).items():
+        if isinstance(value, list):  # what is named twice counts once
+            setattr(args, name, list(dict.fromkeys(value)))
+    try:
+        with on_stopping(signal.default_int_handler, [signal.SIGTERM]):
+            return _run(study, args)
+    except ValidationError as error:
+        raise one_line(error) from None
+    except KeyboardInterrupt:
+        say("stopped")
+    except BrokenProcessPool:
+        say("a process was killed; fewer --jobs need less memory. The same command goes on")
+    except OSError as error:
+        say(f"{error}. The same command goes on")
+    except DivergedError as error:
+        say(f"failed: {error}")
+    return 1
+
+
+def _run(study: Study, args: Namespace) -> int:
+    found = study.find(args, Desk(args))
+    make_folder(args)
+    failed = [str(row["name"]) for row in found.checks if row["met"] is False]
+    said = [*found.said, *_judgement(found.checks, failed)]
+    tables = [
+        *([Table("Acceptance", _judged(found.checks))] if found.checks else []),
+        *found.tables,
+    ]
+    for name, rows in found.files.items():
+        write_csv(args.out / f"{name}.csv", rows)
+    pictures = []
+    for name, (caption, draw) in found.figures.items():
+        with rc_context(STYLE):
+            pictures.append((caption, save(draw(), args.out, name)[0]))
+    hours = (
+        f"{(time.monotonic() - _BEGUN) / 3600:.2f} (cases kept from an earlier call not counted)"
+    )
+    made = origin() | {"hours": hours} | dict(found.origin)
+    rows = [(table.title, table.rows) for table in tables]
+    write_report(Report(study.title, study.claim, said, pictures, rows, made), args.out)
+    if args.json:
+        content = {"checks": found.checks} if found.checks else {}
+        content |= {**found.json, "verdict": said, "out": str(args.out)}
+        print(json.dumps(plain(content), allow_nan=False))
+    else:
+        _print(tables, [*said, str(args.out)])
+    return 1 if failed else 0
+
+
+def _judgement(checks: Sequence[Mapping[str, Any]], failed: Sequence[str]) -> list[str]:
+    """How much of the acceptance is met, in sentences."""
+    judged = [row for row in checks if row["met"] is not None]
+    if not judged:
+        return []
+    said = [f"{len(judged) - len(failed)} of {len(judged)} figures of our acceptance are met."]
+    return said + ([f"Not met: {'; '.join(failed)}."] if failed else [])
+
+
+def _judged(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return [{**row, "met": {True: "yes", False: "NO", None: ""}[row["met"]]} for row in checks]
+
+
+def _print(tables: Sequence[Table], said: Sequence[str]) -> None:
+    for table in tables:
+        rows = table.rows if table.brief is None else table.brief
+        if rows:
+            show(table.title, tuple(rows[0]), [tuple(map(text_of, row.values())) for row in rows])
+    print("\n".join(said))
+
+
+class Desk:
+    """Where a study computes: its cases and recordings, with progress on stderr."""
+
+    def __init__(self, args: Namespace) -> None:
+        self._args = args
+
+    def compute(
+        self,
+        work: Callable[[Case], Outcome],
+        cases: Sequence[Case],
+        told: Callable[[Outcome], str],
+    ) -> list[Outcome]:
+        make_folder(self._args)
+        done: list[Outcome] = []
+        for one in each(work, cases, self._args.jobs, self._args.out):
+            done.append(one)
+            say(f"{len(done)} of {len(cases)}: {told(one)}")
+        return done
+
+    def record(self, store: Store, config: SacRecordingConfig) -> RunReader:
+        make_folder(self._args)
+        stop, begun = Stop(), unfinished(store, config)
+        work = partial(resume, store, begun) if begun else partial(train, config, store)
+        label = f"{config.env} sac seed {config.seed}"
+        with on_stopping(stop), ProgressReport(label, config.total_steps, sys.stderr) as progress:
+            command = shlex.join(["tom", *sys.argv[1:]])
+            made = work(watchers=(progress.consume,), rerun=False, command=command, stop=stop)
+        if stop.asked:
+            raise KeyboardInterrupt
+        return made
+
+
+def make_folder(args: Namespace) -> None:
+    """Make the folder of the report. Raises UserError if it cannot be made."""
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make {args.out}: {error.strerror}; name another --out") from error
+
+
+def say(line: str) -> None:
+    """Print a line of progress to stderr, so that stdout stays readable for a script."""
+    print(line, file=sys.stderr, flush=True)
