@@ -24,7 +24,7 @@ from tom.record import RunReader, Store
 from tom.reports.colours import NEUTRAL
 from tom.reports.origin import origin_of_runs
 from tom.reports.style import new_figure
-from tom.studies.returns import PAPER_ENVS
+from tom.studies.returns_cells import PAPER_ENVS
 from tom.studies.study import (
     Findings,
     Lab,

@@ -7,65 +7,71 @@ of a place is the mean over both levels of the other.
 """
 
 from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from tom.analysis.scores import beats, chance, contrast
 from tom.analysis.settings import changed, matters, unlike
 from tom.analysis.statistics import corrected, remark
-from tom.studies.returns import Array, Cell, compared_at, compared_from
+from tom.studies.returns_cells import Array, Cell, compared_at, compared_from
 from tom.studies.returns_tables import MEASURES, RIVAL
+from tom.studies.study import Row
 
 UNIFORM_MODEL, UNIFORM_STARTS = "model.uniform_share", "rollout.uniform_share"
 """the settings that make one place uniform, if they are 1"""
+EFFECTS = {
+    "weighted model": (1, 1, -1, -1),
+    "weighted starts": (1, -1, 1, -1),
+    "both beyond their sum": (1, -1, -1, 1),
+}
+"""what the cells add to an effect: those with weights in both places, in the model, in the starts,
+in neither"""
 
 
-class Design(NamedTuple):
-    """The four cells, named by what is weighted."""
-
-    both: Cell
-    model: Cell
-    starts: Cell
-    neither: Cell
-
-
-PLACES = {"weighted model": (1, 1, -1, -1), "weighted starts": (1, -1, 1, -1)}
-"""which cells have weights in a place, in the order of Design"""
-INTERACTION = "both beyond their sum", (1, -1, -1, 1)
-
-
-def factors(cells: Sequence[Cell], measures: Collection[str] = MEASURES) -> list[dict[str, Any]]:
+def factors(cells: Sequence[Cell], measures: Collection[str] = MEASURES) -> list[Row]:
     """One row per environment, learner, effect and measure; none without all four cells.
 
     "p" is that of `chance` with the other place's levels kept apart, and "p of all" is corrected
     for the number of rows that have one; the interaction has none, nor has a cell of one run.
     """
     at, since, rows = compared_at(cells), compared_from(cells), []
-    for design in _designs(cells):
-        env, base = design.both.env, design.both.label
+    for four in _designs(cells):
+        env, few = four[0].env, remark([cell.n for cell in four])
         for by in measures:
-            scores = [cell.scores(at[env], by, since[env]) for cell in design]
-            effects = {name: _of_place(scores, signs) for name, signs in PLACES.items()}
-            effects[INTERACTION[0]] = _contrast(scores, INTERACTION[1])
-            few = remark([cell.n for cell in design])
-            rows += [
-                {"env": env, "learner": base, "effect of": name, "by": MEASURES[by]}
-                | {"wins": np.nan, "p": np.nan, **effect}
-                | {"remark": few}
-                for name, effect in effects.items()
-            ]
+            scores = [cell.scores(at[env], by, since[env]) for cell in four]
+            for name, signs in EFFECTS.items():
+                row = {"env": env, "learner": four[0].label, "effect of": name, "by": MEASURES[by]}
+                rows.append({**row, **_effect(scores, signs), "remark": few})
     tested = iter(corrected([row["p"] for row in rows if np.isfinite(row["p"])]))
     return [row | {"p of all": next(tested) if np.isfinite(row["p"]) else np.nan} for row in rows]
 
 
-def _designs(cells: Sequence[Cell]) -> list[Design]:
+def _effect(scores: Sequence[Array], signs: Sequence[int]) -> Row:
+    """An effect, and of a place how often a run with weights there beats one without."""
+    of_place = sum(signs[1:3]) == 0
+    effect = contrast(scores, [sign / 2 if of_place else sign for sign in signs])
+    row: Row = {"wins": np.nan, "p": np.nan}
+    row |= {"effect": effect.value, "low": effect.low, "high": effect.high}
+    if of_place:
+        # In pairs that are alike in the other place.
+        up, down = (
+            [of for of, sign in zip(scores, signs, strict=True) if sign == level]
+            for level in (1, -1)
+        )
+        row["wins"] = beats(up, down).value
+        if min(map(len, scores)) > 1:
+            row["p"] = chance(up, down)
+    return row
+
+
+def _designs(cells: Sequence[Cell]) -> list[tuple[Cell, Cell, Cell, Cell]]:
+    """The cells with weights in both places, in the model, in the starts, and in neither."""
     found = []
     for both in (cell for cell in cells if cell.learner != RIVAL and _weighs_in_both(cell)):
         model, starts = (_uniform(cells, both, place) for place in (UNIFORM_STARTS, UNIFORM_MODEL))
         neither = next((cell for cell in cells if _is_rival(cell, both)), None)
         if model and starts and neither:
-            found.append(Design(both, model, starts, neither))
+            found.append((both, model, starts, neither))
     return found
 
 
@@ -91,17 +97,3 @@ def _is_rival(cell: Cell, both: Cell) -> bool:
     if (cell.env, cell.learner) != (both.env, RIVAL):
         return False
     return not any(matters(path, RIVAL) for path in unlike([cell.runs[0], both.runs[0]]))
-
-
-def _of_place(scores: Sequence[Array], signs: Sequence[int]) -> dict[str, float]:
-    """The effect of weights in a place, and how often a run with them beats one without."""
-    # In pairs that are alike in the other place.
-    up = [run for run, sign in zip(scores, signs, strict=True) if sign > 0]
-    down = [run for run, sign in zip(scores, signs, strict=True) if sign < 0]
-    told = _contrast(scores, [sign / 2 for sign in signs]) | {"wins": beats(up, down).value}
-    return told if min(map(len, scores)) < 2 else told | {"p": chance(up, down)}
-
-
-def _contrast(scores: Sequence[Array], signs: Sequence[float]) -> dict[str, float]:
-    effect = contrast(scores, signs)
-    return {"effect": effect.value, "low": effect.low, "high": effect.high}

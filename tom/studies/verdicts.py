@@ -5,23 +5,13 @@ from statistics import median
 from typing import Any
 
 from tom.analysis.progression import DECILES, LATE
-from tom.analysis.settings import unlike
-from tom.analysis.statistics import RANKED, remark
-from tom.envs import task
 from tom.studies.progression import RISE, Finding
-from tom.studies.returns import PAPER_ENVS, Cell, cell_of, compared_at, envs_of
 from tom.studies.road import TOM_SUCCESS_MIN, Outcome
 
 SIMPLER = ("expert-only", "footprint-only", "ratio", "pmac, expert last")
 """simple weightings of road-and-rocks, without a dual"""
 PAPER = "paper, 1 sampled a'"
 """the variant with the paper's networks and steps"""
-NOTHING = (
-    f"No environment of the paper has at least {RANKED} runs of TOM, of the first preset, and of "
-    "another learner: nothing to compare with the claim."
-)
-NAMED = 3
-"""runs named at most in a sentence"""
 
 
 def road(outcomes: Sequence[Outcome], sweep: Sequence[Outcome]) -> list[str]:
@@ -98,11 +88,6 @@ def tabular(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def returns(cells: Sequence[Cell]) -> list[str]:
-    """In how many of the paper's environments TOM's mean is the highest, and the reservations."""
-    return [*_ranking(cells), *_cut_short(cells), *_unlike(cells)]
-
-
 def _near(row: Mapping[str, Any]) -> str:
     return f"rank correlation {row['spearman']:.2f}, relative L1 error {row['l1']:.2f} (medians)"
 
@@ -125,94 +110,3 @@ def _median(outcomes: Mapping[int, Outcome], quantity: str) -> float:
 def _mle_arrives(sweep: Sequence[Outcome], turn: float) -> bool:
     of = [o.planner_success for o in sweep if (o.name, o.turn) == ("mle", turn)]
     return bool(of) and median(of) >= TOM_SUCCESS_MIN
-
-
-def _ranking(cells: Sequence[Cell]) -> list[str]:
-    """TOM's place among the groups that have enough runs to be ranked, and who has too few."""
-    of_paper = [c for c in cells if c.env in PAPER_ENVS]
-    enough = {
-        env: [c for c in of_paper if c.env == env and c.n >= RANKED] for env in envs_of(of_paper)
-    }
-    judged = {
-        env: group
-        for env, group in enough.items()
-        if cell_of(group, env, "tom") and any(c.learner != "tom" for c in group)
-    }
-    lines = _places(judged, compared_at(cells)) if judged else [NOTHING]
-    if few := [c for c in of_paper if c.n < RANKED]:
-        said = [
-            f"{env}: {', '.join(f'{c.label} (n = {c.n})' for c in few if c.env == env)}"
-            for env in envs_of(few)
-        ]
-        lines.append(f"Not ranked, with fewer than {RANKED} runs: {'; '.join(said)}.")
-    return lines
-
-
-def _places(judged: Mapping[str, Sequence[Cell]], at: Mapping[str, float]) -> list[str]:
-    """Where TOM and its variants have the highest mean, and what is to be kept in mind."""
-    first = [env for env, group in judged.items() if _tom_is_first(group, at[env])]
-    lines = [
-        f"TOM has the highest mean in {len(first)} of {len(judged)} of the paper's environments"
-        f"{_listed(first)}; the paper says 4 of 5."
-    ]
-    every = [c for group in judged.values() for c in group]
-    variants = sorted({c.variant for c in every if c.learner == "tom" and c.variant})
-    for variant in variants:
-        have = [env for env, group in judged.items() if cell_of(group, env, "tom", variant)]
-        first = [env for env in have if _tom_is_first(judged[env], at[env], variant)]
-        lines += [f"TOM, {variant}, has it in {len(first)} of {len(have)}{_listed(first)}."]
-    if len(variants) > 1:
-        lines.append("TOM's variants are held against the other learners, not against each other.")
-    if said := remark([c.n for c in every]):
-        lines.append(f"The smallest group: {said}.")
-    short = [
-        f"{env} {at[env]:.0f} of {task(env).steps}" for env in judged if at[env] < task(env).steps
-    ]
-    if short:
-        lines.append(f"Compared before the end of the paper's training: {'; '.join(short)} steps.")
-    return lines
-
-
-def _listed(envs: Sequence[str]) -> str:
-    return f" ({', '.join(envs)})" if envs else ""
-
-
-def _tom_is_first(cells: Sequence[Cell], step: float, variant: str = "") -> bool:
-    """Whether this TOM has the highest mean best return; its other variants are no rivals."""
-    means = {cell.method: float(cell.scores(step).mean()) for cell in cells}
-    tom = means["tom", variant]
-    return all(tom > mean for (learner, _), mean in means.items() if learner != "tom")
-
-
-def _cut_short(cells: Sequence[Cell]) -> list[str]:
-    """One line per environment in which some runs go on after others ended, the shortest named."""
-    lines = []
-    for env, step in compared_at(cells).items():
-        here = [c for c in cells if c.env == env]
-        longest = max(cell.longest for cell in here)
-        if longest > step:
-            ended = [
-                f"{run.run_id} ({run.status.shown})"
-                for cell in here
-                for run, curve in zip(cell.runs, cell.curves, strict=True)
-                if curve.step[-1] == step
-            ]
-            more = f" and {len(ended) - NAMED} more" if len(ended) > NAMED else ""
-            lines.append(
-                f"{env}: compared at step {step:.0f} of {longest:.0f}, the last evaluation of "
-                f"{', '.join(ended[:NAMED])}{more}."
-            )
-    return lines
-
-
-def _unlike(cells: Sequence[Cell]) -> list[str]:
-    """One line per environment whose learners were trained with different settings."""
-    lines = []
-    for env in envs_of(cells):
-        paths = unlike([run for c in cells if c.env == env for run in c.runs])
-        if paths:
-            lines.append(
-                f"{env}: the learners' runs differ in more than learner, seed and steps "
-                f"({', '.join(paths)}), so returns may differ by these settings."
-            )
-    return lines

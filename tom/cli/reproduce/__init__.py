@@ -5,12 +5,11 @@ from tom.cli.reproduce import (
     frozen,
     improvement,
     progression,
-    returns,
     road,
     runner,
     tabular,
 )
-from tom.studies import online
+from tom.studies import online, returns
 
 STUDIES = (
     road,
@@ -18,7 +17,6 @@ STUDIES = (
     focus,
     frozen,
     improvement,
-    returns,
     tabular,
 )
 
@@ -32,5 +30,5 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
     for study in STUDIES:
         study.add_parser(studies, arguments)
-    for study in (online.STUDY,):
+    for study in (online.STUDY, returns.STUDY):
         runner.add_parser(studies, study)

@@ -128,6 +128,8 @@ def _print(tables: Sequence[Table], said: Sequence[str]) -> None:
         rows = table.rows if table.brief is None else table.brief
         if rows:
             show(table.title, tuple(rows[0]), [tuple(map(text_of, row.values())) for row in rows])
+        elif table.rows:
+            print(f"{table.title}: in the report")
     print("\n".join(said))
 
 
