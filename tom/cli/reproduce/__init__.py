@@ -2,21 +2,17 @@
 
 from tom.cli.reproduce import (
     focus,
-    frozen,
-    improvement,
     progression,
     road,
     runner,
     tabular,
 )
-from tom.studies import online, returns
+from tom.studies import capacity, footprint, improvement, online, returns
 
 STUDIES = (
     road,
     progression,
     focus,
-    frozen,
-    improvement,
     tabular,
 )
 
@@ -30,5 +26,5 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
     for study in STUDIES:
         study.add_parser(studies, arguments)
-    for study in (online.STUDY, returns.STUDY):
-        runner.add_parser(studies, study)
+    for module in (footprint, capacity, improvement, online, returns):
+        runner.add_parser(studies, module.STUDY)
