@@ -22,11 +22,6 @@ def origin() -> dict[str, str]:
     }
 
 
-def origin_of(runs: Sequence[RunReader]) -> dict[str, str]:
-    """`origin` plus the runs that were read."""
-    return origin() | origin_of_runs(runs)
-
-
 def origin_of_runs(runs: Sequence[RunReader]) -> dict[str, str]:
     """The runs that were read: number, hours, commits, versions, seeds."""
     commits = sorted({str(run.config.get("git_commit"))[:19] for run in runs})

@@ -31,6 +31,17 @@ from tom.reports.files import write_csv
 from tom.reports.html import Report, text_of, write_report
 from tom.reports.origin import origin
 from tom.reports.style import STYLE, save
+from tom.studies import (
+    capacity,
+    focus,
+    footprint,
+    improvement,
+    online,
+    progression,
+    returns,
+    road,
+    tabular,
+)
 from tom.studies.each import each
 from tom.studies.study import Study, Table
 from tom.training.resume import resume, unfinished
@@ -42,17 +53,26 @@ Outcome = TypeVar("Outcome")
 _BEGUN = time.monotonic()  # a study is a separate process
 
 
-def add_parser(studies, study: Study) -> None:
-    """Add the command of a study."""
-    question = (study.doc or "").partition("\n")[0]
-    parser = studies.add_parser(study.name, help=question, description=study.doc)
-    parser.register("type", "folder", folder)
-    parser.register("type", "seed", seed_number)
-    study.options(parser)
-    out = Path("reports") / study.name
-    parser.add_argument("--out", type=Path, default=out, help="[%(default)s]")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.set_defaults(run=partial(run, study))
+STUDIES = (road, progression, focus, footprint, capacity, improvement, online, returns, tabular)
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "reproduce",
+        description="Reproduce a claim of the paper: compute it, print its acceptance figures and "
+        "write its figure and table. Exit code 0 where all figures are met, 1 otherwise.",
+    )
+    studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
+    for study in (module.STUDY for module in STUDIES):
+        question = (study.doc or "").partition("\n")[0]
+        own = studies.add_parser(study.name, help=question, description=study.doc)
+        own.register("type", "folder", folder)
+        own.register("type", "seed", seed_number)
+        study.options(own)
+        out = Path("reports") / study.name
+        own.add_argument("--out", type=Path, default=out, help="[%(default)s]")
+        own.add_argument("--json", action="store_true", help="print the result as JSON")
+        own.set_defaults(run=partial(run, study))
 
 
 def run(study: Study, args: Namespace) -> int:
