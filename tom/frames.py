@@ -108,6 +108,11 @@ class Weighing:
         )
 
     @property
+    def notices(self) -> list[str]:
+        """What to know before trusting the weights, as `tom weigh` prints it; mostly empty."""
+        return weighing_files.notices(self.report)
+
+    @property
     def random_share(self) -> float:
         """The share of the rows, starting with the oldest, that is random data."""
         return self.report["ordered_from"] / max(self.report["rows"], 1)

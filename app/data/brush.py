@@ -15,7 +15,7 @@ from app.data.why import candidates
 from tom.record.array_files import DAMAGE, read_arrays, read_table
 from tom.record.files import read_json
 from tom.reports.brush_files import GHOSTS, REGION
-from tom.reports.weighing_files import REPORT, WEIGHTS
+from tom.reports.weighing_files import BRUSH, REPORT, WEIGHTS
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Brushed:
         return sorted({f for of in self.errors.values() for f in of} - {1.0})
 
 
-def of_run(weighings: list[WeighingInfo]) -> list[Brushed]:
-    """The brushed regions among a run's weighings, newest first."""
-    return [region for region in map(_read, weighings) if region is not None]
+def of_run(brushes: list[WeighingInfo]) -> list[Brushed]:
+    """The brushed regions of a run whose files can be read, newest first."""
+    return [region for region in map(_read, brushes) if region is not None]
 
 
 def base(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> str | None:
@@ -56,7 +56,7 @@ def _read(weighing: WeighingInfo) -> Brushed | None:
     path = Path(weighing.path)
     try:
         report = read_json(path / REPORT)
-        about, results = report["brush"], report["results"]
+        about, results = report[BRUSH], report["results"]
         region = read_table(path / WEIGHTS)[REGION].to_numpy()
         errors: dict[str, dict[float, list[float]]] = {}
         for result in results:

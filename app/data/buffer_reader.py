@@ -1,7 +1,7 @@
 """Replay buffers for the pages, cached until their files change."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,8 @@ def rows(run: RunInfo, step: int) -> Rows | None:
         end = len(recorded.rows) if run.env == ROAD else step
         return rows_at(recorded.rows, recorded.version, weight, end)
 
-    return recorded.at_fits.get(step, read, stamps.snapshot(run.folder, step))
+    version = stamps.buffer(run.folder), stamps.snapshot(run.folder, step)
+    return _AT_FITS.get((run.path, step), read, version)
 
 
 def described(run: RunInfo) -> tuple[str, ...]:
@@ -98,8 +99,8 @@ def errors_on(run: RunInfo, other: RunInfo) -> Floats | None:
 
 def principal_plane(run: RunInfo, rows: Rows) -> Plane:
     """The principal components of some of a run's rows."""
-    planes = _recorded(run).planes
-    return planes.get((rows.first, len(rows)), lambda: regions.principal_plane(rows.rows))
+    version = stamps.buffer(run.folder), rows.first, len(rows)
+    return _PLANES.get(run.path, lambda: regions.principal_plane(rows.rows), version)
 
 
 def has_rows(run: RunInfo) -> bool:
@@ -115,18 +116,18 @@ def length(run: RunInfo) -> int:
 
 @dataclass(frozen=True)
 class _Recorded:
-    """A run's current buffer and the results computed from it, dropped together on a change."""
+    """A run's current buffer, with the policy version of each row."""
 
     rows: Transitions
     version: NDArray[np.int64]
-    at_fits: VersionedCache[Rows | None] = field(default_factory=lambda: VersionedCache(4))
-    planes: VersionedCache[Plane] = field(default_factory=lambda: VersionedCache(2))
 
 
-_RECORDED: VersionedCache[_Recorded] = VersionedCache(4)
-_LENGTHS: VersionedCache[int] = VersionedCache(512)
-_ERRORS: VersionedCache[tuple[NDArray[np.int64], Floats, int] | str] = VersionedCache(16)
-_ERRORS_ON: VersionedCache[Floats | None] = VersionedCache(128)
+_RECORDED: VersionedCache[_Recorded] = VersionedCache()
+_AT_FITS: VersionedCache[Rows | None] = VersionedCache()
+_PLANES: VersionedCache[Plane] = VersionedCache()
+_LENGTHS: VersionedCache[int] = VersionedCache()
+_ERRORS: VersionedCache[tuple[NDArray[np.int64], Floats, int] | str] = VersionedCache()
+_ERRORS_ON: VersionedCache[Floats | None] = VersionedCache()
 
 
 def _recorded(run: RunInfo) -> _Recorded:

@@ -120,6 +120,10 @@ class Ranking:
     ranked: tuple[Standing, ...]
     """by ascending error; empty if fewer than two groups have enough seeds"""
 
+    def ended_before(self, run: Exams) -> bool:
+        """Whether a run does not count, because its last examined fit is before step `until`."""
+        return run.last < self.until < np.inf
+
     @property
     def first_beats_second(self) -> Interval:
         """P(a run of the first ranked group has a lower error than one of the second)."""

@@ -35,7 +35,7 @@ def steps(run: RunReader) -> list[int]:
     return run.snapshot_steps() if run.field_steps("map") else []
 
 
-_PICTURES: VersionedCache[Picture | None] = VersionedCache(128)
+_PICTURES: VersionedCache[Picture | None] = VersionedCache()
 
 
 def load(run: RunReader, step: int) -> Picture | None:

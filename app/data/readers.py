@@ -75,13 +75,22 @@ def listing(store: str) -> Listing:
         names = Store(store).names()
     except UserError as error:
         return Listing((), (str(error),))
+    known, current = _INFOS.get(store, {}), {}
     runs: list[RunInfo] = []
     problems: list[str] = []
     for name in names:
-        try:
-            runs.append(_as_it_is(_info(store, name)))
-        except UserError as error:
-            problems.append(str(error))
+        folder = Path(store) / name
+        version = folder.is_symlink(), stamps.about(folder)
+        if name not in known or known[name][0] != version:
+            try:
+                current[name] = version, _read_info(store, name)
+            except UserError as error:
+                problems.append(str(error))
+                continue
+        else:
+            current[name] = known[name]
+        runs.append(_as_it_is(current[name][1]))
+    _INFOS[store] = current
     runs.sort(key=lambda run: (run.created, run.run_id), reverse=True)
     return Listing(tuple(runs), tuple(problems))
 
@@ -185,23 +194,18 @@ def _as_it_is(run: RunInfo) -> RunInfo:
 # for a lookup, which matters for 200 runs.
 
 
-_INFOS: VersionedCache[RunInfo] = VersionedCache(4096)
-_METRICS: VersionedCache[tuple[pd.DataFrame, list[str]]] = VersionedCache(1024)
-_POINTS: VersionedCache[dict[str, int]] = VersionedCache(1024)
-_PROFILES: VersionedCache[tuple[Profiles, list[str]]] = VersionedCache(1024)
-_NOTICES: VersionedCache[tuple[list[dict], list[str]]] = VersionedCache(1024)
-_RECORDINGS: VersionedCache[list[str]] = VersionedCache(4096)
-_RETURNS: VersionedCache[NDArray[np.float64]] = VersionedCache(256)
-
-
-def _info(store: str, name: str) -> RunInfo:
-    """Raises UserError, which is not cached, if there is no run."""
-    path = Path(store) / name
-    version = path.is_symlink(), stamps.about(path)
-    return _INFOS.get(path, lambda: _read_info(store, name), version)
+# Without a bound, because every page needs the information on every run of the store.
+_INFOS: dict[str, dict[str, tuple[object, RunInfo]]] = {}
+_METRICS: VersionedCache[tuple[pd.DataFrame, list[str]]] = VersionedCache()
+_POINTS: VersionedCache[dict[str, int]] = VersionedCache()
+_PROFILES: VersionedCache[tuple[Profiles, list[str]]] = VersionedCache()
+_NOTICES: VersionedCache[tuple[list[dict], list[str]]] = VersionedCache()
+_RECORDINGS: VersionedCache[list[str]] = VersionedCache()
+_RETURNS: VersionedCache[NDArray[np.float64]] = VersionedCache()
 
 
 def _read_info(store: str, name: str) -> RunInfo:
+    """Raises UserError if there is no run."""
     run = Store(store).look(name)
     return RunInfo(
         path=str(run.path),

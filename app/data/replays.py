@@ -106,8 +106,8 @@ def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | No
     return episode_recording(run, step, replay.episode, replay.dt, replay.ghost)
 
 
-_REPLAYS: VersionedCache[Replay | None] = VersionedCache(32)
-_MODELS: VersionedCache[StoredModel] = VersionedCache(16)
+_REPLAYS: VersionedCache[Replay | None] = VersionedCache()
+_MODELS: VersionedCache[StoredModel] = VersionedCache()
 
 
 def _load(run: RunReader, step: int, index: int, horizon: int, model: Stamp) -> Replay | None:

@@ -1,4 +1,4 @@
-"""The results of `tom weigh` for a run's buffer: several learners' weights of the same rows."""
+"""The results of `tom weigh` and `tom brush` for a run's buffer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from tom.data.sampling import bin_means
 from tom.record.array_files import DAMAGE, read_table
 from tom.record.files import read_json
 from tom.reports import weighing_files
-from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS, reports
+from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS, is_brush, reports
 
 BINS = 100
 
@@ -32,8 +32,9 @@ class WeighingInfo:
     ordered_from: int  # rows before it are random data
     step: int | None  # the env step of the buffer; None: all transitions
     written: int  # mtime_ns of the report
-    brush: bool  # weights of one learner with a brushed region (`tom brush`), not of several
+    brush: bool  # of `tom brush`: a learner's weights multiplied in a region, and no learner's own
     learners: frozenset[str]
+    notices: tuple[str, ...] = ()  # what the learners noticed about their weights
     keeps_rows: bool = False  # its folder holds the weighed rows, and no run's `step` counts them
 
     @property
@@ -68,16 +69,29 @@ class WeighingInfo:
 
 
 def weighed(store: str) -> set[str]:
-    """The ids of the runs whose buffers have been weighed."""
-    return {str(report["data"]) for _, report in reports(Path(store)) if ROWS not in report}
+    """The ids of the runs whose buffers have been weighed by learners."""
+    return {
+        str(report["data"])
+        for _, report in reports(Path(store))
+        if ROWS not in report and not is_brush(report)
+    }
 
 
 def of_run(run: RunInfo, rows: int) -> list[WeighingInfo]:
-    """The weighings of the buffer of a run (or a data set) of `rows` transitions, newest first.
+    """Learners' weighings of the buffer of a run (or data set) of `rows` rows, newest first.
 
     A resumed run has more rows than were weighed: the weighed ones are the first. Weighings of
     other data are left out.
     """
+    return [weighing for weighing in _of_run(run, rows) if not weighing.brush]
+
+
+def brushes(run: RunInfo, rows: int) -> list[WeighingInfo]:
+    """The results of `tom brush`, like `of_run`."""
+    return [weighing for weighing in _of_run(run, rows) if weighing.brush]
+
+
+def _of_run(run: RunInfo, rows: int) -> list[WeighingInfo]:
     if datasets.is_one(run):
         paths = datasets.weighings(run)
     else:
@@ -156,11 +170,11 @@ def _read(path: Path, rows: int) -> WeighingInfo | None:
         policy, preset = str(report["policy"]), str(report["preset"])
         changed = {str(path): str(value) for path, value in report.get("changed", {}).items()}
         step = None if report.get("step") is None else int(report["step"])
-        brush = "brush" in report
         learners = frozenset(str(one["learner"]) for one in report.get("results", ()))
+        notices = tuple(weighing_files.notices(report))
         return WeighingInfo(
-            str(path), policy, preset, changed, weighed, first, step, written, brush, learners,
-            keeps_rows=ROWS in report,
+            str(path), policy, preset, changed, weighed, first, step, written, is_brush(report),
+            learners, notices, keeps_rows=ROWS in report,
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

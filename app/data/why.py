@@ -130,14 +130,14 @@ def recorded_after(rows: Rows, row: int) -> NDArray[np.float32]:
     return np.concatenate([obs[row : last + 1], following[last : last + 1]])
 
 
-_SOURCES: VersionedCache[Source | str] = VersionedCache(4)
-_ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache(16)
+_SOURCES: VersionedCache[Source | str] = VersionedCache()
+_ROLLOUTS: VersionedCache[Rollouts | str] = VersionedCache()
 
 
 def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source | str:
     reader = readers.reader(run)
     whose_sum = " and ".join(f"{LEARNERS[name].label}'s" for name in WITH_TERMS)
-    without = f"none of its weights are {whose_sum}"
+    without = "no learner's file holds these weights: a brush changed them, or the file has changed"
     for table, weight, named in candidates(reader, weighings):
         if len(table[weight]) != len(rows) or not np.array_equal(table[weight], rows.weight):
             continue
@@ -154,7 +154,12 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
         )
         if terms is not None:
             return Source(terms, config, whose, lately, among, step)
-        without = "its terms were not kept: this run or weighing is older than they are, or small"
+        if np.ptp(rows.weight) == 0:
+            return f"{LEARNERS[learner].label} did not weigh here: all count the same"
+        without = (
+            "its terms were not kept; runs trained with this version have them, and small copies "
+            "of such runs with their buffer, but not the gallery nor small copies of weighings"
+        )
     return without
 
 

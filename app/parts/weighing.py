@@ -1,9 +1,16 @@
-"""The progress of a weighing that a page has started."""
+"""The progress of a weighing that a page has started, and what its learners noticed."""
 
 import streamlit as st
 
 from app import text
 from app.data.trainings import Started
+from app.data.weighings import WeighingInfo
+
+
+def show_notices(weighing: WeighingInfo) -> None:
+    """Say what the learners noticed about their weights."""
+    for notice in weighing.notices:
+        st.warning(text.markdown(notice), icon=":material/warning:")
 
 
 def progress(key: str) -> None:

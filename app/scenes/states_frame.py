@@ -29,7 +29,7 @@ SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0}
 
 
 Recorded = tuple[Transitions, dict[str, NDArray]]
-_RECORDED: VersionedCache[Recorded] = VersionedCache(4)
+_RECORDED: VersionedCache[Recorded] = VersionedCache()
 
 
 def _recorded(run: RunReader) -> Recorded:

@@ -18,6 +18,7 @@ from starlette.responses import (
     Response,
 )
 from starlette.routing import Route
+from streamlit import config
 
 from app.data import readers, replays, studies
 from app.guard import Guard
@@ -137,11 +138,6 @@ def options(links: Links) -> dict:
         "browser.gatherUsageStats": False,
         # Otherwise Streamlit's cloud may send messages to a page that it has opened.
         "client.allowedOrigins": [],
-        # Override a user's own Streamlit settings:
-        "server.enableAgentApi": False,
-        "server.enableCORS": True,
-        "server.enableStaticServing": False,
-        "server.enableXsrfProtection": True,
         "client.toolbarMode": "minimal",
         "client.showErrorDetails": "full",
         "client.showErrorLinks": False,
@@ -161,6 +157,9 @@ def warm(store: str) -> None:
 def main() -> None:
     """Serve until SIGTERM."""
     logging.getLogger("streamlit").setLevel(logging.WARNING)
+    # The settings of a user's own Streamlit applications, which lie in ~/.streamlit or the current
+    # folder, are not meant for the studio.
+    config.get_config_files = lambda _name: []
     plugins.load()
     links = Links.from_environment()
     Thread(target=warm, args=(links.store,), daemon=True).start()

@@ -20,7 +20,7 @@ PATH = "cinema"
 HEIGHT = 700
 LENGTHS = {"15 s": 15.0, "30 s": 30.0, "1 min": SECONDS, "2 min": 120.0}
 
-_STORIES: VersionedCache[dict] = VersionedCache(4)
+_STORIES: VersionedCache[dict] = VersionedCache()
 
 
 def page() -> None:

@@ -81,6 +81,19 @@ def test_a_weighing_is_kept_as_tom_weigh_keeps_it(weighing: Weighing, tmp_path: 
         _ = again.transitions  # its run is in another store
 
 
+def test_a_weighing_says_what_its_learners_noticed(weighing: Weighing, tmp_path: Path):
+    assert weighing.notices == []
+    kl = {"tom": {**QUICK["tom"], "divergence": "kl", "flow": "discounted"}}
+    found = tom.weigh(
+        RUN, RUN, seeds=[0], footprint=50, learners=["tom"], settings=kl, store=GALLERY
+    )
+    (told,) = found.notices
+    assert "KL" in told
+    again = tom.load(found.save(tmp_path / "kl"))
+    assert isinstance(again, Weighing)
+    assert again.notices == found.notices
+
+
 def test_the_rows_of_a_weighing_come_from_its_run(weighing: Weighing, run: Run):
     pd.testing.assert_frame_equal(weighing.transitions, run.transitions)
     stored = sorted((GALLERY / "weighings").glob("hopper-tom-*"))[0]

@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         "rows": len(data),
         "ordered_from": data.ordered_from,
         "step": args.step,
-        "brush": {
+        weighing_files.BRUSH: {
             "of": args.weighing or "own",
             "model": config.model_dump(include={"kind", "hidden", "layers", "rounds"}),
             "fresh": 0 if brush.fresh is None else len(brush.fresh),

@@ -99,6 +99,8 @@ def run(args: argparse.Namespace) -> int:
     report = weighing_files.report(plan, weighed, args.policy, args.step, command, hours)
     with weighing_files.place(args.out, store, name) as out:
         weighing_files.write(out, plan.data, weighed, args.bins, report)
+    for notice in weighing_files.notices(report):
+        print(notice, file=sys.stderr)
     _print(report, out, args.json)
     return 0
 

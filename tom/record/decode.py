@@ -184,14 +184,19 @@ def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
     Rows of the same step are merged; for a metric in several of them the last one counts.
     """
-    usable = [row for row in rows if is_whole(row.get("env_step"))]
-    if not usable:
-        return pd.DataFrame({"env_step": np.zeros(0, np.int64)})
-    try:
-        return tidy(pd.DataFrame(usable))
-    except (OverflowError, TypeError, ValueError):  # some value is not a number
-        plain = [{"env_step": row["env_step"], **numbers(row)} for row in usable]
-        return tidy(pd.DataFrame(plain))
+    merged: dict[int, dict[str, float]] = {}
+    names: dict[str, None] = {}
+    for row in rows:
+        if is_whole(step := row.get("env_step")):
+            merged.setdefault(step, {}).update(numbers(row))
+            names |= dict.fromkeys(row)
+    names.pop("env_step", None)
+    values = [[merged[step].get(name, np.nan) for name in names] for step in sorted(merged)]
+    table = pd.DataFrame(
+        np.array(values, np.float64).reshape(len(merged), len(names)), columns=[*names]
+    )
+    table.insert(0, "env_step", np.array(sorted(merged), np.int64))
+    return table
 
 
 def tidy(table: pd.DataFrame) -> pd.DataFrame:

@@ -29,6 +29,8 @@ EXAMS = 120
 FITS = 60  # weight profiles
 SNAPSHOTS = 3
 EVALUATIONS = 3
+COLUMNS = ("weight", "log_ratio")
+"""of single weights, without the other terms"""
 SMALL = 200_000
 """maximum size in bytes of a small part"""
 SHRINKS = 20
@@ -55,6 +57,9 @@ def thin(
             (unfinished / folder).mkdir()
         _copy(reader, unfinished, without)
         lacks = [part for part in OPTIONAL if _leave_out(reader, unfinished, part, keep, without)]
+        if "buffer" not in lacks:  # else no page has the row whose weight the terms explain
+            for step in RunReader(unfinished).snapshot_steps():
+                _snapshot(reader, step, unfinished, terms=True)
         lost_parts = _lost(reader, RunReader(unfinished))
         lacks += [part for part, lost in lost_parts.items() if lost]
         before = [part for part in reader.left_out if part.removeprefix("other ") not in lacks]
@@ -81,7 +86,7 @@ def _copy(reader: RunReader, to: Path, without: Collection[str]) -> None:
     snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)
     evaluations = [] if "evaluations" in without else reader.evaluation_steps()
     for step in snapshots:
-        _snapshot(reader, step, to)
+        _snapshot(reader, step, to, terms=False)
     for step in _spread(evaluations, EVALUATIONS):
         _arrays(reader, to, layout.episodes(step), coarse, first_episode=True)
     for name in reader.field_names():
@@ -145,12 +150,14 @@ def _profile_rows(profiles: Profiles) -> Iterator[dict[str, Any]]:
         }
 
 
-def _snapshot(reader: RunReader, step: int, to: Path) -> None:
+def _snapshot(reader: RunReader, step: int, to: Path, *, terms: bool) -> None:
+    """Write the weights of a fit, without those of dimensions."""
     frame = reader.snapshot(step)
     if not len(frame):  # damaged, or a training has deleted it since
         return
-    columns = [name for name in ("weight", "log_ratio") if name in frame]
-    write_columns(to / layout.snapshot(step), {name: frame[name].to_numpy() for name in columns})
+    wanted = [name for name in frame if not name.startswith("dim_")] if terms else COLUMNS
+    columns = {name: frame[name].to_numpy() for name in wanted if name in frame}
+    write_columns(to / layout.snapshot(step), columns)
 
 
 def write_columns(path: Path, columns: Mapping[str, NDArray]) -> None:

@@ -30,6 +30,7 @@ from tom.record.store import Store
 from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
 from tom.record.versions import git_commit, versions
+from tom.reports.origin import seeds
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 LOG_RATIO = "-log_ratio"
@@ -38,6 +39,8 @@ MATCH = ("footprint", "footprint_se", "footprint_noise", "footprint_uniform")
 """the match of the weighted data to fresh episodes of the policy; null if not measured"""
 NEEDED = {"data", "policy", "rows", "results"}
 """the required entries of a report"""
+BRUSH = "brush"
+"""entry of the report of `tom brush`"""
 ROWS = "rows_digest"
 """entry of a report whose weighing holds its rows: their digest"""
 SEGMENT_BYTES = 64 * 2**20
@@ -140,6 +143,18 @@ def report(
             "hours": hours,
         },
     }
+
+
+def notices(report: Mapping[str, Any]) -> list[str]:
+    """What the learners noticed about their weights, each once with the seeds of which it holds."""
+    held: dict[tuple[str, str], list[int]] = {}
+    for result in report["results"]:
+        for message in result.get("notices", ()):
+            held.setdefault((result["learner"], message), []).append(result["seed"])
+    return [
+        f"{LEARNERS[name].label if name in LEARNERS else name}, seed {seeds(of)}: {message}"
+        for (name, message), of in held.items()
+    ]
 
 
 def by_learner(weighed: Sequence[Weighed]) -> dict[str, list[Weighed]]:
@@ -260,11 +275,18 @@ def is_whole(report: Mapping[str, Any]) -> bool:
     )
 
 
+def is_brush(report: Mapping[str, Any]) -> bool:
+    """Whether the weights are a what-if (`tom brush`), a learner's multiplied in a region."""
+    return BRUSH in report
+
+
 def _is_result(row: object) -> bool:
-    """Whether it says whose weights these are."""
+    """Whether it says whose weights these are, and what there is to notice in words."""
     if not isinstance(row, dict):
         return False
-    return isinstance(row.get("learner"), str) and decode.is_whole(row.get("seed"))
+    said = row.get("notices", [])
+    told = isinstance(said, list) and all(isinstance(message, str) for message in said)
+    return told and isinstance(row.get("learner"), str) and decode.is_whole(row.get("seed"))
 
 
 def _is_origin(made: object) -> bool:

@@ -29,7 +29,7 @@ FIRST = ("exam/error", "exam/rollout_error", "exam/footprint")
 IQM = "interquartile mean: the mean of the middle half of the runs; of fewer than four the mean"
 
 
-_GROUPED: VersionedCache[tuple[list[Curve], list[Group]]] = VersionedCache(32)
+_GROUPED: VersionedCache[tuple[list[Curve], list[Group]]] = VersionedCache()
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,11 @@ from app.data.weighings import WeighingInfo
 from app.figures.probe import probe_profiles
 from app.parts import empty, widgets
 from app.parts.plot import chart
+from app.parts.weighing import show_notices
 from app.theme import learner_label
-from app.views.probe import answer, exams, model_error, start
+from app.views.probe import answer, exams, left_out, model_error, start
 from app.views.probe.length import of_like_length
+from tom.config import SAC_ALONE
 from tom.envs import ROAD
 
 TITLE = "Probe"
@@ -56,8 +58,15 @@ def page() -> None:
     with top[1]:
         chosen = _pick_weighing(of_buffer)
     task = [other for other in online if other.env == run.env]
-    alike, others = of_like_length(task)
-    answer.draw(alike, others)
+    alone = [other for other in task if other.learner == SAC_ALONE]
+    alike, others = of_like_length([other for other in task if other not in alone])
+    answer.draw(alike)
+    lengths = dict.fromkeys(other.status.env_step for other in others)
+    of_length = {
+        f"of another length ({steps:,} steps)": [o for o in others if o.status.env_step == steps]
+        for steps in lengths
+    }
+    left_out.show(task, {**of_length, "it fits no model": alone})
     st.subheader("Several learners on the same buffer", anchor=False)
     if chosen is None:
         st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
@@ -71,9 +80,8 @@ def page() -> None:
     st.subheader("Does it help?", anchor=False)
     exams.draw(alike)
     st.subheader("In sample: on rows that the models were fitted to", anchor=False)
-    same = [other for other in alike if buffer_reader.has_rows(other)]
-    model_error.on_one_buffer(run, same)
-    model_error.recorded(same)
+    model_error.on_one_buffer(run, alike)
+    model_error.recorded(alike)
     widgets.show_problems(run)
 
 
@@ -96,6 +104,7 @@ def _weighed(weighing: WeighingInfo, rows: int) -> None:
         return
     if missing := weighing.missing(rows):
         st.caption(missing)
+    show_notices(weighing)
     count = len(next(iter(of.values())))
     left, right = st.columns([5, 4])
     with left, st.container(border=True):

@@ -11,15 +11,14 @@ import streamlit as st
 
 from app import text
 from app.data.buffer import Floats
-from app.data.called import names
 from app.data.readers import RunInfo
 from app.figures.probe import RunErrors
 from app.views.probe import exams, model_error
 from tom.analysis.statistics import RANKED, means_differ
 
 
-def draw(runs: Sequence[RunInfo], left_out: Sequence[RunInfo]) -> None:
-    """The answer in a sentence, and the runs of the task that do not count on this page."""
+def draw(runs: Sequence[RunInfo]) -> None:
+    """The answer in a sentence."""
     _, result = exams.examined(runs)
     if len(result.standings) > 1:
         st.markdown(exams.verdict(result), help=exams.WHAT)
@@ -27,10 +26,6 @@ def draw(runs: Sequence[RunInfo], left_out: Sequence[RunInfo]) -> None:
         policy, other = model_error.PAIRS["One step"]
         errors = in_sample(model_error.focus_values(runs, policy, other))
         st.markdown(f"{sentence(errors)} In sample: on transitions that the models were fitted to.")
-    if left_out:
-        called = names(left_out)
-        said = [f"{called[run.run_id]} ({run.status.env_step:,} steps)" for run in left_out]
-        st.caption(f"Left out, of another length: {text.markdown('; '.join(said))}.")
 
 
 def in_sample(groups: Mapping[str, Sequence[RunErrors]]) -> dict[str, Floats]:

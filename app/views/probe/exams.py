@@ -14,17 +14,15 @@ from app.data.readers import RunInfo
 from app.figures.exams import footprint_error_return
 from app.figures.looks import looks
 from app.parts.plot import chart
+from app.views.probe import left_out
 from tom.analysis import grouping, statistics
 from tom.analysis.statistics import Interval
-from tom.config import SAC_ALONE
 from tom.exams.counted import counted_from
 
 HEIGHT = 380
 SIGNIFICANT = 0.05
 """the p below which a difference of two learners is called more than noise"""
-NO_EXAM = (
-    "{runs} sat no exam: of a version before exams were recorded, or their first fit still serves."
-)
+NO_EXAM = "no exam (of a version before exams, or its first fit still serves)"
 WHAT = (
     "The exam of a fit: the real steps that its policy went on to make until the next fit. They "
     "are not in its buffer. Errors are root mean squares over the dimensions of the state, each in "
@@ -39,16 +37,17 @@ OWN = (
 NAMED = 3
 """groups that a sentence names at most"""
 NEEDED = f"two learners with {statistics.RANKED} seeds each are needed"
-_RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache(16)
+_RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache()
 
 
 def draw(runs: Sequence[RunInfo]) -> None:
     """Who errs least on its own policy's transitions, the numbers, and a figure of all fits."""
-    runs = [run for run in runs if run.learner != SAC_ALONE]  # it fits no model
     exams, result = examined(runs)
+    sat = {one.run_id: result.ended_before(one) for one in exams}
+    without = [run for run in runs if run.run_id not in sat]
+    early = [run for run in runs if sat.get(run.run_id)]
+    left_out.show(runs, {NO_EXAM: without, f"ended before step {result.until:,.0f}": early})
     if not exams:
-        if runs:
-            st.caption(NO_EXAM.format(runs=_count(len(runs))))
         return
     if len(result.standings) < 2:  # else the verdict is on top of the page
         st.markdown(verdict(result), help=WHAT)
@@ -63,16 +62,8 @@ def draw(runs: Sequence[RunInfo]) -> None:
         )
         figure = footprint_error_return(exams, HEIGHT)
         chart(figure, "exams", "footprint, error in the exam and next return of every fit")
-    st.caption(" ".join(remarks(result, len(runs) - len(exams))))
-
-
-def remarks(result: Ranking, lacking: int) -> list[str]:
-    """What is to be kept in mind; `lacking`: runs that sat no exam."""
     few = statistics.remark(min(one.seeds for one in result.ranked or result.standings))
-    early = [text.markdown(one.name) for one in result.standings if not len(one.error)]
-    ended = f"Ended before step {result.until:,.0f}, so that no run counts: {'; '.join(early)}."
-    words = [f"{text.markdown(few)}." if few else "", ended if early else "", OWN]
-    return [*words, NO_EXAM.format(runs=_count(lacking)) if lacking else ""]
+    st.caption(f"{text.markdown(few)}. {OWN}" if few else OWN)
 
 
 def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Ranking]:
@@ -145,10 +136,6 @@ def counted(result: Ranking) -> str:
 def _runs(one: Standing) -> str:
     runs = "1 run" if len(one.error) == 1 else f"{len(one.error)} runs"
     return f"{runs}, 1 fit" if one.fits == 1 else f"{runs}, {one.fits:,} fits"
-
-
-def _count(runs: int) -> str:
-    return "1 run of this task" if runs == 1 else f"{runs} runs of this task"
 
 
 def table(result: Ranking) -> pd.DataFrame:

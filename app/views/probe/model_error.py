@@ -10,8 +10,10 @@ from app.data.readers import RunInfo
 from app.figures.probe import RunErrors, errors_by_age, focus
 from app.parts import empty
 from app.parts.plot import chart
+from app.views.probe import left_out
 from app.views.probe.exams import group_names
 from tom.analysis.curves import curve_points
+from tom.analysis.imagine import stored_step
 
 MODELS = 8
 """maximum number of stored models to test on one buffer: the newest of each group in turn"""
@@ -24,12 +26,14 @@ PAIRS = {
 
 def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
     """The errors on the buffer of `run` of its own stored model and of other runs' models."""
-    errors, names = [], group_names(others)
-    for other in in_turn(run, others):
+    kept = [other for other in others if stored_step(readers.reader(other)) is not None]
+    errors, beyond, names = [], list(kept), group_names(kept)
+    for other in in_turn(run, kept):
         error = buffer_reader.errors_on(run, other)
         if error is not None:
             own = " (its own)" if other.run_id == run.run_id else ""
             errors.append((f"{names[other.run_id]} s{other.seed}{own}", other.learner, error))
+            beyond.remove(other)
         if len(errors) == MODELS:
             break
     if not errors:
@@ -44,6 +48,10 @@ def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
         )
         figure = errors_by_age(errors, BINS, 320, keep=run.run_id)
         chart(figure, "errors here", "model error against age")
+        without = [other for other in others if other not in kept]
+        left_out.show(
+            others, {"no kept model": without, f"beyond {MODELS} models, or unreadable": beyond}
+        )
 
 
 def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:
@@ -70,6 +78,9 @@ def recorded(runs: Sequence[RunInfo]) -> None:
             )
             if groups:
                 chart(focus(groups, 280, policy), f"focus {words}", "model error by group")
+                drawn = {one.run_id for of in groups.values() for one in of}
+                without = [run for run in runs if run.run_id not in drawn]
+                left_out.show(runs, {"not measured": without})
             else:
                 st.caption("No run of this task has measured it.")
     st.caption(

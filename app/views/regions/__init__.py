@@ -14,10 +14,13 @@ from app.figures.regions import region_map
 from app.parts import address, empty, why, widgets
 from app.parts.plot import Region, chart
 from app.parts.stage import stage
+from app.parts.weighing import show_notices
 from app.scenes.control import StatesChoice
 from app.theme import learner_label
 from app.views.regions import brush, region_tables
+from tom.analysis.brush import AS_IT_IS
 from tom.envs import ROAD
+from tom.reports.brush_files import called
 
 TITLE = "Regions"
 ICON = ":material/lasso_select:"
@@ -34,7 +37,7 @@ GAP = 10
 CORNERS = 60
 """maximum number of corners of an outline in an address"""
 WEIGHINGS = 3
-"""maximum number of weighings to choose from, the newest"""
+"""maximum number of weighings, and of brushes, to choose from, the newest"""
 OWN = "the run itself"
 COMPONENTS = "principal components"
 DRAWN, TOP, ZERO, AGE, ALL = "what I draw", "heaviest 1 %", "weight zero", "an age", "everything"
@@ -83,20 +86,23 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
     The source of the weights is chosen at `place`, the fit below it.
     """
     length, own = buffer_reader.length(run), [] if datasets.is_one(run) else [OWN]
-    stored = weighings.of_run(run, length)
+    made, brushes = weighings.of_run(run, length), weighings.brushes(run, length)
     others = {
         f"{learner_label(learner)} s{seed}, {weighing.name}": (weight, weighing)
-        for weighing in stored[:WEIGHINGS]
+        for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
         for (learner, seed), weight in weighings.weights(weighing).items()
+        if not (weighing.brush and learner == called(AS_IT_IS))
     }
     chosen = place.selectbox(
         "Weights of", [*own, *others], key="weights", bind="query-params",
-        help="the run's own fits, or what `tom weigh` made of its buffer (page Probe)",
+        help="the run's own fits, or what `tom weigh` (page Probe) or a brush below made of "
+        "its buffer",
     )  # fmt: skip
     if chosen in others:
         weight, weighing = others[chosen]
         if missing := weighing.missing(length):
             st.caption(missing)
+        show_notices(weighing)
         return buffer_reader.weighed_rows(run, weight, weighing.end)
     if not own:
         return None  # its weights cannot be read

@@ -32,8 +32,10 @@ def section(run: RunInfo, rows: Rows, mask: Mask) -> None:
     """Start a brush of the region, and show earlier ones."""
     if run.env == ROAD:
         return
-    made = weighings.of_run(run, buffer_reader.length(run))
-    regions = {one.name: one for one in brush.of_run(made)}
+    length = buffer_reader.length(run)
+    brushes = weighings.brushes(run, length)
+    regions = {one.name: one for one in brush.of_run(brushes)}
+    made = [*weighings.of_run(run, length), *brushes]  # a brush holds the weights of a weighing too
     with st.container(border=True):
         st.markdown("**What if this region counted more, or less?**")
         _start(run, rows, mask, brush.base(run, rows, made))
@@ -42,8 +44,7 @@ def section(run: RunInfo, rows: Rows, mask: Mask) -> None:
             return
         chosen = st.selectbox(
             "Brushed", list(regions), key=KEY, bind="query-params",
-            help="newest first; its weights can be chosen above under Weights of, and compared on "
-            "Probe",
+            help="newest first; its weights can be chosen above under Weights of",
         )  # fmt: skip
         _shown(run, regions.get(chosen or "", next(iter(regions.values()))))
 

@@ -10,6 +10,7 @@ from app.data import buffer_reader, readers, weighings
 from app.data.readers import RunInfo
 from app.figures.probe import probe_profiles
 from app.parts.plot import chart
+from app.parts.weighing import show_notices
 from app.theme import learner_label
 from tom.record.reader import at_or_before
 
@@ -25,8 +26,7 @@ def at_fit(run: RunInfo, step: int) -> None:
     rows = buffer_reader.length(run)
     if not rows:
         return
-    stored = [w for w in weighings.of_run(run, rows) if not w.brush]
-    stored.sort(key=lambda w: (len(w.learners), w.written))
+    stored = sorted(weighings.of_run(run, rows), key=lambda w: (len(w.learners), w.written))
     weighed = {w.step: w for w in stored if Path(w.policy).name == run.run_id}  # an id or a folder
     steps = sorted({*readers.policy_steps(run), *(at for at in weighed if at is not None)})
     if not steps:
@@ -51,6 +51,7 @@ def at_fit(run: RunInfo, step: int) -> None:
             "from fit to fit; lines are medians over seeds, bands their range; the dotted line "
             "ends the random data",
         )
+        show_notices(weighed[at])
         share = weighed[at].ordered_from / weighed[at].rows
         profiles, keep = weighings.profiles(of), weighed[at].name
         figure = probe_profiles(profiles, share, HEIGHT, log=False, keep=keep)

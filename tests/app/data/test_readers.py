@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studio_runs import PENDULUM_TOM, RUNS, info
 
-from app.data import buffer_reader, readers
+from app.data import buffer_reader, cache, readers
 from app.data.readers import RunInfo
 from tom.analysis.curves import curve_points
 from tom.record import lock, manage
@@ -34,6 +34,14 @@ def test_every_run_is_listed(store: Path) -> None:
     run = info(store, PENDULUM_TOM)
     assert (run.env, run.learner, run.seed, run.preset) == ("inverted-pendulum", "tom", 0, "smoke")
     assert run.status.state == "finished"
+
+
+def test_a_listing_reads_no_run_again_however_little_is_cached(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache, "RESULTS", type(cache.RESULTS)(1))
+    first, second = readers.listing(str(store)), readers.listing(str(store))
+    assert all(a is b for a, b in zip(first.runs, second.runs, strict=True))
 
 
 def test_tables_are_the_readers(store: Path) -> None:

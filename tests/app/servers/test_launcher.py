@@ -27,11 +27,20 @@ START_S = 90
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
+def test_the_studio_serves_and_ends_without_orphans(store: Path, tmp_path: Path) -> None:
+    (tmp_path / ".streamlit").mkdir()
+    (tmp_path / ".streamlit" / "config.toml").write_text(
+        '[server]\nbaseUrlPath = "x"\nsslCertFile = "/no.pem"\n[global]\ndevelopmentMode = true'
+    )
     port = free_port("127.0.0.1")
     command = [sys.executable, "-m", "app", "--store", str(store), "--port", str(port)]
     studio = subprocess.Popen(
-        [*command, "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        [*command, "--no-browser"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "HOME": str(tmp_path)},
     )
     try:
         assert studio.stdout is not None
@@ -40,6 +49,8 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path) -> None:
         assert f"http://127.0.0.1:{port}" in line, line
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/health", timeout=10) as answer:
             assert str(store) in answer.read().decode()
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/_stcore/health", timeout=10) as pages:
+            assert pages.status == 200
         address = f"http://127.0.0.1:{port}/rrd/{ROAD_TOM}/run.rrd"
         with urllib.request.urlopen(address, timeout=10) as answer:
             assert answer.read() == (store / ROAD_TOM / "run.rrd").read_bytes()

@@ -74,7 +74,7 @@ def test_a_file_of_rows_that_is_not_there_is_named_once(
 
 def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
-    (found,) = brush.of_run(weighings.of_run(run, 400))
+    (found,) = brush.of_run(weighings.brushes(run, 400))
     report = json.loads((brushed / "weighings/made/report.json").read_text())
     of = {(r["factor"], r["seed"]): r["errors"] for r in report["results"]}
     ratio = np.mean([of[4, s]["rest"] / of[1, s]["rest"] for s in (0, 1)])
@@ -86,12 +86,44 @@ def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     assert "region x 4 s0, made" in app.selectbox(key="weights").options
 
 
-def test_a_brush_is_not_shown_as_every_learner_on_the_buffer(brushed: Path) -> None:
-    (found,) = weighings.of_run(info(brushed, PENDULUM_TOM), 400)
-    assert found.brush
-    app = draw("weights", run=PENDULUM_TOM, step=str(FIT))
-    assert not any("Every learner" in note.value for note in app.markdown)
-    assert not any("region x" in str(f["data"]) for f in figures(app))
+def test_a_brush_is_not_shown_as_several_learners_on_the_buffer(brushed: Path) -> None:
+    run = info(brushed, PENDULUM_TOM)
+    assert weighings.of_run(run, 400) == []
+    assert [one.name for one in weighings.brushes(run, 400)] == ["made"]
+    assert weighings.weighed(str(brushed)) == set()
+    for view in ("weights", "probe"):
+        app = draw(view, run=PENDULUM_TOM, step=str(FIT), weighed="made")
+        assert not any("region x" in str(f["data"]) for f in figures(app))
+    assert any("Nobody has weighed" in note.value for note in app.info)
+
+
+def test_a_weighing_is_not_taken_for_a_brush_of_it(brushed: Path) -> None:
+    """A brush repeats the weights that it multiplies, maybe to the last bit, and is newer."""
+    words = ["weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--step", str(FIT)]
+    words += ["--learner", "tom", "--seeds", "0", "--footprint", "100", "--matmul", "default"]
+    weighing = brushed / "weighings/tom"
+    assert main([*words, "--out", str(weighing), "--store", str(brushed)]) == 0
+    weight = read_table(weighing / WEIGHTS)["tom-s0"].to_numpy()
+    brush_file, brush_report = (brushed / "weighings/made" / name for name in (WEIGHTS, REPORT))
+    table = read_table(brush_file)
+    brush_file.unlink()  # which is a link
+    table.assign(**{"as it is-s0": weight}).to_parquet(brush_file)
+    brush_report.touch()
+    app = draw("regions", run=PENDULUM_TOM, weights="TOM s0, tom", row="5")
+    assert any(figure["data"][0]["type"] == "waterfall" for figure in figures(app))
+    run = info(brushed, PENDULUM_TOM)
+    made = [*weighings.of_run(run, 400), *weighings.brushes(run, 400)]
+    rows = buffer_reader.weighed_rows(run, weight, FIT)
+    assert rows is not None
+    assert brush.base(run, rows, made) == f"{weighing}:tom-s0"
+
+
+def test_brushed_weights_have_no_sum_and_those_that_are_as_they_were_are_not_offered(
+    brushed: Path,
+) -> None:
+    app = draw("regions", run=PENDULUM_TOM, weights="region x 4 s0, made", row="5")
+    assert any("No sum" in note.value and "brush" in note.value for note in app.info)
+    assert not any("as it is" in option for option in app.selectbox(key="weights").options)
 
 
 def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -> None:
@@ -101,7 +133,7 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
     assert region.dtype == np.bool_
     assert region.tolist() == [False] * 150 + [True] * 150
     assert brush.of_run(
-        [replace(one, path=str(copy)) for one in weighings.of_run(info(there, PENDULUM_TOM), 400)]
+        [replace(one, path=str(copy)) for one in weighings.brushes(info(there, PENDULUM_TOM), 400)]
     )
 
 
@@ -174,7 +206,7 @@ def test_every_factor_has_a_bar_and_what_was_not_measured_has_none(mode: Mode) -
 
 def test_weights_are_known_by_the_file_that_holds_them(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
-    (weighing,) = weighings.of_run(run, 400)
+    (weighing,) = weighings.brushes(run, 400)
     own = buffer_reader.rows(run, FIT)
     weight = weighings.weights(weighing)["region x 4", 0]
     other = buffer_reader.weighed_rows(run, weight, FIT)

@@ -16,7 +16,7 @@ from app.data.exams import Exams, ranking
 from app.links import Links
 from app.views.compare.measure import in_order
 from app.views.live import usual
-from app.views.probe.exams import NO_EXAM, remarks, table, verdict
+from app.views.probe.exams import table, verdict
 from app.views.weights.exam import about_weights, in_words, of_which_weights
 from tom.record import layout
 from tom.record.reader import RunReader
@@ -155,13 +155,18 @@ def points(one: dict) -> list[tuple[float, float]]:
     return list(zip(array(one["x"]).tolist(), array(one["y"]).tolist(), strict=True))
 
 
-def test_probe_says_which_runs_sat_no_exam(older: Path) -> None:
-    said = " ".join(note.value for note in draw("probe", run=PENDULUM_TOM).caption)
-    assert NO_EXAM.format(runs="1 run of this task") in said
+def test_probe_names_the_runs_that_sat_no_exam(older: Path) -> None:
+    def said() -> list[str]:
+        captions = [c.value.replace("\\", "") for c in draw("probe", run=PENDULUM_MLE).caption]
+        return [words for words in captions if "no exam" in words]
+
+    (one,) = said()
+    assert "MLE s0" in one
+    assert "TOM" not in one
     for name in ("pendulum-tom-0", "pendulum-tom-1"):
         shutil.rmtree(older / name)
+    assert len(said()) == 1
     app = draw("probe", run=PENDULUM_MLE)
-    assert NO_EXAM.format(runs="1 run of this task") in [note.value for note in app.caption]
     assert not any("to rank" in part.value for part in app.markdown)
 
 
@@ -183,13 +188,15 @@ def test_many_groups_are_left_to_the_table() -> None:
     assert said.endswith("the errors of 4 groups stand in the table below.")
 
 
-def test_a_group_that_ended_early_is_named() -> None:
-    runs = learners({"MLE": [0.2] * 5, "TOM": [0.15] * 5})
-    early = [replace(one, step=np.array([50])) for one in learners({"PMAC": [0.1] * 3})]
-    result = ranking([*runs, *early])
-    assert table(result).set_index("group").loc["PMAC", "runs"] == 0
-    assert "Ended before step 100, so that no run counts: PMAC." in remarks(result, 0)
-    assert not any("Ended before" in words for words in remarks(ranking(runs), 0))
+def test_a_run_that_ended_early_is_left_out_of_its_group() -> None:
+    runs = learners({"MLE": [0.2] * 5, "TOM": [0.15] * 6})
+    early = [replace(runs[-1], step=np.array([50])), *learners({"PMAC": [0.1] * 3})]
+    early = [replace(one, step=np.array([50])) for one in early]
+    result = ranking([*runs[:-1], *early])
+    shown = table(result).set_index("group")
+    assert (shown.loc["PMAC", "runs"], shown.loc["TOM", "runs"]) == (0, 5)
+    assert [one for one in [*runs[:-1], *early] if result.ended_before(one)] == early
+    assert not any(ranking(runs).ended_before(one) for one in runs)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, info, with_weighing
 
@@ -24,6 +25,7 @@ from app.views.probe.start import FOREIGN
 from tom import plugins
 from tom.analysis.progression import progression
 from tom.cli import main
+from tom.record import checkpoint, layout
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("weighed")
@@ -147,6 +149,28 @@ def test_the_page_lays_all_learners_over_one_buffer(weighed: Path) -> None:
     ]
     assert shown.loc["TOM", "ESS"] == pytest.approx(np.median([p.ess for p in expected]))
     assert shown.loc["MLE", "random"] == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("view", "words", "step"),
+    [
+        ("probe", {}, None),
+        ("regions", {"weights": "TOM s1, made"}, None),
+        ("weights", {"step": "300"}, 300),
+    ],
+)
+def test_what_the_learners_noticed_stands_beside_their_weights(
+    view: str, words: dict[str, str], step: int | None, weighed: Path
+) -> None:
+    assert not draw(view, run=PENDULUM_TOM, **words).warning
+    report = json.loads((weighed / "report.json").read_text()) | {"step": step}
+    of_tom = [result for result in report["results"] if result["learner"] == "tom"]
+    for result in of_tom:
+        result["notices"] = ["no trust in this"]
+    (weighed / "report.json").write_text(json.dumps(report))
+    (said,) = draw(view, run=PENDULUM_TOM, **words).warning
+    assert "no trust in this" in said.value
+    assert "TOM" in said.value
 
 
 def test_every_learner_on_the_buffer_of_a_fit(weighed: Path) -> None:
@@ -318,12 +342,52 @@ def test_the_page_says_which_runs_are_left_out(
     there = shutil.copytree(store, tmp_path / "other")
     status = there / "pendulum-tom-1" / "status.json"
     status.write_text(json.dumps(json.loads(status.read_text()) | {"env_step": 90}))
+    words = ["record-sac", "--env", "inverted-pendulum", "--steps", "200", "--run-id", "alone"]
+    words += ["--exploration-steps", "100", "--sac.hidden", "16", "--evaluation.episodes", "1"]
+    assert main([*words, "--store", str(there), "--no-rerun"]) == 0
     set_links(Links(store=str(there), key="key"), monkeypatch)
     app = draw("probe", run=PENDULUM_TOM)
-    assert any("seed 1 (90 steps)" in words.value.replace("\\", "") for words in app.caption)
+    said = left_out(app)
+    assert any("TOM s1" in words and "(90 steps)" in words for words in said)
+    assert any("SAC s0" in words for words in said)
     for figure in figures(app):
         assert all(line.get("meta") != "pendulum-tom-1" for line in figure["data"])
     assert any("Where the policy goes" in words.value for words in app.markdown)
+
+
+def left_out(app: AppTest) -> list[str]:
+    """The captions of left out runs, as they are read."""
+    said = [words.value.replace("\\", "") for words in app.caption]
+    return [words for words in said if words.startswith("Left out")]
+
+
+def test_a_run_that_measured_nothing_or_kept_no_model_is_named(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = shutil.copytree(store, tmp_path / "other")
+    run = there / "pendulum-mle-0"
+    rows = [json.loads(line) for line in (run / layout.METRICS).read_text().splitlines()]
+    kept = [{n: v for n, v in row.items() if not n.startswith("model/")} for row in rows]
+    (run / layout.METRICS).write_text("".join(json.dumps(row) + "\n" for row in kept))
+    (run / layout.METRICS_TABLE).unlink(missing_ok=True)
+    shutil.rmtree(run / checkpoint.FOLDER)
+    set_links(Links(store=str(there), key="key"), monkeypatch)
+    said = left_out(draw("probe", run=PENDULUM_TOM))
+    assert [("MLE" in words, "TOM" in words) for words in said] == [(True, False)] * 3
+    assert ["model" in words for words in said] == [True, False, False]
+
+
+def test_a_run_without_a_buffer_has_its_part_in_what_was_recorded(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = shutil.copytree(store, tmp_path / "other")
+    shutil.rmtree(there / "pendulum-mle-0" / "buffer")
+    set_links(Links(store=str(there), key="key"), monkeypatch)
+    drawn = figures(draw("probe", run=PENDULUM_TOM))
+    assert [any(t.get("meta") == "pendulum-mle-0" for t in f["data"]) for f in drawn[-2:]] == [
+        True, True,
+    ]  # fmt: skip
+    assert trace(drawn[-3], name="MLE s0")
 
 
 def errors_of(name: str, *policy: float) -> dict[str, list[RunErrors]]:

@@ -23,6 +23,7 @@ from app.views.regions.region_tables import listed
 from tom.analysis import why as reasons
 from tom.cli import main
 from tom.record import Store, layout
+from tom.record.export import export_small
 from tom.record.reader import RunReader
 from tom.training.presets import resolve
 from tom.training.run import train
@@ -88,6 +89,27 @@ def test_a_fits_own_rows_are_not_compared_with_themselves(store: Path) -> None:
     usual = reasons.usual_distance(replay, replay[200:], torch.arange(200))
     assert near.usual == pytest.approx(usual)
     assert near.own > 0
+
+
+def test_a_small_copy_has_the_terms_of_its_weights(store: Path, tmp_path: Path) -> None:
+    for name, fit in ((PENDULUM_TOM, FIT), (ROAD_TOM, 60)):
+        export_small(RunReader(store / name), tmp_path)
+        run = info(tmp_path, name)
+        rows = buffer_reader.rows(run, fit)
+        assert rows is not None
+        found = why.source(run, rows, [])
+        assert isinstance(found, why.Source)
+        for row in range(0, len(rows), 17):
+            assert found.sum_of(row).weight == pytest.approx(rows.weight[row], rel=0.01, abs=0.01)
+
+
+def test_a_fit_before_tom_weighs_says_so(store: Path) -> None:
+    run = info(store, PENDULUM_TOM)
+    rows = buffer_reader.rows(run, 200)
+    assert rows is not None
+    found = why.source(run, rows, [])
+    assert isinstance(found, str)
+    assert "same" in found
 
 
 def test_the_roads_policy_rows_are_its_footprint(store: Path) -> None:

@@ -26,7 +26,7 @@ from tom.policy.collect import Footprint, footprint
 from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, Store
 from tom.record.writer import RunWriter
-from tom.reports.weighing_files import place
+from tom.reports.weighing_files import notices, place
 from tom.training.presets import resolve
 
 QUICK = [
@@ -103,6 +103,20 @@ def test_a_weighing_says_how_near_it_is_to_the_policy(store: Path, tmp_path: Pat
         judged = {"footprint", "footprint_se", "footprint_noise", "footprint_uniform"}
         assert judged <= row.keys()
         assert row["footprint_uniform"] == results[0]["footprint_uniform"]
+
+
+def test_notices_are_told_once_for_all_seeds(store: Path, tmp_path: Path, capsys):
+    """KL under the discounted flow gives ends no weight, which TOM notices."""
+    kl = ["--tom.divergence", "kl", "--tom.flow", "discounted", "--learner", "tom", "mle"]
+    at = ["--seeds", "0", "1", "--footprint", "50", "--out", str(tmp_path / "out"), "--json"]
+    assert weigh(store, "sac", "--policy", "sac", *kl, *at) == 0
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    (told,) = notices(report)
+    assert "0-1" in told
+    (message,) = report["results"][0]["notices"]
+    assert told.endswith(message)
+    assert said.err.count(told) == 1
 
 
 def test_weights_are_judged_by_episodes_that_no_learner_has_seen(store: Path, monkeypatch):

@@ -69,6 +69,19 @@ def test_a_buffer_is_kept_where_it_is_small_or_asked_for(store: Store, record, t
     assert small.problems == verify(small) == []
 
 
+def test_terms_of_weights_are_kept_beside_the_buffer(record, tmp_path: Path):
+    rows, row = transitions(0, 9), np.arange(9, dtype=np.float32)
+    terms = {"now": row, "following": 2 * row, "restart": 3 * row}
+    run = record(
+        given=[Collected(1, rows, np.zeros(9, np.int64)), Weights(1, row, None, row, terms)]
+    )
+    kept = RunReader(export_small(run, tmp_path)).snapshot(1)
+    assert list(kept) == ["weight", "log_ratio", "now", "following", "restart"]
+    assert kept["restart"].tolist() == (3 * row).tolist()
+    alone = RunReader(export_small(run, tmp_path / "alone", without=("buffer",))).snapshot(1)
+    assert list(alone) == ["weight", "log_ratio"]
+
+
 def test_nothing_is_named_that_the_run_never_had(record, tmp_path: Path):
     run = record()
     small = RunReader(export_small(run, tmp_path))

@@ -40,6 +40,8 @@ def test_what_is_no_whole_report_on_a_run_is_none_of_its_weighings(tmp_path: Pat
         *({"results": found} for found in (None, {}, [{}], [[]], [{"learner": "tom"}])),
         {"results": [{"learner": "tom", "seed": "0"}]},
         {"results": [{"learner": ["tom"], "seed": 0}]},
+        {"results": [{"learner": "tom", "seed": 0, "notices": "no list"}]},
+        {"results": [{"learner": "tom", "seed": 0, "notices": [None]}]},
         {"rows": None},
         {"rows": "3"},
         {"data": ["one"]},
