@@ -10,11 +10,11 @@ import signal
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from matplotlib import rc_context
 from pydantic import ValidationError
@@ -24,7 +24,7 @@ from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.config import SacRecordingConfig
-from tom.errors import DivergedError, UserError
+from tom.errors import DivergedError
 from tom.record import RunReader, Store
 from tom.record.files import plain
 from tom.reports.files import write_csv
@@ -42,13 +42,9 @@ from tom.studies import (
     road,
     tabular,
 )
-from tom.studies.each import each
-from tom.studies.study import Study, Table
+from tom.studies.study import Lab, Study, Table, make_folder, say
 from tom.training.resume import resume, unfinished
 from tom.training.run import Stop, train
-
-Case = TypeVar("Case")
-Outcome = TypeVar("Outcome")
 
 _BEGUN = time.monotonic()  # a study is a separate process
 
@@ -101,8 +97,9 @@ def run(study: Study, args: Namespace) -> int:
 
 
 def _run(study: Study, args: Namespace) -> int:
-    found = study.find(args, Desk(args))
-    make_folder(args)
+    lab = Lab(args.out, getattr(args, "jobs", 1), partial(record, args))
+    found = study.find(args, lab)
+    make_folder(args.out)
     failed = [str(row["name"]) for row in found.checks if row["met"] is False]
     said = [*found.said, *_judgement(found.checks, failed)]
     tables = [
@@ -153,46 +150,15 @@ def _print(tables: Sequence[Table], said: Sequence[str]) -> None:
     print("\n".join(said))
 
 
-class Desk:
-    """Where a study computes: its cases and recordings, with progress on stderr."""
-
-    def __init__(self, args: Namespace) -> None:
-        self._args = args
-
-    def compute(
-        self,
-        work: Callable[[Case], Outcome],
-        cases: Sequence[Case],
-        told: Callable[[Outcome], str],
-    ) -> list[Outcome]:
-        make_folder(self._args)
-        done: list[Outcome] = []
-        for one in each(work, cases, self._args.jobs, self._args.out):
-            done.append(one)
-            say(f"{len(done)} of {len(cases)}: {told(one)}")
-        return done
-
-    def record(self, store: Store, config: SacRecordingConfig) -> RunReader:
-        make_folder(self._args)
-        stop, begun = Stop(), unfinished(store, config)
-        work = partial(resume, store, begun) if begun else partial(train, config, store)
-        label = f"{config.env} sac seed {config.seed}"
-        with on_stopping(stop), ProgressReport(label, config.total_steps, sys.stderr) as progress:
-            command = shlex.join(["tom", *sys.argv[1:]])
-            made = work(watchers=(progress.consume,), rerun=False, command=command, stop=stop)
-        if stop.asked:
-            raise KeyboardInterrupt
-        return made
-
-
-def make_folder(args: Namespace) -> None:
-    """Make the folder of the report. Raises UserError if it cannot be made."""
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make {args.out}: {error.strerror}; name another --out") from error
-
-
-def say(line: str) -> None:
-    """Print a line of progress to stderr, so that stdout stays readable for a script."""
-    print(line, file=sys.stderr, flush=True)
+def record(args: Namespace, store: Store, config: SacRecordingConfig) -> RunReader:
+    """Make a recording, or go on with one that was stopped; a signal stops it with a checkpoint."""
+    make_folder(args.out)
+    stop, begun = Stop(), unfinished(store, config)
+    work = partial(resume, store, begun) if begun else partial(train, config, store)
+    label = f"{config.env} sac seed {config.seed}"
+    with on_stopping(stop), ProgressReport(label, config.total_steps, sys.stderr) as progress:
+        command = shlex.join(["tom", *sys.argv[1:]])
+        made = work(watchers=(progress.consume,), rerun=False, command=command, stop=stop)
+    if stop.asked:
+        raise KeyboardInterrupt
+    return made

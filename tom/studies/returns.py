@@ -21,7 +21,7 @@ from tom.analysis.statistics import RANKED, Interval, remark
 from tom.envs import ENVS, task
 from tom.errors import UserError
 from tom.learners import LEARNERS
-from tom.record import RunReader, Store
+from tom.record import Store
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.origin import origin_of_runs
 from tom.reports.style import new_figure
@@ -35,7 +35,6 @@ from tom.studies.returns_cells import (
     labels,
     select,
 )
-from tom.studies.returns_factors import factors
 from tom.studies.study import (
     Findings,
     Lab,
@@ -49,6 +48,7 @@ from tom.studies.study import (
 )
 from tom.training.presets import PRESETS
 
+SCORES = "Returns up to the step of the comparison; mean, median and IQM are of the best"
 WINS = "How often a run of one learner beats one of another"
 FACTORS = (
     "What weights in the model, and in the rollouts' starts, do for the return: each the mean over "
@@ -121,7 +121,7 @@ def find(args: Namespace, lab: Lab) -> Findings:
     found: dict[str, list[Row]] = {
         "summary": tables.summary(cells),
         "improvement": tables.improvement(cells, by, planned=planned),
-        "factors": factors(cells, by),
+        "factors": tables.factors(cells, by),
         "exams": tables.exams(cells),
         "rollouts": tables.rollouts(cells),
         "less": tables.less(cells, planned=planned),
@@ -132,13 +132,12 @@ def find(args: Namespace, lab: Lab) -> Findings:
         f"the others' end, or an end before --at: {', '.join(left_out)}."
     )
     many = len({cell.label for cell in cells}) > FEW and not planned
-    scores = f"Returns up to {_at_in_words(args.at)}; mean, median and IQM are of the best"
     return Findings(
         said=[*verdict(cells), *([aside] if left_out else [])],
         files={"returns": _curves(cells), **found},
         figures={"returns": (CAPTION, partial(return_figure, cells))},
         tables=[
-            Table(scores, found["summary"], list(map(_brief_score, found["summary"]))),
+            Table(SCORES, found["summary"], list(map(_brief_score, found["summary"]))),
             Table(WINS, found["improvement"]),
             Table(FACTORS, found["factors"]),
             Table(EXAMS, found["exams"], list(map(_brief_fits, found["exams"]))),
@@ -168,7 +167,7 @@ def _chosen(args: Namespace, envs: Sequence[str]) -> tuple[list[Cell], list[Cell
             f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds {RANKED} "
             "makes them"
         )
-    runs = _with_seeds(runs, args.seeds)
+    runs = [run for run in runs if args.seeds is None or run.seed in args.seeds]
     groups = args.groups and [_called(group, args.preset[0]) for group in args.groups]
     have = labels(runs, *args.preset, apart=args.apart)
     for group in groups or ():
@@ -212,23 +211,6 @@ def _steps(words: Sequence[str], envs: Sequence[str]) -> dict[str, int]:
         else:
             of_all = dict.fromkeys(envs, int(digits))
     return of_all | of_one
-
-
-def _at_in_words(at: Sequence[str]) -> str:
-    """The step of the comparison."""
-    words = sorted((word.rpartition("=") for word in at), key=lambda word: not word[1])
-    steps = [f"step {step} of {env}" if env else f"step {step}" for env, _, step in words]
-    if all(env for env, _, _ in words):
-        steps.append("the step that all runs of an environment reach")
-    return ", else ".join(steps)
-
-
-def _with_seeds(runs: list[RunReader], seeds: Sequence[int] | None) -> list[RunReader]:
-    chosen = [run for run in runs if seeds is None or run.seed in seeds]
-    if not chosen:
-        have = " ".join(map(str, sorted({run.seed for run in runs})))
-        raise UserError(f"--seeds: no such run has one of them, but {have}")
-    return chosen
 
 
 def _called(group: str, usual: str) -> str:

@@ -4,18 +4,20 @@
 """
 
 import os
+import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 
 from tom.config import SacRecordingConfig
 from tom.envs import task
-from tom.errors import unknown
+from tom.errors import UserError, unknown
 from tom.record import RunReader, Store
+from tom.studies.each import each
 
 Case = TypeVar("Case")
 Outcome = TypeVar("Outcome")
@@ -23,8 +25,14 @@ Row = dict[str, Any]
 """a line of a table or of a CSV file, by the titles of its columns"""
 
 
-class Lab(Protocol):
-    """Where a study computes, with progress for the user."""
+@dataclass(frozen=True)
+class Lab:
+    """Where a study computes, with a line of progress for each finished case."""
+
+    out: Path
+    jobs: int
+    record: Callable[[Store, SacRecordingConfig], RunReader]
+    """makes a recording of SAC, or goes on with one that was stopped"""
 
     def compute(
         self,
@@ -33,11 +41,12 @@ class Lab(Protocol):
         told: Callable[[Outcome], str],
     ) -> list[Outcome]:
         """`work` of every case (`tom.studies.each`); `told` names a finished one to the user."""
-        ...
-
-    def record(self, store: Store, config: SacRecordingConfig) -> RunReader:
-        """Make a recording of SAC, or go on with one that was stopped."""
-        ...
+        make_folder(self.out)
+        done: list[Outcome] = []
+        for one in each(work, cases, self.jobs, self.out):
+            done.append(one)
+            say(f"{len(done)} of {len(cases)}: {told(one)}")
+        return done
 
 
 @dataclass(frozen=True)
@@ -146,3 +155,16 @@ def as_the_paper_says(held: int, of: int) -> str:
     if held == of:
         return "as the paper says."
     return "mostly as the paper says." if 2 * held > of else "the paper says otherwise."
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder of a report. Raises UserError if it cannot be made."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make {path}: {error.strerror}; name another --out") from error
+
+
+def say(line: str) -> None:
+    """Print a line of progress to stderr, so that stdout stays readable for a script."""
+    print(line, file=sys.stderr, flush=True)

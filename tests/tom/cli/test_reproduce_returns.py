@@ -32,10 +32,7 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     assert "tom sweep --env hopper" in (out / "report.html").read_text()
     assert main(words) == 0
     assert main([*words, "--at", "250"]) == 0
-    assert "Returns up to step 250;" in (out / "report.html").read_text()
     assert main([*words, "--at", "inverted-pendulum=250"]) == 0
-    reached = "step 250 of inverted-pendulum, else the step that all runs of an environment reach;"
-    assert f"Returns up to {reached}" in (out / "report.html").read_text()
     capsys.readouterr()
     assert main([*words, "--at", "251", "--out", str(tmp_path / "none")]) == 2
     assert "ends at 250" in capsys.readouterr().err
@@ -82,7 +79,7 @@ def test_seeds_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main([*words, "9"]) == 2
     assert "--seeds 9: no such run was evaluated" in capsys.readouterr().err
     assert main([*words, "3", "4"]) == 2
-    assert "--seeds: no such run has one of them, but 0 1 2 9" in capsys.readouterr().err
+    assert "--seeds 3 4: no such run" in capsys.readouterr().err
     with pytest.raises(SystemExit, match="2"):
         main([*words, "-1"])
     assert "'-1' is no seed: a whole number, 0 or more" in capsys.readouterr().err
@@ -183,8 +180,6 @@ def test_a_step_of_one_task_counts_whatever_the_order(at: tuple[str, ...], tmp_p
     found = json.loads(capsys.readouterr().out)
     steps = {row["env"]: row["at step"] for row in found["summary"]}
     assert steps == {"hopper": 2000, "walker2d": 1000}
-    report = (tmp_path / "out" / "report.html").read_text()
-    assert "step 2000 of hopper, else step 1000;" in report
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,13 @@
 
 import signal
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tom.cli.progress import ProgressReport
-from tom.cli.reproduce import Desk, run
+from tom.cli.reproduce import record, run
 from tom.config import SacRecordingConfig
 from tom.events import Event, Tick
 from tom.record import RunReader, Store
@@ -20,7 +21,7 @@ STEPS = 150
 def recorded(folder: Path) -> list[RunReader]:
     args = Namespace(out=folder / "out", store=folder / "store", env=["inverted-pendulum"])
     args.steps = STEPS
-    return recordings(args, Desk(args), [0])
+    return recordings(args, Lab(args.out, 1, partial(record, args)), [0])
 
 
 def test_a_recording_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

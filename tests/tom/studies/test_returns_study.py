@@ -16,7 +16,6 @@ from tom.record.writer import RunWriter
 from tom.studies import returns_cells as study
 from tom.studies import returns_tables as tables
 from tom.studies.returns import return_figure, verdict
-from tom.studies.returns_factors import factors
 from tom.training.presets import resolve
 
 
@@ -451,11 +450,11 @@ def test_what_weights_do_is_asked_of_runs_that_are_alike_in_all_else(tmp_path: P
     for seed in range(3):  # an MLE of another preset, or with other settings, is no part of it
         record(store, "hopper", "mle", seed, [100, 100])
         record(other, "hopper", "mle", seed, [100, 100])
-    found = factors(two_by_two(store, "mbpo", (11, 11, 11, 11)))
+    found = tables.factors(two_by_two(store, "mbpo", (11, 11, 11, 11)))
     assert {row["effect"] for row in found} == {0}
     assert {row["learner"] for row in found} == {"TOM, mbpo"}
     settings = {"fit_every": 500, "tom": {"q_steps": 500}}
-    found = factors(two_by_two(other, "mended", (11, 11, 11, 11), **settings))
+    found = tables.factors(two_by_two(other, "mended", (11, 11, 11, 11), **settings))
     assert {row["effect"] for row in found} == {0}
     assert {row["learner"] for row in found} == {"TOM, mended, fit_every 500, tom.q_steps 500"}
 
@@ -468,20 +467,20 @@ def test_cells_without_weights_are_no_design_of_their_own(tmp_path: Path):
         for none in (model, rollout, {**model, **rollout}):
             record(store, "hopper", "mle", seed, [11, 11], "paper", **none)
         record(store, "hopper", "tom", seed, [11, 11], "mended", **model, **rollout)
-    found = factors(two_by_two(store, "mended", (51, 11, 21, 11)))
+    found = tables.factors(two_by_two(store, "mended", (51, 11, 21, 11)))
     assert {row["learner"] for row in found} == {"TOM, mended"}
     assert len(found) == 3 * len(tables.MEASURES)
 
 
 def test_of_single_runs_an_effect_has_no_p(tmp_path: Path):
-    found = factors(two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11), seeds=1))
+    found = tables.factors(two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11), seeds=1))
     assert [row["effect"] for row in found[:3]] == [15, 25, 30]
     assert all(np.isnan(row["p"]) and np.isnan(row["low"]) for row in found)
 
 
 def test_what_weights_do_in_either_place_is_the_mean_over_the_others_levels(tmp_path: Path):
     chosen = two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11))
-    rows = {(row["effect of"], row["by"]): row for row in factors(chosen)}
+    rows = {(row["effect of"], row["by"]): row for row in tables.factors(chosen)}
     assert len(rows) == 3 * len(tables.MEASURES)
     area = "area under the curve"
     model, starts = rows["weighted model", area], rows["weighted starts", area]
@@ -495,5 +494,5 @@ def test_what_weights_do_in_either_place_is_the_mean_over_the_others_levels(tmp_
     assert starts["p"] == pytest.approx(2 / 20**2, abs=0.002)  # 3 against 3, twice
     assert model["p of all"] >= model["p"]
     assert np.isnan(rows["both beyond their sum", area]["p"])
-    assert not factors([cell for cell in chosen if cell.learner != "mle"])
-    assert not factors([cell for cell in chosen if "rollout" not in cell.variant])
+    assert not tables.factors([cell for cell in chosen if cell.learner != "mle"])
+    assert not tables.factors([cell for cell in chosen if "rollout" not in cell.variant])
