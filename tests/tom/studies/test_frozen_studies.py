@@ -21,7 +21,6 @@ from tom.studies.frozen import (
     WAYS,
     Case,
     buffer_at,
-    cases,
     examined,
     moments,
     seed_of,
@@ -104,12 +103,6 @@ def test_the_outcome_of_a_way_does_not_depend_on_what_was_examined_before(run: R
     assert other["footprint_uniform"] != first["footprint_uniform"]
     assert examined(replace(case, rows=400))["footprint_uniform"] != first["footprint_uniform"]
     assert examined(case) == first
-
-
-def test_every_way_is_asked_at_every_moment(run: RunReader):
-    asked = cases([run], ["uniform", "ratio"], [0, 1], 2)
-    assert len(asked) == 8
-    assert {case.made for case in asked} == {run.created}
 
 
 def test_a_footprints_summary_by_hand():
@@ -399,16 +392,6 @@ def test_a_run_that_does_not_say_when_its_policy_begins_is_left_out(
         said = capsys.readouterr().err
         assert says in said
         assert said.count("\n") == 1
-
-
-def test_a_model_that_is_named_twice_is_fitted_once(run: RunReader, tmp_path: Path):
-    words = ["reproduce", "capacity", "frozen", "--store", str(run.path.parent), "--rows", "300"]
-    words += ["--moments", "1", "--jobs", "1", "--ways", "newest", "--out", str(tmp_path)]
-    kept = []
-    for models in (("linear",), ("linear", "linear")):
-        assert main([*words, "--models", *models]) == 0
-        kept.append(sorted(path.name for path in (tmp_path / "cases").iterdir()))
-    assert kept[0] == kept[1]
 
 
 def test_every_way_is_a_learner_of_the_registry_or_the_newest_rows():

@@ -37,6 +37,22 @@ def record(
             recorder.consume(Tick(1000 * i, "evaluate"))
 
 
+def measured(
+    store: Store,
+    run_id: str,
+    learner: str,
+    seed: int,
+    *steps: tuple[int, dict[Any, float]],
+    env: str = "hopper",
+) -> None:
+    """A run with these metrics at these steps."""
+    config = resolve(env, learner, "paper", {"seed": seed})
+    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
+        for step, values in steps:
+            recorder.consume(Metrics(step, values))
+            recorder.consume(Tick(step, "evaluate"))
+
+
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     made = Store(tmp_path)
@@ -135,13 +151,9 @@ def test_of_one_seed_the_run_that_reaches_the_step_is_used(store: Store):
 
 
 def test_a_learner_that_was_first_evaluated_after_the_others_ended_is_left_out(store: Store):
-    config = resolve("hopper", "pmac", "paper", {"seed": 0})
-    run_id = store.new_run_id("hopper", "pmac", 0)
-    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
-        recorder.consume(Metrics(9000, {"eval/return": 1.0}))
-        recorder.consume(Tick(9000, "evaluate"))
+    measured(store, "late", "pmac", 0, (9000, {"eval/return": 1.0}))
     cells, left_out = study.select(store.runs(), "paper")
-    assert left_out == [run_id]
+    assert left_out == ["late"]
     assert {row["env"]: row["at step"] for row in tables.summary(cells)}["hopper"] == 3000
 
 
@@ -200,12 +212,8 @@ def test_p_is_corrected_for_all_comparisons_of_the_table(store: Store):
 
 def test_areas_begin_where_all_runs_have_returns(store: Store):
     """The same returns, evaluated half as often, are not a larger area."""
-    config = resolve("walker2d", "pmac", "paper", {"seed": 0})
-    run_id = store.new_run_id("walker2d", "pmac", 0)
-    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
-        for step, value in ((2000, 2.0), (4000, 4.0)):
-            recorder.consume(Metrics(step, {"eval/return": value}))
-            recorder.consume(Tick(step, "evaluate"))
+    half = [(step, {"eval/return": step / 1000}) for step in (2000, 4000)]
+    measured(store, "half", "pmac", 0, *half, env="walker2d")
     record(store, "walker2d", "tom", 0, [1, 2, 3, 4])  # in the place of the shorter one
     record(store, "walker2d", "mle", 0, [1, 2, 3, 4])
     cells = [cell for cell in study.select(store.runs(), "paper")[0] if cell.env == "walker2d"]
@@ -226,25 +234,15 @@ def test_learners_without_a_common_task_are_not_compared(store: Store):
 
 
 def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
-    told = {
-        0: [
-            (0.5, 0.2, 1.0, 4.0),
-            (0.7, -0.9, 3.0, 6.0),
-            (0.9, 0.1, 2.0, 8.0),
-            (80.0, 1.1, 2.0, 6.0),
-        ],
-        1: [(0.1, 0.1, 4.0, 2.0)],
-        2: [(7.0, 3.0, 3.0, 4.0)],
-    }  # a footprint whose noise is 1 or more says nothing
-    for seed, of_seed in told.items():
-        config = resolve("hopper", "pmac", "paper", {"seed": seed})
-        with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
-            for step, (footprint, noise, error, later) in enumerate(of_seed, start=1):
-                exam = {"exam/footprint": footprint, "exam/error": error}
-                exam |= {"exam/footprint_noise": noise}
-                recorder.consume(Metrics(step, exam | {"exam/rollout_error": later}))
-            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
-            recorder.consume(Tick(1000, "evaluate"))
+    told = (
+        [(0.5, 0.2, 1.0, 4.0), (0.7, -0.9, 3.0, 6.0), (0.9, 0.1, 2.0, 8.0), (80.0, 1.1, 2.0, 6.0)],
+        [(0.1, 0.1, 4.0, 2.0)],
+        [(7.0, 3.0, 3.0, 4.0)],
+    )  # a footprint whose noise is 1 or more says nothing
+    names = ("exam/footprint", "exam/footprint_noise", "exam/error", "exam/rollout_error")
+    for seed, of_seed in enumerate(told):
+        fits = [(step, dict(zip(names, fit, strict=True))) for step, fit in enumerate(of_seed, 1)]
+        measured(store, f"examined-{seed}", "pmac", seed, *fits, (1000, {"eval/return": 1.0}))
     (row,) = tables.exams(study.select(store.runs(), "paper")[0])  # the others sat none
     assert (row["env"], row["learner"], row["n"]) == ("hopper", "PMAC", 3)
     assert row["footprint"] == pytest.approx((0.7 + 0.1) / 2)
@@ -255,18 +253,10 @@ def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
 
 def examined(store: Store, learner: str, seed: int, error: float, falls: float = np.nan) -> None:
     """A run of Hopper whose fits have this error and so many falls of rollouts for one real one."""
-    config = resolve("hopper", learner, "paper", {"seed": seed})
     exam = {"exam/footprint": 0.5, "exam/footprint_noise": 0.1, "exam/error": error}
-    rollouts = {
-        tables.FALLS: 0.01 * falls,
-        tables.POLICY_FALLS: 0.01,
-        tables.LARGEST: 1,
-        tables.SIZE: 500,
-    }
-    with Recorder(RunWriter.create(store, f"{learner}-{seed}-less", config)) as recorder:
-        recorder.consume(Metrics(500, exam | {"exam/rollout_error": 2 * error} | rollouts))
-        recorder.consume(Metrics(1000, {"eval/return": 1.0}))
-        recorder.consume(Tick(1000, "evaluate"))
+    exam |= {"exam/rollout_error": 2 * error, tables.FALLS: 0.01 * falls, tables.POLICY_FALLS: 0.01}
+    exam |= {tables.LARGEST: 1, tables.SIZE: 500}
+    measured(store, f"{learner}-{seed}", learner, seed, (500, exam), (1000, {"eval/return": 1.0}))
 
 
 def test_exams_are_compared_as_scores_are_and_less_is_less(tmp_path: Path):
@@ -296,12 +286,11 @@ def test_exams_are_compared_as_scores_are_and_less_is_less(tmp_path: Path):
 def test_exams_after_the_step_that_all_runs_reach_do_not_count(store: Store):
     """A longer run would have its later fits, of more data, in its median."""
     for seed, last in ((0, 1000), (1, 3000)):
-        config = resolve("hopper", "pmac", "paper", {"seed": seed})
-        with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
-            for step in range(500, last + 1, 500):
-                exam = dict.fromkeys(tables.EXAMS, float(step))
-                recorder.consume(Metrics(step, exam | {"eval/return": 1.0}))
-                recorder.consume(Tick(step, "evaluate"))
+        fits = [
+            (step, {**dict.fromkeys(tables.EXAMS, float(step)), "eval/return": 1.0})
+            for step in range(500, last + 1, 500)
+        ]
+        measured(store, f"examined-{seed}", "pmac", seed, *fits)
     (row,) = tables.exams(study.select(store.runs(), "paper")[0])
     assert (row["n"], row["error"]) == (2, 750)  # of 500 and 1000, in both runs
 
@@ -309,15 +298,12 @@ def test_exams_after_the_step_that_all_runs_reach_do_not_count(store: Store):
 def test_fits_before_every_learner_weighs_do_not_count(store: Store):
     """TOM's first fits are as MLE's: with them its footprint would stand nearer to 1."""
     for learner, weighs_from in (("mle", 9000), ("pmac", 300), ("tom", 500)):
-        config = resolve("hopper", learner, "paper", {"seed": 5})
-        with Recorder(RunWriter.create(store, f"{learner}-examined", config)) as recorder:
-            for step in range(100, 901, 100):
-                values = dict.fromkeys(tables.EXAMS, float(step)) | {tables.FALLS: 0.01 * step}
-                values |= {tables.POLICY_FALLS: 0.01, tables.LARGEST: 1.0, tables.SIZE: 500.0}
-                ess = 0.5 if step >= weighs_from else 1.0
-                recorder.consume(Metrics(step, values | {ESS: ess}))
-            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
-            recorder.consume(Tick(1000, "evaluate"))
+        fits = []
+        for step in range(100, 901, 100):
+            values = dict.fromkeys(tables.EXAMS, float(step)) | {tables.FALLS: 0.01 * step}
+            values |= {tables.POLICY_FALLS: 0.01, tables.LARGEST: 1.0, tables.SIZE: 500.0}
+            fits.append((step, values | {ESS: 0.5 if step >= weighs_from else 1.0}))
+        measured(store, f"{learner}-5", learner, 5, *fits, (1000, {"eval/return": 1.0}))
     chosen, _ = study.select([run for run in store.runs() if run.seed == 5], "paper")
     assert {row["error"] for row in tables.exams(chosen)} == {700}  # of 500 to 900, MLE's too
     assert {row["falls"] for row in tables.rollouts(chosen)} == {700}
@@ -326,27 +312,19 @@ def test_fits_before_every_learner_weighs_do_not_count(store: Store):
 
 
 def test_rollouts_fall_so_often_as_the_policy_or_more(store: Store):
-    told = {
-        0: [(0.02, 0.01, 1.0), (0.03, 0.01, 50.0), (0.08, 0.01, 5.0), (0.5, 0.0, 900.0)],
-        1: [(0.01, 0.02, 1.0)],
-    }  # of the policy's last steps none ends in the fit with 0.0
-    for seed, of_seed in told.items():
-        config = resolve("hopper", "pmac", "paper", {"seed": seed})
-        with Recorder(RunWriter.create(store, f"rolled-{seed}", config)) as recorder:
-            for step, (rollouts, policy, largest) in enumerate(of_seed, start=1):
-                values = {tables.FALLS: rollouts, tables.POLICY_FALLS: policy}
-                recorder.consume(
-                    Metrics(step, values | {tables.LARGEST: largest, tables.SIZE: 500.0})
-                )
-            late = {
-                tables.FALLS: 9.0,
-                tables.POLICY_FALLS: 0.01,
-                tables.LARGEST: 1.0,
-                tables.SIZE: 500.0,
-            }
-            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
-            recorder.consume(Metrics(2000, late))  # after the step of the comparison
-            recorder.consume(Tick(2000, "evaluate"))
+    told = (
+        [(0.02, 0.01, 1.0), (0.03, 0.01, 50.0), (0.08, 0.01, 5.0), (0.5, 0.0, 900.0)],
+        [(0.01, 0.02, 1.0)],
+    )  # of the policy's last steps none ends in the fit with 0.0
+    names = (tables.FALLS, tables.POLICY_FALLS, tables.LARGEST)
+    late = {tables.FALLS: 9.0, tables.POLICY_FALLS: 0.01, tables.LARGEST: 1.0, tables.SIZE: 500.0}
+    for seed, of_seed in enumerate(told):
+        fits = [
+            (step, {**dict(zip(names, fit, strict=True)), tables.SIZE: 500.0})
+            for step, fit in enumerate(of_seed, 1)
+        ]
+        evaluated = (1000, {"eval/return": 1.0})  # the step of the comparison
+        measured(store, f"rolled-{seed}", "pmac", seed, *fits, evaluated, (2000, late))
     (row,) = tables.rollouts(study.select(store.runs(), "paper")[0])  # the others recorded none
     assert (row["learner"], row["n"]) == ("PMAC", 2)
     assert row["falls"] == pytest.approx((3 + 0.5) / 2)
