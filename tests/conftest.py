@@ -1,12 +1,32 @@
 """One thread for each worker: small networks gain nothing from two, and workers share the cores."""
 
+import ctypes
 import os
 from collections.abc import Iterator
 from urllib.request import Request, urlopen
 
 import pytest
 
+CAPABILITIES = 0x20080522
+"""the version of the kernel's interface to the capabilities of a thread"""
+OVERRIDE = 1 << 1 | 1 << 2
+"""those by which root reads what its mode forbids"""
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported; children inherit it
+
+
+@pytest.fixture
+def modes_count() -> Iterator[None]:
+    """The modes of files are for this thread, and those that it starts, what they are for users."""
+    kernel = ctypes.CDLL(None, use_errno=True)
+    header, held = (ctypes.c_uint32 * 2)(CAPABILITIES, 0), (ctypes.c_uint32 * 6)()
+    assert kernel.capget(header, held) == 0
+    effective = held[0]
+    held[0] = effective & ~OVERRIDE
+    assert kernel.capset(header, held) == 0
+    yield
+    held[0] = effective
+    assert kernel.capset(header, held) == 0
 
 
 @pytest.fixture

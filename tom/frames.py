@@ -147,7 +147,8 @@ class Weighing:
 def load(name: str | Path, store: str | Path = "runs") -> Run | Weighing:
     """Load a run (id or folder) or the folder of a weighing. Raises UserError if it is neither."""
     place = Store(Path(store))
-    for path in (Path(name), place.path / "weighings" / Path(name)):
+    kept = [path for path in weighing_files.folders(place.path) if path.name == str(name)]
+    for path in (Path(name), *kept):
         if (path / REPORT).is_file():
             return _weighing(path)
     run = find_run(str(name), place)

@@ -63,10 +63,7 @@ def find(store: str, name: str) -> RunInfo:
 
 
 def _kept(store: Path) -> list[tuple[Path, dict[str, Any]]]:
-    weighings = reports(store)
-    return [
-        (path, report) for path, report in weighings if ROWS in report and not path.is_symlink()
-    ]
+    return [(path, report) for path, report in reports(store) if ROWS in report]
 
 
 def _each(report: dict[str, Any], name: str) -> list[str]:

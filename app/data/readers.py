@@ -15,7 +15,7 @@ from app.data.cache import VersionedCache
 from app.data.pictures import Picture
 from tom.config import Settings
 from tom.errors import UserError
-from tom.record import small_copy, stamps
+from tom.record import manage, small_copy, stamps
 from tom.record.labels import Labels
 from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
@@ -93,6 +93,14 @@ def listing(store: str) -> Listing:
     _INFOS[store] = current
     runs.sort(key=lambda run: (run.created, run.run_id), reverse=True)
     return Listing(tuple(runs), tuple(problems))
+
+
+def trashed(store: Path | str) -> list[str]:
+    """The ids of the runs in the trash; none if this user may not look into it, or it is a link."""
+    try:
+        return manage.trashed(Store(store))
+    except (OSError, UserError):
+        return []
 
 
 def metrics(run: RunInfo) -> pd.DataFrame:

@@ -56,9 +56,12 @@ class Study:
         return QUESTIONS.get(self.name, QUESTIONS.get(verb, ""))
 
 
-def folders(store: Path | str) -> tuple[Path, Path]:
+def folders(store: Path | str) -> tuple[Path, ...]:
     """The folders of studies: those of this machine, then those in the store."""
-    return FOLDER, Store(store).studies
+    try:
+        return FOLDER, Store(store).studies
+    except UserError:  # a link, which is named among what is no run
+        return (FOLDER,)
 
 
 def listing(*places: Path) -> list[Study]:

@@ -8,8 +8,6 @@ import streamlit as st
 from app import session, text
 from app.data import readers
 from app.parts import address
-from tom.record import manage
-from tom.record.store import Store
 
 LONGEST = 120
 """number of characters shown of an id, which may be any text"""
@@ -40,7 +38,7 @@ def why(run_id: str) -> str:
     called = text.markdown(run_id[:LONGEST])
     if any(run.run_id == run_id for run in readers.listing(store).runs):
         return f"Run {called} has nothing to show here."
-    if run_id in manage.trashed(Store(store)):
+    if run_id in readers.trashed(store):
         return (
             f"Run {called} is in the trash: bring it back on [Compare, under "
             "Runs](/compare?show=Runs)."

@@ -14,8 +14,8 @@ import streamlit as st
 from app import session, text
 from tom.errors import UserError
 from tom.record.files import read_json, replace_json
+from tom.record.store import Store
 
-FOLDER = ".views"
 CODE = re.compile(r"[0-9a-f]{8}")
 LONGEST = 8000
 
@@ -31,7 +31,7 @@ def save(store: Path | str, page: str, query: str) -> str:
             "copy the long address"
         )
     code = hashlib.sha256(f"{page}?{query}".encode()).hexdigest()[:8]
-    folder = Path(store) / FOLDER
+    folder = Store(store).views
     try:
         folder.mkdir(exist_ok=True)
         replace_json(folder / f"{code}.json", {"page": page, "query": query}, sync=False)
@@ -44,13 +44,13 @@ def save(store: Path | str, page: str, query: str) -> str:
 
 def target(store: Path | str, code: str) -> str | None:
     """The address of a code on this server; None if there is no such view."""
-    path = Path(store) / FOLDER / f"{code}.json"
-    if not CODE.fullmatch(code) or path.is_symlink():
-        return None
     try:
+        path = Store(store).views / f"{code}.json"
+        if not CODE.fullmatch(code) or path.is_symlink():
+            return None
         held = read_json(path)
         page, query = str(held["page"]), str(held["query"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, UserError):
         return None
     return f"/{page}?{query}" if re.fullmatch(r"[a-z]*", page) and query.isprintable() else None
 

@@ -23,7 +23,7 @@ from same_records import assert_same_record
 from app.parts import shortlinks
 from tom.cli import main
 from tom.errors import NOT_NOW, START_AGAIN, UserError
-from tom.record import RunReader, Store, checkpoint
+from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.export import export_small
 from tom.record.integrity import repair, verify
 from tom.record.manage import restore, trash
@@ -469,7 +469,7 @@ def test_a_pipe_in_place_of_the_page_about_small_copies__is_named(
 @pytest.mark.quick
 def test_a_pipe_in_place_of_a_short_link__leads_nowhere(store: Store, hurry: None):
     code = shortlinks.save(store.path, "compare", "env=hopper")
-    link = store.path / shortlinks.FOLDER / f"{code}.json"
+    link = store.path / layout.VIEWS / f"{code}.json"
     link.unlink()
     os.mkfifo(link)
     assert shortlinks.target(store.path, code) is None

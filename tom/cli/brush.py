@@ -175,7 +175,7 @@ def _own(reader: RunReader, step: int) -> NDArray[np.float32]:
 
 def _of(name: str, store: Store) -> NDArray[np.float32]:
     where, _, column = name.rpartition(":")
-    path = Path(where) if "/" in where else store.path / layout.WEIGHINGS / where
+    path = Path(where) if "/" in where else store.beside(layout.WEIGHINGS) / where
     try:
         return read_table(path / weighing_files.WEIGHTS)[column].to_numpy(np.float32)
     except (KeyError, *DAMAGE) as error:

@@ -1,5 +1,6 @@
 """Tables as wide as the terminal, or in full width elsewhere, and what a table says of a run."""
 
+import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -8,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tom.harmless import is_number, terminal, terminal_lines
-from tom.record import RunReader, Status
+from tom.record import RunReader, Status, Store
 
 WIDTH = 1000  # in a file or a pipe, where a row is one line
 
@@ -27,6 +28,12 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     # The table's own title would be wrapped to the width of the table.
     console.print(Text(terminal(title), style="italic"))
     console.print(table)
+
+
+def name_problems(store: Store) -> None:
+    """Print what `store.runs()` left out, apart from the output that a script reads."""
+    for problem in store.problems:
+        print(terminal(problem), file=sys.stderr)
 
 
 def cell(value: object) -> str:

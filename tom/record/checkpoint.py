@@ -100,7 +100,11 @@ def look_for(folder: Path) -> tuple[Checkpoint | None, str]:
     problems: list[str] = []
     unusable: list[Path] = []
     unread = ""
-    for path in folders(folder):
+    try:
+        listed = _listed(folder)
+    except PermissionError as error:
+        return None, f"{folder.name} cannot be read: {reason(error)}"
+    for path in listed:
         try:
             state = _load_one(path)
         except UNUSABLE as error:
@@ -210,7 +214,14 @@ def _load_one(path: Path) -> dict[str, Any]:
 
 
 def folders(folder: Path) -> list[Path]:
-    """The checkpoints in `folder`, newest first, damaged or not."""
+    """The checkpoints in `folder`, newest first, damaged or not; none if it may not be entered."""
+    try:
+        return _listed(folder)
+    except PermissionError:
+        return []
+
+
+def _listed(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     named = (path for path in folder.iterdir() if _STEP.fullmatch(path.name))

@@ -46,11 +46,12 @@ def verify(reader: RunReader) -> list[str]:
     fresh.profiles()
     fresh.notices()
     rows, _ = fresh.buffer()
+    fresh.list_folders()
     problems = list(fresh.problems)
     for path in _arrays(fresh.path):
         error = _unreadable(path, fresh.most_bytes)
         name = str(path.relative_to(fresh.path))
-        if path.parent.name in PASSING and not os.path.lexists(path):
+        if error and path.parent.name in PASSING and path not in path.parent.iterdir():
             continue  # the training has replaced it since it was listed
         if error and not any(name in problem for problem in problems):
             problems.append(f"{name} cannot be read: {error}")
@@ -60,10 +61,10 @@ def verify(reader: RunReader) -> list[str]:
         if not any(name in problem for problem in problems):
             problems.append(f"{name} {what}")
     if held is not None:
-        problems += [*held.problems, *unlike(fresh.path, held)]
+        problems += [*held.problems, *([] if fresh.unread else unlike(fresh.path, held))]
         if len(rows) < (collected := held.state.get("training", {}).get("collected", 0)):
             problems.append(f"{layout.BUFFER} has {len(rows)} of {collected} rows: {NO_WAY_ON}")
-    elif checkpoint.newest(folder) is not None:
+    elif unread or checkpoint.newest(folder) is not None:
         problems.append(unread or f"no checkpoint is whole: {NO_WAY_ON}")
     if (fresh.path / layout.MODEL).is_dir() and checkpoint.load(fresh.path / layout.MODEL) is None:
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")

@@ -28,7 +28,16 @@ LINES = (METRICS, PROFILES, NOTICES)
 """the files that grow by a row at a time"""
 WEIGHINGS = "weighings"
 STUDIES = "studies"
-BESIDE_RUNS = {WEIGHINGS: "weighings", STUDIES: "studies"}
+TRASH = ".trash"
+VIEWS = ".views"
+LOGS = ".sweep"
+BESIDE_RUNS = {
+    WEIGHINGS: "weighings",
+    STUDIES: "studies",
+    TRASH: "trashed runs",
+    VIEWS: "short links",
+    LOGS: "logs of sweeps",
+}
 """folders of a store that are not runs, and their content"""
 LOCK = ".writer"
 BALLAST = ".ballast"

@@ -15,7 +15,6 @@ from tom.record.reader import RunReader
 from tom.record.status import BEAT_S
 from tom.record.store import Store
 
-TRASH = ".trash"
 _TRASHED = re.compile(rf"({layout.RUN_ID.pattern})(?:~(\d+))?")  # "~" is in no run id
 
 
@@ -57,7 +56,7 @@ def into_trash(store: Store, run_id: str, path: Path) -> Path:
 
     Raises OSError if it cannot be moved, UserError if the trash is a link.
     """
-    folder = _trash_folder(store)
+    folder = store.beside(layout.TRASH)
     folder.mkdir(exist_ok=True)
     place = _place(folder, run_id, _newest(folder, run_id) + 1)
     path.rename(place)
@@ -66,7 +65,7 @@ def into_trash(store: Store, run_id: str, path: Path) -> Path:
 
 def trashed(store: Store) -> list[str]:
     """The ids of the runs in the trash, each once."""
-    return sorted({run_id for run_id, _ in _entries(_trash_folder(store))})
+    return sorted({run_id for run_id, _ in _entries(store.beside(layout.TRASH))})
 
 
 def restore(store: Store, run_id: str) -> Path:
@@ -85,7 +84,7 @@ def check_restorable(store: Store, run_id: str) -> Path:
 
     Raises UserError if there is none, or if the store has another run of that id.
     """
-    place, folder = store.resolve(run_id), _trash_folder(store)
+    place, folder = store.resolve(run_id), store.beside(layout.TRASH)
     newest = _newest(folder, run_id)
     if not newest:
         known = ", ".join(trashed(store)[:5]) or "nothing"
@@ -135,13 +134,6 @@ def _write(path: Path, changed: Labels) -> Labels:
     tidy = labels.checked(changed)
     replace_json(path / layout.LABELS, tidy.record(), sync=True)
     return tidy
-
-
-def _trash_folder(store: Store) -> Path:
-    folder = store.path / TRASH
-    if folder.is_symlink():
-        raise UserError(f"{folder} is a link: not followed; move it away")
-    return folder
 
 
 def _entries(folder: Path) -> Iterator[tuple[str, int]]:

@@ -251,6 +251,11 @@ class RunReader:
         """The `wanted` arrays of the run's file `name`; None if it cannot be read."""
         return self._read(name, lambda p: read_arrays(p, self.most_bytes, wanted), needed=True)
 
+    def list_folders(self) -> None:
+        """Name folders that cannot be listed among `problems`: they look as if they were empty."""
+        for name in layout.FOLDERS:
+            self._read(name, os.listdir)
+
     def rrd_files(self) -> list[Path]:
         """The Rerun recordings, in the order they were written."""
         return layout.rrd_files(self.path)
@@ -291,12 +296,11 @@ class RunReader:
         return rows
 
     def _read(self, name: str, read: Callable[[Path], T], *, needed: bool = False) -> T | None:
-        path = self.path / name
-        if self._leads_out(name):
-            self._problem(f"{name} leads out of the run folder and was not read")
-            return None
         try:
-            return read(path)
+            if self._leads_out(name):
+                self._problem(f"{name} leads out of the run folder and was not read")
+                return None
+            return read(self.path / name)
         except FileNotFoundError:
             if needed:
                 self._problem(f"{name} is missing")

@@ -50,9 +50,12 @@ class Store:
         return sorted(readers, key=lambda run: (run.created, run.run_id), reverse=True)
 
     def names(self) -> list[str]:
-        """The folders that may be runs. Raises UserError if the store cannot be read."""
-        names = self._names()
-        return [n for n in names if n not in layout.BESIDE_RUNS and not n.startswith(".")]
+        """The folders that may be runs, and links that stand where `beside` looks.
+
+        Raises UserError if the store cannot be read.
+        """
+        names = [n for n in self._names() if n not in layout.BESIDE_RUNS and n[0] != "."]
+        return [*names, *(n for n in layout.BESIDE_RUNS if (self.path / n).is_symlink())]
 
     def look(self, name: str) -> RunReader:
         """The run in the folder `name`. Raises UserError with the reason if it is not a run."""
@@ -83,13 +86,14 @@ class Store:
 
         Raises UserError for an invalid id, or one that leads out of the store.
         """
+        if held := layout.BESIDE_RUNS.get(run_id):
+            self.beside(run_id)
+            raise UserError(f"'{run_id}' is no run id: {held} lie there; choose another name")
         if not layout.RUN_ID.fullmatch(run_id):
             raise UserError(
                 f"'{run_id[:120]}' is no run id: use letters, digits, '.', '_' and '-', "
                 "at most 100, starting with a letter or digit"
             )
-        if held := layout.BESIDE_RUNS.get(run_id):
-            raise UserError(f"'{run_id}' is no run id: {held} lie there; choose another name")
         path = self.path / run_id
         try:
             link = path.is_symlink()
@@ -107,8 +111,23 @@ class Store:
 
     @property
     def studies(self) -> Path:
-        """The folder of the studies beside the runs."""
-        return self.path / layout.STUDIES
+        """The folder of the studies beside the runs. Raises UserError as `beside` does."""
+        return self.beside(layout.STUDIES)
+
+    @property
+    def views(self) -> Path:
+        """The folder of the studio's short links. Raises UserError as `beside` does."""
+        return self.beside(layout.VIEWS)
+
+    def beside(self, name: str) -> Path:
+        """The folder `name` of layout.BESIDE_RUNS, which need not exist.
+
+        Raises UserError if it is a link.
+        """
+        folder = self.path / name
+        if folder.is_symlink():
+            raise UserError(f"{folder} is a link: not followed; move it away")
+        return folder
 
     def new_run_id(self, env: str, learner: str, seed: int) -> str:
         """A free run id: `<env>-<learner>-s<seed>-<yymmdd-hhmmss>`, with a number if taken."""
@@ -119,7 +138,7 @@ class Store:
 
         It is not hidden, and short enough for a file system: the name may be that of a file.
         """
-        folder = self.path / layout.WEIGHINGS
+        folder = self.beside(layout.WEIGHINGS)
         short = name.lstrip(".").encode(errors="surrogateescape")[:NAME_BYTES]
         named = short.decode(errors="ignore") or "data"
         return folder / free_name(folder, f"{named}-{_now()}")

@@ -56,9 +56,18 @@ def of_run(store: Path, run_id: str) -> list[Path]:
 
 def reports(store: Path) -> list[tuple[Path, dict[str, Any]]]:
     """Every weighing in `store` with its report, by name; unreadable ones are left out."""
-    folders = sorted(path.parent for path in (store / layout.WEIGHINGS).glob(f"*/{REPORT}"))
-    read = [(path, _report(path)) for path in folders if path.name[0] != "."]
+    read = [(path, _report(path)) for path in folders(store)]
     return [(path, report) for path, report in read if report is not None]
+
+
+def folders(store: Path) -> list[Path]:
+    """The folders of weighings in `store`, by name; links are left out, also one to all of them."""
+    try:
+        held = sorted(Store(store).beside(layout.WEIGHINGS).glob(f"*/{REPORT}"))
+    except UserError:
+        return []
+    paths = [report.parent for report in held]
+    return [path for path in paths if path.name[0] != "." and not path.is_symlink()]
 
 
 def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
@@ -68,7 +77,7 @@ def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
     is damaged or cannot be written.
     """
     for path in of_run(store, run_id):
-        copy = to / layout.WEIGHINGS / path.name
+        copy = Store(to).beside(layout.WEIGHINGS) / path.name
         check_free(copy)
         weights = _read_weights(path)
         with whole_weighing(copy) as unfinished:

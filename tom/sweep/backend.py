@@ -11,8 +11,6 @@ from tom.record.lock import BusyError
 from tom.record.status import DEAD_AFTER_S
 from tom.sweep.lease import Lease
 
-LOGS = ".sweep"
-
 
 class Backend(Protocol):
     """The runs of a sweep. `store` holds them, or the parts of them that a driver needs."""

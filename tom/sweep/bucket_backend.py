@@ -11,7 +11,6 @@ from pathlib import Path
 from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.bucket import attempts
 from tom.record.bucket.objects import Bucket
-from tom.sweep.backend import LOGS
 from tom.sweep.lease import Lease
 from tom.training.plan import Trial
 
@@ -100,7 +99,7 @@ class BucketBackend(AbstractContextManager["BucketBackend", None]):
         return f"{self._bucket.url}/{run_id}"
 
     def keep_log(self, log: Path) -> str:
-        name = f"{LOGS}/{log.name}"
+        name = f"{layout.LOGS}/{log.name}"
         try:
             self._bucket.write(name, log.read_bytes())
         except OSError as error:

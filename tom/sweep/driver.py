@@ -17,11 +17,11 @@ from typing import Literal
 
 from tom import plugins
 from tom.errors import NOT_NOW, START_AGAIN, UserError
-from tom.record import RunReader, checkpoint, lock
+from tom.record import RunReader, checkpoint, layout, lock
 from tom.record.creating import TAKEN
 from tom.record.lock import BusyError
 from tom.record.versions import ACCEPT
-from tom.sweep.backend import LOGS, Backend
+from tom.sweep.backend import Backend
 from tom.sweep.engine import Engine, Exit, Process, lives
 from tom.sweep.watchdog import lost
 from tom.training.plan import Trial, given_fewer, given_more, is_done, same_run
@@ -75,7 +75,7 @@ class Driver:
         self.back_off_s = back_off_s
         self._accepted = [ACCEPT] if accept_versions else []
         runs = self.store.runs()
-        logs = self.store.path / LOGS
+        logs = self.store.beside(layout.LOGS)
         self.jobs: list[Job] = []
         for trial in trials:
             run = same_run(trial, runs)
@@ -218,7 +218,10 @@ class Driver:
             rest = [f"--steps={steps}"] if given_fewer(job.trial, run) else []
             return [f"--resume={job.run_id}", *rest, *job.trial.code(), *named, *self._accepted]
         job.run_id, job.anew = job.trial.run_id, False
-        if (self.store.path / job.run_id).is_dir():  # it has no checkpoint to resume from
+        path = self.store.path / job.run_id
+        if at is None and (closed := checkpoint.look_for(path / checkpoint.FOLDER)[1]):
+            raise UserError(f"{closed}: make it readable")
+        if path.is_dir():  # it has no checkpoint to resume from
             where = self.backend.begin_anew(job.run_id)
             job.note = f"began anew; what was there is in {where}"
         return [*job.trial.options(), f"--run-id={job.run_id}", *named, *self._accepted]

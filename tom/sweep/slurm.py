@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import ceil
 from pathlib import Path
 
-from tom.sweep.backend import LOGS
+from tom.record import Store, layout
 from tom.training.plan import Trial
 
 DEFAULT_HOURS = 24
@@ -46,7 +46,7 @@ wait "$task"
 def script(trials: Sequence[Trial], store: Path, words: Sequence[str], hours: float | None) -> str:
     """The script of an array with one task for each trial; `words` are those of `tom sweep`."""
     wanted = DEFAULT_HOURS if hours is None else max(ceil(hours * MARGIN), 1)
-    logs = store.resolve() / LOGS
+    logs = Store(store.resolve()).beside(layout.LOGS)
     return SCRIPT.format(
         count=len(trials),
         last=len(trials) - 1,

@@ -6,6 +6,7 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
+from app.data import readers
 from app.data.readers import RunInfo
 from app.theme import learner_label
 from app.views.compare.choice import names_with_ids
@@ -111,7 +112,7 @@ def _trash(chosen: Sequence[RunInfo]) -> None:
 
 def _restore() -> None:
     store = Store(session.links().store)
-    there = manage.trashed(store)
+    there = readers.trashed(store.path)
     if not there:
         return
     with st.expander(f"{len(there)} in the trash"):

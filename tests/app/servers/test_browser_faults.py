@@ -6,11 +6,17 @@ import time
 from pathlib import Path
 
 import pytest
-from studio_runs import PENDULUM_TOM
-from test_browser import Visit, own, visit, wait_until_steady  # noqa: F401 (two are fixtures)
+from studio_runs import PENDULUM_TOM, set_status, trains_elsewhere
+from test_browser import (  # noqa: F401 (two are fixtures)
+    DRAWN_S,
+    Visit,
+    own,
+    shown_steps,
+    visit,
+    zoom_in,
+)
 
-from tom.record import layout, manage
-from tom.record.files import replace_json
+from tom.record import manage
 from tom.record.store import Store
 
 pytestmark = [
@@ -44,25 +50,42 @@ def test_a_link_to_a_run_that_is_not_there_says_so(visit: Visit, own: Path) -> N
     page.get_by_text("Nothing is training now").wait_for()
 
 
-def set_status(run: Path, **changed: object) -> None:
-    path = run / "status.json"
-    replace_json(path, json.loads(path.read_text()) | changed, sync=False)
-
-
 def test_an_open_page_takes_up_a_training_that_starts(visit: Visit, own: Path) -> None:  # noqa: F811
     page = visit.page
     page.goto(visit.links.opened())
     page.get_by_text("Nothing is training now").wait_for()
     page.get_by_text("last return").nth(1).wait_for()
     ended = json.loads((own / PENDULUM_TOM / "status.json").read_text())
-    (own / PENDULUM_TOM / layout.LOCK).unlink()  # as if another machine wrote it
-    set_status(own / PENDULUM_TOM, state="running", heartbeat=time.time() + 25)
+    trains_elsewhere(own / PENDULUM_TOM)
     page.get_by_text("1 training now").wait_for()
-    cards, busy = page.get_by_text("last return"), page.get_by_test_id("stStatusWidget")
-    # The others' cards are gone, and the page is at rest.
-    wait_until_steady(page, lambda: cards.count() == 1 and not busy.count(), 3)
     set_status(own / PENDULUM_TOM, state=ended["state"])
     page.get_by_text("Nothing is training now").wait_for()
+
+
+def test_a_curve_follows_its_run_and_keeps_what_the_reader_has_zoomed_to(
+    visit: Visit,  # noqa: F811
+    own: Path,  # noqa: F811
+) -> None:
+    page, run = visit.page, own / PENDULUM_TOM
+    trains_elsewhere(run)
+    page.goto(visit.links.opened(f"?runs={PENDULUM_TOM}"))
+    curve = page.locator(".js-plotly-plot").first
+    curve.locator(".nsewdrag").first.wait_for()
+    zoomed = zoom_in(curve)
+    trains_elsewhere(run)
+    record_another_return(run, 5000)
+    deadline = time.monotonic() + DRAWN_S
+    # While Plotly draws anew there is no data for a moment.
+    while curve.evaluate("plot => plot.calcdata?.[0]?.at(-1).x") != 5000:
+        assert time.monotonic() < deadline, "the curve does not follow its run"
+        page.wait_for_timeout(200)
+    assert shown_steps(curve) == zoomed
+
+
+def record_another_return(run: Path, step: int) -> None:
+    (run / "metrics.parquet").unlink()
+    with (run / "metrics.jsonl").open("a") as file:
+        file.write(json.dumps({"env_step": step, "eval/return": 1.0}) + "\n")
 
 
 def test_enter_takes_one_run_and_not_every_match(visit: Visit) -> None:  # noqa: F811

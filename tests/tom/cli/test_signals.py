@@ -60,7 +60,7 @@ from tom.__main__ import script
 signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may run in the background
 class Impatient:
     def find_spec(name, *_):
-        if name == "torch":
+        if name == "pandas":
             signal.raise_signal(signal.SIGINT)
 sys.meta_path.insert(0, Impatient)
 sys.argv = ["tom", "runs"]

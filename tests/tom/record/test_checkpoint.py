@@ -53,8 +53,8 @@ def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path,
 WITHOUT_MEMORY = """
 import resource, sys
 from pathlib import Path
-from tom.record import checkpoint, layout, lock
-from tom.record.lock import LostError
+import torch
+from tom.record import checkpoint
 
 status = Path("/proc/self/status").read_text()
 [held] = [line.split()[1] for line in status.splitlines() if line.startswith("VmData:")]

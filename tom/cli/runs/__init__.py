@@ -9,7 +9,7 @@ from typing import Any
 from tom.cli.parser import folder
 from tom.cli.runs import fetch, files
 from tom.cli.runs import labels as runs_labels
-from tom.cli.tables import number, show, summary
+from tom.cli.tables import name_problems, number, show, summary
 from tom.config import flat
 from tom.errors import UserError, unknown
 from tom.harmless import terminal
@@ -61,6 +61,7 @@ def list_runs(args: argparse.Namespace) -> int:
     store = Store(args.store)
     store.ensure_there()
     held = store.runs()
+    name_problems(store)
     _check_filters(args, held)
     both = [(run, run.status) for run in held]  # each status is read once: there may be a thousand
     both = [(run, status) for run, status in both if _wanted(run, status, args)]
@@ -80,8 +81,6 @@ def list_runs(args: argparse.Namespace) -> int:
     }
     said = {name: column for name, column in cells.items() if any(column) or name == "run"}
     show(f"{len(rows)} runs in {args.store}", list(said), zip(*said.values(), strict=True))
-    for problem in store.problems:
-        print(terminal(problem))
     return 0
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tom.cli.tables import show
+from tom.cli.tables import name_problems, show
 from tom.errors import UserError
 from tom.harmless import terminal
 from tom.record import RunReader, Store, sizes
@@ -138,6 +138,7 @@ def write_index(args: argparse.Namespace) -> int:
 
     store = Store(args.store)
     runs = small_copies(store)
+    name_problems(store)
     if not runs:
         raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
     path = store.path / NAME
@@ -147,7 +148,9 @@ def write_index(args: argparse.Namespace) -> int:
 
 
 def size(args: argparse.Namespace) -> int:
-    bytes_of = {run.run_id: sizes.sizes(run) for run in _chosen(Store(args.store), args.run_ids)}
+    store = Store(args.store)
+    bytes_of = {run.run_id: sizes.sizes(run) for run in _chosen(store, args.run_ids)}
+    name_problems(store)
     if args.json:
         print(json.dumps(bytes_of))
         return 0
@@ -187,6 +190,7 @@ def _chosen(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
 def _finished(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
     """The named runs, or all finished runs."""
     runs = _chosen(store, run_ids)
+    name_problems(store)
     return runs if run_ids else [run for run in runs if run.status.state == "finished"]
 
 

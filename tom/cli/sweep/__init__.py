@@ -16,6 +16,7 @@ from tom.cli.signals import on_stopping
 from tom.cli.sweep.dry import dry_run, longest
 from tom.cli.sweep.places import open_backend, open_engine, place, refuse_mismatch
 from tom.cli.sweep.table import Watcher, job_row
+from tom.cli.tables import name_problems
 from tom.config import OnlineConfig, RoadConfig, merged
 from tom.envs import ANY, ENV_NAMES, ROAD, bring
 from tom.envs.ends import bring_rule
@@ -105,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
         with open_engine(args.engine, args.address, args.jobs) as engine:
             backend.store.ensure_writable()
             driver = Driver(backend, planned, engine, accept_versions=args.accept_versions)
+            name_problems(backend.store)
             return drive(args, driver)
 
 

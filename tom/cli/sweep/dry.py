@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tom.cli.tables import show
+from tom.cli.tables import name_problems, show
 from tom.record import RunReader, Store, checkpoint
 from tom.sweep.projection import Cost, cost, makespan
 from tom.training.plan import Trial, is_done, same_run
@@ -16,6 +16,7 @@ from tom.training.plan import Trial, is_done, same_run
 def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jobs: int) -> int:
     """Print the trainings that would run; returns the exit code."""
     runs = store.runs()
+    name_problems(store)
     existing = [same_run(trial, runs) for trial in planned]
     costs = [
         None if _finished(trial, run) else _cost(trial, runs, run)

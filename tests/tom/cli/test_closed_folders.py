@@ -1,0 +1,105 @@
+"""Folders of a store that this user may not enter are named, and the others are read."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tom.cli import main
+
+TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
+SWEEP = ["sweep", "--env", "inverted-pendulum", "--preset", "smoke", "--steps", "250"]
+PARTS = ("buffer", "checkpoint", "episodes", "policies", "weights")
+
+pytestmark = pytest.mark.usefixtures("modes_count")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("made")
+    words = ["--learner", "tom", "--store", str(path), "--run-id", "seen-run"]
+    assert main([*TRAIN, *words]) == 0
+    shutil.copytree(path / "seen-run", path / "closed-run")
+    return path
+
+
+@pytest.fixture
+def store(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "store"))
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["list"], 0),
+        (["verify"], 1),
+        (["size"], 0),
+        (["export"], 0),
+        (["export", "--small"], 0),
+        (["prune", "--keep", "0"], 0),
+        (["index"], 0),
+    ],
+)
+@pytest.mark.parametrize("json", [[], ["--json"]])
+def test_a_closed_run_is_named_and_the_others_are_read(
+    store: Path, tmp_path: Path, capsys, words: list[str], code: int, json: list[str]
+):
+    out = tmp_path / "out"
+    if words == ["index"]:
+        main(["runs", "export", "seen-run", "--small", "--store", str(store), "--out", str(out)])
+        shutil.rmtree(store / "seen-run")
+        (out / "seen-run").rename(store / "seen-run")
+        out.rmdir()
+    (store / "closed-run").chmod(0)
+    more = ["--out", str(out)] if words[0] == "export" else []
+    capsys.readouterr()
+    assert main(["runs", *words, *more, *json, "--store", str(store)]) == code
+    said = capsys.readouterr()
+    if words == ["verify"]:
+        assert said.out.count("closed-run: no run") == 1
+        return
+    assert [line.split(":")[0] for line in said.err.splitlines()] == ["closed-run"]
+    page = store / "README.md"
+    written = [path.name for path in out.iterdir()] if out.exists() else []
+    told = said.out + "".join(written) + (page.read_text() if page.exists() else "")
+    assert ("seen-run" in told, "closed-run" in told) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("part", "mode"), [("fields", 0), *((part, mode) for part in PARTS for mode in (0, 0o444))]
+)
+def test_a_closed_part_of_a_run_is_named_and_the_others_are_verified(
+    store: Path, capsys, part: str, mode: int
+):
+    (store / "closed-run/digests.json").unlink()  # as of a run that has not ended
+    (store / "closed-run" / part).chmod(mode)
+    assert main(["runs", "verify", "--store", str(store)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[-1] == "2 runs read, 1 with problems"
+    assert any(line.startswith(f"closed-run: {part}") for line in said)
+    for words in (["list"], ["size"], ["prune", "--keep", "0"]):
+        assert main(["runs", *words, "--store", str(store)]) == 0
+
+
+def test_a_sweep_beside_a_closed_run_trains_and_its_own_closed_run_has_failed(store: Path, capsys):
+    (store / "closed-run").chmod(0)
+    words = [*SWEEP, "--seeds", "1", "--learner", "mle", "tom", "--store", str(store)]
+    assert main([*words, "--dry-run"]) == 0
+    assert main(words) == 0
+    capsys.readouterr()
+    shutil.rmtree(store / "seen-run")
+    swept = next(path for path in store.iterdir() if "mle" in path.name)
+    swept.chmod(0)
+    assert main(words) == 1
+    assert f"{swept.name} failed" in capsys.readouterr().err
+
+
+def test_a_sweep_whose_checkpoints_are_closed_does_not_begin_anew(store: Path, capsys):
+    words = [*SWEEP, "--seeds", "1", "--learner", "mle", "--store", str(store)]
+    assert main(words) == 0
+    run = next(path for path in store.iterdir() if "mle" in path.name)
+    (run / "status.json").write_text('{"state": "stopped", "env_step": 200}')
+    (run / "checkpoint").chmod(0)
+    assert main(words) == 1
+    assert "checkpoint" in capsys.readouterr().err
+    assert not (store / ".trash").exists()
