@@ -11,7 +11,7 @@ from studio_pages import draw, set_links
 from app.links import Links
 from tom.analysis.scores import BEST
 from tom.record import Store
-from tom.studies import returns as study
+from tom.studies import returns_cells as study
 from tom.studies import returns_tables as tables
 
 RUNS = Path(__file__).parents[2] / "runs"

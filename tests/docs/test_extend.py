@@ -47,7 +47,7 @@ from app.parts.form import sections
 shown = {name: sections("swimmer", name, "paper") for name in ("surprise", "reward", "tom")}
 assert [name for name, groups in shown.items() if "surprise" in groups] == ["surprise"]
 assert {s.path: s.default for s in shown["tom"]["sac"]}["sac.discount"] == "0.995"
-from tom.studies.returns import PAPER_ENVS
+from tom.studies.returns_cells import PAPER_ENVS
 assert len(PAPER_ENVS) == 5 and "swimmer" not in PAPER_ENVS
 """
 SETTINGS = """

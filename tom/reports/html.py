@@ -88,7 +88,11 @@ def _table(rows: Rows) -> str:
 
 
 def _cell(value: object) -> str:
+    return f"<td>{html.escape(text_of(value))}</td>"
+
+
+def text_of(value: object) -> str:
+    """A value of a table as text; a dash for what is not known."""
     if value is None or value != value:
-        return "<td>-</td>"
-    text = f"{value:.4g}" if isinstance(value, float) else str(value)
-    return f"<td>{html.escape(text)}</td>"
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

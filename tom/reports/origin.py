@@ -22,16 +22,17 @@ def origin() -> dict[str, str]:
     }
 
 
-def origin_of(runs: Sequence[RunReader]) -> dict[str, str]:
-    """`origin` plus the runs that were read: number, commits, versions, hours."""
+def origin_of_runs(runs: Sequence[RunReader]) -> dict[str, str]:
+    """The runs that were read: number, hours, commits, versions, seeds."""
     commits = sorted({str(run.config.get("git_commit"))[:19] for run in runs})
     torches = sorted({str(run.config.get("versions", {}).get("torch")) for run in runs})
-    made = origin()
-    made["runs"] = str(len(runs))
-    made["hours of training"] = f"{sum(map(run_hours, runs)):.1f}"
-    made["commits of the runs"] = ", ".join(commits)
-    made["torch of the runs"] = ", ".join(torches)
-    return made
+    return {
+        "runs": str(len(runs)),
+        "hours of training": f"{sum(map(run_hours, runs)):.1f}",
+        "commits of the runs": ", ".join(commits),
+        "torch of the runs": ", ".join(torches),
+        "seeds": seeds([run.seed for run in runs]),
+    }
 
 
 def run_hours(run: RunReader) -> float:

@@ -1,102 +1,139 @@
-"""When does weighting help? Models of growing capacity, fitted with every way of weighing.
+"""For which models does weighting pay? Models of growing capacity, fitted by every way of weighing.
 
 Weights for a shifted distribution help if a model is too small for the whole buffer (Shimodaira
-2000), and have little effect if a network fits everything (Byrd and Lipton 2019).
+2000), and have little effect if a network fits everything (Byrd and Lipton 2019). Errors are those
+on episodes that the kept policy of a step makes anew. Runs must be whole, or small copies made with
+--keep buffer policies.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple, replace
+from functools import partial
 from math import exp, log, nan
 from statistics import median
-from typing import Any, Literal
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
 
-from tom.studies.footprint import UNIFORM
-from tom.studies.frozen import Outcome
-from tom.studies.head_to_head import QUESTIONS, comparisons
+from tom.analysis.statistics import Interval
+from tom.errors import UserError
+from tom.reports.colours import NEUTRAL, learner_colour
+from tom.reports.style import new_figure
+from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
+from tom.studies.frozen_choice import add_measuring, measured, models_of, origin_of_moments
+from tom.studies.recordings import QUESTIONS, comparisons, spanned
+from tom.studies.study import Findings, Lab, Row, Study, Table, check_known
 
-Ahead = Literal["error", "rollout_error"]
-AHEAD: Mapping[Ahead, str] = {"error": "one step", "rollout_error": "five steps"}
-Key = tuple[str, int, int, str]  # recording, step, seed, model
+ASKED = ("recency", "half-recency", "ratio", "tom-discounted", "tom-mended", "half-tom-mended")
+AHEAD = {"one step": ERROR, "five steps": ROLLOUT_ERROR}
+"""how far ahead an error is, and the beginning of its column"""
+CAPTION = (
+    "Error on new steps of the policy over the error under uniform weights, median over moments; "
+    "bars hold their middle half."
+)
+LINES = ("-", "--", ":", "-.")
+SPREAD = 0.09  # between the ways at one model
 
 
-def ratios(outcomes: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome, str, float]]:
-    """(outcome, model, error relative to uniform weights at the same moment and seed)."""
-    base = {key: value for one, key, value in _errors(outcomes, ahead) if one.way == UNIFORM}
-    for one, key, value in _errors(outcomes, ahead):
-        if one.way != UNIFORM and key in base:
-            yield one, key[3], value / base[key]
+def add_options(parser: ArgumentParser) -> None:
+    add_measuring(parser, [UNIFORM, *ASKED], list(MODELS))
 
 
-def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+def find(args: Namespace, lab: Lab) -> Findings:
+    check_known("model", args.models, MODELS)
+    outcomes = measured(args, lab, args.models)
+    if args.table and not any(ratios(outcomes, ERROR)):
+        raise UserError(
+            f"{args.table} has no moment with both uniform and other weights, "
+            "whose errors are compared: name the moments.csv of another report"
+        )
+    rows, pairs = summary(outcomes), head_to_head(outcomes)
+    return Findings(
+        said=verdict(rows, pairs),
+        files={"summary": rows, "head-to-head": pairs, "moments": outcomes},
+        figures={"capacity": (CAPTION, partial(capacity_figure, outcomes))},
+        tables=[Table("Every way", rows), Table("Two ways at the same moments", pairs)],
+        origin=origin_of_moments(outcomes, args.table),
+        json={"summary": rows},
+    )
+
+
+def ratios(outcomes: Sequence[Row], ahead: str) -> Iterator[tuple[str, str, float]]:
+    """(way, model, error relative to uniform weights at the same moment and seed)."""
+    at = ("recording", "step", "seed")
+    base = {tuple(one[name] for name in at): one for one in outcomes if one["way"] == UNIFORM}
+    for one in outcomes:
+        uniform = base.get(tuple(one[name] for name in at))
+        if one["way"] != UNIFORM and uniform:
+            for model in models_of([one]):
+                yield one["way"], model, one[ahead + model] / uniform[ahead + model]
+
+
+def summary(outcomes: Sequence[Row]) -> list[Row]:
     """One row for each way and model: the median ratio, its quartiles, how often it is below 1.
 
     Without those that share no moment and seed with uniform weights.
     """
-    rows = []
-    values = {ahead: list(ratios(outcomes, ahead)) for ahead in AHEAD}
-    compared = {(one.way, model) for one, model, _ in values["error"]}
-    for way in dict.fromkeys(one.way for one in outcomes if one.way != UNIFORM):
-        for model in (each for each in _models(outcomes) if (way, each) in compared):
-            row: dict[str, Any] = {"way": way, "model": model}
-            for ahead, name in AHEAD.items():
-                of = [r for one, m, r in values[ahead] if one.way == way and m == model]
-                row |= {
-                    name: median(of),
-                    f"{name}, lower quartile": float(np.quantile(of, 0.25)),
-                    f"{name}, upper quartile": float(np.quantile(of, 0.75)),
-                    f"{name}, below 1": sum(r < 1 for r in of) / len(of),
-                }
-            rows.append(row | {"n": sum(one.way == way for one in outcomes)})
+    values: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for name, ahead in AHEAD.items():
+        for way, model, ratio in ratios(outcomes, ahead):
+            values.setdefault((way, model), {}).setdefault(name, []).append(ratio)
+    rows, ways = [], list(dict.fromkeys(one["way"] for one in outcomes))
+    models = models_of(outcomes)
+    for way, model in sorted(values, key=lambda pair: (ways.index(pair[0]), models.index(pair[1]))):
+        row: Row = {"way": way, "model": model}
+        for name, of in values[way, model].items():
+            row |= {
+                name: median(of),
+                f"{name}, lower quartile": float(np.quantile(of, 0.25)),
+                f"{name}, upper quartile": float(np.quantile(of, 0.75)),
+                f"{name}, below 1": sum(ratio < 1 for ratio in of) / len(of),
+            }
+        rows.append(row | {"n": sum(one["way"] == way for one in outcomes)})
     return rows
 
 
-def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     """One row per question of two ways and model: the ratio of their errors one step ahead.
 
     The ratio is the exponential of the mean difference of logarithms, and so are its interval and
     the ratio in each task.
     """
     rows = []
-    for model in _models(outcomes):
-        for one in comparisons(outcomes, lambda outcome, model=model: _log_error(outcome, model)):
-            ratio, low, high = np.exp(astuple(one.difference))
-            pair = {"way": one.way, "against": one.against, "model": model}
-            rows.append(
-                pair
-                | {"ratio": ratio, "low": low, "high": high, "less at": one.better, "n": one.n}
-                | one.by_recording
-                | {env: exp(gap) for env, gap in one.by_task.items()}
-            )
+    for model in models_of(outcomes):
+        for one in comparisons(outcomes, partial(_log_error, model)):
+            ratio = Interval(*map(float, np.exp(astuple(one.difference))))
+            by_task = {env: exp(gap) for env, gap in one.by_task.items()}
+            one = replace(one, difference=ratio, by_task=by_task)
+            rows.append(one.row("ratio", "less at", model=model))
     return sorted(rows, key=lambda row: list(QUESTIONS).index((row["way"], row["against"])))
 
 
-def verdict(outcomes: Sequence[Outcome]) -> list[str]:
-    """For each model the way with the lowest error, and whether the difference exceeds noise."""
-    rows, said = summary(outcomes), []
+def _log_error(model: str, one: Row) -> float:
+    return log(one[ERROR + model]) if ERROR + model in one else nan
+
+
+def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
+    """For each model the way with the lowest error, then the answers to questions of two ways."""
+    said = []
     for model in dict.fromkeys(row["model"] for row in rows):
         here = sorted((r for r in rows if r["model"] == model), key=lambda row: row["one step"])
         best, most = here[0], here[-1]
-        middle = f"{best['one step, lower quartile']:.2f} to {best['one step, upper quartile']:.2f}"
-        less = f"less in {best['one step, below 1']:.0%} of {best['n']}"
         said.append(
             f"Model {model}: {best['way']} errs least, {best['one step']:.2f} of the error under "
-            f"uniform weights one step ahead (middle half of the moments {middle}, {less}), "
-            f"{best['five steps']:.2f} five steps ahead; most under {most['way']}, "
-            f"{most['one step']:.2f}."
+            f"uniform weights one step ahead (middle half of the moments "
+            f"{best['one step, lower quartile']:.2f} to {best['one step, upper quartile']:.2f}, "
+            f"less in {best['one step, below 1']:.0%} of {best['n']}), {best['five steps']:.2f} "
+            f"five steps ahead; most under {most['way']}, {most['one step']:.2f}."
         )
-    return said + _answers(head_to_head(outcomes))
-
-
-def _answers(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """The answer to each question of two ways in words, all models in one sentence."""
-    said = []
     for (way, against), question in QUESTIONS.items():
         told = [
-            f"{row['model']} {row['ratio']:.2f}{_bounds(row)} "
+            f"{row['model']} {spanned(row, 'ratio')} "
             f"(less at {row['less at']} of {row['n']}, p = {row['p']:.2f})"
-            for row in rows
+            for row in pairs
             if (row["way"], row["against"]) == (way, against)
         ]
         if told:
@@ -104,21 +141,53 @@ def _answers(rows: Sequence[dict[str, Any]]) -> list[str]:
     return said
 
 
-def _bounds(row: dict[str, Any]) -> str:
-    return f" [{row['low']:.2f}, {row['high']:.2f}]" if np.isfinite(row["low"]) else ""
+def capacity_figure(outcomes: Sequence[Row]) -> Figure:
+    """Errors one step and five steps ahead, against the capacity of the model."""
+    figure = new_figure(9.0, 3.4)
+    axes = figure.subplots(1, len(AHEAD), sharey=True)
+    for ax, (name, ahead) in zip(axes, AHEAD.items(), strict=True):
+        _draw(ax, list(ratios(outcomes, ahead)))
+        ax.set_title(f"{name} ahead")
+    axes[0].set_ylabel("error over that of uniform weights")
+    axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
 
 
-def _models(outcomes: Sequence[Outcome]) -> list[str]:
-    return list(dict.fromkeys(error.model for one in outcomes for error in one.errors))
+def _draw(ax: Axes, values: Sequence[tuple[str, str, float]]) -> None:
+    models = [model for model in MODELS if any(m == model for _, m, _ in values)]
+    ways = [way for way in WAYS if any(w == way for w, _, _ in values)]
+    drawn: dict[str, int] = {}  # lines of each learner so far
+    ax.axhline(1.0, color=NEUTRAL, linewidth=0.8)
+    for number, way in enumerate(ways):
+        of = [[r for w, m, r in values if (w, m) == (way, model)] for model in models]
+        low, middle, high = np.array([np.quantile(group, (0.25, 0.5, 0.75)) for group in of]).T
+        learner = WAYS[way].learner or ""
+        ax.errorbar(
+            np.arange(len(models)) + SPREAD * (number - (len(ways) - 1) / 2),
+            middle,
+            yerr=(middle - low, high - middle),
+            color=learner_colour(learner),
+            linestyle=LINES[drawn.setdefault(learner, 0) % len(LINES)],
+            marker="o",
+            markersize=4,
+            elinewidth=0.8,
+            label=way,
+        )
+        drawn[learner] += 1
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(FixedLocator([0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.1, 1.25, 1.5]))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.set_xticks(range(len(models)), models)
+    ax.set_xlabel("model (units x layers)")
 
 
-def _log_error(outcome: Outcome, model: str) -> float:
-    """Logarithm of the model's error one step ahead; NaN if it was not fitted."""
-    return next((log(error.error) for error in outcome.errors if error.model == model), nan)
-
-
-def _errors(outcomes: Sequence[Outcome], ahead: Ahead) -> Iterator[tuple[Outcome, Key, float]]:
-    for one in outcomes:
-        for error in one.errors:
-            key = (one.recording, one.step, one.seed, error.model)
-            yield one, key, getattr(error, ahead)
+STUDY = Study(
+    "capacity",
+    "Where weighting pays",
+    __doc__,
+    "A model fitted by TOM's weights is accurate where the policy goes (figure 1). The paper "
+    "varies the model's capacity nowhere; its linear model of road-and-rocks is the small end.",
+    add_options,
+    find,
+)

@@ -5,32 +5,51 @@ of other code is never used. The processes load the plug-ins and modules that th
 their files count as code.
 """
 
+import _codecs
 import os
+import pickle
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from hashlib import sha256
 from multiprocessing import active_children, get_context
 from pathlib import Path
-from typing import TypeVar, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
+import numpy as np
 import torch
+from numpy.dtypes import Float32DType, Float64DType, Int64DType
 
 from tom import plugins
+from tom.data.tensor_files import check_tensors
+from tom.data.unpack import DAMAGE, open_file
 from tom.envs import bring, brought
 from tom.envs.ends import bring_rule, brought_rules
 from tom.envs.user_code import users_code
 from tom.errors import UserError
 from tom.machine.matmul import choose_matmul
 from tom.machine.processes import end_with_parent
+from tom.record.files import replace
 from tom.record.versions import versions
-from tom.studies.outcomes import load, save
 
 Case = TypeVar("Case")
 Outcome = TypeVar("Outcome")
 
 FOLDER = "cases"
+
+# Types needed to load arrays; all others are primitives or the outcome's own classes.
+ARRAYS: tuple[Any, ...] = (
+    np.ndarray,
+    np.dtype,
+    np.ndarray.__reduce__(np.zeros(0))[0],
+    np.float64.__reduce__(np.float64())[0],
+    Float32DType,
+    Float64DType,
+    Int64DType,
+    _codecs.encode,
+)
 
 
 def each(
@@ -38,8 +57,8 @@ def each(
 ) -> Iterator[Outcome]:
     """`work(case)` of every case in order, `jobs` at a time, in single-threaded processes.
 
-    `work` is a module's function with an annotated return type, a dataclass of primitives, arrays
-    and dataclasses; `repr(case)` must determine the outcome. Finished outcomes are stored in
+    `work` is a module's function with an annotated return type, made of primitives, dicts,
+    arrays and dataclasses; `repr(case)` must determine the outcome. Finished outcomes are stored in
     `out/cases` at once, and the next call reads them. Running processes end when the caller stops
     or is killed.
     """
@@ -102,3 +121,30 @@ def _prepare(parent: int, tasks: Sequence[str], rules: Sequence[str]) -> None:
     for name in rules:
         with suppress(UserError):
             bring_rule(name)
+
+
+def save(outcome: object, path: Path) -> None:
+    """Write an outcome atomically: primitives, dicts, arrays and dataclasses of them."""
+    replace(path, lambda file: torch.save(outcome, file), sync=True)
+
+
+def load(path: Path, kind: type) -> Any:
+    """The outcome of type `kind` at `path`, read without executing code from the file; None if it
+    cannot be read."""
+    try:
+        with open_file(path) as file, torch.serialization.safe_globals([*ARRAYS, *classes(kind)]):
+            check_tensors(file)
+            return torch.load(file, weights_only=True)
+    except (*DAMAGE, pickle.UnpicklingError):
+        return None
+
+
+def classes(kind: Any) -> Iterator[type]:
+    """The dataclass `kind` and those among its fields, at any depth."""
+    for part in get_args(kind):
+        yield from classes(part)
+    if isinstance(kind, type) and is_dataclass(kind):
+        yield kind
+        hints = get_type_hints(kind)
+        for field in fields(kind):
+            yield from classes(hints[field.name])

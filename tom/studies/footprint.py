@@ -1,20 +1,62 @@
-"""Are the weights where the policy goes? Every way of weighing on the same frozen buffers."""
+"""Are the weights where the policy goes? Every way of weighing on the same frozen buffers.
 
+Replay buffers of runs and of recordings of SAC, as they stood at steps whose policy was kept, are
+weighed by every way, and it is measured how near that brings each to episodes that the policy of
+that step makes anew. Runs must be whole, or small copies made with --keep buffer policies.
+"""
+
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
+from functools import partial
 from statistics import median
-from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from tom.exams.energy import informative
-from tom.studies.frozen import Outcome
-from tom.studies.head_to_head import QUESTIONS, comparisons
-from tom.studies.recordings import over_recordings
+from tom.reports.colours import learner_colour
+from tom.reports.style import new_figure
+from tom.studies.frozen import UNIFORM, WAYS
+from tom.studies.frozen_choice import add_measuring, measured, origin_of_moments
+from tom.studies.recordings import QUESTIONS, comparisons, over_recordings, spanned, strips
+from tom.studies.study import Findings, Lab, Row, Study, Table
 
-UNIFORM = "uniform"
+LEAST = 0.03
+"""distances below it are drawn at it: the axis is logarithmic"""
+CAPTION = (
+    "Energy distance of (s, a, s' - s), z-scored, between the weighted buffer and fresh episodes "
+    "of the policy, over that of the unweighted buffer (1: no better than no weights). A point a "
+    f"moment of a run, the stroke is their median; points below {LEAST} are drawn there. Moments "
+    "whose distances are lost in noise are left out."
+)
 
 
-def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+def add_options(parser: ArgumentParser) -> None:
+    add_measuring(parser, list(WAYS))
+
+
+def find(args: Namespace, lab: Lab) -> Findings:
+    outcomes = measured(args, lab)
+    rows, pairs = summary(outcomes), head_to_head(outcomes)
+    return Findings(
+        said=verdict(outcomes),
+        files={"summary": rows, "head-to-head": pairs, "moments": outcomes},
+        figures={"footprint": (CAPTION, partial(footprint_figure, outcomes))},
+        tables=[Table("Every way", rows), Table("Two ways at the same moments", pairs)],
+        origin=origin_of_moments(outcomes, args.table),
+        json={"summary": rows},
+    )
+
+
+def telling(outcomes: Sequence[Row]) -> list[Row]:
+    """The outcomes whose distance was measured and is not lost in its noise (`informative`)."""
+    says = informative([one["footprint_noise"] for one in outcomes])
+    both = zip(outcomes, says, strict=True)
+    return [one for one, kept in both if kept and np.isfinite(one["footprint"])]
+
+
+def summary(outcomes: Sequence[Row]) -> list[Row]:
     """One row per way: its distance to the policy's footprint relative to uniform weights.
 
     Outcomes that say nothing (`telling`) do not count. A recording's score is the median over its
@@ -22,128 +64,113 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     interval over recordings.
     """
     rows, outcomes = [], telling(outcomes)
-    for way in dict.fromkeys(one.way for one in outcomes):
-        of = [one for one in outcomes if one.way == way]
-        score = over_recordings((one.env, one.recording, one.footprint) for one in of)
-        by_env = {
-            env: median(one.footprint for one in of if one.env == env)
-            for env in dict.fromkeys(one.env for one in of)
-        }
+    for way in dict.fromkeys(one["way"] for one in outcomes):
+        of = [one for one in outcomes if one["way"] == way]
+        score = over_recordings((one["env"], one["recording"], one["footprint"]) for one in of)
+        of_policy = sum(one["ends_policy"] for one in of)
         rows.append(
             {
                 "way": way,
                 "distance": score.value,
                 "low": score.low,
                 "high": score.high,
-                "below uniform": sum(one.footprint < 1 for one in of) / len(of),
-                **by_env,
-                "ess": median(one.ess for one in of),
-                "ends over policy's": _ends(of),
+                "below uniform": sum(one["footprint"] < 1 for one in of) / len(of),
+                **{
+                    env: median(one["footprint"] for one in of if one["env"] == env)
+                    for env in dict.fromkeys(one["env"] for one in of)
+                },
+                "ess": median(one["ess"] for one in of),
+                "ends over policy's": sum(o["ends"] for o in of) / of_policy
+                if of_policy
+                else np.nan,
                 "n": len(of),
             }
         )
     return rows
 
 
-def head_to_head(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     """One row per question of two ways: the difference of their distances, with its interval.
 
     Outcomes that say nothing (`telling`) do not count. Without questions about uniform weights,
     whose distance is 1: `summary` answers them.
     """
-    return [
-        {
-            "way": one.way,
-            "against": one.against,
-            "difference": one.difference.value,
-            "low": one.difference.low,
-            "high": one.difference.high,
-            "nearer at": one.better,
-            "n": one.n,
-            **one.by_recording,
-            **one.by_task,
-        }
-        for one in comparisons(telling(outcomes), lambda outcome: outcome.footprint)
-        if one.against != UNIFORM
+    pairs = comparisons(telling(outcomes), lambda one: one["footprint"])
+    return [one.row("difference", "nearer at") for one in pairs if one.against != UNIFORM]
+
+
+def verdict(outcomes: Sequence[Row]) -> list[str]:
+    """The tables in words."""
+    told = [row for row in summary(outcomes) if row["way"] != UNIFORM]
+    said, counted = [], telling(outcomes)
+    if counted:
+        noise = [one["footprint_noise"] for one in counted if one["way"] == UNIFORM] or [np.nan]
+        runs, envs = ({one[name] for one in counted} for name in ("recording", "env"))
+        said.append(
+            f"{len(_moments(counted))} moments of {len(runs)} runs in {len(envs)} tasks. 1 is no "
+            "nearer to what the policy does than uniform weights, 0 the policy itself; two samples "
+            f"of the policy are {median(noise):.2g} apart (median)."
+        )
+    if told:
+        nearest = sorted(told, key=lambda row: row["distance"])[:3]
+        said.append(f"Nearest: {', '.join(map(_named, nearest))}.")
+    if lost := _moments(outcomes) - _moments(counted):
+        where = ", ".join(f"{recording} at {step}" for recording, step in sorted(lost))
+        said.append(
+            "Not counted, because the unweighted buffer is no farther from the policy than two "
+            f"samples of it are from each other, and distances are noise: {where}."
+        )
+    if worse := [row for row in told if row["distance"] > 1]:
+        named = ", ".join(map(_named, worse))
+        said.append(f"Further from the policy than no weights at all: {named}.")
+    return said + [
+        f"{QUESTIONS[row['way'], row['against']]} {row['way']} less {row['against']}: "
+        f"{spanned(row, 'difference')}, nearer at {row['nearer at']} of "
+        f"{row['n']} moments, in most of them on {row['better on']} of {row['recordings']} "
+        f"recordings (sign test p = {row['p']:.2f})."
+        for row in head_to_head(outcomes)
     ]
 
 
-def verdict(outcomes: Sequence[Outcome]) -> list[str]:
-    """A summary of the table in words."""
-    rows = [row for row in summary(outcomes) if row["way"] != UNIFORM]
-    counted = telling(outcomes)
-    if not counted:
-        return _not_counted(outcomes)
-    said = [
-        f"{len(_moments(counted))} moments of {len({one.recording for one in counted})} runs in "
-        f"{len({one.env for one in counted})} tasks. 1 is no nearer to what the policy does than "
-        f"uniform weights, 0 the policy itself; two samples of the policy are "
-        f"{_near(_noise(counted))} apart (median)."
-    ]
-    if rows:  # weights other than uniform ones
-        said.append(f"Nearest: {_nearest(rows)}.")
-    said += _not_counted(outcomes)
-    worse = [f"{row['way']} {row['distance']:.2f}" for row in rows if row["distance"] > 1]
-    if worse:
-        said.append(f"Further from the policy than no weights at all: {', '.join(worse)}.")
-    return said + [_answer(row) for row in head_to_head(outcomes)]
+def _named(row: Row) -> str:
+    return f"{row['way']} {spanned(row, 'distance')}"
 
 
-def telling(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """The outcomes whose distance was measured and is not lost in its noise (`informative`)."""
-    says = informative([one.footprint_noise for one in outcomes])
-    return [
-        one for one, kept in zip(outcomes, says, strict=True) if kept and np.isfinite(one.footprint)
-    ]
+def _moments(outcomes: Sequence[Row]) -> set[tuple[str, int]]:
+    return {(one["recording"], one["step"]) for one in outcomes}
 
 
-def _nearest(rows: Sequence[dict[str, Any]]) -> str:
-    """The three nearest ways of a summary, in words."""
-    best = sorted(rows, key=lambda row: row["distance"])[:3]
-    return ", ".join(f"{row['way']} {row['distance']:.2f} ({_bounds(row)})" for row in best)
+def footprint_figure(outcomes: Sequence[Row]) -> Figure:
+    """One panel per task: distance to the policy relative to uniform weights, log axis."""
+    outcomes = telling(outcomes)
+    values: dict[tuple[str, str], list[float]] = {}
+    for one in (one for one in outcomes if one["way"] != UNIFORM):
+        values.setdefault((one["env"], one["way"]), []).append(max(one["footprint"], LEAST))
+    if not values:
+        figure = new_figure(4.0, 1.0)
+        figure.text(0.5, 0.5, "every distance is lost in noise", ha="center", va="center")
+        return figure
+    used = {way for _, way in values}
+    colours = {way: learner_colour(WAYS[way].learner or "") for way in WAYS if way in used}
+    envs = list(dict.fromkeys(env for env, _ in values))
+    figure = strips(envs, colours, values, 1.0)
+    for ax in figure.axes:
+        ax.set_xscale("log")
+        ax.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1, 2, 4]))
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.xaxis.set_major_formatter("{x:g}")
+    what = "distance to the policy's footprint over that of uniform weights"
+    cut = any(one["footprint"] < LEAST for one in outcomes)
+    figure.supxlabel(what + f" (drawn at {LEAST} if below it)" * cut, size=9)
+    return figure
 
 
-def _not_counted(outcomes: Sequence[Outcome]) -> list[str]:
-    """A line on the moments whose noise drowns their distances."""
-    lost = _moments(outcomes) - _moments(telling(outcomes))
-    if not lost:
-        return []
-    where = ", ".join(f"{recording} at {step}" for recording, step in sorted(lost))
-    return [
-        "Not counted, because the unweighted buffer is no farther from the policy than two samples "
-        f"of it are from each other, and distances are noise: {where}."
-    ]
-
-
-def _moments(outcomes: Sequence[Outcome]) -> set[tuple[str, int]]:
-    return {(one.recording, one.step) for one in outcomes}
-
-
-def _answer(row: dict[str, Any]) -> str:
-    """The answer to a question of two ways in words."""
-    way, against = row["way"], row["against"]
-    bounds = f" [{row['low']:+.2f}, {row['high']:+.2f}]" if np.isfinite(row["low"]) else ""
-    return (
-        f"{QUESTIONS[way, against]} {way} less {against}: {row['difference']:+.2f}{bounds}, "
-        f"nearer at {row['nearer at']} of {row['n']} moments, in most of them on "
-        f"{row['better on']} of {row['recordings']} recordings (sign test p = {row['p']:.2f})."
-    )
-
-
-def _ends(outcomes: Sequence[Outcome]) -> float:
-    """Share of weight on endings relative to the policy's, pooled; NaN if there are none."""
-    policy = sum(one.ends_policy for one in outcomes)
-    return sum(one.ends for one in outcomes) / policy if policy else float("nan")
-
-
-def _noise(outcomes: Sequence[Outcome]) -> float:
-    """The median distance of two samples of the policy; NaN without uniform weights."""
-    return median([one.footprint_noise for one in outcomes if one.way == UNIFORM] or [np.nan])
-
-
-def _near(distance: float) -> str:
-    return "less than 0.01" if distance < 0.005 else f"{distance:.2f}"
-
-
-def _bounds(row: dict[str, Any]) -> str:
-    return f"{row['low']:.2f} to {row['high']:.2f}" if np.isfinite(row["low"]) else "one run a task"
+STUDY = Study(
+    "footprint",
+    "Where the weights lie",
+    __doc__,
+    "TOM weighs the replay buffer so that its distribution of transitions matches that of the "
+    "current policy (section 4). The paper measures the match on road-and-rocks alone.",
+    add_options,
+    find,
+)

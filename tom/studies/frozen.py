@@ -31,10 +31,13 @@ from tom.policy.collect import footprint
 from tom.policy.stored import StoredPolicy, read_policy
 from tom.record import RunReader, layout
 from tom.rng import Streams
+from tom.studies.study import Row
 from tom.training.presets import resolve
 
 NEWEST = 1000  # rows of the policy buffer
 RANDOM = 5000  # random rows before those of a SAC recording, as in a training's exploration
+UNIFORM = "uniform"
+"""the way of weighing that every other is held against"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ VALIDATED: Mapping[str, Any] = {"q_holdout": 0.2, "q_steps": 2000, "q_check_ever
 HALF: Mapping[str, Any] = {"model": {"uniform_share": 0.5}, "rollout": {"uniform_share": 0.5}}
 
 WAYS: dict[str, Way] = {
-    "uniform": Way("mle"),
+    UNIFORM: Way("mle"),
     "newest": Way(None),
     "recency": Way("pmac"),
     "half-recency": Way("pmac", HALF),
@@ -81,46 +84,8 @@ MODELS: dict[str, Mapping[str, Any]] = {
     "200 x 4": {"hidden": 200, "layers": 4},
 }
 """models of growing capacity, the last one the paper's; networks are mixture density networks"""
-
-
-@dataclass(frozen=True)
-class Case:
-    """One way of weighing at one moment with one seed; `models` are fitted with those weights."""
-
-    run: Path
-    step: int
-    way: str
-    seed: int = 0
-    models: tuple[str, ...] = ()
-    rows: int = 6000  # fresh transitions of the policy
-    made: str = ""  # time of creation: a new run under the same path is another case
-
-
-@dataclass(frozen=True)
-class ModelError:
-    """A model's errors on fresh steps of the policy, in standard deviations of a step's change."""
-
-    model: str
-    error: float  # one step ahead
-    rollout_error: float  # five
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The result of a case. Footprints are those of `footprint_match` for the fit's weights."""
-
-    recording: str
-    env: str
-    step: int
-    way: str
-    seed: int
-    ess: float
-    ends: float  # share of the weight on transitions that end an episode in a terminal state
-    ends_policy: float  # their share of the policy's transitions
-    footprint: float
-    footprint_uniform: float
-    footprint_noise: float
-    errors: tuple[ModelError, ...]
+ERROR, ROLLOUT_ERROR = "error ", "rollout error "
+"""the beginnings of the columns of a model's errors"""
 
 
 def moments(run: RunReader, most: int) -> list[int]:
@@ -143,6 +108,19 @@ def sac_begins(run: RunReader) -> float:
     return sum(steps) if len(steps) == len(named) else inf
 
 
+@dataclass(frozen=True)
+class Case:
+    """One way of weighing at one moment with one seed; `models` are fitted with those weights."""
+
+    run: Path
+    step: int
+    way: str
+    seed: int = 0
+    models: tuple[str, ...] = ()
+    rows: int = 6000  # fresh transitions of the policy
+    made: str = ""  # time of creation: a new run under the same path is another case
+
+
 def cases(
     runs: Sequence[RunReader],
     ways: Sequence[str],
@@ -156,13 +134,19 @@ def cases(
         Case(run.path, step, way, seed, tuple(models), rows, run.created)
         for run in runs
         for step in moments(run, most)
-        for seed in dict.fromkeys(seeds)
+        for seed in seeds
         for way in ways
     ]
 
 
-def examined(case: Case) -> Outcome:
-    """Weigh the moment's buffer, and test the weights and the models fitted with them."""
+def examined(case: Case) -> Row:
+    """Weigh the moment's buffer, and test the weights and the models fitted with them.
+
+    `ess` and `ends` are the shares of the effective sample and of the weight on transitions that
+    end an episode, `ends_policy` that of the policy; footprints are those of `footprint_match`. A
+    model's errors one step and five steps ahead on fresh steps of the policy are in standard
+    deviations of a step's change.
+    """
     run, way, seed = RunReader(case.run), WAYS[case.way], seed_of(case)
     moment = _moment(replace(case, way="", models=()))
     rows, anew = moment.data.transitions, moment.anew
@@ -170,20 +154,25 @@ def examined(case: Case) -> Outcome:
     weighting = weighting_of(moment.data, moment.policy, config, way)
     weights = weighting.counted(config.model)
     match = footprint_match(rows, weights, anew, step_scaling(rows), moment.generator())
-    return Outcome(
-        recording=run.run_id,
-        env=run.env,
-        step=case.step,
-        way=case.way,
-        seed=case.seed,
-        ess=ess(weights),
-        ends=float((weights * rows.terminated).sum() / weights.sum()),
-        ends_policy=float(anew.terminated.mean()),
-        footprint=match.get("footprint", np.nan),
-        footprint_uniform=match.get("footprint_uniform", np.nan),
-        footprint_noise=match.get("footprint_noise", np.nan),
-        errors=tuple(_error(name, rows, weighting, anew, config) for name in case.models),
-    )
+    found = {
+        "recording": run.run_id,
+        "env": run.env,
+        "step": case.step,
+        "way": case.way,
+        "seed": case.seed,
+        "ess": ess(weights),
+        "ends": float((weights * rows.terminated).sum() / weights.sum()),
+        "ends_policy": float(anew.terminated.mean()),
+        "footprint": match.get("footprint", np.nan),
+        "footprint_uniform": match.get("footprint_uniform", np.nan),
+        "footprint_noise": match.get("footprint_noise", np.nan),
+    }
+    scale, starts = step_scale(rows), unbroken(anew)
+    for name in case.models:
+        model = fitted(name, rows, weighting, config)
+        found[ERROR + name] = one_step_error(model, anew, scale)
+        found[ROLLOUT_ERROR + name] = rollout_error(model, anew, starts, scale)
+    return found
 
 
 @dataclass(frozen=True)
@@ -271,18 +260,3 @@ def fitted(
     model = make_model(rows.obs.shape[1], rows.action.shape[1], settings, streams.torch("model"))
     model.fit(rows, *weighting.for_fit(settings), streams.torch("fit"))
     return model
-
-
-def _error(
-    name: str,
-    rows: TensorTransitions,
-    weighting: Weighting,
-    anew: TensorTransitions,
-    config: OnlineConfig,
-) -> ModelError:
-    model, scale = fitted(name, rows, weighting, config), step_scale(rows)
-    return ModelError(
-        name,
-        one_step_error(model, anew, scale),
-        rollout_error(model, anew, unbroken(anew), scale),
-    )

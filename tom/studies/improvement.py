@@ -1,4 +1,4 @@
-"""Does weighting make better policies? What one model does for the policy, moment by moment.
+"""Do weights make better policies: those in the model, and those in the rollouts' starts?
 
 At a moment of a frozen buffer (`tom.studies.frozen`) soft actor-critic goes on from the stored
 policy and critics, on rollouts in a model fitted to this buffer. A learner's weights act in two
@@ -10,16 +10,21 @@ It differs from a training: the networks of the model are new, so are SAC's opti
 critics, all modelled rows come from this one model (a training keeps those of four fits), and
 settings other than SAC's are those of the `paper` preset, as for the other studies of moments.
 What ends a modelled episode is the rule of the run; if it has none, a head fitted to the whole
-buffer, unweighted.
+buffer, unweighted. Runs must be whole, or small copies made with --keep buffer policies.
 """
 
-from collections.abc import Callable, Mapping
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import mean
+from functools import partial
+from itertools import combinations
+from math import isfinite, nan
+from statistics import mean, median
 from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -40,22 +45,97 @@ from tom.policy.rollout import roll_out, start_states
 from tom.policy.sac import Sac
 from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
 from tom.record import RunReader, layout
+from tom.reports.colours import learner_colour
 from tom.rng import Streams
-from tom.studies.footprint import UNIFORM
 from tom.studies.frozen import (
+    MODELS,
+    UNIFORM,
     WAYS,
     Case,
     buffer_at,
+    cases,
     config_of,
     fitted,
     sac_begins,
     seed_of,
     weighting_of,
 )
+from tom.studies.frozen_choice import add_moments, chosen_runs, chosen_ways, origin_of_moments
+from tom.studies.recordings import Value, sign_test, strips
+from tom.studies.study import Findings, Lab, Row, Study, Table, check_known, whole
 
 PARTS = 5
 """evaluations of the policy, evenly spread over its updates"""
+PLACES = ("model", "starts", "both")
+"""where the weights act"""
 TEMPERATURE = "temperature/value"
+RULE = "config:model.termination"
+"""where the command line keeps `--termination`"""
+CAPTION = (
+    "Mean-action return while SAC is updated in the model (mean of five evaluations), less that "
+    "with uniform weights at the same moment and seed, one point each; the stroke is their median. "
+    "Linear within 100, logarithmic beyond."
+)
+
+
+def add_options(parser: ArgumentParser) -> None:
+    add_moments(parser, (UNIFORM, "tom-mended"))
+    parser.add_argument(
+        "--termination", dest=RULE, metavar="module:function",
+        help="the rule that runs were trained with, if it is code of yours; it is used for these",
+    )  # fmt: skip
+    known, updates = ", ".join(f"'{name}'" for name in MODELS), "of SAC, those between two fits"
+    parser.add_argument("--model", default="200 x 4", help=f"{known} [%(default)s]")
+    parser.add_argument("--updates", type=whole(PARTS), default=1250, help=f"{updates} [1250]")
+    parser.add_argument("--episodes", type=whole(1), default=5, help="of an evaluation [5]")
+
+
+def find(args: Namespace, lab: Lab) -> Findings:
+    check_known("model", [args.model], MODELS)
+    runs, ways = _runs(args), chosen_ways(args)
+    asked = cases(runs, ways, args.seeds, args.moments, (args.model,))
+    trials = lab.compute(
+        improved,
+        [Trial(case, args.updates, args.episodes) for case in asked],
+        lambda one: f"{one['recording']} at {one['step']}: {one['way']}",
+    )
+    rows = summary(trials)
+    return Findings(
+        said=verdict(trials, rows),
+        files={"summary": rows, "moments": trials},
+        figures={"improvement": (CAPTION, partial(improvement_figure, trials))},
+        tables=[Table("Against uniform weights", rows)],
+        origin=origin_of_moments(trials),
+        json={"summary": rows},
+    )
+
+
+def _runs(args: Namespace) -> list[RunReader]:
+    """The runs with moments from which SAC can go on.
+
+    Raises UserError if there are none, or the rule that ended a run's modelled episodes is unknown.
+    """
+    runs = chosen_runs(args)
+    able = [run for run in runs if _goes_on(run)]
+    if not able or (args.runs and len(able) < len(runs)):
+        lacking = next(run.run_id for run in runs if run not in able)
+        raise UserError(f"run {lacking} kept no critics with its policies: name others")
+    given, known = getattr(args, RULE), {_rule_of(run) for run in able}
+    if given is not None and given not in known:
+        raise UserError(f"--termination {given}: no run here was trained with it, leave it out")
+    for run in able:
+        rule(task(run.env), _rule_of(run))
+    return able
+
+
+def _goes_on(run: RunReader) -> bool:
+    """Whether SAC can go on from the run's policies: those of earlier versions have no critics."""
+    return all(f"{CRITIC}weight_0" in _arrays(run, step) for step in run.policy_steps())
+
+
+def _rule_of(run: RunReader) -> str | None:
+    """The name of the rule that ended the run's modelled episodes; None: the task's own."""
+    return run.config["config"].get("model", {}).get("termination")
 
 
 @dataclass(frozen=True)
@@ -67,40 +147,12 @@ class Trial:
     episodes: int = 5
 
 
-@dataclass(frozen=True)
-class Improvement:
-    """Mean-action returns: before the updates, and during them, mean over `PARTS` evaluations.
+def improved(trial: Trial) -> Row:
+    """Update the policy of a moment in models and from starts with these weights, or without.
 
-    `model`, `starts` and `both` say where the weights acted; with uniform weights they are the same
-    trial. NaN: SAC diverged.
+    Mean-action returns: `before` the updates, and during them, mean over `PARTS` evaluations, with
+    the weights in each of `PLACES`; with uniform weights these are the same. NaN: SAC diverged.
     """
-
-    recording: str
-    env: str
-    step: int
-    way: str
-    seed: int
-    before: float
-    model: float
-    starts: float
-    both: float
-
-
-def goes_on(run: RunReader) -> bool:
-    """Whether SAC can go on from the run's policies: those of earlier versions have no critics.
-
-    Raises UserError if a policy is damaged.
-    """
-    return all(f"{CRITIC}weight_0" in _arrays(run, step) for step in run.policy_steps())
-
-
-def rule_of(run: RunReader) -> str | None:
-    """The name of the rule that ended the run's modelled episodes; None: the task's own."""
-    return run.config["config"].get("model", {}).get("termination")
-
-
-def improved(trial: Trial) -> Improvement:
-    """Update the policy of a moment in models and from starts with these weights, or without."""
     case, way = trial.case, WAYS[trial.case.way]
     run, seed = RunReader(case.run), seed_of(case)
     config = config_of(run, way, seed)
@@ -122,17 +174,17 @@ def improved(trial: Trial) -> Improvement:
     if case.way != UNIFORM:
         plain = fitted(model, rows, Weighting(even), config)
         in_model, in_starts = during(weighted, even), during(plain, starts)
-    return Improvement(
-        recording=run.run_id,
-        env=run.env,
-        step=case.step,
-        way=case.way,
-        seed=case.seed,
-        before=_evaluate(Evaluator(task(run.env), trial.episodes), policy.mean, seed),
-        model=in_model,
-        starts=in_starts,
-        both=both,
-    )
+    return {
+        "recording": run.run_id,
+        "env": run.env,
+        "step": case.step,
+        "way": case.way,
+        "seed": case.seed,
+        "before": _evaluate(Evaluator(task(run.env), trial.episodes), policy.mean, seed),
+        "model": in_model,
+        "starts": in_starts,
+        "both": both,
+    }
 
 
 def _arrays(run: RunReader, step: int) -> Mapping[str, NDArray[Any]]:
@@ -168,7 +220,7 @@ def temperature_at(step: int, steps: NDArray[Any], values: NDArray[Any]) -> floa
 
 def _ends(run: RunReader, rows: TensorTransitions, config: OnlineConfig) -> Termination:
     """What ends a modelled episode."""
-    known, named = task(run.env), rule_of(run)
+    known, named = task(run.env), _rule_of(run)
     if not learns_ends(known, named):
         return rule(known, named)
     streams = Streams(config.seed)
@@ -202,7 +254,7 @@ def _return_during(
         batches = mixed_batches(replay, modelled, updates, size, real, generator)
         metrics = sac.updates(batches)
         if not all(bool(value.isfinite().all()) for value in metrics.values()):
-            return float("nan")
+            return nan
         returns.append(_evaluate(evaluator, policy.mean, config.seed))
     return mean(returns)
 
@@ -211,3 +263,125 @@ def _evaluate(evaluator: Evaluator, mean_action: Callable[[Tensor], Tensor], see
     """Mean return of the mean policy; the same start states each time."""
     episodes = evaluator.run(mean_action, Streams(seed).integer("evaluation"))
     return mean(float(episode.reward.sum()) for episode in episodes)
+
+
+# Returns of different tasks have no common unit, and those of one moment vary by chance more than
+# by weights. So what counts is on how many recordings a way is better in most of its trials (exact
+# sign test); differences of returns are given task by task.
+
+
+def gaps(trials: Sequence[Row], way: str, place: str) -> list[Value]:
+    """Return with the way's weights at `place` less that with uniform weights, trial by trial."""
+    uniform = {_key(trial): trial["both"] for trial in trials if trial["way"] == UNIFORM}
+    differences = [
+        (trial["env"], trial["recording"], trial[place] - uniform.get(_key(trial), nan))
+        for trial in trials
+        if trial["way"] == way
+    ]
+    return [value for value in differences if isfinite(value[2])]
+
+
+def summary(trials: Sequence[Row]) -> list[Row]:
+    """One row for the returns before, one for those with uniform weights, and one for each other
+    way and place: median differences by task, and how often it is better."""
+    plain = [trial for trial in trials if trial["way"] == UNIFORM]
+    envs = list(dict.fromkeys(trial["env"] for trial in plain))
+
+    def row(way: str, what: str, values: Sequence[Value], wins: Row) -> Row:
+        finite = [(env, value) for env, _, value in values if isfinite(value)]
+        medians = {env: [value for of, value in finite if of == env] for env in envs}
+        return {
+            "way": way,
+            "what": what,
+            **{env: median(of) if of else nan for env, of in medians.items()},
+            "better in trials": "",
+            "n": len(values),
+            "better on": "",
+            "recordings": "",
+            "p": "",
+            **wins,
+        }
+
+    rows = [
+        row(way, what, [(one["env"], one["recording"], one[column]) for one in plain], {})
+        for way, what, column in (("none", "return before", "before"), (UNIFORM, "return", "both"))
+    ]
+    for way in dict.fromkeys(trial["way"] for trial in trials if trial["way"] != UNIFORM):
+        for place in PLACES:
+            found = gaps(trials, way, place)
+            signs, better = sign_test(found), sum(gap > 0 for _, _, gap in found)
+            wins = {"better in trials": better, "better on": signs.above}
+            wins |= {"recordings": signs.n, "p": signs.p}
+            where = "both" if place == "both" else f"the {place} alone"
+            rows.append(row(way, f"difference, weights in {where}", found, wins))
+    return rows
+
+
+def verdict(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
+    """The table in words, the noise, and what cannot be said."""
+    keys = {_key(trial) for trial in trials}
+    moments = {(recording, step) for recording, step, _ in keys}
+    said = [
+        f"{len(moments)} moments of {len({recording for recording, _ in moments})} runs, "
+        f"{len(keys)} trials of each way. {_noise(trials)}"
+    ]
+    if lost := sum(not isfinite(sum(trial[place] for place in PLACES)) for trial in trials):
+        said.append(f"SAC diverged in {lost} trials, which are left out.")
+    for row in (row for row in rows if row["p"] != ""):
+        less = row["recordings"] - row["better on"]
+        decided = "better" if row["better on"] > less else "worse"
+        said.append(
+            f"{row['way']}, {row['what'].partition(', ')[2]}: better in {row['better in trials']} "
+            f"of {row['n']} trials; better in most of them on {row['better on']} recordings, worse "
+            f"on {less} (sign test p = {row['p']:.2f}): "
+            + ("undecided." if row["p"] >= 0.05 else f"{decided} than uniform weights.")
+        )
+    return said
+
+
+def _noise(trials: Sequence[Row]) -> str:
+    """How far two seeds of uniform weights lie apart at the same moment, by task."""
+    by_moment: dict[tuple[str, str, int], list[float]] = {}
+    for one in (one for one in trials if one["way"] == UNIFORM):
+        by_moment.setdefault((one["env"], one["recording"], one["step"]), []).append(one["both"])
+    apart: dict[str, list[float]] = {}
+    for (env, _, _), values in by_moment.items():
+        apart.setdefault(env, []).extend(abs(a - b) for a, b in combinations(values, 2))
+    told = [f"{env} {median(of):.0f}" for env, of in apart.items() if of]
+    if not told:
+        return "One seed: how far chance moves a return is not known."
+    return f"Two seeds of uniform weights differ by (median): {', '.join(told)}."
+
+
+def _key(trial: Row) -> tuple[str, int, int]:
+    return trial["recording"], trial["step"], trial["seed"]
+
+
+def improvement_figure(trials: Sequence[Row]) -> Figure:
+    """A row for every way and each place where its weights act."""
+    ways = [way for way in WAYS if way != UNIFORM and any(one["way"] == way for one in trials)]
+    rows, values = {}, {}
+    for way in ways:
+        for place in PLACES:
+            name = f"{way}, {place}"
+            rows[name] = learner_colour(WAYS[way].learner or "")
+            for env, _, gap in gaps(trials, way, place):
+                values.setdefault((env, name), []).append(gap)
+    envs = list(dict.fromkeys(one["env"] for one in trials))
+    figure = strips(envs, rows, values, 0.0)
+    for ax in figure.axes:
+        ax.set_xscale("symlog", linthresh=100)
+    figure.supxlabel("return less that with uniform weights", size=9)
+    return figure
+
+
+STUDY = Study(
+    "improvement",
+    "What weighting does for the policy",
+    __doc__,
+    "Policies that are optimised in a model fitted by TOM's weights, from start states drawn by "
+    "them, earn higher returns (section 5.2). The paper compares whole runs, and never one of the "
+    "two places without the other.",
+    add_options,
+    find,
+)

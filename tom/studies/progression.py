@@ -1,31 +1,108 @@
-"""The weight progression study: do TOM's weights follow the policy instead of the position?
+"""Do TOM's weights follow the policy instead of the position in the buffer?
 
-Every recording of SAC (random half, ordered half) is weighed three times: for its trained policy,
-for the random policy (the profile must reverse), and for its trained policy with shuffled rows
-(TOM's profile must stay the same; PMAC's must change, because it depends on the position).
+Every recording of SAC (random half, ordered half; made where the store has none) is weighed three
+times: for its trained policy, for the random policy (the profile must reverse), and for its trained
+policy with shuffled rows (TOM's profile must stay the same; PMAC's must change, because it depends
+on the position). The median over TOM's seeds is judged, of the first preset.
 """
 
-from collections.abc import Sequence
+import csv
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from math import nan
 from pathlib import Path
 from statistics import median
 from typing import Literal, get_args
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from tom.analysis.ordered_data import of_run
-from tom.analysis.progression import DECILES, Progression, progression, same_profile
+from tom.analysis.progression import DECILES, LATE, Progression, progression, same_profile
 from tom.analysis.weighing import Weighed, weigh
-from tom.config import RunConfig, SacRecordingConfig, TomConfig
+from tom.config import RunConfig, TomConfig
+from tom.data.sampling import bin_means
 from tom.envs import task
+from tom.learners import LEARNERS
 from tom.policy.stored import NAME, UniformPolicy, read_policy
-from tom.record import RunReader, Store
+from tom.record import RunReader
+from tom.reports.origin import seeds as in_short
+from tom.reports.profile_figure import Panel, profile_figure
+from tom.reports.weighing_files import profiles, write_weights
+from tom.studies.sac import add_recordings, recordings
+from tom.studies.study import Findings, Lab, Row, Study, as_the_paper_says, check_known
 
 Condition = Literal["own", "random", "shuffled"]
 Preset = Literal["paper", "exact"]
 
-SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
-"""number of recordings in the acceptance; other tasks have one"""
+PRESETS: tuple[Preset, ...] = ("exact", "paper")
+BOUNDS: dict[str, tuple[float, float, float]] = {
+    "halfcheetah": (0.30, 4.0, 0.9),
+    "hopper": (0.60, 2.5, 0.5),
+}
+"""bounds: random half at most, last two of 20 bins and Spearman over the ordered half at least"""
+TURNED = (1.25, 0.3)
+"""bounds for the random policy: random half at least, last two of 20 bins at most"""
+SAME = 0.9
+"""rank correlation over 20 bins from which two profiles count as the same"""
+NEVER = DECILES + 1
+LOW, LAST, RANK = "random half", "last two of 20 bins", "Spearman, ordered half"
+RISE = f"first decile above 1 ({NEVER}: none)"
+BINS = 100
+TITLES = {
+    ("own", "tom"): "TOM, its trained policy",
+    ("random", "tom"): "TOM, the random policy",
+    ("shuffled", "tom"): "TOM, rows shuffled",
+    ("own", "pmac"): "PMAC",
+    ("shuffled", "pmac"): "PMAC, rows shuffled",
+}
+
+
+def add_options(parser: ArgumentParser) -> None:
+    add_recordings(parser)
+    parser.add_argument("--sac-seeds", nargs="+", type="seed", help="of recordings [as accepted]")
+    parser.add_argument("--preset", nargs="+", default=list(PRESETS), help="TOM's [exact paper]")
+
+
+def find(args: Namespace, lab: Lab) -> Findings:
+    check_known("preset", args.preset, PRESETS)
+    runs = recordings(args, lab, args.sac_seeds)
+    done = lab.compute(
+        result,
+        cases(runs, args.preset, args.seeds),
+        lambda one: f"{one.recording}: TOM {one.preset}, {one.condition}",
+    )
+    for case in done:
+        name = f"{case.recording}-{case.condition}-{case.preset}.parquet"
+        write_weights(args.out / name, case.weighed)
+    found, judged = checks(done), args.preset[0]
+    write_table(args.out, table(found))
+    caption = "Mean weight along the ordered buffer, single seeds faint"
+    drawn = [case for case in done if case.preset == judged]
+    return Findings(
+        said=verdict([row for row in found if row["preset"] == judged]),
+        files={"profiles": _profiles(done)},
+        figures={"progression": (caption, partial(figure, drawn))},
+        tables=[],
+        checks=[
+            {
+                "name": "{recording}, {condition} policy, {learner}, {quantity}".format(**c),
+                "preset": c["preset"],
+                "median": c["median"],
+                "by seed": " ".join(f"{value:.3g}" for value in c["values"]),
+                "bound": _bound(c),
+                "met": c["met"] if c["preset"] == judged else None,
+            }
+            for c in found
+        ],
+        origin={
+            "n": f"{len(runs)} recordings, {len(args.seeds)} seeds of TOM on each",
+            "seeds": in_short(args.seeds),
+        },
+        json={"checks": found},
+    )
 
 
 @dataclass(frozen=True)
@@ -59,71 +136,6 @@ class Result:
         return [progression(one.weights, self.ordered_from) for one in self.of(learner)]
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One number of the acceptance for every seed; the median is tested."""
-
-    recording: str
-    preset: Preset
-    condition: Condition
-    learner: str
-    quantity: str
-    values: tuple[float, ...]
-    bound: tuple[Literal["<=", ">=", "<"], float] | None
-
-    @property
-    def median(self) -> float:
-        return median(self.values)
-
-    @property
-    def met(self) -> bool | None:
-        """Whether the bound holds; None if there is no bound."""
-        if self.bound is None:
-            return None
-        sign, limit = self.bound
-        at_most = self.median < limit if sign == "<" else self.median <= limit
-        return self.median >= limit if sign == ">=" else at_most
-
-
-BOUNDS: dict[str, tuple[float, float, float]] = {
-    "halfcheetah": (0.30, 4.0, 0.9),
-    "hopper": (0.60, 2.5, 0.5),
-}
-"""bounds: random half at most, last two of 20 bins and Spearman over the ordered half at least"""
-TURNED = (1.25, 0.3)
-"""bounds for the random policy: random half at least, last two of 20 bins at most"""
-SAME = 0.9
-"""rank correlation over 20 bins from which two profiles count as the same"""
-
-
-NEVER = DECILES + 1
-RISE = f"first decile above 1 ({NEVER}: none)"
-
-
-def recording_config(env: str, seed: int, steps: int) -> SacRecordingConfig:
-    """The settings of a recording of the study."""
-    return SacRecordingConfig(env=task(env).name, seed=seed, steps=steps)
-
-
-def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
-    """The newest finished recording with these settings, or None."""
-    for run in store.runs():
-        if run.learner == config.learner and run.status.state == "finished" and _like(run, config):
-            return run
-    return None
-
-
-def _like(run: RunReader, config: SacRecordingConfig) -> bool:
-    """Whether a run has the settings of `config`; of SAC's, those that both versions have."""
-    theirs = run.config.get("config", {})
-    ours = config.model_dump(mode="json")
-    plain = ("env", "seed", "steps", "exploration_steps", "updates_per_step")
-    if any(theirs.get(name) != ours[name] for name in plain):
-        return False
-    sac = theirs.get("sac", {})
-    return all(sac[name] == ours["sac"][name] for name in sac if name in ours["sac"])
-
-
 def cases(runs: Sequence[RunReader], presets: Sequence[Preset], seeds: Sequence[int]) -> list[Case]:
     """The three conditions of every recording, under every preset of TOM."""
     return [
@@ -154,72 +166,157 @@ def result(case: Case) -> Result:
     return Result(name, run.env, first, case.condition, case.preset, tuple(weighed))
 
 
-def checks(done: Sequence[Result]) -> list[Finding]:
+def checks(done: Sequence[Result]) -> list[Row]:
     """Every number of the acceptance, for TOM and for PMAC."""
-    findings: list[Finding] = []
+    found: list[Row] = []
     for case in done:
+        tom, pmac = case.reports("tom"), case.reports("pmac")
         if case.condition == "own":
-            findings += _progress(case)
+            low, last, rank = BOUNDS.get(case.env, (None, None, None))
+            found += [
+                finding(case, "tom", LOW, [r.random_mean for r in tom], "<=", low),
+                finding(case, "tom", LAST, [r.last_two for r in tom], ">=", last),
+                finding(case, "tom", RANK, [r.spearman for r in tom], ">=", rank),
+                finding(case, "tom", RISE, [r.first_rise or NEVER for r in tom]),
+                finding(case, "tom", "ESS", [r.ess for r in tom]),
+                finding(case, "pmac", LOW, [r.random_mean for r in pmac]),
+                finding(case, "pmac", LAST, [r.last_two for r in pmac]),
+                finding(case, "pmac", RISE, [r.first_rise or NEVER for r in pmac]),
+                finding(case, "pmac", "ESS", [r.ess for r in pmac]),
+            ]
         elif case.condition == "random":
-            findings += _turned(case)
+            found += [
+                finding(case, "tom", LOW, [r.random_mean for r in tom], ">=", TURNED[0]),
+                finding(case, "tom", LAST, [r.last_two for r in tom], "<=", TURNED[1]),
+            ]
         else:
-            (own,) = (
-                other
-                for other in done
-                if (other.recording, other.preset) == (case.recording, case.preset)
-                and other.condition == "own"
-            )
-            findings += _moved(case, own)
-    return findings
+            like = (case.recording, case.preset, "own")
+            (own,) = (o for o in done if (o.recording, o.preset, o.condition) == like)
+            for learner, sign in (("tom", ">="), ("pmac", "<")):
+                pairs = zip(own.of(learner), case.of(learner), strict=True)
+                kept = [same_profile(a.weights, b.weights) for a, b in pairs]
+                quantity = "Spearman with its profile in order"
+                found.append(finding(case, learner, quantity, kept, sign, SAME))
+    return found
 
 
-def _progress(case: Result) -> list[Finding]:
-    random, last, spearman = BOUNDS.get(case.env, (None, None, None))
-    tom, pmac = case.reports("tom"), case.reports("pmac")
-    return [
-        _check(case, "tom", "random half", [r.random_mean for r in tom], "<=", random),
-        _check(case, "tom", "last two of 20 bins", [r.last_two for r in tom], ">=", last),
-        _check(case, "tom", "Spearman, ordered half", [r.spearman for r in tom], ">=", spearman),
-        _check(case, "tom", RISE, [r.first_rise or NEVER for r in tom]),
-        _check(case, "tom", "ESS", [r.ess for r in tom]),
-        _check(case, "pmac", "random half", [r.random_mean for r in pmac]),
-        _check(case, "pmac", "last two of 20 bins", [r.last_two for r in pmac]),
-        _check(case, "pmac", RISE, [r.first_rise or NEVER for r in pmac]),
-        _check(case, "pmac", "ESS", [r.ess for r in pmac]),
-    ]
-
-
-def _turned(case: Result) -> list[Finding]:
-    tom = case.reports("tom")
-    return [
-        _check(case, "tom", "random half", [r.random_mean for r in tom], ">=", TURNED[0]),
-        _check(case, "tom", "last two of 20 bins", [r.last_two for r in tom], "<=", TURNED[1]),
-    ]
-
-
-def _moved(case: Result, own: Result) -> list[Finding]:
-    kept = {
-        learner: [
-            same_profile(a.weights, b.weights)
-            for a, b in zip(own.of(learner), case.of(learner), strict=True)
-        ]
-        for learner in ("tom", "pmac")
-    }
-    quantity = "Spearman with its profile in order"
-    return [
-        _check(case, "tom", quantity, kept["tom"], ">=", SAME),
-        _check(case, "pmac", quantity, kept["pmac"], "<", SAME),
-    ]
-
-
-def _check(
+def finding(
     case: Result,
     learner: str,
     quantity: str,
     values: Sequence[float | None],
-    sign: Literal["<=", ">=", "<"] = "<=",
+    sign: str = "",
     limit: float | None = None,
-) -> Finding:
-    numbers = tuple(float("nan") if v is None else float(v) for v in values)
-    bound = None if limit is None else (sign, limit)
-    return Finding(case.recording, case.preset, case.condition, learner, quantity, numbers, bound)
+) -> Row:
+    """One number of the acceptance for every seed; the median is judged, if there is a bound."""
+    numbers = [nan if value is None else float(value) for value in values]
+    middle, met = median(numbers), None
+    if limit is not None:
+        met = {"<=": middle <= limit, ">=": middle >= limit, "<": middle < limit}[sign]
+    return {
+        "recording": case.recording,
+        "preset": case.preset,
+        "condition": case.condition,
+        "learner": learner,
+        "quantity": quantity,
+        "values": numbers,
+        "bound": None if limit is None else (sign, limit),
+        "median": middle,
+        "met": met,
+    }
+
+
+def verdict(found: Sequence[Row]) -> list[str]:
+    """Whether TOM's weights are low on random data, rise, and rise before the end."""
+    said = []
+    for quantity, what, holds in (
+        (LOW, "lie below the mean over the random half", lambda value: value < 1),
+        (RANK, "grow along SAC's half (rank correlation)", lambda value: value > 0),
+        (
+            RISE,
+            "are above the mean before its last fifth (first such tenth)",
+            lambda value: value <= DECILES - LATE,
+        ),
+    ):
+        wanted = ("own", "tom", quantity)
+        own = [c for c in found if (c["condition"], c["learner"], c["quantity"]) == wanted]
+        values = [c["median"] for c in own]
+        if values:
+            held = sum(map(holds, values))
+            said.append(
+                f"TOM's weights {what} in {held} of {len(values)} recordings "
+                f"({', '.join(f'{value:.3g}' for value in values)}): "
+                f"{as_the_paper_says(held, len(values))}"
+            )
+    return said
+
+
+def table(found: Sequence[Row]) -> list[list[str]]:
+    """The checks as rows of text, titles first, with TOM's presets side by side."""
+    presets = list(dict.fromkeys(c["preset"] for c in found))
+    lines: dict[tuple[str, ...], dict[str, str]] = {}
+    for c in found:
+        if c["learner"] == "pmac" and c["preset"] != presets[0]:
+            continue  # PMAC has no preset
+        learner = LEARNERS[c["learner"]].label
+        key = (c["recording"], c["condition"], learner, c["quantity"], _bound(c))
+        by_seed = " ".join(f"{value:.3g}" for value in c["values"])
+        met = {None: "", True: " yes", False: " **no**"}[c["met"]]
+        lines.setdefault(key, {})[c["preset"]] = f"{c['median']:.3g} ({by_seed}){met}"
+    titles = ["recording", "policy", "learner", "quantity", "bound", *presets]
+    return [titles, *([*key, *(of.get(p, "") for p in presets)] for key, of in lines.items())]
+
+
+def _bound(c: Row) -> str:
+    return "" if c["bound"] is None else f"{c['bound'][0]} {c['bound'][1]:g}"
+
+
+def write_table(folder: Path, rows: Sequence[Sequence[str]]) -> None:
+    """Write `checks.csv` and `checks.md`."""
+    with (folder / "checks.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    titles, *rest = (f"| {' | '.join(row)} |" for row in rows)
+    rule = "|" + "---|" * len(rows[0])
+    (folder / "checks.md").write_text("\n".join([titles, rule, *rest]) + "\n")
+
+
+def _profiles(done: Sequence[Result]) -> Iterator[Row]:
+    for case in done:
+        for one in case.weighed:
+            for number, mean in enumerate(bin_means(one.weights, BINS).tolist()):
+                yield {
+                    "recording": case.recording,
+                    "preset": case.preset,
+                    "policy": case.condition,
+                    "learner": one.learner,
+                    "seed": one.seed,
+                    "bin": number,
+                    "mean_weight": f"{mean:.6g}",
+                }
+
+
+def figure(done: Sequence[Result]) -> Figure:
+    """The profiles of one preset: a row for each recording, a panel for each of TITLES."""
+    panels = {
+        recording: [
+            Panel(title, learner, profiles(case.of(learner), BINS))
+            for (condition, learner), title in TITLES.items()
+            for case in done
+            if (case.recording, case.condition) == (recording, condition)
+        ]
+        for recording in dict.fromkeys(case.recording for case in done)
+    }
+    shares = {case.recording: case.ordered_from / len(case.weighed[0].weights) for case in done}
+    return profile_figure(panels, shares)
+
+
+STUDY = Study(
+    "progression",
+    "Weight progression",
+    __doc__,
+    "On a buffer whose first half is random and whose second half is SAC's training in order, "
+    "TOM's weights for the trained policy are low on the random half and rise towards the end; "
+    "they start to rise earlier than recency would have it, sometimes non-monotonically (5.2).",
+    add_options,
+    find,
+)

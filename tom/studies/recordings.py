@@ -1,16 +1,40 @@
-"""Statistics over recordings: the moments of one recording are no independent samples."""
+"""Statistics over recordings, and two ways of weighing at the same moments: which one is better?
 
-from collections.abc import Iterable
+The moments of one recording are no independent samples. Two ways share the buffer, the policy and
+its fresh episodes at a moment, and moments differ far more than ways do, so that the difference at
+each moment is known much better than either way.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite, nan
 from statistics import median
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from tom.analysis.statistics import Interval, draws, interval, mean
+from tom.reports.colours import NEUTRAL, TEXT
+from tom.reports.style import new_figure
+from tom.studies.study import Row
 
 Value = tuple[str, str, float]
 """task, recording, and a value at one of its moments"""
+
+QUESTIONS: dict[tuple[str, str], str] = {
+    ("tom-discounted", "uniform"): "Is TOM as printed better than no weights?",
+    ("tom-mended", "uniform"): "Is the mended one?",
+    ("half-tom-mended", "uniform"): "Is it, if half of its weight is uniform?",
+    ("half-recency", "uniform"): "Is recency, if half of its weight is uniform?",
+    ("tom-mended", "tom-discounted"): "Is the mended objective better than the printed one?",
+    ("tom-mended", "ratio"): "Does Q bring something on top of the discriminator?",
+    ("tom-mended", "recency"): "Is TOM better than recency, which trains no network?",
+    ("half-tom-mended", "half-recency"): "Is it better than recency, if half of either is uniform?",
+    ("tom-stationary-validated", "tom-stationary"): "Is it better to stop Q on held-out episodes?",
+    ("tom-stationary-validated", "tom-discounted-validated"): "Does the flow matter?",
+}
+"""what is asked of two ways: the first one, and the one that it has to beat"""
 
 
 @dataclass(frozen=True)
@@ -20,10 +44,6 @@ class Signs:
     above: int
     n: int
     p: float
-
-    @property
-    def below(self) -> int:
-        return self.n - self.above
 
 
 def sign_test(differences: Iterable[Value]) -> Signs:
@@ -54,3 +74,94 @@ def over_recordings(values: Iterable[Value]) -> Interval:
     for column, of in enumerate(tasks):
         scores[: len(of), column] = of
     return interval(scores, mean, draws())
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The difference of two ways over `n` moments; below zero the first one is better."""
+
+    way: str
+    against: str
+    difference: Interval
+    better: int  # moments
+    n: int
+    signs: Signs
+    by_task: Mapping[str, float]
+    """the difference in each task, of which `difference` is the mean; NaN without a moment there"""
+
+    def row(self, measure: str, better_at: str, **more: str) -> Row:
+        """A line of a table, with the titles of the difference and of the moments."""
+        return {
+            "way": self.way,
+            "against": self.against,
+            **more,
+            measure: self.difference.value,
+            "low": self.difference.low,
+            "high": self.difference.high,
+            better_at: self.better,
+            "n": self.n,
+            "better on": self.signs.n - self.signs.above,
+            "recordings": self.signs.n,
+            "p": self.signs.p,
+            **self.by_task,
+        }
+
+
+def comparisons(outcomes: Sequence[Row], value: Callable[[Row], float]) -> Iterator[Comparison]:
+    """Each of `QUESTIONS`, over the moments that both ways were examined at.
+
+    `value` is what is compared, lower is better; moments where it is NaN do not count. The
+    difference at a moment is the median over seeds.
+    """
+    at = {(one["way"], *_trial(one)): value(one) for one in outcomes}
+    envs = dict.fromkeys(one["env"] for one in outcomes)
+    for way, against in QUESTIONS:
+        trials: dict[tuple[str, str, int], list[float]] = {}
+        for one in outcomes:
+            gap = value(one) - at.get((against, *_trial(one)), nan)
+            if one["way"] == way and isfinite(gap):
+                trials.setdefault((one["env"], one["recording"], one["step"]), []).append(gap)
+        gaps: list[Value] = [(env, run, median(each)) for (env, run, _), each in trials.items()]
+        if gaps:
+            better = sum(gap < 0 for _, _, gap in gaps)
+            in_task = {env: [gap for gap in gaps if gap[0] == env] for env in envs}
+            tasks = {env: over_recordings(of).value if of else nan for env, of in in_task.items()}
+            whole, signs = over_recordings(gaps), sign_test(gaps)
+            yield Comparison(way, against, whole, better, len(gaps), signs, tasks)
+
+
+def spanned(row: Row, name: str) -> str:
+    """The number of a row with its interval, in words."""
+    bounds = f" [{row['low']:.2f}, {row['high']:.2f}]" if isfinite(row["low"]) else ""
+    return f"{row[name]:.2f}{bounds}"
+
+
+def _trial(one: Row) -> tuple[str, int, int]:
+    return one["recording"], one["step"], one["seed"]
+
+
+def strips(
+    envs: Sequence[str],
+    rows: Mapping[str, str],
+    values: Mapping[tuple[str, str], Sequence[float]],
+    even: float,
+) -> Figure:
+    """One panel per task: the values of each row as points, their median as a stroke.
+
+    `rows` are the names from the top down, with their colours; `values` are by task and row. A
+    dashed line is where a way is as good as uniform weights.
+    """
+    figure = new_figure(2.2 + 2.6 * len(envs), 0.7 + 0.24 * max(len(rows), 2))
+    axes = figure.subplots(1, len(envs), squeeze=False, sharey=True)[0]
+    upwards = list(rows)[::-1]
+    for ax, env in zip(axes, envs, strict=True):
+        ax.axvline(even, color=NEUTRAL, linewidth=0.8, linestyle="--")
+        ax.set_title(env)
+        for height, name in enumerate(upwards):
+            of = values.get((env, name), ())
+            colour = rows[name]
+            ax.scatter(of, [height] * len(of), s=14, color=colour, alpha=0.55, linewidths=0)
+            if of:
+                ax.plot([median(of)] * 2, [height - 0.35, height + 0.35], color=TEXT, linewidth=1.6)
+    axes[0].set_yticks(range(len(rows)), upwards)
+    return figure

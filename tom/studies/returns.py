@@ -1,200 +1,382 @@
-"""Returns of every learner in every environment, from the runs in a store.
+"""Who learns fastest, and who ends highest? Return curves of the runs that the store has.
 
-A run belongs to its environment, learner, preset and seed; a learner with another than the first
-requested preset counts as a separate learner ("TOM, mended"). If runs differ in other settings, the
-largest group of each learner is used, or every group counts as a separate learner, as the user
-likes ("TOM, mended, model.uniform_share 1"); in a group the longest run of each seed. The learners
-of an environment are compared at a step that all their runs reach, or at one that the user fixed
-before he looked, without the runs that end earlier; if the settings of their groups differ, the
-verdict says so. Runs are grouped and scored as on the Compare page (`tom/analysis/scores.py`).
+Learners are compared at a step that all runs of an environment reach or at one fixed beforehand; if
+they were trained with different settings, the verdict says so. What is missing for the paper's
+figure is listed. Nothing is trained: `tom sweep` makes the runs.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from itertools import groupby
-from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any
 
-import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
-from tom.analysis.curves import Curve, curve_points
-from tom.analysis.grouping import Kind, kinds
-from tom.analysis.scores import BEST, begun, common_start, common_step, scores_of
-from tom.analysis.settings import changed
-from tom.envs import ENVS, ROAD, task_rank
-from tom.learners import LEARNERS, learner_rank
-from tom.record import RunReader
+from tom.analysis.curves import aggregate
+from tom.analysis.scores import BEST, FINAL, HEIGHT
+from tom.analysis.settings import unlike
+from tom.analysis.statistics import RANKED, Interval, remark
+from tom.envs import ENVS, task
+from tom.errors import UserError
+from tom.learners import LEARNERS
+from tom.record import Store
+from tom.reports.colours import NEUTRAL, learner_colour
+from tom.reports.origin import origin_of_runs
+from tom.reports.style import new_figure
+from tom.studies import returns_tables as tables
+from tom.studies.returns_cells import (
+    PAPER_ENVS,
+    Cell,
+    cell_of,
+    compared_at,
+    envs_of,
+    labels,
+    select,
+)
+from tom.studies.study import (
+    Findings,
+    Lab,
+    Row,
+    Study,
+    Table,
+    add_env,
+    add_store,
+    check_known,
+    tasks,
+)
+from tom.training.presets import PRESETS
 
-Array = NDArray[np.float64]
-Method = tuple[str, str]  # learner and variant
-PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
-METRIC = "eval/return"
-FREE: Mapping[str, int] = MappingProxyType({})
-"""no environment has a step of comparison fixed beforehand"""
-
-
-class Recorded(NamedTuple):
-    """One run, with what was read from it once."""
-
-    run: RunReader
-    metrics: pd.DataFrame
-    curve: Curve
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One learner in one environment: the runs, metrics and returns of all seeds."""
-
-    env: str
-    learner: str
-    runs: tuple[RunReader, ...]
-    metrics: tuple[pd.DataFrame, ...]
-    """of each run, all of them, as `RunReader.metrics` has them"""
-    curves: tuple[Curve, ...]
-    variant: str = ""
-    """in what its runs differ from the learner's in the first requested preset, in words"""
-
-    @property
-    def label(self) -> str:
-        name = LEARNERS[self.learner].label
-        return f"{name}, {self.variant}" if self.variant else name
-
-    @property
-    def method(self) -> Method:
-        return self.learner, self.variant
-
-    @property
-    def n(self) -> int:
-        return len(self.curves)
-
-    @property
-    def reach(self) -> float:
-        """The last evaluated step that every seed reaches."""
-        return common_step(self.curves)
-
-    @property
-    def longest(self) -> float:
-        """The last evaluated step of any seed."""
-        return max(float(curve.step[-1]) for curve in self.curves)
-
-    @property
-    def seeds(self) -> list[int]:
-        return [curve.seed for curve in self.curves]
-
-    def scores(self, step: float, score: str = BEST, since: float = -np.inf) -> Array:
-        """The best return of each seed up to `step`, or another score of SCORES, (n,)."""
-        return scores_of(self.curves, score, step, since)
+SCORES = "Returns up to the step of the comparison; mean, median and IQM are of the best"
+WINS = "How often a run of one learner beats one of another"
+FACTORS = (
+    "What weights in the model, and in the rollouts' starts, do for the return: each the mean over "
+    "both levels of the other; p of all is corrected for the tests of this table"
+)
+EXAMS = "Exams: the median fit of each run, on new steps of its own policy; mean over runs"
+ROLLOUTS = (
+    "Rollouts: how often they fall over how often the policy does (median fit of each run), and "
+    "the share of fits with a row that has a tenth of the weight; mean over runs"
+)
+LESS = (
+    "How often a run of one learner has a smaller number in its exams and rollouts than one of "
+    "another (errors of runs on steps of their own policies)"
+)
+FEW = 3
+"""groups whose exams are compared on the screen even if nobody named them"""
+BY = {"best": BEST, "last": FINAL, "area": HEIGHT}
+CAPTION = "Best return so far: mean over seeds, 95 % bootstrap band, single seeds faint."
+DIGITS = 40
+"""of a step, more than any run has"""
+NAMED = 3
+"""runs named at most in a sentence"""
+COLUMNS = 3
+FEW_POINTS = 10
+LONG = 26
+"""letters of a name, of which two do not fit beside each other"""
+LINES = ("-.", "--", ":", (0, (9, 2)), (0, (4, 1.5, 1, 1.5, 1, 1.5)))
+"""of a learner's variants"""
 
 
-def select(
-    runs: Sequence[RunReader],
-    *presets: str,
-    at: Mapping[str, int] = FREE,
-    apart: bool = False,
-    groups: Collection[str] | None = None,
-) -> tuple[list[Cell], list[str]]:
-    """The cells of the runs of `presets`, and the ids of runs that were left out.
+def add_options(parser: ArgumentParser) -> None:
+    add_env(parser, list(ENVS), "[all of ours]")
+    parser.add_argument(
+        "--preset", nargs="+", metavar="PRESET", default=["paper", "mended"],
+        help="[paper mended]: runs of the first are called by their learner alone, those of others "
+        "by both",
+    )  # fmt: skip
+    add_store(parser)
+    parser.add_argument(
+        "--learner", nargs="+", default=list(LEARNERS), metavar="LEARNER",
+        help="ours, or a plug-in's [all]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--at", nargs="+", default=[], metavar="[ENV=]STEP",
+        help="compare at this env step, in ENV alone if it is named, without the runs that end "
+        "earlier [what all runs reach]",
+    )  # fmt: skip
+    parser.add_argument("--seeds", nargs="+", type="seed", metavar="N", help="[all]")
+    parser.add_argument(
+        "--apart", action="store_true",
+        help="runs with settings other than their preset's are learners of their own [of each "
+        "learner and preset only the settings that most seeds share]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--groups", nargs="+", metavar="GROUP",
+        help='compare these alone, called as in the tables (MLE, "TOM, mended") [all]',
+    )  # fmt: skip
+    parser.add_argument(
+        "--by", nargs="+", choices=tuple(BY), default=list(BY), metavar="SCORE",
+        help=f"compare by these alone, of {' '.join(BY)}; p is corrected for no others [all]",
+    )  # fmt: skip
 
-    If `apart`, runs that differ in settings from their preset have cells of their own. Of `groups`,
-    labels of cells, there are these alone: the runs of others bound no comparison.
-    Curves of an environment in `at` end at that env step, and its runs without an evaluation there
-    or later are left out. All runs of a learner are left out if one was first evaluated after the
-    step of the comparison.
+
+def find(args: Namespace, lab: Lab) -> Findings:
+    check_known("preset", args.preset, PRESETS)
+    check_known("learner", args.learner, LEARNERS)
+    envs, planned = tasks(args.env), args.groups is not None
+    whole, cells, left_out = _chosen(args, envs)
+    by = [BY[name] for name in args.by]
+    found: dict[str, list[Row]] = {
+        "summary": tables.summary(cells),
+        "improvement": tables.improvement(cells, by, planned=planned),
+        "factors": tables.factors(cells, by),
+        "exams": tables.exams(cells),
+        "rollouts": tables.rollouts(cells),
+        "less": tables.less(cells, planned=planned),
+        "missing": tables.missing(whole, envs, args.learner),
+    }
+    aside = (
+        "Left out, for other settings, a longer run of the seed, no evaluation, a first one after "
+        f"the others' end, or an end before --at: {', '.join(left_out)}."
+    )
+    many = len({cell.label for cell in cells}) > FEW and not planned
+    return Findings(
+        said=[*verdict(cells), *([aside] if left_out else [])],
+        files={"returns": _curves(cells), **found},
+        figures={"returns": (CAPTION, partial(return_figure, cells))},
+        tables=[
+            Table(SCORES, found["summary"], list(map(_brief_score, found["summary"]))),
+            Table(WINS, found["improvement"]),
+            Table(FACTORS, found["factors"]),
+            Table(EXAMS, found["exams"], list(map(_brief_fits, found["exams"]))),
+            Table(ROLLOUTS, found["rollouts"], list(map(_brief_fits, found["rollouts"]))),
+            Table(LESS, found["less"], [] if many else None),
+            Table("What is missing for the paper's figure", found["missing"], []),
+        ],
+        origin=origin_of_runs([run for cell in cells for run in cell.runs]),
+        json={**found, "left out": left_out},
+    )
+
+
+def _chosen(args: Namespace, envs: Sequence[str]) -> tuple[list[Cell], list[Cell], list[str]]:
+    """The cells of all seeds and steps, those that are compared, and the runs that are left out.
+
+    Raises UserError if nothing is left to compare, or not all of a planned comparison: it is made
+    whole or not at all, because p is corrected for what was planned.
     """
-    cells, left_out = _cells(runs, presets, at, apart)
-    if groups is not None:
-        cells = [cell for cell in cells if cell.label in groups]
-    common = compared_at(cells)
-    late = [cell for cell in cells if not begun(cell.curves, common[cell.env])]
-    left_out += [run.run_id for cell in late for run in cell.runs]
-    return sorted((cell for cell in cells if cell not in late), key=_place), left_out
-
-
-def labels(runs: Sequence[RunReader], *presets: str, apart: bool = False) -> list[str]:
-    """What the learners are called that there are in `select`."""
-    return sorted({cell.label for cell in _cells(runs, presets, FREE, apart)[0]})
-
-
-def _cells(
-    runs: Sequence[RunReader], presets: Sequence[str], at: Mapping[str, int], apart: bool
-) -> tuple[list[Cell], list[str]]:
-    """All cells with a return up to their step of `at`, and the ids of other runs."""
-    mine = [
-        run for run in runs if run.env != ROAD and run.learner in LEARNERS and run.preset in presets
+    at = _steps(args.at, envs)
+    runs = [
+        run for run in Store(args.store).runs() if run.env in envs and run.learner in args.learner
     ]
-    kind_of = kinds(mine)
-    recorded = [_recorded(run, kind_of[run.run_id], at.get(run.env)) for run in mine]
-    method = partial(_method, presets[0], apart)
-    usable = sorted((one for one in recorded if len(one.curve.step)), key=method)
-    cells, left_out = [], [one.run.run_id for one in recorded if not len(one.curve.step)]
-    for (env, learner, variant), group in groupby(usable, method):
-        every = list(group)
-        chosen = _largest(every)
-        cells.append(Cell(env, learner, *zip(*chosen, strict=True), variant=variant))
-        used = {one.run.run_id for one in chosen}
-        left_out += [one.run.run_id for one in every if one.run.run_id not in used]
-    return cells, left_out
+    whole, _ = select(runs, *args.preset, apart=args.apart)
+    if not whole:
+        raise UserError(
+            f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
+            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds {RANKED} "
+            "makes them"
+        )
+    runs = [run for run in runs if args.seeds is None or run.seed in args.seeds]
+    groups = args.groups and [_called(group, args.preset[0]) for group in args.groups]
+    have = labels(runs, *args.preset, apart=args.apart)
+    for group in groups or ():
+        if group not in have:
+            raise UserError(f"--groups: no such run is of '{group}', but of: {'; '.join(have)}")
+    if groups and len({*groups}) < 2:
+        raise UserError(
+            f"--groups: one alone is compared with nobody; name two of: {'; '.join(have)}"
+        )
+    cells, left_out = select(runs, *args.preset, at=at, apart=args.apart, groups=groups)
+    if not cells:
+        asked = {"--at": args.at, "--seeds": args.seeds, "--groups": args.groups}
+        words = (f"{option} {' '.join(map(str, of))}" for option, of in asked.items() if of)
+        raise UserError(
+            f"{' '.join(words)}: no such run was evaluated there or later; the longest of all ends "
+            f"at {max(cell.longest for cell in whole):.0f}"
+        )
+    for group in groups or ():
+        if not any(cell.label == group for cell in cells):
+            raise UserError(
+                f"--groups: no run of '{group}' can be compared with the others at one step; "
+                "choose another --at, or leave it out"
+            )
+    return whole, cells, left_out
 
 
-def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
-    """For each environment the last step that all its runs reach."""
+def _steps(words: Sequence[str], envs: Sequence[str]) -> dict[str, int]:
+    """The step of each environment that has one, from `STEP` (of all) or `ENV=STEP`."""
+    of_all: dict[str, int] = {}
+    of_one: dict[str, int] = {}
+    for word in words:
+        env, named, digits = word.rpartition("=")
+        if not (digits.isdecimal() and len(digits) <= DIGITS and int(digits)):
+            raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word[:DIGITS]}'")
+        if not named and of_all:
+            raise UserError("--at takes one step of all, and one ENV=STEP for each other")
+        if named and task(env).name not in envs:
+            raise UserError(f"--at {word}: --env does not name {env}")
+        if named:
+            of_one[task(env).name] = int(digits)
+        else:
+            of_all = dict.fromkeys(envs, int(digits))
+    return of_all | of_one
+
+
+def _called(group: str, usual: str) -> str:
+    """A group's name in the tables, which leave the first preset out; Compare names every one."""
+    return ", ".join(word for word in group.split(", ") if word != usual)
+
+
+def _curves(cells: Sequence[Cell]) -> Iterator[Row]:
+    for cell in cells:
+        for curve in cell.curves:
+            of = {"env": cell.env, "learner": cell.label, "seed": curve.seed, "run": curve.run_id}
+            points = zip(curve.step, curve.value, curve.best_so_far.value, strict=True)
+            for step, value, best in points:
+                yield {**of, "step": int(step), "return": value, "best": best}
+
+
+def _brief_score(row: Row) -> Row:
+    """What the screen has room for."""
     return {
-        env: common_step(curve for c in cells if c.env == env for curve in c.curves)
-        for env in envs_of(cells)
+        "env": row["env"],
+        "learner": row["learner"],
+        "n": row["n"],
+        "at step": row["at step"],
+        "best return": Interval(row["mean"], row["low"], row["high"]),
+        "IQM": row["IQM"],
+        "last": row["final"],
+        "area": Interval(row["area"], row["area low"], row["area high"]),
+        "remark": row["remark"],
     }
 
 
-def compared_from(cells: Sequence[Cell]) -> dict[str, float]:
-    """For each environment the first step from which on all its runs have returns."""
-    return {
-        env: common_start(curve for c in cells if c.env == env for curve in c.curves)
-        for env in envs_of(cells)
-    }
+def _brief_fits(row: Row) -> Row:
+    names = [name.removesuffix(" low") for name in row if name.endswith(" low")]
+    brief: Row = {"env": row["env"], "learner": row["learner"], "n": row["n"]}
+    for name in names:
+        known = Interval(row[name], row[f"{name} low"], row[f"{name} high"])
+        brief[name] = known if known.value == known.value else None
+    return brief
 
 
-def envs_of(cells: Sequence[Cell]) -> list[str]:
-    return list(dict.fromkeys(cell.env for cell in cells))
+def verdict(cells: Sequence[Cell]) -> list[str]:
+    """TOM's place among the groups with enough runs to be ranked, and the reservations."""
+    at, of_paper = compared_at(cells), [c for c in cells if c.env in PAPER_ENVS]
+    judged: dict[str, list[Cell]] = {}
+    for env in envs_of(of_paper):
+        enough = [c for c in of_paper if c.env == env and c.n >= RANKED]
+        if cell_of(enough, env, "tom") and any(c.learner != "tom" for c in enough):
+            judged[env] = enough
+    said = _places(judged, at)
+    if few := [f"{c.env}: {c.label} (n = {c.n})" for c in of_paper if c.n < RANKED]:
+        said.append(f"Not ranked, with fewer than {RANKED} runs: {'; '.join(few)}.")
+    for env, step in at.items():
+        here = [c for c in cells if c.env == env]
+        if (longest := max(cell.longest for cell in here)) > step:
+            said.append(
+                f"{env}: compared at step {step:.0f} of {longest:.0f}, the last evaluation of "
+                f"{_ended_at(here, step)}."
+            )
+        if paths := unlike([run for cell in here for run in cell.runs]):
+            said.append(
+                f"{env}: the learners' runs differ in more than learner, seed and steps "
+                f"({', '.join(paths)}), so returns may differ by these settings."
+            )
+    return said
 
 
-def cell_of(cells: Sequence[Cell], env: str, learner: str, variant: str = "") -> Cell | None:
-    return next((c for c in cells if (c.env, *c.method) == (env, learner, variant)), None)
+def _places(judged: Mapping[str, Sequence[Cell]], at: Mapping[str, float]) -> list[str]:
+    """Where TOM and its variants have the highest mean, each without the others as rivals."""
+    if not judged:
+        return [
+            f"No environment of the paper has at least {RANKED} runs of TOM, of the first preset, "
+            "and of another learner: nothing to compare with the claim."
+        ]
+    every = [cell for group in judged.values() for cell in group]
+    said = []
+    for label in dict.fromkeys(c.label for c in every if c.learner == "tom"):
+        own = [c for c in every if c.label == label]
+        first = [
+            c.env
+            for c in own
+            if all(
+                c.scores(at[c.env]).mean() > rival.scores(at[c.env]).mean()
+                for rival in judged[c.env]
+                if rival.learner != "tom"
+            )
+        ]
+        where = f" ({', '.join(first)})" if first else ""
+        said.append(
+            f"{label} has the highest mean in {len(first)} of {len(own)} of the paper's "
+            f"environments{where}; the paper says 4 of 5."
+        )
+    if few := remark([c.n for c in every]):
+        said.append(f"The smallest group: {few}.")
+    short = [
+        f"{env} {at[env]:.0f} of {task(env).steps}" for env in judged if at[env] < task(env).steps
+    ]
+    if short:
+        said.append(f"Compared before the end of the paper's training: {'; '.join(short)} steps.")
+    return said
 
 
-def _place(cell: Cell) -> tuple[int, str, int, str]:
-    return *task_rank(cell.env), learner_rank(cell.learner), cell.variant
+def _ended_at(cells: Sequence[Cell], step: float) -> str:
+    """The runs whose last evaluation is at this step; few are named."""
+    ended = [
+        f"{run.run_id} ({run.status.shown})"
+        for cell in cells
+        for run, curve in zip(cell.runs, cell.curves, strict=True)
+        if curve.step[-1] == step
+    ]
+    more = f" and {len(ended) - NAMED} more" if len(ended) > NAMED else ""
+    return ", ".join(ended[:NAMED]) + more
 
 
-def _recorded(run: RunReader, kind: Kind, at: int | None) -> Recorded:
-    metrics = run.metrics()
-    points = curve_points(metrics, METRIC)
-    curve = Curve(run.run_id, run.env, *kind[:2], run.seed, *points, kind.variant)
-    return Recorded(run, metrics, _until(curve, at))
+def return_figure(cells: Sequence[Cell]) -> Figure:
+    """The best return so far, one panel per environment.
+
+    A dotted line marks the step at which learners are compared.
+    """
+    at = compared_at(cells)
+    rows = -(-len(at) // COLUMNS)
+    columns = -(-len(at) // rows)  # four panels are two by two
+    figure = new_figure(3.6 * columns + 0.4, 3.4 * rows + 0.2)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    variants: dict[str, list[str]] = {}  # of each learner: they differ in their lines
+    for learner, variant in sorted({(c.learner, c.variant) for c in cells}):
+        variants.setdefault(learner, []).append(variant)
+    for ax, env in zip(axes, at, strict=False):
+        for cell in (c for c in cells if c.env == env):
+            before = variants[cell.learner].index(cell.variant)
+            _draw(ax, cell, LINES[before % len(LINES)] if cell.variant else "-")
+        ax.axvline(at[env], color=NEUTRAL, linestyle=":", linewidth=0.9)
+        ax.set_title(env)
+        ax.set_xlabel("env steps")
+        ax.xaxis.set_major_formatter(EngFormatter(sep=""))  # 40k
+        names = ax.get_legend_handles_labels()[1]
+        ncols = 2 if max(map(len, names)) <= LONG else 1
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)}
+        ax.legend(fontsize=7.5, ncols=ncols, handlelength=3.2, **below)
+    for ax in axes[len(at) :]:
+        ax.set_visible(False)
+    axes[0].set_ylabel("best return so far")
+    return figure
 
 
-def _until(curve: Curve, at: int | None) -> Curve:
-    """The curve up to step `at`; without points if it does not reach that step."""
-    if at is None:
-        return curve
-    reached = len(curve.step) and curve.step[-1] >= at
-    return curve.until(at if reached else -1)
+def _draw(ax: Axes, cell: Cell, line: Any) -> None:
+    colour = learner_colour(cell.learner)
+    group = aggregate([curve.best_so_far for curve in cell.curves])
+    for curve in group.curves:
+        ax.plot(curve.step, curve.value, color=colour, alpha=0.3, linewidth=0.7)
+    whole = group.complete
+    steps = group.step[whole]
+    marker = "o" if len(steps) < FEW_POINTS else None  # a line needs two points
+    style = {"linestyle": line, "color": colour, "marker": marker, "markersize": 3}
+    ax.plot(steps, group.mean[whole], label=f"{cell.label} (n = {cell.n})", **style)
+    if cell.n > 1 and len(steps):
+        low, high = group.low[whole], group.high[whole]
+        ax.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)
 
 
-def _method(usual: str, apart: bool, recorded: Recorded) -> tuple[str, str, str]:
-    """The environment, the learner, and its variant in words."""
-    run = recorded.run
-    words = [run.preset] if run.preset != usual else []
-    if apart:
-        words += [f"{path} {value}" for path, value in sorted(changed(run).items())]
-    return run.env, run.learner, ", ".join(words)
-
-
-def _largest(every: Sequence[Recorded]) -> list[Recorded]:
-    """The runs with the settings that most seeds share; of equal groups the longer one."""
-    groups: dict[str, dict[int, Recorded]] = {}
-    for one in sorted(every, key=lambda one: (one.curve.step[-1], one.run.created)):
-        groups.setdefault(one.curve.variant, {})[one.curve.seed] = one
-    chosen = max(groups.values(), key=lambda g: (len(g), max(o.curve.step[-1] for o in g.values())))
-    return [chosen[seed] for seed in sorted(chosen)]
+STUDY = Study(
+    "returns",
+    "Returns of every learner",
+    __doc__,
+    "TOM performs best in aggregate in four of five environments, in sample efficiency and in "
+    "final return, with larger gains where dynamics are complex (Walker2d, HalfCheetah, Humanoid); "
+    "4 seeds, running maximum of the mean of 10 test episodes (section 5.2).",
+    add_options,
+    find,
+)

@@ -1,33 +1,74 @@
-"""The tables of the returns study: scores, wins, and what the store lacks."""
+"""The tables of the returns study: scores, exams, rollouts, who beats whom, effects of weights."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from tom.analysis.scores import BEST, FINAL, HEIGHT, beats, chance, interval, steps_to
+from tom.analysis.scores import (
+    BEST,
+    FINAL,
+    HEIGHT,
+    beats,
+    chance,
+    common_step,
+    contrast,
+    interval,
+    steps_to,
+)
+from tom.analysis.settings import changed, matters, unlike
 from tom.analysis.statistics import corrected, remark
 from tom.envs import task
+from tom.exams.counted import counted_from
+from tom.exams.energy import informative
 from tom.learners import LEARNER_NAMES, LEARNERS
-from tom.studies.returns import (
+from tom.learners.base import HEAVY
+from tom.studies.returns_cells import (
     PAPER_ENVS,
     Array,
     Cell,
-    Method,
     cell_of,
     compared_at,
     compared_from,
     envs_of,
 )
+from tom.studies.study import Row
 
 PAPER_SEEDS = 4
 RIVAL = "mle"
 MEASURES = {BEST: "best return", FINAL: "last return", HEIGHT: "area under the curve"}
 """the scores by which learners are compared, in words"""
 
+FOOTPRINT, NOISE = "exam/footprint", "exam/footprint_noise"
+EXAMS = {
+    FOOTPRINT: "footprint",
+    "exam/error": "error",
+    "exam/rollout_error": "error after 5 steps",
+}
+"""the reported numbers of a learner's exams, by metric"""
+FALLS, POLICY_FALLS = "rollout/terminated", "weights/ends_policy"
+LARGEST, SIZE = "weights/max", "buffer/size"
+ROLLOUTS = ("falls", "heavy rows")
+"""the reported numbers of a learner's rollouts"""
+COMPARED = (*EXAMS.values(), "falls")
+"""the numbers in which learners are compared"""
 
-def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+UNIFORM_MODEL, UNIFORM_STARTS = "model.uniform_share", "rollout.uniform_share"
+"""the settings that make one place uniform, if they are 1"""
+EFFECTS = {
+    "weighted model": (1, 1, -1, -1),
+    "weighted starts": (1, -1, 1, -1),
+    "both beyond their sum": (1, -1, -1, 1),
+}
+"""what the cells add to an effect: those with weights in both places, in the model, in the starts,
+in neither"""
+
+OfRun = Callable[[pd.DataFrame], Mapping[str, float] | None]
+"""what the fits of a run come to, from their metrics; None if they recorded too little"""
+
+
+def summary(cells: Sequence[Cell]) -> list[Row]:
     """One row per environment and learner; scores are best returns up to the common step.
 
     Areas begin at the first step from which on all runs of the environment have returns.
@@ -60,7 +101,7 @@ def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
                 "area low": area.low,
                 "area high": area.high,
                 "steps to MLE's": float(np.median(steps)) if rival else np.nan,
-                "reach": int(cell.reach),
+                "reach": int(common_step(cell.curves)),
                 "paper's steps": task(cell.env).steps,
                 "remark": remark(cell.n),
             }
@@ -70,75 +111,244 @@ def summary(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 def improvement(
     cells: Sequence[Cell], by: Collection[str] = MEASURES, *, planned: bool = False
-) -> list[dict[str, Any]]:
+) -> list[Row]:
     """How often a run of a learner beats a run of another, over the tasks that both have.
 
     Every learner against MLE, and TOM against every other; if `planned`, because the reader chose
-    the learners, each against each. By some of MEASURES (an area is the
-    curve's mean height). "p" is by permutation of the runs, since intervals of so few are too
-    narrow, and "p of all" is corrected for the number of rows.
+    the learners, each against each. By some of MEASURES (an area is the curve's mean height).
     """
-    label = {cell.method: cell.label for cell in cells}
-    at, since, rows = compared_at(cells), compared_from(cells), []
-    spans = {env: (at[env], since[env]) for env in at}
-    for ours, theirs in contests(list(label), planned):
-        pairs = _pairs(cells, ours, theirs)
-        if pairs:
-            rows += [_wins(label[ours], label[theirs], pairs, spans, each) for each in by]
+    at, since = compared_at(cells), compared_from(cells)
+    numbers = {
+        MEASURES[score]: {cell: cell.scores(at[cell.env], score, since[cell.env]) for cell in cells}
+        for score in by
+    }
+    return _contests(cells, numbers, "by", "wins", planned)
+
+
+def less(cells: Sequence[Cell], *, planned: bool = False) -> list[Row]:
+    """How often a run of a learner has a smaller number of COMPARED than a run of another.
+
+    The numbers are those of single runs that `exams` and `rollouts` have the means of. Pairs, p and
+    its correction are those of `improvement`.
+    """
+    numbers: dict[str, dict[Cell, Array]] = {name: {} for name in COMPARED}
+    for cell, told in [*_told(cells, _exam_medians), *_told(cells, _rollouts)]:
+        for name in COMPARED:
+            values = np.array([one.get(name, np.nan) for one in told])
+            if np.isfinite(values).any():
+                numbers[name][cell] = values[np.isfinite(values)]
+    return _contests(cells, numbers, "in", "less", planned)
+
+
+def _contests(
+    cells: Sequence[Cell],
+    numbers: Mapping[str, Mapping[Cell, Array]],
+    titled: str,
+    wins: str,
+    planned: bool,
+) -> list[Row]:
+    """One row for each pair of learners and each of `numbers`, which are those of single runs.
+
+    "p" is by permutation of the runs, since intervals of so few are too narrow, and "p of all" is
+    corrected for the number of rows. If `wins` is "less", the smaller number wins.
+    """
+    rows = []
+    for ours, theirs in _pairs(cells, planned):
+        for name, of in numbers.items():
+            both = {
+                one.env: (of[one], of[other])
+                for one in of
+                for other in of
+                if (one.env, one.label, other.label) == (other.env, ours, theirs)
+            }
+            if not both:
+                continue
+            first, second = ([pair[i] for pair in both.values()] for i in (0, 1))
+            won = beats(second, first) if wins == "less" else beats(first, second)
+            rows.append(
+                {
+                    "learner": ours,
+                    "against": theirs,
+                    titled: name,
+                    wins: won.value,
+                    "low": won.low,
+                    "high": won.high,
+                    "p": chance(first, second),
+                    "tasks": " ".join(both),
+                    "remark": remark([min(map(len, pair)) for pair in both.values()]),
+                }
+            )
     ps = corrected([row["p"] for row in rows])
     return [row | {"p of all": p} for row, p in zip(rows, ps, strict=True)]
 
 
-def contests(methods: Sequence[Method], planned: bool) -> list[tuple[Method, Method]]:
-    """Each pair of methods, once, if not `planned` with MLE or TOM among them.
+def _pairs(cells: Sequence[Cell], planned: bool) -> list[tuple[str, str]]:
+    """The labels of each pair of learners, once, if not `planned` with MLE or TOM among them.
 
     Who is asked about stands first.
     """
     ranks = {RIVAL: 0, "tom": 2}
-    order = sorted(methods, key=lambda method: (ranks.get(method[0], 1), *method))
+    methods = {(ranks.get(c.learner, 1), c.learner, c.variant): c.label for c in cells}
+    order = [methods[method] for method in sorted(methods)]
+    learner = {cell.label: cell.learner for cell in cells}
     pairs = [(ours, theirs) for theirs, ours in combinations(order, 2)]
-    told = [pair for pair in pairs if planned or ranks.keys() & {learner for learner, _ in pair}]
+    told = [pair for pair in pairs if planned or ranks.keys() & {learner[name] for name in pair}]
     return sorted(told, key=lambda pair: order.index(pair[0]))
 
 
-def _pairs(cells: Sequence[Cell], ours: Method, theirs: Method) -> dict[str, tuple[Cell, Cell]]:
-    """The scores of both by task, for tasks in which both have runs."""
-    both = {
-        env: (cell_of(cells, env, *ours), cell_of(cells, env, *theirs)) for env in envs_of(cells)
-    }
-    return {env: (one, other) for env, (one, other) in both.items() if one and other}
+def factors(cells: Sequence[Cell], measures: Collection[str] = MEASURES) -> list[Row]:
+    """What weights do in the model and in the starts: the 2 x 2, where all four cells have runs.
+
+    A learner's weights act in two places: the fit of the model (Algorithm 2, lines 15-18) and the
+    start states of its rollouts (line 22). A uniform share of 1 makes one of them even; without
+    any weights the learner is MLE. The effect of a place is the mean over both levels of the other.
+
+    "p" is that of `chance` with the other place's levels kept apart, and "p of all" is corrected
+    for the number of rows that have one; the interaction has none, nor has a cell of one run.
+    """
+    at, since, rows = compared_at(cells), compared_from(cells), []
+    for four in _designs(cells):
+        env, few = four[0].env, remark([cell.n for cell in four])
+        for by in measures:
+            scores = [cell.scores(at[env], by, since[env]) for cell in four]
+            for name, signs in EFFECTS.items():
+                row = {"env": env, "learner": four[0].label, "effect of": name, "by": MEASURES[by]}
+                rows.append({**row, **_effect(scores, signs), "remark": few})
+    tested = iter(corrected([row["p"] for row in rows if np.isfinite(row["p"])]))
+    return [row | {"p of all": next(tested) if np.isfinite(row["p"]) else np.nan} for row in rows]
 
 
-def _wins(
-    ours: str,
-    theirs: str,
-    pairs: Mapping[str, tuple[Cell, Cell]],
-    spans: Mapping[str, tuple[float, float]],
-    by: str,
-) -> dict[str, Any]:
-    """One row; `spans` are the last and the first step of the comparison in each task."""
-
-    def scores(cell: Cell) -> Array:
-        until, since = spans[cell.env]
-        return cell.scores(until, by, since)
-
-    first = [scores(one) for one, _ in pairs.values()]
-    second = [scores(other) for _, other in pairs.values()]
-    wins = beats(first, second)
-    return {
-        "learner": ours,
-        "against": theirs,
-        "by": MEASURES[by],
-        "wins": wins.value,
-        "low": wins.low,
-        "high": wins.high,
-        "p": chance(first, second),
-        "tasks": " ".join(pairs),
-        "remark": remark([min(one.n, other.n) for one, other in pairs.values()]),
-    }
+def _effect(scores: Sequence[Array], signs: Sequence[int]) -> Row:
+    """An effect, and of a place how often a run with weights there beats one without."""
+    of_place = sum(signs[1:3]) == 0
+    effect = contrast(scores, [sign / 2 if of_place else sign for sign in signs])
+    row: Row = {"wins": np.nan, "p": np.nan}
+    row |= {"effect": effect.value, "low": effect.low, "high": effect.high}
+    if of_place:
+        # In pairs that are alike in the other place.
+        up, down = (
+            [of for of, sign in zip(scores, signs, strict=True) if sign == level]
+            for level in (1, -1)
+        )
+        row["wins"] = beats(up, down).value
+        if min(map(len, scores)) > 1:
+            row["p"] = chance(up, down)
+    return row
 
 
-def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str]) -> list[dict]:
+def _designs(cells: Sequence[Cell]) -> list[tuple[Cell, Cell, Cell, Cell]]:
+    """The cells with weights in both places, in the model, in the starts, and in neither."""
+    found = []
+    for both in (cell for cell in cells if cell.learner != RIVAL and _weighs_in_both(cell)):
+        model, starts = (_uniform(cells, both, place) for place in (UNIFORM_STARTS, UNIFORM_MODEL))
+        neither = next((cell for cell in cells if _is_rival(cell, both)), None)
+        if model and starts and neither:
+            found.append((both, model, starts, neither))
+    return found
+
+
+def _weighs_in_both(cell: Cell) -> bool:
+    settings = changed(cell.runs[0])
+    return all(settings.get(place) != "1.0" for place in (UNIFORM_MODEL, UNIFORM_STARTS))
+
+
+def _uniform(cells: Sequence[Cell], both: Cell, place: str) -> Cell | None:
+    """The cell that differs from `both` in uniform weights in this place alone."""
+    wanted = {**changed(both.runs[0]), place: "1.0"}
+    alike = (
+        cell
+        for cell in cells
+        if (cell.env, cell.learner) == (both.env, both.learner)
+        and cell.runs[0].preset == both.runs[0].preset
+    )
+    return next((cell for cell in alike if changed(cell.runs[0]) == wanted), None)
+
+
+def _is_rival(cell: Cell, both: Cell) -> bool:
+    """Whether it is MLE in the same task, with the same settings but for the learner's own."""
+    if (cell.env, cell.learner) != (both.env, RIVAL):
+        return False
+    return not any(matters(path, RIVAL) for path in unlike([cell.runs[0], both.runs[0]]))
+
+
+def exams(cells: Sequence[Cell]) -> list[Row]:
+    """One row per environment and learner whose runs have exams: the median fit of each run.
+
+    It has the mean over runs and its bootstrap interval (`tom.exams`). Only the fits from the step
+    on from which every learner of the environment weighs (TOM must know its policy first) and up to
+    the step that all runs reach count. A run none of whose footprints is informative is missing in
+    their mean.
+    """
+    return _table(cells, _exam_medians)
+
+
+def rollouts(cells: Sequence[Cell]) -> list[Row]:
+    """One row per environment and learner: the rollouts that its runs' policies were trained on.
+
+    Rows, means and intervals as those of `exams`. "falls": the share of rollout steps that end an
+    episode over that of the policy's own last steps, the median fit of each run among those whose
+    policy did fall; above 1 the rollouts fall more often than the policy. "heavy rows": the share
+    of fits with a row that has HEAVY or more of the weight, and so of the rollouts' starts if those
+    are drawn by weight.
+    """
+    return _table(cells, _rollouts)
+
+
+def _told(cells: Sequence[Cell], of_run: OfRun) -> list[tuple[Cell, list[Mapping[str, float]]]]:
+    """What `of_run` says of each cell's runs, if of any, over the fits that count."""
+    at, found = compared_at(cells), []
+    for env in envs_of(cells):
+        here = [cell for cell in cells if cell.env == env]
+        since = counted_from(metrics for cell in here for metrics in cell.metrics)
+        for cell in here:
+            fits = [table.loc[table["env_step"].between(since, at[env])] for table in cell.metrics]
+            told = [one for table in fits if (one := of_run(table)) is not None]
+            if told:
+                found.append((cell, told))
+    return found
+
+
+def _table(cells: Sequence[Cell], of_run: OfRun) -> list[Row]:
+    rows = []
+    for cell, told in _told(cells, of_run):
+        row: Row = {"env": cell.env, "learner": cell.label, "n": len(told)}
+        for name in told[0]:
+            values = np.array([one[name] for one in told])
+            mean = interval(values[np.isfinite(values)])
+            row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
+        rows.append(row | {"remark": remark(len(told))})
+    return rows
+
+
+def _exam_medians(fits: pd.DataFrame) -> Mapping[str, float] | None:
+    """Each of EXAMS, the median over the fits; a footprint counts if it is informative."""
+    if not set(EXAMS) <= set(fits):
+        return None
+    values = {name: np.asarray(fits[name], np.float64) for name in EXAMS}
+    if not any(np.isfinite(of_fits).any() for of_fits in values.values()):
+        return None
+    tells = informative(fits[NOISE]) if NOISE in fits else np.zeros(len(fits), np.bool_)
+    values[FOOTPRINT] = values[FOOTPRINT][tells]
+    return {EXAMS[name]: _median(of_fits) for name, of_fits in values.items()}
+
+
+def _rollouts(fits: pd.DataFrame) -> Mapping[str, float] | None:
+    """Each of ROLLOUTS over the fits."""
+    needed = [FALLS, POLICY_FALLS, LARGEST, SIZE]
+    if not set(needed) <= set(fits) or (here := fits.loc[:, needed].dropna()).empty:
+        return None
+    falls = _median((here[FALLS] / here[POLICY_FALLS]).to_numpy())
+    heavy = float((here[LARGEST] >= HEAVY * here[SIZE]).mean())
+    return dict(zip(ROLLOUTS, (falls, heavy), strict=True))
+
+
+def _median(of_fits: Array) -> float:
+    """The median of the finite numbers; NaN without any."""
+    finite = of_fits[np.isfinite(of_fits)]
+    return float(np.median(finite)) if len(finite) else np.nan
+
+
+def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str]) -> list[Row]:
     """The paper's seeds and steps that the store lacks, with the command that adds them."""
     rows = []
     for env in (env for env in envs if env in PAPER_ENVS):

@@ -1,23 +1,22 @@
 """The map of road-and-rocks, with the task or with the weights, as figures and as rows."""
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from tom.reports.colours import NEUTRAL, TEXT
-from tom.reports.style import STYLE, new_figure
+from tom.reports.style import new_figure
 from tom.road import task
 from tom.road.task import RoadMap
-from tom.studies.road import Story
-from tom.studies.road_figure import LEARNERS
+from tom.studies.study import Row
 
 Array = NDArray[np.float64]
 CELLS = 25  # along each side
@@ -27,49 +26,60 @@ ROCKS, ROAD = "#f0ddd6", "#d9e6d6"
 LEAST, MOST = 0.02, 50.0  # weights beyond these have the same colour
 
 
+class Places(NamedTuple):
+    """The weights of one training over the map."""
+
+    learner: str
+    seed: int
+    places: NDArray[np.float32]  # (N, 2)
+    weights: NDArray[np.float32]  # (N,)
+
+
 def environment_figure(road_map: RoadMap) -> Figure:
     """Road, rocks, start and goal; an arrow shows the effect of the action "right" at its place."""
     places, on_road, moved = _under_right(road_map)
-    with rc_context({**STYLE, "axes.grid": False}):
-        figure = new_figure(3.6, 3.6)
-        ax = figure.subplots()
-        ground = on_road.reshape(CELLS, CELLS)
-        ax.pcolormesh(EDGES, EDGES, ground, cmap=ListedColormap([ROCKS, ROAD]))
-        ax.quiver(*places.T, *moved.T, color=TEXT, angles="xy", scale=CELLS, width=0.004)
-        for place, radius in ((task.START, task.START_RADIUS), (task.GOAL, task.GOAL_RADIUS)):
-            centre = (float(place[0]), float(place[1]))
-            ax.add_patch(Circle(centre, radius, fill=False, color=NEUTRAL, linewidth=1.5))
-        _as_map(ax)
+    figure = new_figure(3.6, 3.6)
+    ax = figure.subplots()
+    ground = on_road.reshape(CELLS, CELLS)
+    ax.pcolormesh(EDGES, EDGES, ground, cmap=ListedColormap([ROCKS, ROAD]))
+    ax.quiver(*places.T, *moved.T, color=TEXT, angles="xy", scale=CELLS, width=0.004)
+    for place, radius in ((task.START, task.START_RADIUS), (task.GOAL, task.GOAL_RADIUS)):
+        centre = (float(place[0]), float(place[1]))
+        ax.add_patch(Circle(centre, radius, fill=False, color=NEUTRAL, linewidth=1.5))
+    _as_map(ax)
     return figure
 
 
-def environment_rows(road_map: RoadMap) -> Iterator[dict[str, object]]:
+def environment_rows(road_map: RoadMap) -> Iterator[Row]:
     """The drawn data: each arrow's position, its ground, and the displacement in full steps."""
     for (x, y), on_road, (dx, dy) in zip(*_under_right(road_map), strict=True):
         yield {"x": x, "y": y, "road": bool(on_road), "dx": dx, "dy": dy}
 
 
-def weight_figure(stories: Sequence[Story]) -> Figure:
-    """Mean weight in each cell of the map, for the first seed of each learner."""
-    chosen = _first_seeds(stories)
-    with rc_context({**STYLE, "axes.grid": False}):
-        figure = new_figure(3.1 * len(chosen) + 0.6, 3.3)
-        axes = figure.subplots(1, len(chosen), squeeze=False)[0]
-        images = [_draw(ax, story) for ax, (_, story) in zip(axes, chosen, strict=True)]
-        for ax, (label, story) in zip(axes, chosen, strict=True):
-            ax.set_title(f"{label}, seed {story.outcome.seed}")
-        figure.colorbar(images[0], ax=list(axes), label="mean weight", shrink=0.8)
+def weight_figure(drawn: Sequence[Places]) -> Figure:
+    """Mean weight in each cell of the map."""
+    figure = new_figure(3.1 * len(drawn) + 0.6, 3.3)
+    axes = figure.subplots(1, len(drawn), squeeze=False)[0]
+    norm = LogNorm(LEAST, MOST)
+    for ax, of in zip(axes, drawn, strict=True):
+        shown = np.clip(_cells(of)[0].T, LEAST, MOST)
+        ax.pcolormesh(EDGES, EDGES, shown, cmap="inferno", norm=norm)
+        ax.plot(*np.array(task.CENTRE_LINE).T, color="white", linewidth=1, linestyle=":")
+        ax.set_title(f"{of.learner}, seed {of.seed}")
+        _as_map(ax)
+    bar = ScalarMappable(norm, "inferno")
+    figure.colorbar(bar, ax=list(axes), label="mean weight", shrink=0.8)
     return figure
 
 
-def weight_rows(stories: Sequence[Story]) -> Iterator[dict[str, object]]:
+def weight_rows(drawn: Sequence[Places]) -> Iterator[Row]:
     """The drawn data: one row per learner and cell with transitions."""
-    for label, story in _first_seeds(stories):
-        mean, count = _cells(story)
+    for of in drawn:
+        mean, count = _cells(of)
         for i, j in zip(*np.nonzero(count), strict=True):
             yield {
-                "learner": label,
-                "seed": story.outcome.seed,
+                "learner": of.learner,
+                "seed": of.seed,
                 "x": CENTRES[i],
                 "y": CENTRES[j],
                 "transitions": int(count[i, j]),
@@ -86,35 +96,17 @@ def _under_right(road_map: RoadMap) -> tuple[Array, NDArray[np.bool_], Array]:
     return np.stack([x, y], 1), task.on_road(places).numpy(), moved.double().numpy()
 
 
-def _first_seeds(stories: Sequence[Story]) -> list[tuple[str, Story]]:
-    """The first story with weights of each learner, with the learner's label."""
-    with_weights = [story for story in stories if story.weights is not None]
-    return [
-        (label, next(s for s in with_weights if s.outcome.name == name))
-        for name, (_, label) in LEARNERS.items()
-        if any(s.outcome.name == name for s in with_weights)
-    ]
-
-
-def _cells(story: Story) -> tuple[Array, Array]:
+def _cells(of: Places) -> tuple[Array, Array]:
     """Mean weight (NaN for empty cells) and number of transitions; (x, y), (C, C) each."""
-    assert story.places is not None
-    x, y = story.places.T
-    total = np.histogram2d(x, y, [EDGES, EDGES], weights=story.weights)[0]
+    x, y = of.places.T
+    total = np.histogram2d(x, y, [EDGES, EDGES], weights=of.weights)[0]
     count = np.histogram2d(x, y, [EDGES, EDGES])[0]
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
     return mean, count
 
 
-def _draw(ax: Axes, story: Story) -> QuadMesh:
-    shown = np.clip(_cells(story)[0].T, LEAST, MOST)
-    image = ax.pcolormesh(EDGES, EDGES, shown, cmap="inferno", norm=LogNorm(LEAST, MOST))
-    ax.plot(*np.array(task.CENTRE_LINE).T, color="white", linewidth=1, linestyle=":")
-    _as_map(ax)
-    return image
-
-
 def _as_map(ax: Axes) -> None:
     ax.set_aspect("equal")
+    ax.grid(False)
     ax.set_xticks([])
     ax.set_yticks([])

@@ -1,185 +1,272 @@
-"""TOM's estimated weights against exact ones on a small MDP: draw buffers, estimate, compare.
+"""Does TOM's estimator find the weights that its theory means? Small MDPs with known solutions.
 
-An estimate is that of one variant of the estimator, or the exact weights with r from counts.
-
-If no episode ends, both buffers are draws from discounted occupancies, as the theory requires. If
-episodes end, both are streams in order, as in training, for every flow.
+Chi-square and KL, stochastic and deterministic, discount 0.9 and 0.99; 50 000 replay and 5 000
+policy transitions; dense MDPs, and ones where a step in a hundred ends an episode under all three
+flows. The estimates are held against the acceptance; other ways to estimate, the paper preset among
+them, stand beside it.
 """
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import groupby
+from typing import get_args
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
-from scipy.stats import rankdata
+from matplotlib.figure import Figure
 
-from tom.analysis.exact_weights import OccupancyProblem, solve
-from tom.analysis.tabular import (
-    Array,
-    Mdp,
-    OneHotPolicy,
-    sample_starts,
-    sample_stream,
-    sample_transitions,
-    transition_occupancy,
-)
-from tom.data.transitions import Transitions
-from tom.learners.base import Policy
+from tom.analysis.exact_weights import solve
+from tom.analysis.tabular import FlowName
 from tom.learners.discriminator import Inputs
-from tom.learners.tom import occupancy_weights
-from tom.studies.tabular_problems import Case, draw, problem_of, share_on
-from tom.studies.tabular_variants import Variant
+from tom.reports.colours import NEUTRAL, learner_colour
+from tom.reports.origin import seeds as in_short
+from tom.reports.style import new_figure
+from tom.studies.study import Findings, Lab, Row, Study, Table, add_jobs, at_least, at_most
+from tom.studies.tabular_estimates import (
+    DENSE,
+    ENDING,
+    ENDING_PAPER,
+    MENDED,
+    PAPER,
+    VARIANTS,
+    Case,
+    Estimate,
+    Variant,
+    cases,
+    counts_of,
+    dense_cases,
+    draw,
+    ending_cases,
+    estimate,
+    problem_of,
+    share_on,
+)
+
+JUDGED = VARIANTS[0]
+LABELS = {"chi2": "chi-square", "kl": "KL", "full-chi2": "full chi-square"}
+WAYS = "Ways to estimate: median and worst"
+FLOWS = (
+    "Exact weights of each flow, both buffers streams as collected, chi-square: on ends over the "
+    "policy's share, mass, and of the policy's own stream, which should weigh one"
+)
+CAPTION = "Estimated against exact weights; the area is the replay's share"
 
 
-@dataclass(frozen=True)
-class Score:
-    """The quality of one estimate; every sum runs over the replay buffer's rows."""
-
-    spearman: float  # rank correlation of estimated and exact weights
-    l1: float  # sum |w - w*| / sum w*
-    flow_residual: float  # L1 residual of the flow constraint under the weighted replay
-    log_ratio: float  # correlation of the discriminator's logit and the exact log p/q
-    raw_mean: float  # mean weight before normalisation, relative to the exact mean
-    ends_ratio: float | None  # weight on transitions that end an episode over the exact one
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A score with its points: the R distinct transitions of the MDP."""
-
-    case: Case
-    variant: str
-    score: Score
-    replay: Array  # q (R,)
-    exact: Array  # exact weights (R,)
-    estimated: Array  # mean estimated weight of each transition (R,); NaN if it was not drawn
-
-    def row(self) -> dict[str, Any]:
-        """The flat record: case, variant and score."""
-        return {**asdict(self.case), "variant": self.variant, **asdict(self.score)}
-
-
-def estimate(case: Case, variant: Variant) -> Estimate:
-    """Draw the case's buffers, estimate their weights and compare them with the exact ones."""
-    drawn = _draw(case)
-    weights = occupancy_weights(
-        drawn.buffer,
-        drawn.lately,
-        _policy(drawn.target, variant.support),
-        torch.from_numpy(drawn.starts),
-        variant.config(case),
-        torch.Generator().manual_seed(case.seed),
+def add_options(parser: ArgumentParser) -> None:
+    few = list(range(6))
+    parser.add_argument("--seeds", nargs="+", type="seed", default=few, help="MDPs [0 .. 5]")
+    parser.add_argument(
+        "--variant-seeds", nargs="*", type="seed", default=[0, 1], help="MDPs of the rest [0 1]"
     )
-    return _compare(
-        case,
-        variant.label,
-        drawn,
-        np.asarray(weights.weights, np.float64),
-        np.asarray(weights.log_ratio, np.float64),
-        weights.metrics["weights/raw_mean"],
+    add_jobs(parser)
+
+
+def find(args: Namespace, lab: Lab) -> Findings:
+    asked = _asked(args.seeds, args.variant_seeds)
+    every = lab.compute(estimate, asked, lambda one: f"{one.row['variant']}, MDP {one.row['seed']}")
+    same = [one.row for one in every if one.row["same_policy"]]
+    rows = [one.row for one in every if not one.row["same_policy"]]
+    drawn = [one for one in every if one.row["variant"] == JUDGED.label and one.row not in same]
+    table, flows = summary(rows), exact_flows(args.seeds)
+    return Findings(
+        said=verdict(table),
+        files={
+            "estimates": rows,
+            "summary": table,
+            "flows": flows,
+            "weights": _points(drawn),
+        },
+        figures={"weights": (CAPTION, partial(estimate_figure, drawn))},
+        tables=[Table(WAYS, table), Table(FLOWS, flows)],
+        checks=acceptance(rows, same),
+        origin={"n": f"{len(rows)} estimates", "seeds": in_short(args.seeds)},
     )
 
 
-def counted(case: Case, inputs: Inputs) -> Estimate:
-    """The exact weights of the case's problem, with r from counts in its buffers.
+def _asked(seeds: Sequence[int], fewer: Sequence[int]) -> list[tuple[Case, Variant]]:
+    """Every case with its variant; those of the acceptance come first, with all seeds."""
+    judged, ends = cases(seeds), ending_cases(seeds, "stationary")
+    asked = [(case, JUDGED) for case in judged]
+    asked += [(case, way) for way in (ENDING["stationary"], MENDED) for case in ends]
+    asked += [(case, DENSE) for case in dense_cases(fewer)]
+    for flow in ("restart", "discounted"):
+        asked += [(case, ENDING[flow]) for case in ending_cases(fewer, flow)]
+    asked += [(case, ENDING_PAPER) for case in ending_cases(fewer, "discounted")]
+    asked += [(replace(case, same_policy=True), JUDGED) for case in judged]
+    asked += [(case, variant) for variant in VARIANTS[1:] for case in cases(fewer)]
+    for family in (judged, dense_cases(fewer), ends):
+        asked += [(case, counts_of(case, of)) for of in get_args(Inputs) for case in family]
+    return asked
 
-    This is the sampling error, which no estimate of r from these inputs can improve by much.
+
+def exact_flows(seeds: Sequence[int]) -> list[Row]:
+    """The exact weights of each flow under chi-square, if both buffers are streams with ends.
+
+    One row per flow over the MDPs of `ending_cases`: the weight on ends relative to the policy's
+    share (median and range), the mass of the weights, and for a replay made by the policy itself,
+    where weights should be one, the weight on ends relative to their share and the L1 distance to
+    one.
     """
-    drawn = _draw(case)
-    problem, rows = drawn.problem, tuple(drawn.index.T)
-    q, p = _counts(drawn, drawn.index), _counts(drawn, drawn.recent)
-    if inputs == "state-actions":
-        q, p = (np.broadcast_to(x.sum(2, keepdims=True), x.shape) for x in (q, p))
-    # Add half a transition to the policy's counts and the corresponding number to the replay's, so
-    # that r is finite, and zero for transitions in neither buffer.
-    share = len(drawn.recent) / len(drawn.index)
-    ratio = np.log((p + 0.5) / (q * share + 0.5))
-    weights = np.zeros(q.shape)
-    noisy = replace(problem, log_ratio=ratio[problem.index])
-    weights[problem.index] = solve(noisy, case.divergence).weights
-    mean = float(weights[rows].mean())
-    read = "(s, a)" if inputs == "state-actions" else "(s, a, s')"
-    label = f"{case.family}counts of {read}"
-    return _compare(case, label, drawn, weights[rows] / mean, ratio[rows], mean)
+    rows = []
+    for flow in get_args(FlowName):
+        asked = [case for case in ending_cases(seeds, flow) if case.divergence == "chi2"]
+        ends, mass, _ = np.array([_solved(case) for case in asked]).T
+        own = [_solved(replace(case, same_policy=True)) for case in asked]
+        own_ends, _, own_l1 = np.median(own, axis=0)
+        rows.append(
+            {
+                "flow": flow,
+                "problems": len(asked),
+                "ends": float(np.median(ends)),
+                "ends_least": float(ends.min()),
+                "ends_most": float(ends.max()),
+                "mass": float(np.median(mass)),
+                "own_ends": float(own_ends),
+                "own_l1": float(own_l1),
+            }
+        )
+    return rows
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """A case's problem and the buffers drawn for it."""
-
-    mdp: Mdp
-    target: Array  # the policy (S, A)
-    problem: OccupancyProblem
-    buffer: Transitions  # the replay, (N,)
-    index: NDArray[np.intp]  # (N, 3)
-    lately: Transitions  # the policy's
-    recent: NDArray[np.intp]  # (P, 3)
-    starts: NDArray[np.float32]
-
-
-def _draw(case: Case) -> Drawn:
-    rng = np.random.default_rng(case.seed)
-    mdp, target, behaviour = draw(case, rng)
-    buffer, index = _sample(case, mdp, behaviour, case.replay, rng)
-    lately, recent = _sample(case, mdp, target, case.policy_buffer, rng)
-    starts = sample_starts(mdp, case.starts, rng)
+def _solved(case: Case) -> tuple[float, float, float]:
+    """Exact weight on ends relative to the policy's share, mass, and L1 distance to p/q."""
+    mdp, target, behaviour = draw(case, np.random.default_rng(case.seed))
     problem = problem_of(case, mdp, target, behaviour)
-    return Drawn(mdp, target, problem, buffer, index, lately, recent, starts)
+    weights = solve(problem, case.divergence).weights
+    mass, ratio = float(problem.replay @ weights), np.exp(problem.log_ratio)
+    weights, ends = weights / mass, mdp.terminal[problem.index[2]]
+    share = share_on(ends, problem.replay * weights) / share_on(ends, problem.replay * ratio)
+    return share, mass, float(problem.replay @ np.abs(weights - ratio))
 
 
-def _counts(drawn: Drawn, index: NDArray[np.intp]) -> Array:
-    """The count of each (s, a, s') in a buffer, (S, A, S)."""
-    counts = np.zeros(drawn.mdp.transition.shape)
-    np.add.at(counts, tuple(index.T), 1)
-    return counts
+def summary(rows: Sequence[Row]) -> list[Row]:
+    """For each variant, in order: number of runs, median and worst value of each measure.
+
+    Those of the mean weight are over the runs without KL, under which it is 1 whatever the error.
+    """
+    by_variant: dict[str, list[Row]] = {}
+    for row in rows:
+        by_variant.setdefault(row["variant"], []).append(row)
+    return [{"variant": name, **_brief(group)} for name, group in by_variant.items()]
 
 
-def _sample(
-    case: Case, mdp: Mdp, policy: Array, n: int, rng: np.random.Generator
-) -> tuple[Transitions, NDArray[np.intp]]:
-    if case.ends:
-        return sample_stream(mdp, policy, n, rng)
-    return sample_transitions(mdp, transition_occupancy(mdp, policy), n, rng)
+def _brief(rows: Sequence[Row]) -> Row:
+    brief: Row = {"runs": len(rows)}
+    for name, worst in (("spearman", min), ("l1", max), ("flow_residual", max), ("log_ratio", min)):
+        values = [row[name] for row in rows]
+        brief |= {name: float(np.median(values)), f"{name}_worst": worst(values)}
+    for name in ("raw_mean", "ends_ratio"):  # 1 without an error
+        of = [row for row in rows if name != "raw_mean" or row["divergence"] != "kl"]
+        known = [row[name] for row in of if row[name] is not None]
+        brief |= {
+            name: float(np.median(known)) if known else None,
+            f"{name}_worst": max(known, key=lambda ratio: abs(ratio - 1), default=None),
+        }
+    return brief
 
 
-def _policy(probs: Array, support: bool) -> Policy:
-    policy = OneHotPolicy(torch.from_numpy(probs).float())
-    # A bound method has no `support`, so that the policy can only be sampled.
-    return policy if support else policy.__call__
+def acceptance(rows: Sequence[Row], same_policy: Sequence[Row]) -> list[Row]:
+    """The checks of an estimator, over every family that has rows.
+
+    `same_policy` are problems whose replay buffer comes from the policy itself.
+    """
+
+    def of(variant: Variant) -> list[Row]:
+        return [row for row in rows if row["variant"] == variant.label]
+
+    checks = near_exact("", of(JUDGED))
+    if same_policy:
+        same = max(row["l1"] for row in same_policy)
+        checks.append(at_most("pi = pi_D: relative L1 distance from 1, worst", same, 0.12))
+    checks += near_exact("dense: ", of(DENSE))
+    checks += near_exact("stationary: ", of(ENDING["stationary"]))
+    for name, variant in (("stationary", ENDING["stationary"]), ("mended", MENDED)):
+        if group := of(variant):
+            off = abs(float(np.median([row["ends_ratio"] for row in group])) - 1)
+            checks.append(at_most(f"{name}: weight on ends off the exact, median", off, 0.20))
+    return checks
 
 
-def _rows_of(problem: OccupancyProblem, mdp: Mdp, index: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The index of each buffer row among the R distinct transitions, (N,)."""
-    lookup = np.full((mdp.states, mdp.actions, mdp.states), -1, np.intp)
-    lookup[problem.index] = np.arange(len(problem.replay))
-    return lookup[tuple(index.T)]
+def near_exact(family: str, rows: Sequence[Row]) -> list[Row]:
+    """The checks of one family of problems; none if it has no rows."""
+    if not rows:
+        return []
+    s = _brief(rows)
+    off = max(abs(row["raw_mean"] - 1) for row in rows)
+    return [
+        at_least(f"{family}rank correlation of the weights, median", s["spearman"], 0.95),
+        at_least(f"{family}rank correlation of the weights, worst", s["spearman_worst"], 0.90),
+        at_most(f"{family}relative L1 error, median", s["l1"], 0.12),
+        at_most(f"{family}relative L1 error, worst", s["l1_worst"], 0.20),
+        at_most(f"{family}flow residual, worst", s["flow_residual_worst"], 0.12),
+        at_least(f"{family}logit against log ratio, worst", s["log_ratio_worst"], 0.95),
+        at_most(f"{family}mean weight off the exact, worst", off, 0.05),
+    ]
 
 
-def _compare(
-    case: Case, label: str, drawn: Drawn, weights: Array, log_ratio: Array, raw_mean: float
-) -> Estimate:
-    problem = drawn.problem
-    rows = _rows_of(problem, drawn.mdp, drawn.index)
-    ends = drawn.mdp.terminal[drawn.index[:, 2]]
-    exact = solve(problem, case.divergence).weights
-    flow_mass = float(problem.replay @ exact)  # below 1 if the flow loses mass at ends
-    exact = exact / flow_mass
-    cells = len(problem.replay)
-    count = np.bincount(rows, minlength=cells)
-    mass = np.bincount(rows, weights, minlength=cells) / len(rows)  # of the weighted replay
-    score = Score(
-        spearman=_correlation(rankdata(weights), rankdata(exact[rows])),
-        l1=float(np.abs(weights - exact[rows]).sum() / exact[rows].sum()),
-        flow_residual=float(np.abs(problem.residual(flow_mass * mass / problem.replay)).sum()),
-        log_ratio=_correlation(log_ratio, problem.log_ratio[rows]),
-        raw_mean=raw_mean / flow_mass,
-        ends_ratio=share_on(ends, weights) / share_on(ends, exact[rows]) if ends.any() else None,
-    )
-    with np.errstate(invalid="ignore"):
-        estimated = mass * len(rows) / count
-    return Estimate(case, label, score, problem.replay, exact, estimated)
+def verdict(table: Sequence[Row]) -> list[str]:
+    """How far the claim holds, by the summary of the variants."""
+    told = {
+        row["variant"]: f"{row['variant']}: rank correlation {row['spearman']:.2f}, relative L1 "
+        f"error {row['l1']:.2f} (medians)."
+        for row in table
+    }
+    judged = table[0]
+    recovered = "as the paper says" if judged["spearman"] >= 0.95 else "not as claimed"
+    said = [f"The ratio is recovered {recovered} by {told[judged['variant']]}"]
+    if PAPER in told:
+        said.append(f"With the paper's networks and steps the weights are those of {told[PAPER]}")
+    return said
 
 
-def _correlation(x: Array, y: Array) -> float:
-    return float(np.corrcoef(x, y)[0, 1])
+def _points(estimates: Sequence[Estimate]) -> Iterator[Row]:
+    """The drawn data: one row per distinct transition in the replay."""
+    for one in estimates:
+        key = {name: one.row[name] for name in ("divergence", "discount", "seed", "successors")}
+        points = zip(one.exact, one.estimated, one.replay, strict=True)
+        for exact, estimated, share in points:
+            if np.isfinite(estimated):
+                yield {**key, "exact": exact, "estimated": estimated, "replay's share": share}
+
+
+def estimate_figure(estimates: Sequence[Estimate]) -> Figure:
+    """A panel per divergence and discount; each distinct transition is a point."""
+
+    def kind_of(one: Estimate) -> tuple[str, float]:
+        return one.row["divergence"], one.row["discount"]
+
+    kinds = groupby(sorted(estimates, key=kind_of), kind_of)
+    panels = {kind: list(own) for kind, own in kinds}
+    figure = new_figure(2.6 * len(panels) + 0.3, 3.0)
+    axes = figure.subplots(1, len(panels), squeeze=False)[0]
+    for ax, ((divergence, discount), own) in zip(axes, panels.items(), strict=True):
+        points = [(one.exact, one.estimated, one.replay) for one in own]
+        exact, estimated, share = np.concatenate(points, axis=1)
+        drawn = np.isfinite(estimated)
+        top = 1.05 * float(max(exact[drawn].max(), estimated[drawn].max()))
+        ax.plot([0, top], [0, top], color=NEUTRAL, linewidth=0.8, linestyle="--")
+        ax.scatter(
+            exact[drawn],
+            estimated[drawn],
+            s=400 * share[drawn],
+            color=learner_colour("tom"),
+            alpha=0.35,
+            linewidths=0,
+        )
+        ax.set_title(f"{LABELS[divergence]}, discount {discount:g}")
+        ax.set_xlabel("exact weight")
+    axes[0].set_ylabel("estimated weight")
+    return figure
+
+
+STUDY = Study(
+    "tabular",
+    "Exact weights",
+    __doc__,
+    "At the optimum of the dual, f*' of the Bellman residual is the ratio of the optimal "
+    "transition occupancy to the replay buffer's (section 4.3). The paper gives no numbers; here "
+    "the estimate is held against the exact ratio of small MDPs.",
+    add_options,
+    find,
+)

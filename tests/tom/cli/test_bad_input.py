@@ -53,7 +53,7 @@ def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
         (["bench", "learn", "--seeds", str(2**63)], f"must be less than {2**63}"),
         (["bench", "learn", "--seeds", "9" * 5000], f"'{'9' * 40}' is no seed"),
         (["demo", "--headless", "--seed", "-1"], "'-1' is no seed"),
-        (["reproduce", "progression", "--sac-seeds", "-1"], "seeds must be at least 0"),
+        (["reproduce", "progression", "--sac-seeds", "-1"], "'-1' is no seed"),
         (["reproduce", "progression", "--sac-seeds", str(2**63)], f"less than {2**63}"),
         (["reproduce", "progression", "--steps", "9" * 20], "--steps 99999999999999999999"),
         (["reproduce", "road", "--seeds", str(2**63)], f"less than {2**63}"),

@@ -1,6 +1,7 @@
-"""What the long studies leave behind, written from outcomes made up here."""
+"""What the runner makes of a study's findings: files, report, JSON and exit code."""
 
-import argparse
+import json
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -8,85 +9,84 @@ import pandas as pd
 import pytest
 
 from tom.cli import build_parser
-from tom.cli.reproduce import progression
-from tom.cli.reproduce import road as reproduce_road
-from tom.cli.reproduce.study import tasks
-from tom.reports.style import new_figure, save
-from tom.studies.checks import Check
-from tom.studies.progression import Finding
-from tom.studies.road import Outcome, Story
+from tom.cli.reproduce import run
+from tom.config import RoadConfig
+from tom.reports.style import new_figure
+from tom.road.offline_data import map_of
+from tom.studies.road_map import Places, environment_rows, weight_figure, weight_rows
+from tom.studies.study import Findings, Row, Study, Table, at_least, at_most, tasks
+
+CHECKS = [at_least("TOM's success", 1.0, 0.8), at_most("MLE's", 0.5, 0.1)]
+UNJUDGED: Row = {"name": "for comparison", "value": 3.0, "bound": "", "met": None}
 
 
-def story(name: str, seed: int) -> Story:
-    """A case whose return grows, with weights over a map."""
-    rng = np.random.default_rng(seed)
-    numbers = rng.random(9).tolist()
-    outcome = Outcome(name, seed, 60.0, *numbers, sac_return=-20.0, sac_success=1.0)
-    places, weights = rng.random((500, 2), np.float32), rng.random(500, np.float32)
-    return Story(outcome, [(0, -100.0), (100, -20.0 - seed)], places, weights)
+def carried_out(checks: list[Row], out: Path, *, as_json: bool = False) -> int:
+    """The exit code of a study that finds these checks."""
+    found = Findings(
+        said=["Agrees."],
+        files={"numbers": [{"a": 1, "b": 0.5}]},
+        figures={"drawn": ("A caption", lambda: new_figure(2, 2))},
+        tables=[Table("Numbers", [{"a": 1, "b": 0.5}])],
+        checks=checks,
+        origin={"seeds": "0-2"},
+        json={"summary": [float("nan")]},
+    )
+    study = Study("made-up", "Made up", None, "the claim", lambda _: None, lambda *_: found)
+    return run(study, Namespace(out=out, json=as_json))
 
 
-def test_road_and_rocks(tmp_path: Path):
-    stories = [story(name, seed) for name in ("mle", "tom") for seed in (0, 1, 2)]
-    checks = [Check("TOM's success", 1.0, ">= 0.8", True), Check("MLE's", 0.5, "<= 0.1", False)]
-    reproduce_road._write(tmp_path, stories, [s.outcome for s in stories], checks, ["Agrees."])
-    text = (tmp_path / "report.html").read_text()
-    assert "1 of 2 figures of our acceptance are met." in text
-    assert "Not met: MLE&#x27;s." in text
-    assert "<p>Agrees.</p>" in text
-    assert text.count("data:image/png") == 4
-    assert "0-2" in text
-    names = {path.name for path in tmp_path.iterdir()}
-    assert {"outcomes.csv", "checks.csv"} <= names
-    for figure in ("environment", "returns", "sweep", "weights"):
-        assert {f"{figure}.png", f"{figure}.svg", f"{figure}.csv"} <= names
-    weights = pd.read_csv(tmp_path / "weights.csv")
+def test_what_is_met_and_what_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert carried_out([*CHECKS, UNJUDGED], tmp_path) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "numbers.csv", "drawn.png", "drawn.svg", "report.html", "report.json",
+    }  # fmt: skip
+    assert (tmp_path / "numbers.csv").read_text().split() == ["a,b", "1,0.5"]
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["claim"] == "the claim"
+    assert told["found"][0] == "Agrees."
+    assert told["found"][1].startswith("1 of 2 figures")
+    assert "MLE's" in told["found"][2]
+    assert told["origin"]["seeds"] == "0-2"
+    assert "data:image/png" in (tmp_path / "report.html").read_text()
+    assert str(tmp_path) in capsys.readouterr().out
+
+
+def test_all_met(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert carried_out(CHECKS[:1], tmp_path, as_json=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["checks"] == CHECKS[:1]
+    assert told["summary"] == [None]
+    assert len(told["verdict"]) == 2
+
+
+def test_the_map_of_road_and_rocks(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    of = [
+        Places(name, 0, rng.random((500, 2), np.float32), rng.random(500, np.float32))
+        for name in ("MLE", "TOM")
+    ]
+    weights = pd.DataFrame(weight_rows(of))
     names, count, mean = (weights[c].to_numpy() for c in ("learner", "transitions", "mean weight"))
     assert {name: count[names == name].sum() for name in ("MLE", "TOM")} == {"MLE": 500, "TOM": 500}
-    own = stories[3].weights
-    assert own is not None
     found = np.average(mean[names == "TOM"], weights=count[names == "TOM"])
-    assert found == pytest.approx(own.mean())
-    task = pd.read_csv(tmp_path / "environment.csv")
+    assert found == pytest.approx(of[1].weights.mean())
+    assert len(weight_figure(of).axes) == 3
+    task = pd.DataFrame(environment_rows(map_of(RoadConfig(learner="tom", seed=0))))
     road, right, up = (task[column].to_numpy() for column in ("road", "dx", "dy"))
     assert set(zip(right[road], up[road], strict=True)) == {(1.0, 0.0)}
     assert (right[~road] < 0).mean() > 0.9  # rocks turn by 180 +- 90 degrees
 
 
-def test_weight_progression_judges_its_first_preset(tmp_path: Path):
-    figure = new_figure(2, 2)
-    save(figure, tmp_path, "progression")
-    args = argparse.Namespace(out=tmp_path, preset=["exact", "paper"], seeds=[0, 1])
-    asked = ("own", "tom", "random half")
-    numbers = [
-        Finding("hopper", "exact", *asked, (0.1, 0.1), ("<=", 0.2)),
-        Finding("hopper", "paper", *asked, (9.0, 9.0), ("<=", 0.2)),
-    ]
-    progression._report(numbers, ["Agrees."], args)
-    text = (tmp_path / "report.html").read_text()
-    assert "1 of 1 figures of our acceptance are met." in text
-    assert "hopper, own policy, tom, random half" in text
-    assert "<p>Agrees.</p>" in text
+def test_what_is_named_twice_counts_once(tmp_path: Path):
+    seen: list[Namespace] = []
 
+    def find(args: Namespace, _: object) -> Findings:
+        seen.append(args)
+        return Findings([], {}, {}, [])
 
-@pytest.mark.parametrize(
-    ("study", "option", "values", "kept"),
-    [
-        ("progression", "--seeds", ["0", "0", "1"], [0, 1]),
-        ("progression", "--sac-seeds", ["1", "1"], [1]),
-        ("progression", "--preset", ["exact", "exact", "paper"], ["exact", "paper"]),
-        ("focus", "--seeds", ["2", "0", "2"], [2, 0]),
-        ("tabular", "--seeds", ["3", "3"], [3]),
-        ("tabular", "--variant-seeds", [], []),
-        ("road", "--sweep-seeds", ["4", "4"], [4]),
-    ],
-)
-def test_a_value_that_is_named_twice_counts_once(
-    study: str, option: str, values: list[str], kept: list[object]
-):
-    args = build_parser(["reproduce"]).parse_args(["reproduce", study, option, *values])
-    assert getattr(args, option.strip("-").replace("-", "_")) == kept
-
-
-def test_a_task_that_is_named_twice_counts_once():
+    study = Study("made-up", "Made up", None, "", lambda _: None, find)
+    run(study, Namespace(out=tmp_path, json=True, seeds=[2, 0, 2], preset="paper"))
+    assert (seen[0].seeds, seen[0].preset) == ([2, 0], "paper")
     assert tasks(["hopper", "hopper", "ant", "hopper"]) == ["hopper", "ant"]
+    args = build_parser(["reproduce"]).parse_args(["reproduce", "tabular", "--variant-seeds"])
+    assert args.variant_seeds == []

@@ -25,32 +25,17 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     found = json.loads(capsys.readouterr().out)
     assert found["summary"][0]["n"] == 1
     assert len(found["missing"]) == 5 * len(LEARNER_NAMES)
-    names = {
-        "returns.png",
-        "returns.svg",
-        "returns.csv",
-        "summary.csv",
-        "report.html",
-        "report.json",
-    }
-    assert names <= {path.name for path in out.iterdir()}
-    report = (out / "report.html").read_text()
-    assert "nothing to compare" in report
-    assert "hours of training" in report
-    assert "tom sweep --env hopper --learner tom --preset paper --seeds 4" in report
+    assert {path.name for path in out.iterdir()} == {
+        "returns.png", "returns.svg", "report.html", "report.json", "returns.csv", "summary.csv",
+        "improvement.csv", "factors.csv", "exams.csv", "rollouts.csv", "less.csv", "missing.csv",
+    }  # fmt: skip
+    assert "tom sweep --env hopper" in (out / "report.html").read_text()
     assert main(words) == 0
-    assert "missing or short" in capsys.readouterr().out
     assert main([*words, "--at", "250"]) == 0
-    assert "Returns up to step 250;" in (out / "report.html").read_text()
     assert main([*words, "--at", "inverted-pendulum=250"]) == 0
-    reached = "step 250 of inverted-pendulum, else the step that all runs of an environment reach;"
-    assert f"Returns up to {reached}" in (out / "report.html").read_text()
     capsys.readouterr()
     assert main([*words, "--at", "251", "--out", str(tmp_path / "none")]) == 2
-    assert (
-        "--at 251: no such run was evaluated there or later; the longest of all ends at 250"
-        in capsys.readouterr().err
-    )
+    assert "ends at 250" in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
     (out / "returns.csv").unlink()
     (out / "returns.csv").mkdir()
@@ -70,7 +55,7 @@ def test_who_is_left_out_is_named_where_the_table_is(tmp_path: Path, capsys):
     words = ["reproduce", "returns", "--store", str(store.path), "--preset", "smoke"]
     words += ["--out", str(tmp_path / "out")]
     assert main([*words, "--at", "200"]) == 0
-    assert "Left out: short" in capsys.readouterr().out
+    assert "--at: short." in capsys.readouterr().out
     assert main([*words, "--at", "200", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["left out"] == ["short"]
     assert main(words) == 0
@@ -94,7 +79,7 @@ def test_seeds_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main([*words, "9"]) == 2
     assert "--seeds 9: no such run was evaluated" in capsys.readouterr().err
     assert main([*words, "3", "4"]) == 2
-    assert "--seeds: no such run has one of them, but 0 1 2 9" in capsys.readouterr().err
+    assert "--seeds 3 4: no such run" in capsys.readouterr().err
     with pytest.raises(SystemExit, match="2"):
         main([*words, "-1"])
     assert "'-1' is no seed: a whole number, 0 or more" in capsys.readouterr().err
@@ -129,12 +114,9 @@ def test_a_comparison_that_was_fixed_beforehand_is_corrected_for_no_other(tmp_pa
     (others,) = compared("--groups", "PMAC", "MLE", "--by", "area")
     assert (others["learner"], others["wins"]) == ("PMAC", 1.0)
     assert main([*words, "--groups", "MLE"]) == 2
-    assert "one alone is compared with nobody; name two of: MLE; PMAC" in capsys.readouterr().err
+    assert "name two of: MLE; PMAC" in capsys.readouterr().err
     assert main([*words, "--groups", "MLE", "TOM mended"]) == 2
-    assert (
-        "--groups: no such run is of 'TOM mended', but of: MLE; PMAC; TOM; TOM, mended"
-        in capsys.readouterr().err
-    )
+    assert "but of: MLE; PMAC; TOM; TOM, mended" in capsys.readouterr().err
 
 
 def test_exams_are_compared_on_the_screen_of_few_groups_and_in_a_file_of_all(
@@ -153,15 +135,10 @@ def test_exams_are_compared_on_the_screen_of_few_groups_and_in_a_file_of_all(
             recorder.consume(Metrics(100, {"eval/return": 1.0} | exam))
             recorder.consume(Tick(100, "evaluate"))
     words = ["reproduce", "returns", "--store", str(store.path), "--out", str(out)]
-    title = "has a smaller number in its exams and rollouts"
     assert main([*words, "--preset", "paper", "mended"]) == 0
-    printed = capsys.readouterr().out
-    assert f"{title} than one of another" in " ".join(printed.split())
-    assert "less.csv, or here with --groups." in " ".join(printed.split())
-    assert printed.count("p of all") == 1  # of scores alone
+    assert capsys.readouterr().out.count("p of all") == 1  # of scores alone
     read = (out / "less.csv").read_text().splitlines()
     assert len(read) == 1 + 6 * 2  # no informative footprint, no rollouts
-    assert title in (out / "report.html").read_text()
     assert main([*words, "--preset", "paper", "mended", "--groups", "TOM", "MLE"]) == 0
     assert capsys.readouterr().out.count("p of all") == 2
     assert main([*words, "--preset", "paper"]) == 0  # three groups
@@ -203,8 +180,6 @@ def test_a_step_of_one_task_counts_whatever_the_order(at: tuple[str, ...], tmp_p
     found = json.loads(capsys.readouterr().out)
     steps = {row["env"]: row["at step"] for row in found["summary"]}
     assert steps == {"hopper": 2000, "walker2d": 1000}
-    report = (tmp_path / "out" / "report.html").read_text()
-    assert "step 2000 of hopper, else step 1000;" in report
 
 
 @pytest.mark.parametrize(

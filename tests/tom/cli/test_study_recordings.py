@@ -1,23 +1,31 @@
 """The recordings of SAC that studies make: one that was stopped goes on where it was."""
 
-import argparse
 import signal
+from argparse import Namespace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tom.cli.progress import ProgressReport
-from tom.cli.reproduce import study
-from tom.cli.reproduce.study import sac_recordings, stoppable
+from tom.cli.reproduce import record, run
 from tom.config import SacRecordingConfig
 from tom.events import Event, Tick
-from tom.record import Store
+from tom.record import RunReader, Store
+from tom.studies.sac import recordings
+from tom.studies.study import Findings, Lab, Study
 
 STEPS = 150
 
 
+def recorded(folder: Path) -> list[RunReader]:
+    args = Namespace(out=folder / "out", store=folder / "store", env=["inverted-pendulum"])
+    args.steps = STEPS
+    return recordings(args, Lab(args.out, 1, partial(record, args)), [0])
+
+
 def test_a_recording_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    store, consume = Store(tmp_path), ProgressReport.consume
+    store, consume = Store(tmp_path / "store"), ProgressReport.consume
 
     def interrupt(self: ProgressReport, event: Event) -> None:
         consume(self, event)
@@ -27,28 +35,27 @@ def test_a_recording_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytes
     with monkeypatch.context() as patched:
         patched.setattr(ProgressReport, "consume", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            sac_recordings(store, ["inverted-pendulum"], [0], STEPS)
+            recorded(tmp_path)
     (stopped,) = store.runs()
     assert stopped.status.state == "stopped"
-    (made,) = sac_recordings(store, ["inverted-pendulum"], [0], STEPS)
+    (made,) = recorded(tmp_path)
     assert (made.run_id, made.status.state) == (stopped.run_id, "finished")
     assert len(made.buffer()[0]) == 2 * STEPS
-    assert sac_recordings(store, ["inverted-pendulum"], [0], STEPS)[0].run_id == made.run_id
+    assert recorded(tmp_path)[0].run_id == made.run_id
     assert len(store.runs()) == 1
 
 
 def test_a_recording_whose_loss_is_not_finite_ends_the_study_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    def steep(env: str, seed: int, steps: int) -> SacRecordingConfig:
-        settings = SacRecordingConfig(env=env, seed=seed, steps=steps, exploration_steps=40)
-        return settings.but(sac={"hidden": 16, "batch_size": 32, "lr": 1e20})
+    def steep(args: Namespace, lab: Lab) -> Findings:
+        settings = SacRecordingConfig(env="inverted-pendulum", steps=STEPS, exploration_steps=40)
+        settings = settings.but(sac={"hidden": 16, "batch_size": 32, "lr": 1e20})
+        lab.record(Store(tmp_path), settings)
+        raise AssertionError
 
-    def work(args: argparse.Namespace) -> int:
-        return len(sac_recordings(Store(tmp_path), ["inverted-pendulum"], [0], STEPS))
-
-    monkeypatch.setattr(study, "recording_config", steep)
-    assert stoppable(work)(argparse.Namespace()) == 1
+    study = Study("steep", "Steep", None, "", lambda _: None, steep)
+    assert run(study, Namespace(out=tmp_path / "out")) == 1
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].startswith("failed: step ")
     assert "--sac.lr" in said[-1]

