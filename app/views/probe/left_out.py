@@ -8,11 +8,17 @@ from app import text
 from app.data.called import short_names
 from app.data.readers import RunInfo
 
+FEW = 8
+"""runs that are named in the line; more are named in its help"""
+
 
 def show(runs: Sequence[RunInfo], left_out: Mapping[str, Sequence[RunInfo]]) -> None:
     """Name the runs that are left out of `runs`, a line for each reason."""
     called = short_names(runs)
     for reason, of in left_out.items():
         if of:
-            said = "; ".join(called[run.run_id] for run in of)
-            st.caption(f"Left out, {reason}: {text.markdown(said)}.")
+            named = text.markdown("; ".join(called[run.run_id] for run in of))
+            if len(of) <= FEW:
+                st.caption(f"Left out, {reason}: {named}.")
+            else:
+                st.caption(f"Left out, {reason}: {len(of)} runs.", help=named)
