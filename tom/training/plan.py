@@ -22,11 +22,11 @@ FILE_BYTES = 100_000  # a plan is a page long; larger files are refused
 
 
 class Plan(Config):
-    """The content of a sweep's YAML file; `seeds` is a number of seeds, from 0, or a list."""
+    """The content of a sweep's YAML file."""
 
     env: Annotated[list[str], Field(min_length=1)]
     learner: Annotated[list[str], Field(min_length=1)]
-    seeds: Annotated[int, Field(ge=1)] | Annotated[list[Seed], Field(min_length=1)] = 1
+    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (0,)
     steps: Annotated[int, Field(ge=1)] | None = None
     preset: str | None = None
     """without one that of `default_preset`, for each learner its own"""
@@ -78,14 +78,13 @@ def trials(plan: Plan) -> list[Trial]:
 
     Raises UserError that names the first impossible one.
     """
-    seeds = range(plan.seeds) if isinstance(plan.seeds, int) else plan.seeds
     overrides = plan.settings | ({} if plan.steps is None else {"steps": plan.steps})
     fixed = {"env", "learner", "seed", "preset"} & set(overrides)
     if fixed:
         raise UserError(f"settings.{min(fixed)}: name it outside of the settings")
     every = [
         Trial(env, learner, seed, plan.preset or default_preset(env, learner), overrides)
-        for seed in dict.fromkeys(seeds)
+        for seed in dict.fromkeys(plan.seeds)
         for env in dict.fromkeys(plan.env)
         for learner in dict.fromkeys(plan.learner)
     ]
@@ -123,8 +122,8 @@ def read_plan(path: Path) -> dict[str, Any]:
 def checked(content: dict[str, Any]) -> Plan:
     """The plan in a mapping. Raises UserError that names the first error."""
     listed = {**content}
-    for name in ("env", "learner"):
-        if isinstance(listed.get(name), str):
+    for name in ("env", "learner", "seeds"):
+        if isinstance(listed.get(name), str | int):
             listed[name] = [listed[name]]
     try:
         return Plan.model_validate(listed)

@@ -37,7 +37,7 @@ def test_a_report_of_what_the_store_has(tmp_path: Path, capsys: pytest.CaptureFi
     report = (out / "report.html").read_text()
     assert "nothing to compare" in report
     assert "hours of training" in report
-    assert "tom sweep --env hopper --learner tom --preset paper --seeds 4" in report
+    assert "tom sweep --env hopper --learner tom --preset paper --seeds 0 1 2 3" in report
     assert main(words) == 0
     assert "missing or short" in capsys.readouterr().out
     assert main([*words, "--at", "250"]) == 0

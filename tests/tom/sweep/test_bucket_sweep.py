@@ -86,7 +86,7 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    planned, bucket = plan(learner=["mle"], seeds=1, steps=4000), Bucket.open(bucket_url)
+    planned, bucket = plan(learner=["mle"], seeds=[0], steps=4000), Bucket.open(bucket_url)
     with BucketBackend(bucket, planned) as backend:
         driver = Driver(backend, planned, LocalEngine(1), back_off_s=0.1)
         (job,) = driver.jobs
@@ -108,7 +108,7 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
 def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
-    planned = plan(learner=["mle"], seeds=1)
+    planned = plan(learner=["mle"], seeds=[0])
     with BucketBackend(Bucket.open(bucket_url), planned) as backend:
         driver = Driver(backend, planned, LocalEngine(1), back_off_s=1e6)
         with monkeypatch.context() as away:
@@ -122,7 +122,7 @@ def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
 
 @pytest.fixture
 def trial() -> Trial:
-    (one,) = plan(learner=["mle"], seeds=1)
+    (one,) = plan(learner=["mle"], seeds=[0])
     return one
 
 
@@ -293,7 +293,7 @@ def refusing(ended: bool):
 def test_the_last_puts_fail__the_finished_run_stays_and_the_same_command_puts_it(
     bucket_url: str, worked: Path, monkeypatch, capfd, from_the_beginning: bool
 ):
-    (trial,) = plan(learner=["mle"], seeds=1, steps=200)
+    (trial,) = plan(learner=["mle"], seeds=[0], steps=200)
     words = [*trial.options(), f"--run-id={trial.run_id}"]
     with monkeypatch.context() as failing:
         failing.setattr(Attempt, "put", refusing(ended=not from_the_beginning))
@@ -315,7 +315,7 @@ def test_the_last_puts_fail__the_finished_run_stays_and_the_same_command_puts_it
 def test_the_last_puts_of_a_stopped_run_fail__it_goes_on_from_what_stayed(
     bucket_url: str, worked: Path, monkeypatch
 ):
-    (trial,) = plan(learner=["mle"], seeds=1, steps=200)
+    (trial,) = plan(learner=["mle"], seeds=[0], steps=200)
     words = [*trial.options(), f"--run-id={trial.run_id}"]
     with monkeypatch.context() as failing:
         failing.setattr(Attempt, "put", refusing(ended=False))

@@ -41,7 +41,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 def command(store: Path) -> list[str]:
-    words = ["--env", "inverted-pendulum", "--learner", "mle", "pmac", "tom", "--seeds", "2"]
+    words = ["--env", "inverted-pendulum", "--learner", "mle", "pmac", "tom", "--seeds", "0", "1"]
     words += ["--steps", str(STEPS), "--preset", "smoke", "--checkpoint-every", str(EVERY)]
     return [sys.executable, "-m", "tom", "sweep", *words, "--jobs", "2", "--store", str(store)]
 
@@ -94,8 +94,8 @@ def test_ctrl_c_in_a_sweep__stops_everything_and_the_same_command_goes_on(
 
 def test_a_training_that_always_fails__is_reported_and_stops_nobody(tmp_path: Path):
     """Networks that no memory holds: every attempt ends at once."""
-    bad = plan(learner=["mle"], seeds=1, settings={"sac": {"hidden": 10**8}})
-    good = plan(learner=["mle"], seeds=1)
+    bad = plan(learner=["mle"], seeds=[0], settings={"sac": {"hidden": 10**8}})
+    good = plan(learner=["mle"], seeds=[0])
     driver = Driver(FolderBackend(Store(tmp_path)), [*bad, *good], LocalEngine(1), back_off_s=0.1)
     finish(driver)
     failed, finished = driver.jobs
@@ -106,7 +106,7 @@ def test_a_training_that_always_fails__is_reported_and_stops_nobody(tmp_path: Pa
 
 
 def test_death_before_the_first_checkpoint__begins_anew(tmp_path: Path):
-    (trial,) = plan(learner=["mle"], seeds=1)
+    (trial,) = plan(learner=["mle"], seeds=[0])
     driver = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
     until(lambda: (tmp_path / trial.run_id / "metrics.jsonl").exists(), driver.poll)
     (job,) = driver.jobs
@@ -120,7 +120,7 @@ def test_death_before_the_first_checkpoint__begins_anew(tmp_path: Path):
 
 def stopped(store: Path) -> Trial:
     """A training that a sweep into `store` has stopped beyond its first checkpoint."""
-    (trial,) = plan(learner=["mle"], seeds=1, steps=1500)
+    (trial,) = plan(learner=["mle"], seeds=[0], steps=1500)
     driver = Driver(FolderBackend(Store(store)), [trial], LocalEngine(1))
     until(lambda: beyond_a_checkpoint(driver.store), driver.poll)
     driver.stop()

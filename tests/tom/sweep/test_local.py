@@ -56,9 +56,9 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
     assert "was there already" in out
     assert (tmp_path / row["run_id"] / "metrics.jsonl").stat().st_mtime_ns == before
 
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--seeds", "2", "--dry-run", "--json")
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--seeds", "0", "1", "--dry-run", "--json")
     assert [r["state"] for r in json.loads(out)["runs"]] == ["finished", "new"]
-    assert "1 to do" in sweep(capsys, tmp_path, *SMOKE, "--seeds", "2", "--dry-run")[1]
+    assert "1 to do" in sweep(capsys, tmp_path, *SMOKE, "--seeds", "0", "1", "--dry-run")[1]
 
 
 @pytest.mark.parametrize(
@@ -66,8 +66,7 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
     [
         ((), "--env and --learner"),
         (("--env", "hoper", "--learner", "mle"), "did you mean 'hopper'"),
-        ((*SMOKE, "--seeds", "0"), "--seeds 0: it is how many"),
-        ((*SMOKE, "--seeds", "0", "3"), "`seeds: [0, 3]`"),
+        ((*SMOKE, "--seeds", "-1"), "--seeds"),
         ((*SMOKE, "--jobs", "0"), "--jobs 0"),
         ((*SMOKE, "--only", "1"), "runs 0 to 0"),
         ((*SMOKE, "--sac.lr", "-1"), "sac.lr"),
@@ -104,7 +103,9 @@ def test_every_setting_of_a_training_is_one_of_a_sweep(tmp_path: Path, capsys):
 
 def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
     plan = tmp_path / "plan.yaml"
-    plan.write_text("env: hopper\nlearner: [tom, mle]\nseeds: 2\nsettings: {sac: {tau: 0.1}}\n")
+    plan.write_text(
+        "env: hopper\nlearner: [tom, mle]\nseeds: [0, 1]\nsettings: {sac: {tau: 0.1}}\n"
+    )
     words = ("--file", str(plan), "--learner", "tom", "--sac.lr", "1e-4", "--dry-run", "--json")
     code, out, _ = sweep(capsys, tmp_path / "store", *words)
     assert code == 0
@@ -288,7 +289,7 @@ class Patchy(FolderBackend):
 def test_a_run_out_of_reach_holds_up_no_other(
     state: Literal["elsewhere", "waiting"], away: int, tmp_path: Path
 ):
-    planned, backend = trials(checked({**PLAN, "seeds": 3})), Patchy(Store(tmp_path))
+    planned, backend = trials(checked({**PLAN, "seeds": [0, 1, 2]})), Patchy(Store(tmp_path))
     driver = Driver(backend, planned, LocalEngine(3))
     for job in driver.jobs:
         finished(driver.store, job.trial)

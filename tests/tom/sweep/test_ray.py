@@ -178,7 +178,7 @@ def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_number
     head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
     until(lambda: len(descendants(head.pid)) > 2)
     other = node(f"--address={address}")
-    words = ("--steps", "1500", "--checkpoint-every", "100", "--seeds", "2")
+    words = ("--steps", "1500", "--checkpoint-every", "100", "--seeds", "0", "1")
     driver = subprocess.Popen(sweep(*words, "--address", address, "--store", str(store.path)))
     until(lambda: len(beyond_a_checkpoint(store)) == 2)
     lost = [run for run in store.runs() if run.status.pid in descendants(other.pid)]
@@ -216,6 +216,6 @@ def test_the_head_of_a_cluster_killed__the_sweep_says_so_in_a_summary_and_can_go
     until(lambda: not run.status.alive)
     done = subprocess.run(sweep(*words, "--jobs", "1"), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    planned, undisturbed = plan(learner=["mle"], seeds=1, steps=1500), Store(tmp_path / "other")
+    planned, undisturbed = plan(learner=["mle"], seeds=[0], steps=1500), Store(tmp_path / "other")
     finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(1)))
     assert_same_runs(store, undisturbed)

@@ -23,7 +23,7 @@ LONG_S = 1e6  # what waits that long is not started within a test
 
 @pytest.fixture
 def trial() -> Trial:
-    (one,) = plan(learner=["mle"], seeds=1)
+    (one,) = plan(learner=["mle"], seeds=[0])
     return one
 
 
@@ -142,7 +142,7 @@ def test_a_run_of_another_machine_is_watched_whatever_its_clock_says(
 
 @pytest.mark.parametrize("away", [True, False])
 def test_a_run_that_another_machine_trains_takes_no_core_of_this_one(away: bool, tmp_path: Path):
-    store, planned = Store(tmp_path), plan(learner=["mle"], seeds=2)
+    store, planned = Store(tmp_path), plan(learner=["mle"], seeds=[0, 1])
     writer = RunWriter.create(store, planned[0].run_id, planned[0].config)
     if away:
         writer.close()

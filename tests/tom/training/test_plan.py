@@ -16,7 +16,12 @@ from tom.record.writer import RunWriter
 from tom.training.plan import checked, given_fewer, is_done, read_plan, same_run, trials
 from tom.training.presets import resolve
 
-SMALL = {"env": ["inverted-pendulum"], "learner": ["mle", "tom"], "seeds": 2, "preset": "smoke"}
+SMALL = {
+    "env": ["inverted-pendulum"],
+    "learner": ["mle", "tom"],
+    "seeds": [0, 1],
+    "preset": "smoke",
+}
 
 
 def plan_of(text: str, tmp_path: Path):
@@ -26,7 +31,7 @@ def plan_of(text: str, tmp_path: Path):
 
 
 def test_every_env_with_every_learner_and_seed_the_first_seed_first(tmp_path: Path):
-    plan = plan_of("env: [hopper, ant]\nlearner: [tom, mle]\nseeds: 2\n", tmp_path)
+    plan = plan_of("env: [hopper, ant]\nlearner: [tom, mle]\nseeds: [0, 1]\n", tmp_path)
     found = [(t.seed, t.env, t.learner) for t in trials(plan)]
     assert found[:4] == [
         (0, "hopper", "tom"),
@@ -38,9 +43,12 @@ def test_every_env_with_every_learner_and_seed_the_first_seed_first(tmp_path: Pa
     assert len({t.run_id for t in trials(plan)}) == 8
 
 
-def test_seeds_may_be_named_and_nothing_is_run_twice(tmp_path: Path):
-    plan = plan_of("env: hopper\nlearner: [tom, tom]\nseeds: [3, 7, 3]\n", tmp_path)
-    assert [t.seed for t in trials(plan)] == [3, 7]
+@pytest.mark.parametrize(("written", "seeds"), [("[3, 7, 3]", [3, 7]), ("4", [4])])
+def test_seeds_are_those_that_are_named_and_nothing_is_run_twice(
+    written: str, seeds: list[int], tmp_path: Path
+):
+    plan = plan_of(f"env: hopper\nlearner: [tom, tom]\nseeds: {written}\n", tmp_path)
+    assert [t.seed for t in trials(plan)] == seeds
 
 
 def test_numbers_are_numbers_as_in_yaml_1_2(tmp_path: Path):
@@ -74,7 +82,7 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
         ("env: hopper\nlearner: tomm", "did you mean 'tom'"),
         ("env: hopper\nlearner: tom\npreset: papr", "did you mean 'paper'"),
         ("env: hopper", "learner"),
-        ("env: hopper\nlearner: tom\nseeds: 0", "seeds"),
+        ("env: hopper\nlearner: tom\nseeds: []", "seeds"),
         ("env: hopper\nlearner: tom\nseeds: [-1]", "seeds"),
         ("env: hopper\nlearner: tom\nlearning_rate: 1", "learning_rate"),
         ("env: hopper\nlearner: tom\nsettings: {sac: {lr: -1}}", "sac.lr"),

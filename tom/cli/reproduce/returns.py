@@ -105,8 +105,8 @@ def run(args: argparse.Namespace) -> int:
     if not whole:
         raise UserError(
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
-            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds {RANKED} "
-            "makes them"
+            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} "
+            f"--seeds {' '.join(map(str, range(RANKED)))} makes them"
         )
     runs = _with_seeds(every, args.seeds)
     groups = args.groups and [_called(group, args.preset[0]) for group in args.groups]
