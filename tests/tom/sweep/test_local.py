@@ -18,7 +18,7 @@ from tom.record.recorder import Recorder
 from tom.record.status import DEAD_AFTER_S
 from tom.record.writer import RunWriter
 from tom.sweep.backend import FolderBackend
-from tom.sweep.driver import ATTEMPTS, Driver
+from tom.sweep.driver import ATTEMPTS, Driver, Job
 from tom.sweep.engine import LocalEngine
 from tom.sweep.projection import cost
 from tom.training.plan import Trial, checked, trials
@@ -221,9 +221,7 @@ def test_a_training_that_dies_on_another_machine_is_given_up_like_any_other(
     run = store.run(trial.run_id)
     (run.path / layout.LOCK).write_text("another machine")
     for attempt in range(1, ATTEMPTS + 1):
-        job.log.parent.mkdir(exist_ok=True)
-        job.log.write_text(f"$ attempt {attempt}\n")
-        job.state, job.process = "running", driver.engine.start(["no_such_module"], job.log)
+        killed(driver, job)
         job.attempts, job.step = attempt, -1
         status = replace(run.status, state="running", heartbeat=time.time())
         replace_json(run.path / layout.STATUS, asdict(status), sync=False)
@@ -233,8 +231,15 @@ def test_a_training_that_dies_on_another_machine_is_given_up_like_any_other(
             checkpoint.save(run.path / checkpoint.FOLDER, 10, {})
         now += DEAD_AFTER_S
         driver.poll()
-        assert "no_such_module" in job.note
+        assert "signal 9" in job.note
     assert job.state == ("waiting" if further else "failed")
+
+
+def killed(driver: Driver, job: Job) -> None:
+    """Its process is one that was killed."""
+    job.log.parent.mkdir(exist_ok=True)
+    job.state, job.process = "running", driver.engine.start(["http.server", "0"], job.log)
+    job.process.kill()
 
 
 def test_each_failure_doubles_the_wait(tmp_path: Path):
@@ -243,8 +248,7 @@ def test_each_failure_doubles_the_wait(tmp_path: Path):
     (job,) = driver.jobs
     waits = []
     for attempt in range(1, ATTEMPTS):
-        job.log.parent.mkdir(exist_ok=True)
-        job.state, job.process = "running", driver.engine.start(["no_such_module"], job.log)
+        killed(driver, job)
         job.attempts = attempt
         until(lambda: job.process is None, driver.poll)
         waits.append(job.not_before - time.monotonic())

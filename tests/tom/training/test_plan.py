@@ -13,7 +13,7 @@ from tom.record import Store
 from tom.record.export import export_small
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
-from tom.training.plan import checked, given_fewer, is_done, read_plan, same_run, trials
+from tom.training.plan import checked, is_done, read_plan, same_run, steps_beyond, trials
 from tom.training.presets import resolve
 
 SMALL = {
@@ -148,9 +148,9 @@ def test_a_run_that_was_given_more_steps_is_done_once_it_has_those_of_the_trial(
     stopped_at(steps - 1, RunWriter.create(store, trial.run_id, more))
     (run,) = store.runs()
     assert same_run(trial, [run]) is run
-    assert not is_done(trial, run)
+    assert not is_done(trial.config, run)
     stopped_at(steps, RunWriter(run.path, more))
-    assert is_done(trial, store.run(trial.run_id))
+    assert is_done(trial.config, store.run(trial.run_id))
     longer = trials(checked({**SMALL, "steps": 3 * steps}))[0]
     assert same_run(longer, store.runs()) is None
     RunWriter.create(store, "by-hand", trial.config).close()
@@ -165,5 +165,5 @@ def test_a_finished_run_of_fewer_steps_is_not_done(tmp_path: Path):
     with Recorder(RunWriter.create(Store(tmp_path), trial.run_id, fewer)) as recorder:
         recorder.consume(Tick(fewer.steps, "optimise"))
     (run,) = Store(tmp_path).runs()
-    assert given_fewer(trial, run)
-    assert not is_done(trial, run)
+    assert steps_beyond(trial.config, run) == -1
+    assert not is_done(trial.config, run)
