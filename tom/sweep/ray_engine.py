@@ -1,4 +1,4 @@
-"""Trainings as tasks of a Ray cluster, one core each.
+"""Trainings on the machines of a Ray cluster, one core each.
 
 Ray only chooses a machine with a free core, starts the process there, and says when a machine died.
 """
@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from signal import SIGKILL
+from typing import Any
 
 import ray
 from ray.exceptions import RayError
@@ -22,7 +23,6 @@ from tom.errors import UserError
 from tom.sweep.engine import GoneError, spawn
 
 CONNECT_S, GONE_S = 2.0, 20.0  # Ray takes 60 s, and then ends the process with a message of its own
-LOOK_S = 0.2
 OBJECT_STORE_BYTES = 80_000_000  # the minimum that Ray accepts: it only carries log lines
 _JOIN = (
     "cannot join the Ray cluster at {address} ({reason}): has it another token (RAY_AUTH_TOKEN or "
@@ -31,25 +31,31 @@ _JOIN = (
 _BEGIN = "cannot start Ray ({reason}): `ray start --head` may say more"
 
 
-@ray.remote(num_cpus=1, max_retries=0)  # the driver knows whether another attempt may help
-def _train(words: Sequence[str], folder: str) -> tuple[int, bytes]:
-    """Run `python -m` with `words`; returns the exit code and the output.
+class Training:
+    """A process on some machine of the cluster.
 
-    It starts in `folder` if this machine has it, because the user's modules may be there.
+    It is an actor: of a task Ray does not report that its machine is silent.
     """
-    if Path(folder).is_dir():
-        os.chdir(folder)
-    with tempfile.TemporaryFile() as out:
-        process = spawn(words, out)
-        code = None
-        while code is None:
-            try:
-                time.sleep(LOOK_S)  # `ray.cancel` interrupts no system call that waits longer
-                code = process.poll()
-            except KeyboardInterrupt:
-                process.terminate()
-        out.seek(0)
-        return code, out.read()
+
+    def __init__(self, words: Sequence[str], folder: str) -> None:
+        """It starts in `folder` if this machine has it, because the user's modules may be there."""
+        if Path(folder).is_dir():
+            os.chdir(folder)
+        self._out = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as this object exists
+        self._process = spawn(words, self._out)
+
+    def wait(self) -> tuple[int, bytes]:
+        """The exit code and the output."""
+        code = self._process.wait()
+        self._out.seek(0)
+        return code, self._out.read()
+
+    def terminate(self) -> None:
+        self._process.terminate()
+
+
+# Two calls at a time: it is asked to stop while `wait` waits. The driver knows about restarts.
+_Training = ray.remote(Training).options(num_cpus=1, max_restarts=0, max_concurrency=2)
 
 
 class RayEngine(AbstractContextManager["RayEngine", None]):
@@ -112,7 +118,7 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
         return "" if self._node in alive else "the Ray node of this machine"
 
     def start(self, words: Sequence[str], log: Path) -> "RayProcess":
-        return RayProcess(_train.remote(list(words), str(Path.cwd())), log)
+        return RayProcess(_Training.remote(list(words), str(Path.cwd())), log)
 
     def __exit__(self, *_: object) -> None:
         ray.shutdown()
@@ -123,26 +129,33 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
 class RayProcess:
     """A process on the cluster, whose output comes with its end."""
 
-    def __init__(self, task: ray.ObjectRef, log: Path) -> None:
-        self._task = task
+    def __init__(self, actor: Any, log: Path) -> None:
+        """`actor` is the handle of a `Training`, whose methods Ray's types do not include."""
+        self._actor = actor
         self._log = log
+        self._begun = actor.__ray_ready__.remote()
+        self._end = actor.wait.remote()
         self._code: int | None = None
 
     def poll(self) -> int | None:
-        if self._code is None and ray.wait([self._task], timeout=0)[0]:
+        if self._code is None and ray.wait([self._end], timeout=0)[0]:
             try:
-                self._code, output = ray.get(self._task)
+                self._code, output = ray.get(self._end)
             except RayError as error:
                 self._code, output = -SIGKILL, f"no answer: {_one_line(error)}\n".encode()
             with self._log.open("ab") as log:
                 log.write(output)
+            ray.kill(self._actor)
         return self._code
 
     def terminate(self) -> None:
-        ray.cancel(self._task)
+        if ray.wait([self._begun], timeout=0)[0]:
+            self._actor.terminate.remote()
+        else:  # it waits for a free core
+            self.kill()
 
     def kill(self) -> None:
-        ray.cancel(self._task, force=True)
+        ray.kill(self._actor)
 
 
 @contextmanager

@@ -230,6 +230,29 @@ def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_number
 
 
 @pytest.mark.fault
+def test_a_node_of_a_cluster_that_hangs__is_given_up_like_one_that_died(
+    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+):
+    """Its connections stay open, as those of a machine without power do."""
+    address = f"127.0.0.1:{free_port()}"
+    store = Store(tmp_path)
+    head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
+    until(lambda: len(descendants(head.pid)) > 2)
+    other = node(f"--address={address}")
+    words = ("--steps", "100000", "--checkpoint-every", "100", "--seeds", "0", "1")
+    driver = subprocess.Popen(sweep(*words, "--address", address, "--store", str(store.path)))
+    until(lambda: len(beyond_a_checkpoint(store)) == 2)
+    hanging = descendants(other.pid)
+    (lost,) = [run for run in store.runs() if run.status.pid in hanging]
+    for pid in hanging:
+        os.kill(pid, signal.SIGSTOP)
+    log = store.path / ".sweep" / f"{lost.run_id}.log"
+    until(lambda: "no answer" in log.read_text())
+    driver.terminate()
+    assert driver.wait(WAIT_S) == 1
+
+
+@pytest.mark.fault
 def test_the_head_of_a_cluster_killed__the_sweep_says_so_in_a_summary_and_can_go_on(
     node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
 ):
