@@ -23,8 +23,6 @@ class UserError(Exception):
 class OwnCodeError(UserError):
     """Code of the user's failed while it ran: a task, a learner, a rule of termination."""
 
-    exit_code = FAILED
-
 
 class TryLaterError(UserError):
     """Something is in the way for now: the same command may succeed later."""
@@ -67,13 +65,3 @@ def reason(error: BaseException) -> str:
 
 class DivergedError(Exception):
     """The training cannot go on; the message has the cause, the step and what to try."""
-
-    exit_code = FAILED
-
-
-def exit_code(error: UserError | DivergedError | OSError) -> int:
-    """The exit code of a training that the error ended.
-
-    An OSError is of its disk or of another writer, so that another attempt may succeed.
-    """
-    return TRY_LATER if isinstance(error, OSError) else error.exit_code

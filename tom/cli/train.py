@@ -28,7 +28,14 @@ from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
 from tom.cli.tables import number, summary
 from tom.envs import ANY, ENV_NAMES, ROAD
-from tom.errors import DivergedError, OwnCodeError, StartAgainError, UserError, exit_code
+from tom.errors import (
+    FAILED,
+    TRY_LATER,
+    DivergedError,
+    OwnCodeError,
+    StartAgainError,
+    UserError,
+)
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
@@ -233,7 +240,8 @@ def _watched(
             return 1
         except (DivergedError, OwnCodeError, OSError) as error:
             print(f"{label}: failed: {error}", file=sys.stderr)
-            return exit_code(error)
+            # An OSError is of its disk or of another writer: another attempt may succeed.
+            return TRY_LATER if isinstance(error, OSError) else FAILED
         except REFUSING as error:
             if not ran_out(error):
                 raise
