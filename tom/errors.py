@@ -1,26 +1,37 @@
 """Errors in one line: those a user can fix, those that end a training, and any other."""
 
 import errno
+import os
 from collections.abc import Iterable
 from difflib import get_close_matches
 
 OF_USERS = (Exception, SystemExit)
 """What code of the user's may raise: a script that is imported may end the program."""
 
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
-START_AGAIN = "start it again"
-"""the advice for a run that can never go on; a sweep follows it"""
-
-NOT_NOW = "cannot be read for now"
-"""of a run that may well go on later; a sweep tries again"""
+FAILED, BAD_INPUT, TRY_LATER = 1, 2, os.EX_TEMPFAIL
+"""exit codes of a command that did not do what it was asked to"""
 
 
 class UserError(Exception):
-    """Bad input. The command line prints its one line and exits with code 2."""
+    """Bad input. The command line prints its one line and exits with `exit_code`."""
+
+    exit_code = BAD_INPUT
 
 
 class OwnCodeError(UserError):
     """Code of the user's failed while it ran: a task, a learner, a rule of termination."""
+
+
+class TryLaterError(UserError):
+    """Something is in the way for now: the same command may succeed later."""
+
+    exit_code = TRY_LATER
+
+
+class StartAgainError(UserError):
+    """A run can never go on; `--resume auto` of its own command begins it anew."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:

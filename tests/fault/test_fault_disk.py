@@ -10,7 +10,7 @@ import pytest
 from faults import config, ended, one_line, stopped, tom, train_command
 from same_records import assert_same_record
 
-from tom.errors import UserError
+from tom.errors import TRY_LATER, UserError
 from tom.events import Event, Tick
 from tom.record import RunReader, Store, checkpoint
 from tom.record.rerun.feed import stream
@@ -63,11 +63,11 @@ def test_disk_full_while_recording__ends_as_failed_says_where_and_what_to_do_and
     assert_same_record(train(config(), other, "a", rerun=False), resume(store, "a", rerun=False))
 
 
-def test_disk_full_from_the_command_line__exit_1_and_one_line(small_disk: Path):
+def test_disk_full_from_the_command_line__exit_75_and_one_line(small_disk: Path):
     filler = fill(small_disk, leave=230_000)
     process = tom(*train_command(small_disk / "store", steps=4000), "--run-id", "a")
     code, _, error = ended(process)
-    assert code == 1
+    assert code == TRY_LATER
     assert "failed: " in one_line(error)
     assert "No space left" in error or "disk full" in error
     assert Store(small_disk / "store").run("a").status.state == "failed"

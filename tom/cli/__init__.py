@@ -27,7 +27,7 @@ COMMANDS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return 0 (done), 1 (failed) or 2 (bad input, with a line on the fix).
+    """Run one command and return 0 (done) or one of the codes in `tom.errors`, with a line on why.
 
     Ctrl-C is left to the console script (`tom.__main__`).
     """
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except UserError as error:
         print(f"tom: {terminal(error)}", file=sys.stderr)
-        return 2
+        return error.exit_code
     except BrokenPipeError:
         _close_stdout()
         return 1

@@ -5,7 +5,6 @@ import io
 import json
 import signal
 import tempfile
-from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
@@ -24,7 +23,7 @@ from tom.learners import LEARNERS
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store
-from tom.sweep import Command, run_commands
+from tom.sweep import train_all
 
 LEARN_ENV = "inverted-pendulum"
 LEARN_STEPS = 6000
@@ -192,19 +191,20 @@ def learn(
     with tempfile.TemporaryDirectory() as scratch:
         path = store or Path(scratch)
         before = {run.run_id for run in Store(path).runs()}
-        run_commands(list(_learn_commands(learners, seeds, steps, path)))
+        train_all(_learn_commands(learners, seeds, steps, path))
         rows = [_learn_row(r) for r in Store(path).runs() if r.run_id not in before]
     return sorted(rows, key=lambda row: (row["learner"], row["seed"]))
 
 
 def _learn_commands(
     learners: list[str], seeds: list[int], steps: int, store: Path
-) -> Iterator[Command]:
-    for learner in learners:
-        for seed in seeds:
-            shared = ("--store", str(store), "--no-rerun", "--steps", str(steps))
-            which = ("--env", LEARN_ENV, "--learner", learner, "--seed", str(seed))
-            yield Command(f"{learner} {seed}", (*which, *shared))
+) -> dict[str, tuple[str, ...]]:
+    shared = ("--env", LEARN_ENV, "--store", str(store), "--no-rerun", "--steps", str(steps))
+    return {
+        f"{learner} {seed}": ("--learner", learner, "--seed", str(seed), *shared)
+        for learner in learners
+        for seed in seeds
+    }
 
 
 def _learn_row(run: RunReader) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from tom.cli.tables import number, show, summary
 from tom.envs import ROAD
 from tom.machine.processes import Process, start, stop
 from tom.record import RunReader, Store
-from tom.sweep import Command, run_commands
+from tom.sweep import train_all
 
 ROAD_LEARNERS = ("mle", "pmac", "tom")
 ONLINE_LEARNERS = ("mle", "tom")
@@ -55,21 +55,21 @@ def _demonstrate(store: Store, args: argparse.Namespace) -> int:
         return code
 
 
-def commands(store: Path, seed: int, headless: bool) -> list[Command]:
-    """The five trainings of the demo."""
+def commands(store: Path, seed: int, headless: bool) -> dict[str, tuple[str, ...]]:
+    """The arguments of the five trainings of the demo."""
     road = [(ROAD, learner, ()) for learner in ROAD_LEARNERS]
     online = [(ONLINE_ENV, name, ("--steps", str(ONLINE_STEPS))) for name in ONLINE_LEARNERS]
     shared = ("--store", str(store), "--seed", str(seed))
     quiet = ("--no-rerun",) if headless else ()
-    return [
-        Command(f"{env} {learner}", ("--env", env, "--learner", learner, *extra, *shared, *quiet))
+    return {
+        f"{env} {learner}": ("--env", env, "--learner", learner, *extra, *shared, *quiet)
         for env, learner, extra in [*road, *online]
-    ]
+    }
 
 
 def _train_all(store: Store, args: argparse.Namespace) -> int:
     before = {r.run_id for r in store.runs()}
-    codes = run_commands(commands(store.path, args.seed, args.headless))
+    codes = train_all(commands(store.path, args.seed, args.headless))
     done = [r for r in store.runs() if r.run_id not in before]
     _print_table(sorted(done, key=lambda r: (r.env, r.learner)))
     failed = [name for name, code in codes.items() if code]

@@ -27,18 +27,26 @@ from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
 from tom.cli.tables import number, summary
-from tom.config import completed
 from tom.envs import ANY, ENV_NAMES, ROAD
-from tom.errors import DivergedError, OwnCodeError, UserError
+from tom.errors import (
+    FAILED,
+    TRY_LATER,
+    DivergedError,
+    OwnCodeError,
+    StartAgainError,
+    UserError,
+)
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
 from tom.record import RunReader, Store, checkpoint, manage
+from tom.record.creating import TakenError
 from tom.record.files import size_of
+from tom.record.lock import BusyError
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
-from tom.training.plan import Trial
+from tom.training.plan import Trial, is_done, steps_beyond
 from tom.training.presets import PRESETS, config_type, default_preset, resolve
 from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import AnyConfig, Stop, train
@@ -109,30 +117,51 @@ def run(args: argparse.Namespace) -> int:
 def begin(config: AnyConfig, args: argparse.Namespace) -> int:
     """Train `config`; with `--resume auto`, resume the run of an earlier same command.
 
-    If that command named its run, it is about this run alone, and is done once the run is. A run of
-    that name and these settings that cannot go on goes to the trash. Raises UserError if another
-    process is writing it.
+    If that command named its run, it is about this run alone, and may be given as often as one
+    likes: it is done once the run is, and a run that can never go on goes to the trash and begins
+    anew. Raises TryLaterError if another process has it.
     """
     if not args.resume:
         return record(config, args)
-    store, named = Store(args.store), args.run_id
-    if begun := unfinished(store, config, run_id=named):
+    if args.run_id is not None:
+        return _begin_named(config, args)
+    if begun := unfinished(Store(args.store), config):
         return _resume(args, begun, config.steps)
-    run = next((run for run in store.runs() if run.run_id == named), None)
-    wanted = completed(config.model_dump(mode="json"))
-    if run and run.config.get("config") == wanted:
-        if run.status.state == "finished":
-            _print_summary(run, args.json)
-            return 0
-        _make_room(store, run)
     return record(config, args)
 
 
-def _make_room(store: Store, run: RunReader) -> None:
-    """Trash a run without a checkpoint to go on from: it died early, and keeps its name taken."""
+def _begin_named(config: AnyConfig, args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    run = RunReader(store.resolve(args.run_id))
+    there, beyond = run.path.is_dir(), steps_beyond(config, run)
+    if there and beyond is None:
+        return record(config, args)  # refused: another training has the name
+    if is_done(config, run):
+        _print_summary(run, args.json)
+        return 0
+    try:
+        if unfinished(store, config, run_id=run.run_id):
+            return _resume(args, run.run_id, config.steps + max(beyond or 0, 0))
+        if there:
+            _make_room(store, run)
+    except StartAgainError as error:
+        print(error, file=sys.stderr)
+        _make_room(store, run, hopeless=True)
+    except UserError as error:
+        if there and not run.path.is_dir():
+            raise BusyError(f"run '{run.run_id}' was moved away by another process") from error
+        raise
+    try:
+        return record(config, args)
+    except TakenError as error:
+        raise BusyError(f"run '{run.run_id}' was just begun by another process") from error
+
+
+def _make_room(store: Store, run: RunReader, hopeless: bool = False) -> None:
+    """Trash a run that cannot go on and keeps its name taken: `hopeless`, or without checkpoint."""
     with manage.unwritten(run), manage.refused(f"cannot trash run '{run.run_id}'"):
-        if run.small_copy or checkpoint.load(run.path / checkpoint.FOLDER) is not None:
-            return
+        if not hopeless and checkpoint.load(run.path / checkpoint.FOLDER) is not None:
+            raise BusyError(f"run '{run.run_id}' was being written by another process: try again")
         place = manage.into_trash(store, run.run_id, run.path)
     print(f"{run.run_id}: began anew; what was there is in {place}", file=sys.stderr)
 
@@ -211,7 +240,8 @@ def _watched(
             return 1
         except (DivergedError, OwnCodeError, OSError) as error:
             print(f"{label}: failed: {error}", file=sys.stderr)
-            return 1
+            # An OSError is of its disk or of another writer: another attempt may succeed.
+            return TRY_LATER if isinstance(error, OSError) else FAILED
         except REFUSING as error:
             if not ran_out(error):
                 raise

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from tom.envs.user_code import running
-from tom.errors import START_AGAIN, OwnCodeError, UserError
+from tom.errors import OwnCodeError, StartAgainError
 
 LARGEST = float(np.finfo(np.float32).max)
 
@@ -80,17 +80,17 @@ class Unit(gym.Wrapper):
     def restore(self, state: dict[str, Any]) -> None:
         """Replay the captured episode up to the step of the capture.
 
-        Raises UserError if the observation there is not the captured one.
+        Raises StartAgainError if the observation there is not the captured one.
         """
         self.reset(seed=state["seed"])
         for action in state["actions"].numpy():
             self.step(action)
         self._seeds.bit_generator.state = state["seeds"]
         if not np.array_equal(self._obs, state["obs"].numpy()):
-            raise UserError(
+            raise StartAgainError(
                 f"{self.unwrapped.spec.id if self.unwrapped.spec else 'the task'} does not play an "
                 "episode the same way again from its seed and actions, so a run in it cannot go "
-                f"on: {START_AGAIN}"
+                "on: start it again"
             )
 
     def _seen(self, obs: NDArray) -> NDArray[np.float32]:

@@ -7,14 +7,11 @@ from typing import Any
 
 from tom import plugins
 from tom.config import RunConfig
-from tom.errors import UserError
+from tom.errors import DISK_FULL, TryLaterError, UserError
 from tom.record import layout
 from tom.record.files import replace_json, whole_folder
 from tom.record.store import Store
 from tom.record.versions import git_commit, machine, versions
-
-TAKEN = "exists already"
-"""of a run that another process began first; a sweep looks again"""
 
 
 class TakenError(UserError):
@@ -43,7 +40,8 @@ def make_folder(store: Store, run_id: str, config: RunConfig, matmul: object, co
     except OSError as error:
         if path.exists():  # another writer was first
             raise _taken(run_id) from error
-        raise UserError(f"cannot make run {run_id}: {error}") from error
+        kind = TryLaterError if error.errno in DISK_FULL else UserError
+        raise kind(f"cannot make run {run_id}: {error}") from error
     return path
 
 
@@ -71,4 +69,4 @@ def _describe(run_id: str, config: RunConfig, matmul: object, command: str) -> d
 
 
 def _taken(run_id: str) -> TakenError:
-    return TakenError(f"run '{run_id}' {TAKEN}: choose another run id")
+    return TakenError(f"run '{run_id}' exists already: choose another run id")

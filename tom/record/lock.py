@@ -16,17 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tom.data.unpack import read_bytes
-from tom.errors import UserError
+from tom.errors import TryLaterError, UserError
 from tom.record import layout
 
 LOOKS, LOOK_S = 100, 0.01  # number of tries and seconds between them, while others look at it
 
 
-WRITTEN = "is being written"
-"""in every refusal of a run that another process has: a sweep leaves it alone and looks again"""
-
-
-class BusyError(UserError):
+class BusyError(TryLaterError):
     """Another process has the run folder: it writes it, or has just moved it away."""
 
 

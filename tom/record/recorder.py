@@ -1,6 +1,5 @@
 """Records a training's events in a run folder and a live view, in under 2 % of its time."""
 
-import errno
 import logging
 import time
 from collections.abc import Callable, Mapping
@@ -9,7 +8,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from tom.errors import DivergedError, OwnCodeError
+from tom.errors import DISK_FULL, DivergedError, OwnCodeError
 from tom.events import (
     Collected,
     Evaluation,
@@ -30,7 +29,6 @@ from tom.record.rerun.sink import Sink
 from tom.record.writer import RunWriter
 
 State = Literal["finished", "stopped", "failed"]
-DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _log = logging.getLogger(__name__)
 

@@ -164,8 +164,8 @@ def _chosen(args: Namespace, envs: Sequence[str]) -> tuple[list[Cell], list[Cell
     if not whole:
         raise UserError(
             f"{args.store}/ has no such run with an evaluation: tom sweep --env {' '.join(envs)} "
-            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} --seeds {RANKED} "
-            "makes them"
+            f"--learner {' '.join(args.learner)} --preset {args.preset[0]} "
+            f"--seeds {' '.join(map(str, range(RANKED)))} makes them"
         )
     runs = [run for run in runs if args.seeds is None or run.seed in args.seeds]
     groups = args.groups and [_called(group, args.preset[0]) for group in args.groups]

@@ -356,7 +356,8 @@ def missing(cells: Sequence[Cell], envs: Sequence[str], learners: Sequence[str])
             cell, steps = cell_of(cells, env, learner), task(env).steps
             full = [c for c in cell.curves if c.step[-1] >= steps] if cell else []
             if len(full) < PAPER_SEEDS:
-                wanted = f"--env {env} --learner {learner} --preset paper --seeds {PAPER_SEEDS}"
+                seeds = " ".join(map(str, range(PAPER_SEEDS)))
+                wanted = f"--env {env} --learner {learner} --preset paper --seeds {seeds}"
                 rows.append(
                     {
                         "env": env,

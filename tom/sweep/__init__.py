@@ -4,6 +4,6 @@
 `slurm` writes a script for a cluster, and `projection` estimates their hours and bytes.
 """
 
-from tom.sweep.commands import Command, run_commands
+from tom.sweep.commands import train_all
 
-__all__ = ["Command", "run_commands"]
+__all__ = ["train_all"]

@@ -3,13 +3,10 @@
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
-from tom.errors import UserError
-from tom.record import RunReader, Store, lock, manage
-from tom.record.lock import BusyError
+from tom.record import RunReader, Store, lock
 from tom.record.status import DEAD_AFTER_S
-from tom.sweep.lease import Lease
 
 
 class Backend(Protocol):
@@ -28,25 +25,14 @@ class Backend(Protocol):
         """The words after `python -m` that start the training `tom train WORDS`."""
         ...
 
-    def written(self, run: RunReader) -> bool:
-        """Whether a process is writing the run."""
+    def writer(self, run: RunReader) -> Literal["here", "away"] | None:
+        """Whether a process of this machine, or perhaps of another one, is writing the run."""
         ...
 
     def ended(self, run_id: str) -> None:
         """Note that the process which `words` last started for the run was seen to end.
 
         Raises OSError if the runs cannot be reached.
-        """
-        ...
-
-    def written_here(self, run: RunReader) -> bool:
-        """Whether a process of this machine is writing the run, as far as that can be told."""
-        ...
-
-    def begin_anew(self, run_id: str) -> str:
-        """Make room for a run that starts from the beginning; returns where its old files are.
-
-        Raises BusyError if another process has the run just now, UserError if it cannot be moved.
         """
         ...
 
@@ -69,29 +55,45 @@ class FolderBackend:
     def words(self, run_id: str, words: Sequence[str]) -> list[str]:
         return ["tom", "train", *words, "--no-rerun", f"--store={self.store.path.resolve()}"]
 
-    def written(self, run: RunReader) -> bool:
-        """Whether the lock is held, or another machine's heartbeat was seen to change of late."""
-        if lock.held(run.path):
-            return True
+    def writer(self, run: RunReader) -> Literal["here", "away"] | None:
+        """By the lock, or by another machine's heartbeat that was seen to change of late."""
+        here = lock.written_here(run.path)
+        if lock.held(run.path):  # a shared file system may show another machine's lock, too
+            return "away" if here is False else "here"
         status = run.status
-        away = status.state == "running" and lock.written_here(run.path) is False
-        self._lease.see(run.run_id, status if away else None)
-        return self._lease.holds(run.run_id)
+        self._lease.see(run.run_id, status if status.state == "running" and here is False else None)
+        return "away" if self._lease.holds(run.run_id) else None
 
     def ended(self, run_id: str) -> None:
         """Do nothing: the lock, or on another machine the heartbeat, says so as well."""
 
-    def written_here(self, run: RunReader) -> bool:
-        # A shared file system may show another machine's lock, too.
-        return lock.held(run.path) and lock.written_here(run.path) is not False
-
-    def begin_anew(self, run_id: str) -> str:
-        try:
-            return str(manage.trash(self.store, run_id))
-        except UserError as error:
-            if (self.store.path / run_id).is_dir():
-                raise
-            raise BusyError(f"run '{run_id}' was moved away by another process") from error
-
     def keep_log(self, log: Path) -> str:
         return str(log)
+
+
+class Lease:
+    """How long a run that another machine writes is left to it, by this machine's own clock.
+
+    Two machines' clocks may differ by any amount, so a heartbeat's time says nothing here: what
+    counts is when this machine saw it change.
+    """
+
+    def __init__(self, lasts_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        """A run is left to its writer until it was seen unchanged for `lasts_s` by `clock` (s)."""
+        self._lasts_s = lasts_s
+        self._clock = clock
+        self._seen: dict[str, tuple[object, float]] = {}
+
+    def see(self, run_id: str, sign: object) -> None:
+        """Note what changes while the run is written; None: nobody claims to write it."""
+        if run_id not in self._seen or self._seen[run_id][0] != sign:
+            self._seen[run_id] = (sign, self._clock())
+
+    def holds(self, run_id: str) -> bool:
+        """Whether the run is to be left to its writer."""
+        sign, since = self._seen.get(run_id, (None, 0.0))
+        return sign is not None and self._clock() - since < self._lasts_s
+
+    def forget(self) -> None:
+        """Count all runs anew, because none of them could be seen for a while."""
+        self._seen.clear()

@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Literal
 
 from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.bucket import attempts
 from tom.record.bucket.objects import Bucket
-from tom.sweep.lease import Lease
+from tom.sweep.backend import Lease
 from tom.training.plan import Trial
 
 LOOK_S = 5.0  # between two updates of a run
@@ -46,8 +47,7 @@ class BucketBackend(AbstractContextManager["BucketBackend", None]):
         self._clock = clock
         self._next: dict[str, float] = {}
         self._lease = Lease(LEASE_S, clock)
-        self._own: dict[str, str] = {}
-        """by run, the end of the name of the attempt that this driver began last"""
+        self._own = secrets.token_hex(attempts.OWN_BYTES)  # the attempts of this driver end with it
         self.store = Store(self._folder)
         try:
             for trial in trials:
@@ -74,29 +74,22 @@ class BucketBackend(AbstractContextManager["BucketBackend", None]):
         self._lease.see(run_id, self._sign(run_id, attempts.claimed(names), attempt))
 
     def words(self, run_id: str, words: Sequence[str]) -> list[str]:
-        self._own[run_id] = secrets.token_hex(attempts.OWN_BYTES)
-        return ["tom.sweep.worker", self._bucket.url, self._own[run_id], run_id, *words]
+        return ["tom.sweep.worker", self._bucket.url, self._own, run_id, *words]
 
-    def written(self, run: RunReader) -> bool:
-        """Whether it is claimed, says that it is running, and was seen to change of late.
+    def writer(self, run: RunReader) -> Literal["away"] | None:
+        """Another machine's, if it is claimed, says that it is running, and changed of late.
 
         A claim that is not the run yet counts as running: its worker may be fetching or putting.
         If this is wrong, the old attempt ends when it sees the newer one.
         """
-        return self._lease.holds(run.run_id)
+        return "away" if self._lease.holds(run.run_id) else None
 
     def ended(self, run_id: str) -> None:
-        """Take back its claim, so that neither this machine nor another one waits for it."""
-        attempts.release(self._bucket, run_id, self._own[run_id])
+        """Take back its claim, so that neither this machine nor another one waits for it.
 
-    def written_here(self, run: RunReader) -> bool:
-        """False: a bucket does not say which machine writes into it."""
-        return False
-
-    def begin_anew(self, run_id: str) -> str:
-        """Forget the run here; a new attempt does not change the earlier ones."""
-        shutil.rmtree(self._folder / run_id)
-        return f"{self._bucket.url}/{run_id}"
+        A worker on a machine that was lost may still train: it ends when it sees a newer attempt.
+        """
+        attempts.release(self._bucket, run_id, self._own)
 
     def keep_log(self, log: Path) -> str:
         name = f"{layout.LOGS}/{log.name}"

@@ -1,30 +1,27 @@
-"""Runs a sweep: starts trainings, reads their state from the run folders, and restarts them.
+"""Runs a sweep: starts trainings, reads their exit codes, and tries again where that may help.
 
-The run folders are the only memory: a driver that was killed and is started again sees there which
-runs are finished, which can be resumed, and which another process is writing. Ctrl-C asks the
-trainings to stop; the kernel does the same if the driver is killed. The engine decides where the
-trainings run, the backend where the runs are stored.
+Every training is `tom train --run-id NAME --resume auto`, which may be given again at any time. The
+run folders are the only memory: a driver that was killed and is started again sees there which runs
+are finished and which another process is writing. Ctrl-C asks the trainings to stop; the kernel
+does the same if the driver is killed. The engine decides where the trainings run, the backend where
+the runs are stored.
 """
 
 import shutil
-import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from tom import plugins
-from tom.errors import NOT_NOW, START_AGAIN, UserError
-from tom.record import RunReader, checkpoint, layout, lock
-from tom.record.creating import TAKEN
-from tom.record.lock import BusyError
+from tom.errors import BAD_INPUT, FAILED
+from tom.record import RunReader, checkpoint, layout
 from tom.record.versions import ACCEPT
 from tom.sweep.backend import Backend
-from tom.sweep.engine import Engine, Exit, Process, lives
-from tom.sweep.watchdog import lost
-from tom.training.plan import Trial, given_fewer, given_more, is_done, same_run
+from tom.sweep.engine import Engine, Process
+from tom.training.plan import Trial, is_done, same_run, steps_beyond
 
 State = Literal["waiting", "running", "elsewhere", "finished", "failed", "stopped"]
 
@@ -33,8 +30,8 @@ ATTEMPTS = 3
 
 BACK_OFF_S = 5.0  # wait before the second attempt; it doubles with each further one
 LOW_BYTES = 200e6  # with less free disk space nothing is started and no failure is counted
-KILL_AFTER_S = 300.0  # a training writes its checkpoint within this time after a request
-TAIL_LINES = 5
+STOP_S = 300.0  # a training writes its checkpoint within this time after a request
+KILL_S = 10.0  # a killed process has ended within this time
 ELSEWHERE = "another process is writing it, or was a moment ago"
 
 
@@ -46,12 +43,11 @@ class Job:
     log: Path
     run_id: str
     state: State = "waiting"
-    attempts: int = 0
+    note: str = ""
+    attempts: int = 0  # that have not got further
     step: int = -1  # of the newest checkpoint when it was last started
     not_before: float = 0.0
-    anew: bool = False  # its checkpoints cannot be resumed
-    note: str = ""
-    ended: str = ""  # why its last process ended, if that is not judged yet
+    away: bool = False  # another machine trains it, with a core of its own
     process: Process | None = field(default=None, repr=False)
 
 
@@ -81,11 +77,11 @@ class Driver:
             run = same_run(trial, runs)
             run_id = run.run_id if run else trial.run_id
             job = Job(trial, logs / f"{run_id}.log", run_id)
-            if run and is_done(trial, run):
+            if run and is_done(trial.config, run):
                 copy = "a small copy, " if run.small_copy else ""
                 longer = f", and was given {run.config['config']['steps']} steps"
-                job.state = "finished"
-                job.note = f"{copy}was there already{longer if given_more(trial, run) else ''}"
+                more = longer if steps_beyond(trial.config, run) else ""
+                job.state, job.note = "finished", f"{copy}was there already{more}"
             self.jobs.append(job)
         self._order = list(self.jobs)
         """the order in which `poll` checks them"""
@@ -99,30 +95,35 @@ class Driver:
         A training that cannot be reached is not judged, and the round ends there: the backend may
         be down, and then every request takes long. The next poll checks it last. Raises GoneError.
         """
-        self.trouble = ""
+        self.trouble, self.full = "", self._is_full()
+        slots = self.engine.slots
         for job in tuple(self._order):
-            if not self._reached(self._attend, job):
+            try:
+                self._attend(job, slots)
+            except OSError as error:
+                self.trouble = str(error)
+                self._order.remove(job)
+                self._order.append(job)
                 break
-        self._start_some()
         return all(job.state in ("finished", "failed", "stopped") for job in self.jobs)
 
-    def stop(self, wait_s: float = KILL_AFTER_S) -> None:
+    def stop(self, wait_s: float = STOP_S) -> None:
         """Ask every training to stop, wait for them, and kill those that do not stop in time.
 
         A KeyboardInterrupt during the wait kills them at once.
         """
         running = [(job, job.process) for job in self.jobs if job.process]
         for _, process in running:
-            process.signal(signal.SIGTERM)
-        until = time.monotonic() + wait_s
+            process.terminate()
         with suppress(KeyboardInterrupt):  # a second request: they keep their last checkpoints
-            while time.monotonic() < until and any(lives(process) for _, process in running):
-                time.sleep(0.1)
+            _wait([process for _, process in running], wait_s)
         for _, process in running:
-            process.end()
+            process.kill()
+        _wait([process for _, process in running], KILL_S)
         for job, process in running:
-            with suppress(OSError):  # out of reach: others wait until nothing more is seen of it
-                self._tell(job, process.poll())
+            if process.poll() is not None:
+                with suppress(OSError):  # out of reach: others wait until nothing is seen of it
+                    self.backend.ended(job.run_id)
         self.let_go()
 
     def let_go(self) -> None:
@@ -133,166 +134,114 @@ class Driver:
             job.process = None
             with suppress(OSError):  # out of reach: its last known state counts
                 self.backend.look(job.run_id, now=True)
-            job.state = "finished" if is_done(job.trial, self._reader(job)) else "stopped"
+            job.state = "finished" if self._is_done(job) else "stopped"
 
-    def _reached(self, look: Callable[[Job], None], job: Job) -> bool:
-        """Call `look`; False if the training cannot be reached, which is then checked last."""
-        try:
-            look(job)
-        except OSError as error:
-            self.trouble = str(error)
-            self._order.remove(job)
-            self._order.append(job)
-            return False
-        return True
-
-    def _attend(self, job: Job) -> None:
-        """Check one training."""
-        if job.state not in ("running", "elsewhere"):
-            return
-        self.backend.look(job.run_id)
-        if job.process is None:
+    def _attend(self, job: Job, slots: int) -> None:
+        if job.state in ("running", "elsewhere"):
+            self.backend.look(job.run_id)
+        if job.process and (code := job.process.poll()) is not None:
+            self._ended(job, code)
+        elif job.state == "elsewhere":
             self._watch(job)
+        if job.state != "waiting" or self.full or time.monotonic() < job.not_before:
             return
-        ended = job.process.poll() or lost(job.process.silent_s(), self._reader(job).status)
-        if ended is not None:
-            self._tell(job, ended)
-            self.backend.look(job.run_id, now=True)
-            job.process.end()
-            job.process = None
-            self._ended(job, ended)
-
-    def _tell(self, job: Job, ended: Exit | None) -> None:
-        """Tell the backend of a process that was seen to end: a lost one may still write."""
-        if ended is not None and ended.code is not None:
-            self.backend.ended(job.run_id)
-
-    def _start_some(self) -> None:
-        with suppress(OSError):  # missing or out of reach: the start of a training will show it
-            self.full = shutil.disk_usage(self.store.path).free < self.low_bytes
-        written = [job for job in self.jobs if job.state in ("running", "elsewhere")]
-        busy = sum(not self._away(job) for job in written)
-        slots = self.engine.slots
-        now = time.monotonic()
-        due = [s for s in self._order if s.state == "waiting" and now >= s.not_before]
-        for job in due:
-            if busy >= slots or self.full or not self._reached(self._start, job):
-                return
-            busy += job.state != "finished" and not self._away(job)
-
-    def _away(self, job: Job) -> bool:
-        """Whether another machine trains it, with a core of its own."""
-        return job.state == "elsewhere" and not self.backend.written_here(self._reader(job))
+        written = [one for one in self.jobs if one.state in ("running", "elsewhere")]
+        if sum(not one.away for one in written) < slots:
+            self._start(job)
 
     def _start(self, job: Job) -> None:
         self.backend.look(job.run_id, now=True)
-        run = self._reader(job)
-        if is_done(job.trial, run):
+        if self._is_done(job):
             job.state, job.note = "finished", "by another process"
             return
-        if self.backend.written(run):
-            job.state, job.note = "elsewhere", ELSEWHERE
+        if self._is_written(job):
+            job.note = ELSEWHERE
             return
-        at = checkpoint.newest(run.path / checkpoint.FOLDER)
-        if at is None and job.run_id != job.trial.run_id:
+        at = self._saved(job)
+        if at < 0 and job.run_id != job.trial.run_id:
             job.run_id = job.trial.run_id  # it cannot go on; what has the own name perhaps can
             self._start(job)
             return
-        self._forgive(job)
-        job.attempts += 1
-        job.step = -1 if at is None else at
+        job.step, job.attempts = at, job.attempts + 1
+        plugged = [f"{plugins.OPTION}={word}" for word in plugins.wanted_here()]
+        own = [f"--run-id={job.run_id}", "--resume=auto", *plugged, *self._accepted]
+        words = self.backend.words(job.run_id, [*job.trial.options(), *own])
         try:
-            words = self._words(job, at)
-            job.process = self._spawn(self.backend.words(job.run_id, words), job.log)
-            job.state = "running"
-        except BusyError as error:
-            self._leave(job, str(error))
-        except (UserError, OSError) as error:
-            self._judge(job, str(error), hopeless=isinstance(error, UserError))
+            job.log.parent.mkdir(parents=True, exist_ok=True)
+            with job.log.open("a", errors="backslashreplace") as out:  # a path may be no text
+                out.write(f"$ {' '.join(words)}\n")
+            job.process = self.engine.start(words, job.log)
+            job.state, job.away = "running", False
+        except OSError as error:
+            job.note = str(error)
+            self._again(job)
 
-    def _words(self, job: Job, at: int | None) -> list[str]:
-        """The arguments of `tom train` that resume a training, or start it."""
-        named = [f"{plugins.OPTION}={word}" for word in plugins.wanted_here()]
-        if at is not None and not job.anew:
-            run, steps = self._reader(job), job.trial.config.steps
-            rest = [f"--steps={steps}"] if given_fewer(job.trial, run) else []
-            return [f"--resume={job.run_id}", *rest, *job.trial.code(), *named, *self._accepted]
-        job.run_id, job.anew = job.trial.run_id, False
-        path = self.store.path / job.run_id
-        if at is None and (closed := checkpoint.look_for(path / checkpoint.FOLDER)[1]):
-            raise UserError(f"{closed}: make it readable")
-        if path.is_dir():  # it has no checkpoint to resume from
-            where = self.backend.begin_anew(job.run_id)
-            job.note = f"began anew; what was there is in {where}"
-        return [*job.trial.options(), f"--run-id={job.run_id}", *named, *self._accepted]
-
-    def _spawn(self, words: Sequence[str], log: Path) -> Process:
-        log.parent.mkdir(parents=True, exist_ok=True)
-        with log.open("a", errors="backslashreplace") as out:  # a path may be no text
-            out.write(f"$ {' '.join(words)}\n")
-        return self.engine.start(words, log)
-
-    def _ended(self, job: Job, ended: Exit) -> None:
-        run, said = self._reader(job), _tail(job.log)
-        why = f"{ended.why or run.status.reason or f'exit code {ended.code}'}\n{said}"
-        if is_done(job.trial, run):  # even if nobody saw its process end
+    def _ended(self, job: Job, code: int) -> None:
+        self.backend.ended(job.run_id)
+        self.backend.look(job.run_id, now=True)
+        job.process = None
+        how = f"exit code {code}" if code >= 0 else f"killed by signal {-code}"
+        job.note = ": ".join(filter(None, [how, _last_line(job.log)]))
+        if self._is_done(job):
             job.state, job.note = "finished", ""
-        elif self.backend.written(run):
-            job.state, job.note = "elsewhere", ELSEWHERE
-            # Or it is its own last heartbeat, on another machine. A refusal was for the other.
-            job.ended = why if ended.code != 2 else ""
-        elif ended.code == 2 and lock.WRITTEN in said:
-            self._leave(job, why)
-        else:
-            # Hours of training may be in it: only if it can never go on does it begin anew.
-            never = START_AGAIN in said and ACCEPT not in said
-            job.anew = ended.code == 2 and job.step >= 0 and never
-            gone = job.step >= 0 and not run.path.is_dir()  # in the trash, by another sweep
-            later = gone or job.anew or NOT_NOW in said or TAKEN in said
-            self._judge(job, why, hopeless=ended.code == 2 and not later)
-
-    def _leave(self, job: Job, why: str) -> None:
-        """Another process had the run for that moment: no attempt has failed. Look again later."""
-        job.attempts = max(job.attempts - 1, 0)
-        self._judge(job, why, hopeless=False)
-
-    def _judge(self, job: Job, why: str, hopeless: bool) -> None:
-        """Decide about a training that ended early: try again later, or give it up."""
-        job.note, job.ended = why.strip(), ""
-        self._forgive(job)
-        full = shutil.disk_usage(self.store.path).free < self.low_bytes
-        if full:
-            # Not its own fault, even if it was refused: it waits for disk space.
-            job.attempts = max(job.attempts - 1, 0)
-        given_up = not full and (hopeless or job.attempts >= ATTEMPTS)
-        job.state = "failed" if given_up else "waiting"
-        job.not_before = time.monotonic() + self.back_off_s * 2 ** max(job.attempts - 1, 0)
+        elif code in (FAILED, BAD_INPUT) and not self._is_full():
+            job.state = "failed"
+        elif not self._is_written(job):
+            self._again(job)
 
     def _watch(self, job: Job) -> None:
-        run = self._reader(job)
-        if is_done(job.trial, run):
+        if self._is_done(job):
             job.state, job.note = "finished", "by another process"
-        elif not self.backend.written(run):
-            if job.ended:
-                self._judge(job, job.ended, hopeless=False)
-            else:
-                job.state, job.note = "waiting", ""
+        elif not self._is_written(job):
+            job.state = "waiting"
+            if job.attempts:  # it is ours that was the last to write it
+                self._again(job)
 
-    def _forgive(self, job: Job) -> None:
-        """Forget the attempts of a training that has got further: its failures are not the same."""
-        at = checkpoint.newest(self.store.path / job.run_id / checkpoint.FOLDER)
-        if at is not None and at > job.step:
+    def _again(self, job: Job) -> None:
+        """Try a training again later, or give it up if that has not helped."""
+        if self._is_full() or self._saved(job) > job.step:
             job.attempts = 0
+        job.state = "failed" if job.attempts >= ATTEMPTS else "waiting"
+        job.not_before = time.monotonic() + self.back_off_s * 2 ** max(job.attempts - 1, 0)
 
-    def _reader(self, job: Job) -> RunReader:
+    def _is_written(self, job: Job) -> bool:
+        """Whether a process that is not ours has the run; then the job is left to it."""
+        writer = self.backend.writer(self._run(job))
+        if writer is None:
+            return False
+        job.state, job.away = "elsewhere", writer == "away"
+        return True
+
+    def _is_done(self, job: Job) -> bool:
+        return is_done(job.trial.config, self._run(job))
+
+    def _is_full(self) -> bool:
+        try:
+            return shutil.disk_usage(self.store.path).free < self.low_bytes
+        except OSError:  # missing or out of reach: the start of a training will show it
+            return False
+
+    def _saved(self, job: Job) -> int:
+        """The step of its newest checkpoint; -1 if it has none."""
+        at = checkpoint.newest(self.store.path / job.run_id / checkpoint.FOLDER)
+        return -1 if at is None else at
+
+    def _run(self, job: Job) -> RunReader:
         return RunReader(self.store.path / job.run_id)
 
 
-def _tail(log: Path) -> str:
-    """The last lines that the last command wrote."""
+def _wait(processes: Sequence[Process], wait_s: float) -> None:
+    """Wait until all have ended, or for `wait_s` seconds."""
+    until = time.monotonic() + wait_s
+    while any(process.poll() is None for process in processes) and time.monotonic() < until:
+        time.sleep(0.1)
+
+
+def _last_line(log: Path) -> str:
+    """The last line that the last command wrote, for people to read."""
     try:
         lines = log.read_text(errors="replace").splitlines()
     except OSError:
         return ""
-    begun = max((i for i, line in enumerate(lines) if line.startswith("$ ")), default=-1)
-    return "\n".join(lines[begun + 1 :][-TAIL_LINES:])
+    last = next((line for line in reversed(lines) if line.strip()), "")
+    return "" if last.startswith("$ ") else last

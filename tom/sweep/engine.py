@@ -1,44 +1,27 @@
 """The processes of a sweep's trainings, on this machine or on a cluster (`ray_engine`)."""
 
-import signal
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import IO, Protocol
 
 from tom.machine import processes
 
-KILL_S = 10.0  # a killed process has ended within this time
-
-
-@dataclass(frozen=True)
-class Exit:
-    """How a process ended; `code` is None if nobody saw it end."""
-
-    code: int | None
-    why: str = ""
-
 
 class Process(Protocol):
-    """The process of one training, on any machine."""
+    """The process of one training, on any machine; one of this machine is a `Popen`."""
 
-    def poll(self) -> Exit | None:
-        """How it ended; None as long as this is unknown."""
+    def poll(self) -> int | None:
+        """Its exit code, below zero if it was killed or its machine died; None while it runs."""
         ...
 
-    def signal(self, number: signal.Signals) -> None:
-        """Send it a signal, unless it has ended."""
+    def terminate(self) -> None:
+        """Ask it to stop with a checkpoint, unless it has ended."""
         ...
 
-    def silent_s(self) -> float:
-        """Seconds since the last sign of its machine; 0 before it has started."""
-        ...
-
-    def end(self) -> None:
-        """Kill it if it still runs, and release it."""
+    def kill(self) -> None:
+        """End it at once, unless it has ended."""
         ...
 
 
@@ -68,51 +51,17 @@ class LocalEngine(AbstractContextManager["LocalEngine", None]):
     def __init__(self, slots: int) -> None:
         self.slots = slots
 
-    def start(self, words: Sequence[str], log: Path) -> "LocalProcess":
+    def start(self, words: Sequence[str], log: Path) -> processes.Process:
         with log.open("ab") as out:
-            return LocalProcess(spawn(words, out))
+            return spawn(words, out)
 
     def __exit__(self, *_: object) -> None:
         """There is nothing to close: the driver ends the processes that it started."""
 
 
-class LocalProcess:
-    """A process of this machine."""
-
-    def __init__(self, process: processes.Process) -> None:
-        self.process = process
-
-    def poll(self) -> Exit | None:
-        code = self.process.poll()
-        if code is None:
-            return None
-        return Exit(code, f"killed by signal {-code}" if code < 0 else "")
-
-    def signal(self, number: signal.Signals) -> None:
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-
-    def silent_s(self) -> float:
-        return 0.0
-
-    def end(self) -> None:
-        self.signal(signal.SIGKILL)
-        self.process.wait()
-
-
-def spawn(words: Sequence[str], out: BinaryIO) -> processes.Process:
+def spawn(words: Sequence[str], out: IO[bytes]) -> processes.Process:
     """Start `python -m` followed by `words` with one thread, with its output to `out`.
 
     It gets SIGTERM when the caller's thread ends, on which a training stops cleanly.
     """
     return processes.start([sys.executable, "-m", *words], out, processes.single_threaded())
-
-
-def lives(process: Process, wait_s: float = 0.0) -> bool:
-    """Whether it still runs after `wait_s` seconds; returns early if it ends before."""
-    until = time.monotonic() + wait_s
-    while process.poll() is None:
-        if time.monotonic() >= until:
-            return True
-        time.sleep(0.1)
-    return False

@@ -1,60 +1,61 @@
-"""Trainings as processes on the machines of a Ray cluster, one core each.
+"""Trainings on the machines of a Ray cluster, one core each.
 
-Ray only chooses a machine with a free core and transmits signals and output. The run folder says
-how a training ended.
+Ray only chooses a machine with a free core, starts the process there, and says when a machine died.
 """
 
 import logging
 import os
 import shutil
-import signal
+import socket
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from signal import SIGKILL
 from typing import Any
 
 import ray
-from ray.exceptions import ActorUnavailableError, RayError
+from ray.exceptions import RayError
 
 from tom.errors import UserError
-from tom.sweep.engine import KILL_S, Exit, LocalProcess, lives, spawn
-from tom.sweep.ray_head import Head
-from tom.sweep.watchdog import Watchdog
+from tom.sweep.engine import GoneError, spawn
 
+CONNECT_S, GONE_S = 2.0, 20.0  # Ray takes 60 s, and then ends the process with a message of its own
+OBJECT_STORE_BYTES = 80_000_000  # the minimum that Ray accepts: it only carries log lines
 _JOIN = (
     "cannot join the Ray cluster at {address} ({reason}): has it another token (RAY_AUTH_TOKEN or "
     "~/.ray/auth_token), and is this machine one of its nodes?"
 )
 _BEGIN = "cannot start Ray ({reason}): `ray start --head` may say more"
-OBJECT_STORE_BYTES = 80_000_000  # the minimum that Ray accepts: it only carries log lines
 
 
-class Remote:
-    """A process on some machine of the cluster, and its output."""
+class Training:
+    """A process on some machine of the cluster.
+
+    It is an actor: of a task Ray does not report that its machine is silent.
+    """
 
     def __init__(self, words: Sequence[str], folder: str) -> None:
         """It starts in `folder` if this machine has it, because the user's modules may be there."""
         if Path(folder).is_dir():
             os.chdir(folder)
         self._out = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as this object exists
-        self._process = LocalProcess(spawn(words, self._out))
-        self._read = 0
+        self._process = spawn(words, self._out)
 
-    def look(self) -> tuple[Exit | None, bytes]:
-        """How it ended (None while it runs), and its output since the last call."""
-        ended = self._process.poll()  # before the output is read, which is complete after the end
-        file = self._out.fileno()  # the process writes at the file's offset, which must not move
-        output = os.pread(file, os.fstat(file).st_size - self._read, self._read)
-        self._read += len(output)
-        return ended, output
+    def wait(self) -> tuple[int, bytes]:
+        """The exit code and the output."""
+        code = self._process.wait()
+        self._out.seek(0)
+        return code, self._out.read()
 
-    def signal(self, number: int) -> None:
-        self._process.signal(signal.Signals(number))
+    def terminate(self) -> None:
+        self._process.terminate()
 
 
-_Remote = ray.remote(num_cpus=1, max_restarts=0)(Remote)
+# Two calls at a time: it is asked to stop while `wait` waits. The driver knows about restarts.
+_Training = ray.remote(Training).options(num_cpus=1, max_restarts=0, max_concurrency=2)
 
 
 class RayEngine(AbstractContextManager["RayEngine", None]):
@@ -70,11 +71,14 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
                     ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
             else:
                 self._begin()
-            self._head = Head(ray.get_runtime_context().gcs_address)
+            host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
+            self._head = (host.strip("[]"), int(port))
+            self._node = ray.get_runtime_context().get_node_id()
         except (RayError, OSError, RuntimeError, ValueError, AssertionError) as error:
             self.__exit__()
             what = _JOIN if address else _BEGIN
             raise UserError(what.format(address=address, reason=_one_line(error))) from error
+        self._heard = time.monotonic()
 
     def _begin(self) -> None:
         ray.init(
@@ -89,14 +93,32 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
 
     @property
     def slots(self) -> int:
-        """The number of cores; 0 while the head is silent, as Ray would wait. Raises GoneError."""
-        if not self._head.answers():
-            return 0
+        """The number of cores; 0 while the head or this machine's node is silent.
+
+        Raises GoneError after GONE_S of silence.
+        """
+        if silent := self._silent():
+            if time.monotonic() - self._heard < GONE_S:
+                return 0
+            raise GoneError(
+                f"{silent} has not answered for {GONE_S:.0f} s: trainings stop with a checkpoint "
+                "once they notice"
+            )
+        self._heard = time.monotonic()
         cores = int(ray.cluster_resources().get("CPU", 0))
         return cores if self._jobs is None else min(cores, self._jobs)
 
+    def _silent(self) -> str:
+        """What does not answer without which Ray waits for ever; "" if nothing is silent."""
+        try:
+            socket.create_connection(self._head, CONNECT_S).close()
+        except OSError:
+            return "the head of the Ray cluster"
+        alive = {node["NodeID"] for node in ray.nodes() if node["Alive"]}
+        return "" if self._node in alive else "the Ray node of this machine"
+
     def start(self, words: Sequence[str], log: Path) -> "RayProcess":
-        return RayProcess(_Remote.remote(list(words), str(Path.cwd())), log)
+        return RayProcess(_Training.remote(list(words), str(Path.cwd())), log)
 
     def __exit__(self, *_: object) -> None:
         ray.shutdown()
@@ -105,48 +127,35 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
 
 
 class RayProcess:
-    """A process on the cluster. Requests for its state are answered when it can."""
+    """A process on the cluster, whose output comes with its end."""
 
     def __init__(self, actor: Any, log: Path) -> None:
-        """`actor` is the handle of a `Remote`, whose methods Ray's types do not include."""
+        """`actor` is the handle of a `Training`, whose methods Ray's types do not include."""
         self._actor = actor
         self._log = log
-        self._watchdog = Watchdog()
-        self._ended: Exit | None = None
-        self._asked = actor.look.remote()
+        self._begun = actor.__ray_ready__.remote()
+        self._end = actor.wait.remote()
+        self._code: int | None = None
 
-    def poll(self) -> Exit | None:
-        if self._ended is None and ray.wait([self._asked], timeout=0)[0]:
-            self._hear()
-        return self._ended
-
-    def signal(self, number: signal.Signals) -> None:
-        if self.poll() is None and not self._watchdog.started:
-            ray.kill(self._actor)
-            self._ended = Exit(None, "had not begun")
-        elif self._ended is None:
-            self._actor.signal.remote(int(number))
-
-    def silent_s(self) -> float:
-        return self._watchdog.silent_s
-
-    def end(self) -> None:
-        self.signal(signal.SIGKILL)
-        lives(self, KILL_S)
-        ray.kill(self._actor)
-
-    def _hear(self) -> None:
-        """Receive the answer and send the next request."""
-        try:
-            ended, output = ray.get(self._asked)
+    def poll(self) -> int | None:
+        if self._code is None and ray.wait([self._end], timeout=0)[0]:
+            try:
+                self._code, output = ray.get(self._end)
+            except RayError as error:
+                self._code, output = -SIGKILL, f"no answer: {_one_line(error)}\n".encode()
             with self._log.open("ab") as log:
                 log.write(output)
-            self._watchdog.reset()
-            self._ended = ended
-        except RayError as error:
-            self._ended = ended_by(error)
-        if self._ended is None:
-            self._asked = self._actor.look.remote()
+            ray.kill(self._actor)
+        return self._code
+
+    def terminate(self) -> None:
+        if ray.wait([self._begun], timeout=0)[0]:
+            self._actor.terminate.remote()
+        else:  # it waits for a free core
+            self.kill()
+
+    def kill(self) -> None:
+        ray.kill(self._actor)
 
 
 @contextmanager
@@ -161,13 +170,6 @@ def _without_stderr() -> Iterator[None]:
     finally:
         os.dup2(kept, 2)
         os.close(kept)
-
-
-def ended_by(error: RayError) -> Exit | None:
-    """How a process ended whose machine gave no answer; None if Ray still expects one."""
-    if isinstance(error, ActorUnavailableError):
-        return None  # the watchdog measures the silence, because Ray may wait forever
-    return Exit(None, f"its machine or Ray's process there died: {_one_line(error)}")
 
 
 def _one_line(error: BaseException) -> str:

@@ -1,104 +1,103 @@
 """A training whose run is in an object store: `python -m tom.sweep.worker URL OWN RUN_ID WORDS...`.
 
 It trains in a folder of this machine and copies the run folder into the store as it grows, under an
-attempt whose name ends with OWN, by which the driver knows it. A run to be resumed is fetched
+attempt whose name ends with OWN, by which the driver knows it. A run that is there is fetched
 first, unless this machine has more of it. Nothing is deleted here before the store has all of it,
 unless another attempt has taken the run over: it makes the rest again, to the bit. The exit code is
-that of `tom train`.
+that of `tom train`, and "try later" if the store failed or another attempt has the run.
 """
 
+import hashlib
+import os
 import shutil
 import signal
 import sys
+import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from subprocess import TimeoutExpired
+from typing import Any
 
-from tom import plugins
-from tom.errors import UserError
-from tom.record import RunReader, checkpoint, layout
+from tom.errors import TRY_LATER, UserError
+from tom.record import RunReader, checkpoint, layout, lock
 from tom.record.bucket import attempts
 from tom.record.bucket.attempts import Attempt
 from tom.record.bucket.objects import Bucket
 from tom.record.lock import LostError
-from tom.record.versions import ACCEPT
-from tom.sweep import scratch
-from tom.sweep.engine import LocalProcess, lives, spawn
+from tom.sweep.engine import spawn
 
 PUT_S = 10.0  # the heartbeat in the store is at most this much older than the run's
 LAST_PUTS, AGAIN_S = 30, 20.0  # attempts to put the end of a run, and the wait between them
 
-KEPT = (ACCEPT, "--env=", "--steps=", "--termination=", f"{plugins.OPTION}=")
-"""beginnings of the options that also apply to a resumed run"""
-
 
 def main(url: str, own: str, run_id: str, words: Sequence[str]) -> int:
-    """Returns the exit code of `tom train`, or 1 if the store failed."""
+    """Returns the exit code."""
+    stays = ""
     try:
-        with scratch.place(url, run_id) as store:
-            try:
-                return _work(Bucket.open(url), own, run_id, words, store)
-            except (UserError, OSError) as error:  # the driver can reach it: try again
-                raise OSError(f"{error}{_stays(store / run_id)}") from error
-    except OSError as error:
+        store = place(url, run_id)
+        store.mkdir(exist_ok=True)
+        stays = f"; all of it stays in {store} on this machine, and the same command puts it there"
+        with lock.alone_in(store):
+            return _work(Bucket.open(url), own, store / run_id, words)
+    except LostError as error:
         print(f"{run_id}: {error}", file=sys.stderr)
-        return 1
+    except (UserError, OSError) as error:  # the driver can reach the store: try again
+        print(f"{run_id}: {error}{stays}", file=sys.stderr)
+    return TRY_LATER
 
 
-def _stays(folder: Path) -> str:
-    """A message with the place of a run folder that is not completely in the store."""
-    if not (folder / layout.STATUS).exists():
-        return ""
-    return f"; all of it stays in {folder} on this machine, and the same command puts it there"
+def place(url: str, run_id: str) -> Path:
+    """A local run store for `run_id` until `url` has all of it: the same one for every attempt.
+
+    It is in the user's own temporary folder. Raises UserError if others may write there.
+    """
+    root = Path(tempfile.gettempdir(), f"tom-runs-{os.getuid()}")
+    with suppress(FileExistsError):
+        root.mkdir(mode=0o700)
+    status = root.lstat()
+    own = status.st_uid == os.getuid() and not status.st_mode & 0o022
+    if not own or not root.is_dir() or root.is_symlink():
+        raise UserError(f"others may write into {root}: remove it, or choose another TMPDIR")
+    return root / f"{hashlib.sha256(url.encode()).hexdigest()[:12]}-{run_id}"
 
 
-def _work(bucket: Bucket, own: str, run_id: str, words: Sequence[str], store: Path) -> int:
-    """Train in the folder `store` and keep the bucket's copy up to date; returns the exit code."""
-    keeper = Keeper(Attempt.claim(bucket, run_id, own), store / run_id)
+def _work(bucket: Bucket, own: str, folder: Path, words: Sequence[str]) -> int:
+    """Train in `folder` and keep the bucket's copy up to date; returns the exit code."""
+    while lock.held(folder):  # a training whose worker was killed writes its checkpoint
+        time.sleep(0.1)
+    keeper = Keeper(Attempt.claim(bucket, folder.name, own), folder)
     try:
-        code = _train(_begin(keeper, words), keeper)
+        keeper.bring()
+        code = _train(words, keeper)
         keeper.put_the_end()
     except LostError:  # another attempt has taken the run over
-        shutil.rmtree(keeper.folder, ignore_errors=True)
+        shutil.rmtree(folder.parent)
         raise
-    shutil.rmtree(keeper.folder, ignore_errors=True)
+    shutil.rmtree(folder.parent)
     return code
 
 
-def _begin(keeper: "Keeper", words: Sequence[str]) -> Sequence[str] | None:
-    """Prepare the run folder; returns the words to start or resume it, None if it has finished."""
-    bucket, run_id = keeper.attempt.bucket, keeper.attempt.run_id
-    names = bucket.names(run_id)
-    here = checkpoint.newest(keeper.folder / checkpoint.FOLDER)
-    finished = RunReader(keeper.folder).status.state == "finished"
-    if finished or (here is not None and here > attempts.newest_checkpoint(names)):
-        keeper.earlier = attempts.newest(names)
-        kept = [word for word in words if word.startswith(KEPT)]
-        return None if finished else [f"--resume={run_id}", *kept]
-    shutil.rmtree(keeper.folder, ignore_errors=True)
-    if any(word.startswith("--resume=") for word in words):
-        keeper.earlier = attempts.fetch(bucket, run_id, keeper.folder)
-    return words
-
-
-def _train(words: Sequence[str] | None, keeper: "Keeper") -> int:
+def _train(words: Sequence[str], keeper: "Keeper") -> int:
     """Run `tom train` with `words` and put the run into the store as it grows; the exit code."""
-    if words is None:
-        return 0
     own = ("tom", "train", *words, "--no-rerun", f"--store={keeper.folder.parent}")
-    process = LocalProcess(spawn(own, sys.stdout.buffer))
+    process = spawn(own, sys.stdout.buffer)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda *_: process.signal(signal.SIGTERM))
+        signal.signal(number, lambda *_: process.terminate())
+    wait_s = 1.0
     try:
-        wait_s = 1.0
-        while lives(process, wait_s):
-            keeper.put()
+        while True:
+            with suppress(TimeoutExpired):
+                code = process.wait(wait_s)
+                return code if code >= 0 else TRY_LATER
+            if keeper.begun:
+                keeper.put()
             wait_s = min(2 * wait_s, PUT_S)
     finally:
-        process.end()  # also if another attempt has taken the run over
-    ended = process.poll()
-    return ended.code if ended and ended.code is not None and ended.code >= 0 else 1
+        process.kill()  # if another attempt has taken the run over
+        process.wait()
 
 
 @dataclass
@@ -109,6 +108,26 @@ class Keeper:
     folder: Path
     earlier: str | None = None
     """the attempt that this one resumes"""
+    brought: Mapping[str, Any] = field(default_factory=dict)
+    """the `config.json` of that attempt's run"""
+
+    def bring(self) -> None:
+        """Fetch the run, unless this machine has more of it."""
+        bucket, run_id = self.attempt.bucket, self.attempt.run_id
+        names = bucket.names(run_id)
+        at = checkpoint.newest(self.folder / checkpoint.FOLDER)
+        ahead = at is not None and at > attempts.newest_checkpoint(names)
+        if ahead or RunReader(self.folder).status.state == "finished":
+            self.earlier = attempts.newest(names)
+        else:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            self.earlier = attempts.fetch(bucket, run_id, self.folder)
+        self.brought = RunReader(self.folder).config
+
+    @property
+    def begun(self) -> bool:
+        """Whether the training goes on with the run; before that it may yet begin it anew."""
+        return RunReader(self.folder).config != self.brought
 
     def put(self) -> bool:
         """Put the new parts of the run; False if the store failed. Raises LostError."""
@@ -117,7 +136,7 @@ class Keeper:
         try:
             self.attempt.put(self.folder)
             if self.earlier is not None:
-                self.attempt.supersede(self.earlier)
+                self._supersede(self.earlier)
                 self.earlier = None
         except LostError:
             raise
@@ -133,6 +152,13 @@ class Keeper:
                 return
             time.sleep(AGAIN_S)
         raise OSError(f"the store took nothing for {LAST_PUTS * AGAIN_S / 60:.0f} minutes")
+
+    def _supersede(self, earlier: str) -> None:
+        """Remove the earlier attempt, unless the run could not go on and began anew."""
+        if RunReader(self.folder).config.get("created") == self.brought.get("created"):
+            self.attempt.supersede(earlier)
+        else:
+            print(f"{self.folder.name}: what was there stays in the store as attempt {earlier}")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 from ruamel.yaml import YAML, YAMLError
 
-from tom.config import Config, OnlineConfig, RoadConfig, completed, flat
+from tom.config import Config, OnlineConfig, RoadConfig, RunConfig, completed, flat
 from tom.errors import UserError
 from tom.record import RunReader
 from tom.record.layout import run_name
@@ -22,11 +22,11 @@ FILE_BYTES = 100_000  # a plan is a page long; larger files are refused
 
 
 class Plan(Config):
-    """The content of a sweep's YAML file; `seeds` is a number of seeds, from 0, or a list."""
+    """The content of a sweep's YAML file."""
 
     env: Annotated[list[str], Field(min_length=1)]
     learner: Annotated[list[str], Field(min_length=1)]
-    seeds: Annotated[int, Field(ge=1)] | Annotated[list[Seed], Field(min_length=1)] = 1
+    seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (0,)
     steps: Annotated[int, Field(ge=1)] | None = None
     preset: str | None = None
     """without one that of `default_preset`, for each learner its own"""
@@ -66,26 +66,19 @@ class Trial:
         words = given | {"seed": self.seed} | flat(self.overrides)
         return tuple(f"--{name.replace('_', '-')}={_word(value)}" for name, value in words.items())
 
-    def code(self) -> tuple[str, ...]:
-        """Its options that name the user's own code, which are also needed to resume the run."""
-        rule = getattr(getattr(self.config, "model", None), "termination", None)
-        named = {"env": self.env, "termination": rule or ""}
-        return tuple(f"--{name}={word}" for name, word in named.items() if ":" in word)
-
 
 def trials(plan: Plan) -> list[Trial]:
     """Every training of the plan without duplicates; the first seed of all before the second.
 
     Raises UserError that names the first impossible one.
     """
-    seeds = range(plan.seeds) if isinstance(plan.seeds, int) else plan.seeds
     overrides = plan.settings | ({} if plan.steps is None else {"steps": plan.steps})
     fixed = {"env", "learner", "seed", "preset"} & set(overrides)
     if fixed:
         raise UserError(f"settings.{min(fixed)}: name it outside of the settings")
     every = [
         Trial(env, learner, seed, plan.preset or default_preset(env, learner), overrides)
-        for seed in dict.fromkeys(seeds)
+        for seed in dict.fromkeys(plan.seeds)
         for env in dict.fromkeys(plan.env)
         for learner in dict.fromkeys(plan.learner)
     ]
@@ -123,8 +116,8 @@ def read_plan(path: Path) -> dict[str, Any]:
 def checked(content: dict[str, Any]) -> Plan:
     """The plan in a mapping. Raises UserError that names the first error."""
     listed = {**content}
-    for name in ("env", "learner"):
-        if isinstance(listed.get(name), str):
+    for name in ("env", "learner", "seeds"):
+        if isinstance(listed.get(name), str | int):
             listed[name] = [listed[name]]
     try:
         return Plan.model_validate(listed)
@@ -139,41 +132,37 @@ def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
     """The run of this training among `runs`: a finished one, else its own, else the newest.
 
     A small copy is used only if there is no whole run of that kind, and its own run that was given
-    more steps only if there is none of just these steps.
+    other steps only if there is none of just these steps.
     """
     settings = completed(trial.settings)
     mine = [run for run in runs if run.config.get("config") == settings]
     mine.sort(key=lambda run: run.small_copy)
     done = [run for run in mine if run.status.state == "finished"]
     own = [run for run in mine if run.run_id == trial.run_id]
-    longer = [run for run in runs if run.run_id == trial.run_id and given_more(trial, run)]
-    return next(iter([*done, *own, *mine, *longer]), None)
+    other_steps = [run for run in runs if run.run_id == trial.run_id]
+    other_steps = [run for run in other_steps if steps_beyond(trial.config, run)]
+    return next(iter([*done, *own, *mine, *other_steps]), None)
 
 
-def given_more(trial: Trial, run: RunReader) -> bool:
-    """Whether the run is this training with more steps (`tom train --resume RUN --steps N`)."""
-    return _steps_beyond(trial, run) > 0
+def is_done(config: RunConfig, run: RunReader) -> bool:
+    """Whether the run has all steps of this training: up to them a longer one is the same."""
+    beyond, status = steps_beyond(config, run), run.status
+    if beyond is None:
+        return False
+    reached = beyond > 0 and status.env_step >= config.total_steps
+    return reached or (beyond >= 0 and status.state == "finished")
 
 
-def given_fewer(trial: Trial, run: RunReader) -> bool:
-    """Whether the run is this training with fewer steps, which can be given the rest."""
-    return _steps_beyond(trial, run) < 0
+def steps_beyond(config: RunConfig, run: RunReader) -> int | None:
+    """How many more steps than this training the run was given; None if it is another training.
 
-
-def is_done(trial: Trial, run: RunReader) -> bool:
-    """Whether the run has all steps of the training: up to them a longer one is the same."""
-    status = run.status
-    reached = given_more(trial, run) and status.env_step >= trial.config.total_steps
-    return reached or (status.state == "finished" and not given_fewer(trial, run))
-
-
-def _steps_beyond(trial: Trial, run: RunReader) -> int:
-    """The run's steps less those of the training; 0 if anything else of them differs, too."""
-    given, planned = run.config.get("config"), completed(trial.settings)
+    The halves of a recording of SAC depend on its steps.
+    """
+    given, planned = run.config.get("config"), completed(config.model_dump(mode="json"))
     if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
-        return 0  # damaged
-    same = {**given, "steps": planned["steps"]} == planned
-    return given["steps"] - planned["steps"] if same else 0
+        return None  # damaged
+    same = {**given, "steps": planned["steps"]} == planned if run.fits_model else given == planned
+    return given["steps"] - planned["steps"] if same else None
 
 
 def _word(value: Any) -> str:

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from tom import plugins
 from tom.config import SacRecordingConfig, completed
 from tom.data.transitions import Transitions
-from tom.errors import NOT_NOW, START_AGAIN, UserError, reason
+from tom.errors import StartAgainError, TryLaterError, UserError, reason
 from tom.events import Notice
 from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
@@ -42,7 +42,7 @@ def resume(
 
     On the same machine with the same versions the result is bit for bit that of an uninterrupted
     run. Other versions of packages that affect it are refused unless `accept_versions`. Raises
-    UserError if the run cannot be resumed.
+    UserError if the run cannot be resumed; StartAgainError if it never can.
     """
     keep_freed_memory()
     reader = store.run(run_id)
@@ -85,8 +85,9 @@ def unfinished(
 ) -> str | None:
     """The newest resumable run with these settings, or if `shorter` with fewer steps.
 
-    Runs that are being written, and those without an undamaged checkpoint, are skipped, and with a
-    `run_id` all others. Raises UserError for one whose checkpoints cannot be read for now.
+    Runs that are being written, and those without an undamaged checkpoint, are skipped. A `run_id`
+    leaves out all others, and may be of more steps. Raises TryLaterError for a run whose
+    checkpoints cannot be read for now.
     """
     wanted = completed(config.model_dump(mode="json"))
     for reader in store.runs():
@@ -95,7 +96,7 @@ def unfinished(
         given = reader.config.get("config")
         if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
             continue  # damaged
-        if given["steps"] > config.steps:
+        if given["steps"] > config.steps and run_id is None:
             continue
         if given["steps"] != config.steps and not (shorter and reader.fits_model):
             continue  # the halves of a recording depend on its steps
@@ -109,7 +110,7 @@ def unfinished(
     return None
 
 
-def recorded_config(reader: RunReader, otherwise: str = START_AGAIN) -> AnyConfig:
+def recorded_config(reader: RunReader, otherwise: str = "start it again") -> AnyConfig:
     """The configuration of a run.
 
     Raises UserError if it needs a plug-in that is not loaded, or comes from another version;
@@ -159,7 +160,9 @@ def _newest(reader: RunReader) -> Checkpoint | None:
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
     held = _newest(reader)
     if held is None:
-        raise UserError(f"run '{reader.run_id}' has no checkpoint that is whole: {START_AGAIN}")
+        raise StartAgainError(
+            f"run '{reader.run_id}' has no checkpoint that is whole: start it again"
+        )
     if _complete(reader, held, config):
         raise UserError(
             f"run '{reader.run_id}' is complete at step {held.env_step}: give it more with --steps"
@@ -199,9 +202,9 @@ def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch
             watch.load_state_dict(held.state["watch"])
         return held.state["record"]
     except UNFIT as error:
-        raise UserError(
+        raise StartAgainError(
             f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is another "
-            f"version's ({type(error).__name__}: {reason(error)}): {START_AGAIN}"
+            f"version's ({type(error).__name__}: {reason(error)}): start it again"
         ) from error
 
 
@@ -210,15 +213,16 @@ def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
     if len(rows) < n:
         if reader.unread:
             raise _not_now(reader, reader.unread[0])
-        raise UserError(
-            f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): {START_AGAIN}"
+        raise StartAgainError(
+            f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start it "
+            "again"
         )
     return rows[:n], versions[:n]
 
 
-def _not_now(reader: RunReader, problem: str) -> UserError:
+def _not_now(reader: RunReader, problem: str) -> TryLaterError:
     """The refusal of a run that has a file which cannot be read for now."""
-    return UserError(
-        f"run '{reader.run_id}' {NOT_NOW} ({problem}): nothing was changed; see to its disk and "
-        "try again"
+    return TryLaterError(
+        f"run '{reader.run_id}' cannot be read for now ({problem}): nothing was changed; see to "
+        "its disk and try again"
     )

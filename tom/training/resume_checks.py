@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tom.config import RunConfig, flat
-from tom.errors import START_AGAIN, UserError
+from tom.errors import StartAgainError, UserError
 from tom.mbpo import Mbpo
 from tom.record import RunReader
 from tom.record.checkpoint import Checkpoint
@@ -23,7 +23,7 @@ def check_versions(reader: RunReader, accepted: bool) -> str:
     if decisive and not accepted:
         raise UserError(
             f"run '{reader.run_id}' was trained with other versions ({', '.join(decisive)}), and "
-            f"its results would change: {ACCEPT} goes on with these, or {START_AGAIN}"
+            f"its results would change: {ACCEPT} goes on with these, or start it again"
         )
     return f"trained with other versions until here: {', '.join(said.values())}" if said else ""
 
@@ -66,8 +66,8 @@ def _other_learner(held: Checkpoint, training: object) -> bool:
     return set(state.get("learner", ())) != set(training.learner.state_dict())
 
 
-def _another(reader: RunReader, held: Checkpoint, what: str) -> UserError:
-    return UserError(
+def _another(reader: RunReader, held: Checkpoint, what: str) -> StartAgainError:
+    return StartAgainError(
         f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is of {what}: put back "
-        f"its config.json, or {START_AGAIN}"
+        "its config.json, or start it again"
     )

@@ -94,12 +94,12 @@ def test_a_sweep_beside_a_closed_run_trains_and_its_own_closed_run_has_failed(st
     assert f"{swept.name} failed" in capsys.readouterr().err
 
 
-def test_a_sweep_whose_checkpoints_are_closed_does_not_begin_anew(store: Path, capsys):
-    words = [*SWEEP, "--seeds", "1", "--learner", "mle", "--store", str(store)]
-    assert main(words) == 0
-    run = next(path for path in store.iterdir() if "mle" in path.name)
-    (run / "status.json").write_text('{"state": "stopped", "env_step": 200}')
-    (run / "checkpoint").chmod(0)
-    assert main(words) == 1
+def test_a_training_whose_checkpoints_are_closed_does_not_begin_anew(store: Path, capsys):
+    """As a sweep starts it."""
+    words = [*TRAIN, "--learner", "mle", "--store", str(store), "--run-id", "mine"]
+    assert main([*words, "--resume", "auto"]) == 0
+    (store / "mine" / "status.json").write_text('{"state": "stopped", "env_step": 200}')
+    (store / "mine" / "checkpoint").chmod(0)
+    assert main([*words, "--resume", "auto"]) == 75
     assert "checkpoint" in capsys.readouterr().err
     assert not (store / ".trash").exists()

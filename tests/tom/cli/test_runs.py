@@ -10,6 +10,7 @@ import pytest
 from commands import code_of
 
 from tom.cli import main
+from tom.errors import TRY_LATER
 from tom.record import lock
 
 TRAIN = ["train", "--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun", "--steps", "250"]
@@ -81,7 +82,7 @@ def test_a_run_that_is_named_twice_is_one_run(store: Path, capsys, tmp_path: Pat
 
 def test_trash_and_restore_move_all_or_nothing(store: Path, capsys):
     writer = lock.acquire(store / "two")
-    assert main(["runs", "trash", "one", "two", "--store", str(store)]) == 2
+    assert main(["runs", "trash", "one", "two", "--store", str(store)]) == TRY_LATER
     assert "run 'two' is being written" in capsys.readouterr().err
     writer.close()
     assert ask(capsys, store, "trash") == []

@@ -5,14 +5,17 @@ import os
 import signal
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tom.cli import main
-from tom.errors import UserError
+from tom.errors import TRY_LATER, UserError
 from tom.events import Event
 from tom.record import Store, checkpoint, lock, manage
+from tom.record.writer import RunWriter
 from tom.training.presets import resolve
+from tom.training.resume import unfinished
 from tom.training.run import train
 
 STEPS = 60
@@ -62,7 +65,7 @@ def test_a_named_run_that_is_being_written_is_left_alone(saved: bool, tmp_path: 
         checkpoint.save(tmp_path / "mine" / checkpoint.FOLDER, 20, {})
     writer = lock.acquire(tmp_path / "mine")
     try:
-        assert main(command(tmp_path)) == 2
+        assert main(command(tmp_path)) == TRY_LATER
     finally:
         writer.close()
     error = capsys.readouterr().err
@@ -78,3 +81,40 @@ def test_a_run_of_other_settings_keeps_its_name(tmp_path: Path, capsys):
     with pytest.raises(UserError, match="exists already"):
         train(CONFIG, Store(tmp_path), "mine", rerun=False)
     assert manage.trashed(Store(tmp_path)) == []
+
+
+def test_a_named_run_that_was_given_more_steps_is_done_once_it_has_these(tmp_path: Path):
+    assert main(command(tmp_path)) == 0
+    more = ["--resume", "mine", "--steps", str(2 * STEPS), "--no-rerun", "--store", str(tmp_path)]
+    assert main(["train", *more]) == 0
+    metrics = (tmp_path / "mine" / "metrics.jsonl").read_bytes()
+    assert main(command(tmp_path)) == 0
+    assert (tmp_path / "mine" / "metrics.jsonl").read_bytes() == metrics
+
+
+def test_a_named_run_whose_checkpoint_can_never_go_on_begins_anew(tmp_path: Path):
+    begun(tmp_path)
+    checkpoint.save(tmp_path / "mine" / checkpoint.FOLDER, 20, {"of": "another version"})
+    assert main(command(tmp_path)) == 0
+    assert manage.trashed(Store(tmp_path)) == ["mine"]
+    assert main(["train", "--resume", "mine", "--store", str(tmp_path / ".trash")]) == 2
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_another_process_that_is_a_moment_earlier_has_the_run(
+    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """It takes the run away, or begins it, after this one has looked."""
+    store = Store(tmp_path)
+    if there:
+        begun(tmp_path)
+
+    def overtaken(*given: Any, **options: Any) -> str | None:
+        if there:
+            manage.trash(store, "mine")
+        else:
+            RunWriter.create(store, "mine", CONFIG).close()
+        return unfinished(*given, **options)
+
+    monkeypatch.setattr("tom.cli.train.unfinished", overtaken)
+    assert main(command(tmp_path)) == TRY_LATER

@@ -405,7 +405,9 @@ def test_what_is_missing_is_named_with_its_command(store: Store):
         ("hopper", 4000, 125_000),
         ("ant", 0, 300_000),
     ]
-    assert rows[0]["command"] == ("tom sweep --env hopper --learner tom --preset paper --seeds 4")
+    assert rows[0]["command"] == (
+        "tom sweep --env hopper --learner tom --preset paper --seeds 0 1 2 3"
+    )
 
 
 def two_by_two(

@@ -13,7 +13,7 @@ STEPS, EVERY = 500, 100
 PLAN = {
     "env": ["inverted-pendulum"],
     "learner": ["mle", "pmac", "tom"],
-    "seeds": 2,
+    "seeds": [0, 1],
     "steps": STEPS,
     "preset": "smoke",
     "settings": {"checkpoint_every": EVERY},

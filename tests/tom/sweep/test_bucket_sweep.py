@@ -1,7 +1,6 @@
 """Sweeps whose runs lie in an object store."""
 
 import json
-import os
 import signal
 import tempfile
 import time
@@ -14,6 +13,7 @@ from commands import code_of
 from sweeping import assert_same_runs, beyond_a_checkpoint, finish, plan, until
 
 from tom.cli import main
+from tom.errors import TRY_LATER, UserError
 from tom.events import Tick
 from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.bucket import attempts
@@ -23,7 +23,7 @@ from tom.record.bucket.objects import Bucket
 from tom.record.files import replace_json
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
-from tom.sweep import scratch, worker
+from tom.sweep import worker
 from tom.sweep.backend import FolderBackend
 from tom.sweep.bucket_backend import LEASE_S, LOOK_S, BucketBackend
 from tom.sweep.driver import Driver
@@ -86,21 +86,21 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    planned, bucket = plan(learner=["mle"], seeds=1, steps=4000), Bucket.open(bucket_url)
+    planned, bucket = plan(learner=["mle"], seeds=[0], steps=4000), Bucket.open(bucket_url)
     with BucketBackend(bucket, planned) as backend:
         driver = Driver(backend, planned, LocalEngine(1), back_off_s=0.1)
         (job,) = driver.jobs
         until(lambda: beyond_a_checkpoint(backend.store), driver.poll)
         assert job.process
-        job.process.signal(signal.SIGKILL)
+        job.process.kill()
         (tmp_path / "another machine").mkdir()
         monkeypatch.setenv("TMPDIR", str(tmp_path / "another machine"))
         finish(driver)
         assert job.state == "finished", job.note
-        assert f"{job.run_id} --resume={job.run_id}\n" in job.log.read_text()
     fetched, undisturbed = Store(tmp_path / "fetched"), Store(tmp_path / "undisturbed")
     fetched.ensure_writable()
     assert fetch_run(bucket, job.run_id, fetched) == FETCHED
+    assert fetched.run(job.run_id).config["resumes"]
     finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(1)))
     assert_same_runs(fetched, undisturbed)
 
@@ -108,7 +108,7 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
 def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
-    planned = plan(learner=["mle"], seeds=1)
+    planned = plan(learner=["mle"], seeds=[0])
     with BucketBackend(Bucket.open(bucket_url), planned) as backend:
         driver = Driver(backend, planned, LocalEngine(1), back_off_s=1e6)
         with monkeypatch.context() as away:
@@ -122,7 +122,7 @@ def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
 
 @pytest.fixture
 def trial() -> Trial:
-    (one,) = plan(learner=["mle"], seeds=1)
+    (one,) = plan(learner=["mle"], seeds=[0])
     return one
 
 
@@ -174,7 +174,7 @@ def test_what_was_seen_of_a_run_when_the_sweep_began_counts(
     with BucketBackend(bucket, [trial], lambda: now) as backend:
         now += LEASE_S
         backend.look(trial.run_id, now=True)
-        assert not backend.written(backend.store.run(trial.run_id))
+        assert not backend.writer(backend.store.run(trial.run_id))
 
 
 @pytest.mark.parametrize("state", ["stopped", "failed", "finished"])
@@ -184,7 +184,7 @@ def test_a_run_that_has_ended_is_free_at_once(
     bucket = Bucket.open(bucket_url)
     Elsewhere(bucket, trial, tmp_path).put(state, time.time())
     with BucketBackend(bucket, [trial]) as backend:
-        assert not backend.written(backend.store.run(trial.run_id))
+        assert not backend.writer(backend.store.run(trial.run_id))
 
 
 @pytest.mark.parametrize("begun", [False, True])
@@ -197,12 +197,12 @@ def test_a_run_that_another_machine_fetches_or_begins_is_left_to_it(
     Attempt.claim(bucket, trial.run_id)
     with BucketBackend(bucket, [trial], lambda: now) as backend:
         run = RunReader(backend.store.path / trial.run_id)
-        assert backend.written(run)
+        assert backend.writer(run)
         now += LEASE_S
-        assert not backend.written(run)
+        assert not backend.writer(run)
         Attempt.claim(bucket, trial.run_id)
         backend.look(trial.run_id, now=True)
-        assert backend.written(run)
+        assert backend.writer(run)
 
 
 def test_time_in_which_the_store_did_not_answer_does_not_count(
@@ -218,7 +218,7 @@ def test_time_in_which_the_store_did_not_answer_does_not_count(
                 backend.look(trial.run_id, now=True)
         now += 0.5 * LEASE_S
         backend.look(trial.run_id, now=True)
-        assert backend.written(backend.store.run(trial.run_id))
+        assert backend.writer(backend.store.run(trial.run_id))
 
 
 def unreachable(_: str) -> list[str]:
@@ -237,12 +237,11 @@ def test_workers_killed_by_their_own_sweep__keep_nobody_waiting(
         until(lambda: attempts.claimed(bucket.names(trial.run_id)), driver.poll)
         driver.stop(wait_s=0.0)
     with BucketBackend(bucket, [trial]) as backend:
-        assert not backend.written(RunReader(backend.store.path / trial.run_id))
+        assert not backend.writer(RunReader(backend.store.path / trial.run_id))
         Attempt.claim(bucket, trial.run_id)
-        backend.words(trial.run_id, [])
         backend.ended(trial.run_id)
         backend.look(trial.run_id, now=True)
-        assert backend.written(RunReader(backend.store.path / trial.run_id)), "another's claim"
+        assert backend.writer(RunReader(backend.store.path / trial.run_id)), "another's claim"
 
 
 @pytest.mark.fault
@@ -293,14 +292,14 @@ def refusing(ended: bool):
 def test_the_last_puts_fail__the_finished_run_stays_and_the_same_command_puts_it(
     bucket_url: str, worked: Path, monkeypatch, capfd, from_the_beginning: bool
 ):
-    (trial,) = plan(learner=["mle"], seeds=1, steps=200)
-    words = [*trial.options(), f"--run-id={trial.run_id}"]
+    (trial,) = plan(learner=["mle"], seeds=[0], steps=200)
+    words = [*trial.options(), f"--run-id={trial.run_id}", "--resume=auto"]
     with monkeypatch.context() as failing:
         failing.setattr(Attempt, "put", refusing(ended=not from_the_beginning))
-        assert worker.main(bucket_url, OWN, trial.run_id, words) == 1
+        assert worker.main(bucket_url, OWN, trial.run_id, words) == TRY_LATER
     (kept,) = worked.glob(f"*/*/{trial.run_id}")
     assert RunReader(kept).status.state == "finished"
-    assert f"all of it stays in {kept} on this machine" in capfd.readouterr().err
+    assert f"all of it stays in {kept.parent} on this machine" in capfd.readouterr().err
     held = {path.name: path.read_bytes() for path in kept.glob("*.json*")}
     assert worker.main(bucket_url, OWN, trial.run_id, words) == 0
     assert not kept.exists()
@@ -315,11 +314,11 @@ def test_the_last_puts_fail__the_finished_run_stays_and_the_same_command_puts_it
 def test_the_last_puts_of_a_stopped_run_fail__it_goes_on_from_what_stayed(
     bucket_url: str, worked: Path, monkeypatch
 ):
-    (trial,) = plan(learner=["mle"], seeds=1, steps=200)
-    words = [*trial.options(), f"--run-id={trial.run_id}"]
+    (trial,) = plan(learner=["mle"], seeds=[0], steps=200)
+    words = [*trial.options(), f"--run-id={trial.run_id}", "--resume=auto"]
     with monkeypatch.context() as failing:
         failing.setattr(Attempt, "put", refusing(ended=False))
-        assert worker.main(bucket_url, OWN, trial.run_id, words) == 1
+        assert worker.main(bucket_url, OWN, trial.run_id, words) == TRY_LATER
     (kept,) = worked.glob(f"*/*/{trial.run_id}")
     content = json.loads((kept / "status.json").read_text()) | {"state": "stopped"}
     (kept / "status.json").write_text(json.dumps(content))
@@ -334,20 +333,24 @@ def test_the_last_puts_of_a_stopped_run_fail__it_goes_on_from_what_stayed(
 
 @pytest.mark.fault
 @pytest.mark.quick
-def test_a_second_worker_of_a_run_on_one_machine__takes_another_folder(worked: Path):
-    with scratch.place("s3://store/x", "a") as first, scratch.place("s3://store/x", "a") as second:
-        assert first != second
-    with scratch.place("s3://store/x", "a") as again:
-        assert again == first
-        (again / "a").mkdir()
-    assert again.is_dir()
-    assert not second.exists()
+def test_a_temporary_folder_that_others_may_write__is_not_trusted_with_runs(worked: Path):
+    root = worker.place("s3://store/x", "a").parent
+    root.chmod(0o777)
+    with pytest.raises(UserError, match="TMPDIR"):
+        worker.place("s3://store/x", "a")
 
 
 @pytest.mark.fault
 @pytest.mark.quick
-def test_a_temporary_folder_that_others_may_write__is_not_trusted_with_runs(worked: Path):
-    (worked / f"tom-runs-{os.getuid()}").mkdir()
-    (worked / f"tom-runs-{os.getuid()}").chmod(0o777)
-    with scratch.place("s3://store/x", "a") as place:
-        assert f"tom-runs-{os.getuid()}" not in place.parts
+def test_a_run_that_can_never_go_on__begins_anew_and_the_store_keeps_the_old_one(
+    bucket_url: str, trial: Trial, worked: Path
+):
+    bucket = Bucket.open(bucket_url)
+    other = Elsewhere(bucket, trial, worked / "other")
+    other.put("stopped", time.time())
+    words = [*trial.options(), f"--run-id={trial.run_id}", "--resume=auto"]
+    assert worker.main(bucket_url, OWN, trial.run_id, words) == 0
+    assert bucket.names(f"{trial.run_id}/{other.attempt.name}")
+    assert fetch_run(bucket, trial.run_id, Store(worked)) == FETCHED
+    assert Store(worked).run(trial.run_id).status.state == "finished"
+    assert not list(worked.glob(f"tom-runs-*/*{trial.run_id}"))

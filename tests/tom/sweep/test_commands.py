@@ -1,44 +1,40 @@
+import _thread
+import threading
 from pathlib import Path
 
 import pytest
+from sweeping import until
 
 from tom.record import Store
-from tom.sweep import Command, run_commands
+from tom.sweep import train_all
 
 SMOKE = ("--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun")
 
 
-def job(name: str, store: Path, *more: str) -> Command:
-    return Command(
-        name, (*SMOKE, "--store", str(store), "--run-id", name, *more), store / f"{name}.log"
-    )
+def words(name: str, store: Path, *more: str) -> tuple[str, ...]:
+    return (*SMOKE, "--store", str(store), "--run-id", name, *more)
 
 
 @pytest.mark.slow
-def test_every_job_is_run_and_its_exit_code_reported(tmp_path: Path):
-    ended: list[str] = []
-    jobs = [
-        job("good", tmp_path, "--learner", "mle", "--steps", "60"),
-        job("bad", tmp_path, "--learner", "mlee"),
-    ]
-    codes = run_commands(jobs, workers=2, finished=lambda j, code: ended.append(j.name))
-    assert codes == {"good": 0, "bad": 2}
-    assert sorted(ended) == ["bad", "good"]
-    assert "did you mean 'mle'" in (tmp_path / "bad.log").read_text()
-    assert [r.run_id for r in Store(tmp_path).runs()] == ["good"]
+def test_every_training_is_run_and_its_exit_code_reported(tmp_path: Path):
+    good = words("good", tmp_path, "--learner", "mle", "--steps", "60")
+    bad = words("bad", tmp_path, "--learner", "mlee")
+    assert train_all({"good": good, "bad": bad}, workers=2) == {"good": 0, "bad": 2}
+    assert [run.run_id for run in Store(tmp_path).runs()] == ["good"]
 
 
 @pytest.mark.fault
 def test_interrupt_while_several_train__stops_all_with_a_checkpoint(tmp_path: Path):
     """The caller's Ctrl-C: the running training ends as `stopped`, with a checkpoint."""
-    long = job("long", tmp_path, "--learner", "mle", "--steps", "100000")
+    store = Store(tmp_path)
 
-    def interrupt(job: Command, code: int) -> None:
-        raise KeyboardInterrupt
+    def interrupt() -> None:
+        until(lambda: any(run.status.env_step for run in store.runs()))
+        _thread.interrupt_main()
 
-    first = job("first", tmp_path, "--learner", "mle", "--steps", "600")
+    threading.Thread(target=interrupt).start()
     with pytest.raises(KeyboardInterrupt):
-        run_commands([long, first], workers=2, finished=interrupt)
-    status = Store(tmp_path).run("long").status
+        train_all({"long": words("long", tmp_path, "--learner", "mle", "--steps", "100000")})
+    status = store.run("long").status
     assert status.state == "stopped"
     assert "--resume long" in status.reason

@@ -18,7 +18,7 @@ from tom.record.recorder import Recorder
 from tom.record.status import DEAD_AFTER_S
 from tom.record.writer import RunWriter
 from tom.sweep.backend import FolderBackend
-from tom.sweep.driver import ATTEMPTS, Driver
+from tom.sweep.driver import ATTEMPTS, Driver, Job
 from tom.sweep.engine import LocalEngine
 from tom.sweep.projection import cost
 from tom.training.plan import Trial, checked, trials
@@ -56,9 +56,9 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
     assert "was there already" in out
     assert (tmp_path / row["run_id"] / "metrics.jsonl").stat().st_mtime_ns == before
 
-    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--seeds", "2", "--dry-run", "--json")
+    code, out, _ = sweep(capsys, tmp_path, *SMOKE, "--seeds", "0", "1", "--dry-run", "--json")
     assert [r["state"] for r in json.loads(out)["runs"]] == ["finished", "new"]
-    assert "1 to do" in sweep(capsys, tmp_path, *SMOKE, "--seeds", "2", "--dry-run")[1]
+    assert "1 to do" in sweep(capsys, tmp_path, *SMOKE, "--seeds", "0", "1", "--dry-run")[1]
 
 
 @pytest.mark.parametrize(
@@ -66,8 +66,7 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
     [
         ((), "--env and --learner"),
         (("--env", "hoper", "--learner", "mle"), "did you mean 'hopper'"),
-        ((*SMOKE, "--seeds", "0"), "--seeds 0: it is how many"),
-        ((*SMOKE, "--seeds", "0", "3"), "`seeds: [0, 3]`"),
+        ((*SMOKE, "--seeds", "-1"), "--seeds"),
         ((*SMOKE, "--jobs", "0"), "--jobs 0"),
         ((*SMOKE, "--only", "1"), "runs 0 to 0"),
         ((*SMOKE, "--sac.lr", "-1"), "sac.lr"),
@@ -104,7 +103,9 @@ def test_every_setting_of_a_training_is_one_of_a_sweep(tmp_path: Path, capsys):
 
 def test_a_file_and_options_on_top_of_it(tmp_path: Path, capsys):
     plan = tmp_path / "plan.yaml"
-    plan.write_text("env: hopper\nlearner: [tom, mle]\nseeds: 2\nsettings: {sac: {tau: 0.1}}\n")
+    plan.write_text(
+        "env: hopper\nlearner: [tom, mle]\nseeds: [0, 1]\nsettings: {sac: {tau: 0.1}}\n"
+    )
     words = ("--file", str(plan), "--learner", "tom", "--sac.lr", "1e-4", "--dry-run", "--json")
     code, out, _ = sweep(capsys, tmp_path / "store", *words)
     assert code == 0
@@ -220,9 +221,7 @@ def test_a_training_that_dies_on_another_machine_is_given_up_like_any_other(
     run = store.run(trial.run_id)
     (run.path / layout.LOCK).write_text("another machine")
     for attempt in range(1, ATTEMPTS + 1):
-        job.log.parent.mkdir(exist_ok=True)
-        job.log.write_text(f"$ attempt {attempt}\n")
-        job.state, job.process = "running", driver.engine.start(["no_such_module"], job.log)
+        killed(driver, job)
         job.attempts, job.step = attempt, -1
         status = replace(run.status, state="running", heartbeat=time.time())
         replace_json(run.path / layout.STATUS, asdict(status), sync=False)
@@ -232,8 +231,15 @@ def test_a_training_that_dies_on_another_machine_is_given_up_like_any_other(
             checkpoint.save(run.path / checkpoint.FOLDER, 10, {})
         now += DEAD_AFTER_S
         driver.poll()
-        assert "no_such_module" in job.note
+        assert "signal 9" in job.note
     assert job.state == ("waiting" if further else "failed")
+
+
+def killed(driver: Driver, job: Job) -> None:
+    """Its process is one that was killed."""
+    job.log.parent.mkdir(exist_ok=True)
+    job.state, job.process = "running", driver.engine.start(["http.server", "0"], job.log)
+    job.process.kill()
 
 
 def test_each_failure_doubles_the_wait(tmp_path: Path):
@@ -242,8 +248,7 @@ def test_each_failure_doubles_the_wait(tmp_path: Path):
     (job,) = driver.jobs
     waits = []
     for attempt in range(1, ATTEMPTS):
-        job.log.parent.mkdir(exist_ok=True)
-        job.state, job.process = "running", driver.engine.start(["no_such_module"], job.log)
+        killed(driver, job)
         job.attempts = attempt
         until(lambda: job.process is None, driver.poll)
         waits.append(job.not_before - time.monotonic())
@@ -288,7 +293,7 @@ class Patchy(FolderBackend):
 def test_a_run_out_of_reach_holds_up_no_other(
     state: Literal["elsewhere", "waiting"], away: int, tmp_path: Path
 ):
-    planned, backend = trials(checked({**PLAN, "seeds": 3})), Patchy(Store(tmp_path))
+    planned, backend = trials(checked({**PLAN, "seeds": [0, 1, 2]})), Patchy(Store(tmp_path))
     driver = Driver(backend, planned, LocalEngine(3))
     for job in driver.jobs:
         finished(driver.store, job.trial)

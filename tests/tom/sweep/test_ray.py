@@ -170,6 +170,42 @@ def test_a_wrong_token__is_one_line_that_names_it(
 
 
 @pytest.mark.fault
+def test_the_only_node_of_a_sweeps_own_cluster_killed__the_sweep_ends_in_a_minute_and_names_it(
+    tmp_path: Path,
+):
+    command = sweep("--steps", "100000", "--checkpoint-every", "100", "--store", str(tmp_path))
+    driver = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    until(lambda: beyond_a_checkpoint(Store(tmp_path)))
+    (node,) = [pid for pid in descendants(driver.pid) if name(pid) == "raylet"]
+    os.kill(node, signal.SIGKILL)
+    out, _ = driver.communicate(timeout=90)
+    assert driver.returncode == 1
+    assert "Ray node of this machine" in out
+    assert "the same command goes on" in out
+    (run,) = Store(tmp_path).runs()
+    until(lambda: not run.status.alive)
+
+
+def name(pid: int) -> str:
+    return Path(f"/proc/{pid}/comm").read_text().strip()
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_sweep_on_a_cluster_asked_to_stop__stops_with_a_checkpoint(number: int, tmp_path: Path):
+    command = sweep("--steps", "100000", "--checkpoint-every", "100", "--store", str(tmp_path))
+    driver = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    until(lambda: beyond_a_checkpoint(Store(tmp_path)))
+    driver.send_signal(number)
+    out, _ = driver.communicate(timeout=WAIT_S)
+    assert driver.returncode == 1
+    assert "the same command goes on" in out
+    (run,) = Store(tmp_path).runs()
+    assert run.status.state == "stopped"
+    assert "stopped after" in (tmp_path / ".sweep" / f"{run.run_id}.log").read_text()
+
+
+@pytest.mark.fault
 def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_numbers(
     node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
 ):
@@ -178,7 +214,7 @@ def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_number
     head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
     until(lambda: len(descendants(head.pid)) > 2)
     other = node(f"--address={address}")
-    words = ("--steps", "1500", "--checkpoint-every", "100", "--seeds", "2")
+    words = ("--steps", "1500", "--checkpoint-every", "100", "--seeds", "0", "1")
     driver = subprocess.Popen(sweep(*words, "--address", address, "--store", str(store.path)))
     until(lambda: len(beyond_a_checkpoint(store)) == 2)
     lost = [run for run in store.runs() if run.status.pid in descendants(other.pid)]
@@ -186,11 +222,34 @@ def test_a_node_of_a_cluster_killed__its_runs_go_on_elsewhere_to_the_same_number
     end(other)
     assert driver.wait(WAIT_S) == 0
     log = store.path / ".sweep" / f"{lost[0].run_id}.log"
-    assert f"--resume={lost[0].run_id}" in log.read_text()
+    assert log.read_text().count("$ tom train") == 2
     undisturbed = Store(tmp_path / "undisturbed")
     planned = plan(learner=["mle"], steps=1500)
     finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(2)))
     assert_same_runs(store, undisturbed)
+
+
+@pytest.mark.fault
+def test_a_node_of_a_cluster_that_hangs__is_given_up_like_one_that_died(
+    node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+):
+    """Its connections stay open, as those of a machine without power do."""
+    address = f"127.0.0.1:{free_port()}"
+    store = Store(tmp_path)
+    head = node("--head", f"--port={address.partition(':')[2]}", "--include-dashboard=false")
+    until(lambda: len(descendants(head.pid)) > 2)
+    other = node(f"--address={address}")
+    words = ("--steps", "100000", "--checkpoint-every", "100", "--seeds", "0", "1")
+    driver = subprocess.Popen(sweep(*words, "--address", address, "--store", str(store.path)))
+    until(lambda: len(beyond_a_checkpoint(store)) == 2)
+    hanging = descendants(other.pid)
+    (lost,) = [run for run in store.runs() if run.status.pid in hanging]
+    for pid in hanging:
+        os.kill(pid, signal.SIGSTOP)
+    log = store.path / ".sweep" / f"{lost.run_id}.log"
+    until(lambda: "no answer" in log.read_text())
+    driver.terminate()
+    assert driver.wait(WAIT_S) == 1
 
 
 @pytest.mark.fault
@@ -216,6 +275,6 @@ def test_the_head_of_a_cluster_killed__the_sweep_says_so_in_a_summary_and_can_go
     until(lambda: not run.status.alive)
     done = subprocess.run(sweep(*words, "--jobs", "1"), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    planned, undisturbed = plan(learner=["mle"], seeds=1, steps=1500), Store(tmp_path / "other")
+    planned, undisturbed = plan(learner=["mle"], seeds=[0], steps=1500), Store(tmp_path / "other")
     finish(Driver(FolderBackend(undisturbed), planned, LocalEngine(1)))
     assert_same_runs(store, undisturbed)

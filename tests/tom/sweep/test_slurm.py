@@ -18,7 +18,7 @@ PLAN = {"env": ["inverted-pendulum"], "learner": ["mle", "tom"], "preset": "smok
 
 
 def test_one_task_for_each_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
-    words = ["sweep", "--env", "hopper", "--learner", "tom", "mle", "--seeds", "3"]
+    words = ["sweep", "--env", "hopper", "--learner", "tom", "mle", "--seeds", "0", "1", "2"]
     monkeypatch.setattr(sys, "argv", ["tom", *words, "--engine", "slurm"])
     assert main([*words, "--engine", "slurm", "--store", str(tmp_path)]) == 0
     text = capsys.readouterr().out

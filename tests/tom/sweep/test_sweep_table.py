@@ -15,7 +15,7 @@ from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import checked, trials
 
-PLAN = {"env": "hopper", "learner": ["mle", "tom"], "seeds": 2, "steps": 6_000}
+PLAN = {"env": "hopper", "learner": ["mle", "tom"], "seeds": [0, 1], "steps": 6_000}
 
 
 class Terminal(io.StringIO):

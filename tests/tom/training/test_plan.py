@@ -13,10 +13,15 @@ from tom.record import Store
 from tom.record.export import export_small
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
-from tom.training.plan import checked, given_fewer, is_done, read_plan, same_run, trials
+from tom.training.plan import checked, is_done, read_plan, same_run, steps_beyond, trials
 from tom.training.presets import resolve
 
-SMALL = {"env": ["inverted-pendulum"], "learner": ["mle", "tom"], "seeds": 2, "preset": "smoke"}
+SMALL = {
+    "env": ["inverted-pendulum"],
+    "learner": ["mle", "tom"],
+    "seeds": [0, 1],
+    "preset": "smoke",
+}
 
 
 def plan_of(text: str, tmp_path: Path):
@@ -26,7 +31,7 @@ def plan_of(text: str, tmp_path: Path):
 
 
 def test_every_env_with_every_learner_and_seed_the_first_seed_first(tmp_path: Path):
-    plan = plan_of("env: [hopper, ant]\nlearner: [tom, mle]\nseeds: 2\n", tmp_path)
+    plan = plan_of("env: [hopper, ant]\nlearner: [tom, mle]\nseeds: [0, 1]\n", tmp_path)
     found = [(t.seed, t.env, t.learner) for t in trials(plan)]
     assert found[:4] == [
         (0, "hopper", "tom"),
@@ -38,9 +43,12 @@ def test_every_env_with_every_learner_and_seed_the_first_seed_first(tmp_path: Pa
     assert len({t.run_id for t in trials(plan)}) == 8
 
 
-def test_seeds_may_be_named_and_nothing_is_run_twice(tmp_path: Path):
-    plan = plan_of("env: hopper\nlearner: [tom, tom]\nseeds: [3, 7, 3]\n", tmp_path)
-    assert [t.seed for t in trials(plan)] == [3, 7]
+@pytest.mark.parametrize(("written", "seeds"), [("[3, 7, 3]", [3, 7]), ("4", [4])])
+def test_seeds_are_those_that_are_named_and_nothing_is_run_twice(
+    written: str, seeds: list[int], tmp_path: Path
+):
+    plan = plan_of(f"env: hopper\nlearner: [tom, tom]\nseeds: {written}\n", tmp_path)
+    assert [t.seed for t in trials(plan)] == seeds
 
 
 def test_numbers_are_numbers_as_in_yaml_1_2(tmp_path: Path):
@@ -74,7 +82,7 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
         ("env: hopper\nlearner: tomm", "did you mean 'tom'"),
         ("env: hopper\nlearner: tom\npreset: papr", "did you mean 'paper'"),
         ("env: hopper", "learner"),
-        ("env: hopper\nlearner: tom\nseeds: 0", "seeds"),
+        ("env: hopper\nlearner: tom\nseeds: []", "seeds"),
         ("env: hopper\nlearner: tom\nseeds: [-1]", "seeds"),
         ("env: hopper\nlearner: tom\nlearning_rate: 1", "learning_rate"),
         ("env: hopper\nlearner: tom\nsettings: {sac: {lr: -1}}", "sac.lr"),
@@ -140,9 +148,9 @@ def test_a_run_that_was_given_more_steps_is_done_once_it_has_those_of_the_trial(
     stopped_at(steps - 1, RunWriter.create(store, trial.run_id, more))
     (run,) = store.runs()
     assert same_run(trial, [run]) is run
-    assert not is_done(trial, run)
+    assert not is_done(trial.config, run)
     stopped_at(steps, RunWriter(run.path, more))
-    assert is_done(trial, store.run(trial.run_id))
+    assert is_done(trial.config, store.run(trial.run_id))
     longer = trials(checked({**SMALL, "steps": 3 * steps}))[0]
     assert same_run(longer, store.runs()) is None
     RunWriter.create(store, "by-hand", trial.config).close()
@@ -157,5 +165,5 @@ def test_a_finished_run_of_fewer_steps_is_not_done(tmp_path: Path):
     with Recorder(RunWriter.create(Store(tmp_path), trial.run_id, fewer)) as recorder:
         recorder.consume(Tick(fewer.steps, "optimise"))
     (run,) = Store(tmp_path).runs()
-    assert given_fewer(trial, run)
-    assert not is_done(trial, run)
+    assert steps_beyond(trial.config, run) == -1
+    assert not is_done(trial.config, run)

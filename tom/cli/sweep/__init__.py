@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tom.cli.named import add_termination
-from tom.cli.parser import DEST, add_accept_versions, add_config_options, overrides
+from tom.cli.parser import DEST, add_accept_versions, add_config_options, overrides, seed_number
 from tom.cli.signals import on_stopping
 from tom.cli.sweep.dry import dry_run, longest
 from tom.cli.sweep.places import open_backend, open_engine, place, refuse_mismatch
@@ -35,7 +35,7 @@ OWN_OPTIONS = {"env", "learner", "preset", "seed", "steps"}
 def add_parser(subparsers, arguments: list[str]) -> None:
     parser = subparsers.add_parser(
         "sweep",
-        usage="tom sweep --env ENV ... --learner LEARNER ... [--seeds N] [options]",
+        usage="tom sweep --env ENV ... --learner LEARNER ... [--seeds N ...] [options]",
         description="Train every environment with every learner and seed. Runs that are done are "
         "skipped, broken ones go on from their checkpoint, and one that ends "
         f"{ATTEMPTS} times without getting further is reported and left. Ctrl-C stops all "
@@ -45,7 +45,7 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     add_termination(parser)
     parser.add_argument("--learner", nargs="+", metavar="LEARNER", help=", ".join(LEARNERS))
     parser.add_argument(
-        "--seeds", type=int, nargs="+", metavar="N", help="how many: seeds 0 to N - 1 [1]"
+        "--seeds", type=seed_number, nargs="+", metavar="N", help="a run for each of them [0]"
     )
     parser.add_argument("--steps", type=int, metavar="N", help="env steps of each run")
     parser.add_argument(
@@ -113,10 +113,8 @@ def run(args: argparse.Namespace) -> int:
 def _planned(args: argparse.Namespace) -> list[Trial]:
     """The requested trainings; options on the command line override the file."""
     content: dict[str, Any] = read_plan(args.file) if args.file else {}
-    names = ("env", "learner", "steps", "preset")
+    names = ("env", "learner", "seeds", "steps", "preset")
     content |= {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    if args.seeds:
-        content["seeds"] = _how_many(args.seeds)
     held = content.get("settings", {})
     if isinstance(held, dict):  # anything else is an error that `checked` reports
         content["settings"] = merged(held, overrides(args))
@@ -134,16 +132,6 @@ def _planned(args: argparse.Namespace) -> list[Trial]:
     if not 0 <= args.only < len(planned):
         raise UserError(f"--only {args.only}: this sweep has runs 0 to {len(planned) - 1}")
     return [planned[args.only]]
-
-
-def _how_many(seeds: list[int]) -> int:
-    if len(seeds) > 1 or seeds[0] < 1:
-        given = " ".join(map(str, seeds))
-        raise UserError(
-            f"--seeds {given}: it is how many, N for the seeds 0 to N - 1; a list of seeds goes "
-            f"into --file: `seeds: [{given.replace(' ', ', ')}]`"
-        )
-    return seeds[0]
 
 
 def _jobs(args: argparse.Namespace) -> int:

@@ -71,7 +71,7 @@ def _cost(trial: Trial, runs: Sequence[RunReader], run: RunReader | None) -> Cos
 
 
 def _finished(trial: Trial, run: RunReader | None) -> bool:
-    return run is not None and is_done(trial, run)
+    return run is not None and is_done(trial.config, run)
 
 
 def _row(trial: Trial, run: RunReader | None, expected: Cost | None) -> dict[str, Any]:
