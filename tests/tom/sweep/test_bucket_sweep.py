@@ -105,6 +105,28 @@ def test_a_worker_killed_with_all_it_had__goes_on_from_the_object_store_to_the_s
     assert_same_runs(fetched, undisturbed)
 
 
+@pytest.mark.fault
+def test_rows_that_an_object_store_lost__are_not_trained_over(
+    bucket_url: str, tmp_path: Path, monkeypatch
+):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    planned, bucket = plan(learner=["mle"], seeds=[0], steps=4000), Bucket.open(bucket_url)
+    with BucketBackend(bucket, planned) as backend:
+        driver = Driver(backend, planned, LocalEngine(1))
+        until(lambda: beyond_a_checkpoint(backend.store), driver.poll)
+        driver.stop()
+    [name] = [name for name in bucket.names() if name.endswith(layout.METRICS)]
+    rows = bucket.read(name).splitlines(keepends=True)
+    bucket.write(name, b"".join(rows[: len(rows) // 2]))
+    with BucketBackend(bucket, planned) as backend:
+        driver = Driver(backend, planned, LocalEngine(1))
+        finish(driver)
+        assert driver.jobs[0].state == "failed"
+        assert layout.METRICS in driver.jobs[0].note
+    [name] = [name for name in bucket.names() if name.endswith(layout.METRICS)]
+    assert bucket.read(name) == b"".join(rows[: len(rows) // 2])
+
+
 def test_a_store_that_does_not_answer_a_worker_is_no_reason_to_give_up_at_once(
     bucket_url: str, tmp_path: Path, monkeypatch
 ):
