@@ -43,11 +43,11 @@ def host() -> str:
 
 
 def may_act() -> bool:
-    """Whether pages may start, stop, weigh and label: see `looks_on`."""
-    return not looks_on()
+    """Whether pages may start, stop, weigh and label: see `read_only_reason`."""
+    return not read_only_reason()
 
 
-def looks_on() -> str:
+def read_only_reason() -> str:
     """In words, why this browser's pages may not act; empty if they may.
 
     They may if only this machine can open them and the browser gave the studio's key.

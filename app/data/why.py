@@ -49,7 +49,7 @@ class Source:
     terms: Terms
     config: TomConfig
     whose: str
-    lately: TensorTransitions  # (M,) the discriminator's rows of the policy
+    policy_rows: TensorTransitions  # (M,) the discriminator's rows of the policy
     among: Tensor  # (M,) the rows of the buffer that these are; (0,) if they were made anew
     step: int | None  # of the fit or weighing; None: all that the run collected
 
@@ -76,12 +76,12 @@ def source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source | 
 
 def neighbours(rows: Rows, source: Source, row: int) -> Neighbours:
     """The policy's transitions nearest to a row of the buffer, but for the row itself."""
-    replay, lately = rows.rows.torch(), source.lately
-    here = (source.among == row).nonzero().flatten().tolist() if len(lately) > 1 else []
-    near = why.nearest(replay, row, lately, NEAREST, itself=here[0] if here else None)
-    own = _between(replay, lately, len(lately) // 2)
+    replay, policy_rows = rows.rows.torch(), source.policy_rows
+    here = (source.among == row).nonzero().flatten().tolist() if len(policy_rows) > 1 else []
+    near = why.nearest(replay, row, policy_rows, NEAREST, itself=here[0] if here else None)
+    own = _between(replay, policy_rows, len(policy_rows) // 2)
     usual = _usual(replay, source, own)
-    return Neighbours(near, lately[near.index].numpy(), usual, own)
+    return Neighbours(near, policy_rows[near.index].numpy(), usual, own)
 
 
 def starts(run: RunInfo, rows: Rows, row: int) -> tuple[float, float] | str:
@@ -145,7 +145,7 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
         if learner not in WITH_TERMS:
             return f"only {whose_sum} weights are such a sum, and these are of {learner}"
         try:
-            config, whose, lately, among, step = _made_by(run, reader, rows, weight, made)
+            config, whose, policy_rows, among, step = _made_by(run, reader, rows, weight, made)
         except (UserError, OSError, ValueError, KeyError) as error:
             return str(error)
         prefix = "" if made is None else f"{weight}-"
@@ -153,7 +153,7 @@ def _source(run: RunInfo, rows: Rows, weighings: list[WeighingInfo]) -> Source |
             {n: torch.tensor(table[prefix + n]) for n in Terms.named() if prefix + n in table}
         )
         if terms is not None:
-            return Source(terms, config, whose, lately, among, step)
+            return Source(terms, config, whose, policy_rows, among, step)
         if np.ptp(rows.weight) == 0:
             return f"{LEARNERS[learner].label} did not weigh here: all count the same"
         without = (
@@ -195,8 +195,8 @@ def _made_by(
     known, store = task(run.env), Store(Path(run.path).parent)
     policy = load_policy(made.policy, store, known, made.step)
     seed = int(weight.rpartition("-s")[2])
-    lately = made_anew(known, policy, int(report["footprint"]), seed).transitions.torch()
-    return tom, f"the weighing {made.name}", lately, torch.arange(0), made.step
+    policy_rows = made_anew(known, policy, int(report["footprint"]), seed).transitions.torch()
+    return tom, f"the weighing {made.name}", policy_rows, torch.arange(0), made.step
 
 
 def _policy_rows(config: RunConfig, reader: RunReader, rows: Rows) -> Tensor:
@@ -219,16 +219,16 @@ def _usual(replay: TensorTransitions, source: Source, own: float) -> float:
     if not len(others):
         return own
     judged = torch.linspace(0, len(others) - 1, min(JUDGED, len(others))).long()
-    return why.usual_distance(replay, source.lately, others[judged])
+    return why.usual_distance(replay, source.policy_rows, others[judged])
 
 
-def _between(replay: TensorTransitions, lately: TensorTransitions, half: int) -> float:
+def _between(replay: TensorTransitions, policy_rows: TensorTransitions, half: int) -> float:
     """The median distance of one half of the policy's rows to the other half."""
     if not half:
         return float("nan")
-    joined = TensorTransitions.join([replay, lately[:half]])
+    joined = TensorTransitions.join([replay, policy_rows[:half]])
     # In the scale of the buffer, which few rows hardly change.
-    return why.usual_distance(joined, lately[half:], torch.arange(len(replay), len(joined)))
+    return why.usual_distance(joined, policy_rows[half:], torch.arange(len(replay), len(joined)))
 
 
 def _weighs_dimensions(run: RunInfo) -> bool:

@@ -151,7 +151,7 @@ def _neighbours(run: RunInfo, rows: Rows, source: Source, row: int) -> None:
     first = float(near.near.distance[0])
     st.caption(
         f"Distances in standard deviations over (s, a, s' - s). To its nearest of the policy's "
-        f"{len(source.lately):,} transitions this one has {first:.2f}; half of the buffer's "
+        f"{len(source.policy_rows):,} transitions this one has {first:.2f}; half of the buffer's "
         f"other rows have less than {near.usual:.2f}, half of the policy's own, to the rest of "
         f"them, less than {near.own:.2f}."
     )
@@ -205,7 +205,7 @@ def _offer(run: RunInfo, rows: Rows) -> None:
         "afresh there, so weights differ from the run's own). Then choose them on Regions, under "
         "Weights of."
     )
-    if why := session.looks_on():
+    if why := session.read_only_reason():
         st.caption(why)
     elif st.button(f"Weigh this buffer by {learner_label(SUBJECT)}", key="why weigh"):
         st.session_state[STARTED] = trainings.start(words)

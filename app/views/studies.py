@@ -100,7 +100,7 @@ def _missing(computed: set[str]) -> None:
     if not others:
         return
     with st.expander("Studies that have not been computed here", expanded=not computed):
-        if why := session.looks_on():
+        if why := session.read_only_reason():
             st.caption(why)
         for name in others:
             _offer(name, may_run=not why)

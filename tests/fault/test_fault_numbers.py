@@ -130,12 +130,12 @@ def test_a_discriminator_that_separates_perfectly__weights_stay_finite_and_the_r
         action, flags = rng.uniform(-1, 1, (n, 2)).astype(np.float32), np.zeros(n, bool)
         return Transitions(obs, action, np.zeros(n, np.float32), obs, flags, flags)
 
-    replay, lately = rows(0.0, 400), rows(50.0, 100)
+    replay, policy_rows = rows(0.0, 400), rows(50.0, 100)
     small = {"discriminator_hidden": 32, "q_hidden": 32}
     changes = {**small, "discriminator_steps": 60, "q_steps": 20, "discriminator_lr": 1e-2}
     found = occupancy_weights(
         replay,
-        lately,
+        policy_rows,
         UniformPolicy(3, 2),
         np.asarray(replay.obs)[:10],
         TomConfig().but(**changes),

@@ -145,11 +145,11 @@ def occupancy_weights(
     expectation over a' is exact. `initial_obs` (M0, O) are draws of the start distribution. Both
     networks start anew; all randomness comes from `generator`.
     """
-    replay, lately = buffer.torch(), policy_buffer.torch()
+    replay, policy_rows = buffer.torch(), policy_buffer.torch()
     starts = torch.as_tensor(initial_obs).to(replay.obs)
     dims = replay.obs.shape[1], replay.action.shape[1]
     networks = Networks(*dims, config, generator, replay.obs.device)
-    return estimate(networks, replay, lately, policy, starts, generator)
+    return estimate(networks, replay, policy_rows, policy, starts, generator)
 
 
 class TomLearner:

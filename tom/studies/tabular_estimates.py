@@ -195,7 +195,7 @@ def estimate(asked: tuple[Case, Variant]) -> Estimate:
         policy = OneHotPolicy(torch.from_numpy(drawn.target).float())
         found = occupancy_weights(
             drawn.buffer,
-            drawn.lately,
+            drawn.policy_rows,
             # A bound method has no `support`, so that the policy can only be sampled.
             policy if variant.support else policy.__call__,
             torch.from_numpy(drawn.starts),
@@ -256,7 +256,7 @@ class Drawn:
     problem: OccupancyProblem
     buffer: Transitions  # the replay, (N,)
     index: NDArray[np.intp]  # (N, 3)
-    lately: Transitions  # the policy's
+    policy_rows: Transitions  # the policy's
     recent: NDArray[np.intp]  # (P, 3)
     starts: NDArray[np.float32]
 
@@ -271,10 +271,10 @@ def _drawn(case: Case) -> Drawn:
         return sample_transitions(mdp, transition_occupancy(mdp, policy), n, rng)
 
     buffer, index = sample(behaviour, case.replay)
-    lately, recent = sample(target, case.policy_buffer)
+    policy_rows, recent = sample(target, case.policy_buffer)
     starts = sample_starts(mdp, case.starts, rng)
     problem = problem_of(case, mdp, target, behaviour)
-    return Drawn(mdp, target, problem, buffer, index, lately, recent, starts)
+    return Drawn(mdp, target, problem, buffer, index, policy_rows, recent, starts)
 
 
 def draw(case: Case, rng: np.random.Generator) -> tuple[Mdp, Array, Array]:

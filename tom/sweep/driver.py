@@ -99,7 +99,7 @@ class Driver:
         slots = self.engine.slots
         for job in tuple(self._order):
             try:
-                self._attend(job, slots)
+                self._advance(job, slots)
             except OSError as error:
                 self.trouble = str(error)
                 self._order.remove(job)
@@ -136,7 +136,7 @@ class Driver:
                 self.backend.look(job.run_id, now=True)
             job.state = "finished" if self._is_done(job) else "stopped"
 
-    def _attend(self, job: Job, slots: int) -> None:
+    def _advance(self, job: Job, slots: int) -> None:
         if job.state in ("running", "elsewhere"):
             self.backend.look(job.run_id)
         if job.process and (code := job.process.poll()) is not None:

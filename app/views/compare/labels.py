@@ -19,7 +19,7 @@ from tom.record.store import Store
 def draw(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> None:
     """A table of the runs that pass the filters; below it the actions on chosen runs."""
     st.dataframe(overview(runs), hide_index=True, column_config=_columns())
-    if why := session.looks_on():
+    if why := session.read_only_reason():
         st.caption(why)
         return
     names = names_with_ids(everything)

@@ -35,7 +35,7 @@ def panel() -> None:
         return
     st.session_state[OPENED] = True
     with fold:
-        if why := session.looks_on():
+        if why := session.read_only_reason():
             st.caption(why)
             return
         row = st.columns([3, 3, 2, 2, 2])

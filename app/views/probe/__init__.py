@@ -22,10 +22,10 @@ from tom.envs import ROAD
 
 COLUMNS = {
     "ESS": "ess",
-    "zero": "zeros",
+    "weight 0": "zeros",
     "random": "random_mean",
     "newest": "last_two",
-    "rank": "spearman",
+    "trend": "spearman",
 }
 """columns of the table, and their names in the report of a weighing"""
 
@@ -155,10 +155,10 @@ def _columns() -> dict:
             "more): 1 is no better than no weights, 0 like the policy itself",
         ),
         "ESS": number(format="percent", help="effective sample (sum w)² / sum w², of the buffer"),
-        "zero": number(format="percent", help="share of transitions with weight zero"),
+        "weight 0": number(format="percent", help="share of transitions with weight zero"),
         "random": number(format="%.3g", help="mean weight of the random data"),
         "newest": number(format="%.3g", help="mean weight of the newest tenth of the buffer"),
-        "rank": number(
+        "trend": number(
             format="%.3g",
             help="rank correlation of the tenths of the ordered part with their order: 1 when "
             "newer counts more throughout",

@@ -151,7 +151,7 @@ def table(result: Ranking) -> pd.DataFrame:
                 "one step": _words(middle(one.error)),
                 "five steps": _words(middle(one.rollout_error)),
                 "footprint": _words(middle(one.footprint)),
-                "telling": one.telling,
+                "fits that count": one.telling,
             }
         )
     return pd.DataFrame(rows)
@@ -174,5 +174,5 @@ def _columns() -> dict:
             "error, five steps", help="five modelled steps under the recorded actions"
         ),
         "footprint": column(help="1: no better than no weights, 0: like the policy itself"),
-        "telling": column("telling", help="fits whose footprint is not lost in its noise"),
+        "fits that count": column(help="fits whose footprint is not lost in its noise"),
     }

@@ -45,7 +45,7 @@ def draw(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
         by = _foreign_policy() if policy == FOREIGN else str(policy)
         words = command(run, by, learners, str(preset), seeds, session.links().store, step)
         st.code(form.shown(words), language="bash", wrap_lines=True)
-        if why := session.looks_on():
+        if why := session.read_only_reason():
             st.caption(why)
         elif policy == FOREIGN or is_code(run.env):
             st.caption("It runs code of yours, so it is started in a terminal.")

@@ -90,7 +90,7 @@ def _remove_after(process: Process, rows: Path) -> None:
 
 
 def _why_not(run: RunInfo, count: int, of: int, base: str | None) -> str:
-    if why := session.looks_on():
+    if why := session.read_only_reason():
         return why
     if is_code(run.env):
         words = text.markdown(f"tom brush {run.run_id} --env {run.env} --rows FILE --step N")

@@ -406,17 +406,19 @@ def test_the_forms_preset_is_the_learners_own_until_another_is_chosen(store: Pat
 def test_live_changes_nothing_where_others_can_open_it(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    looks_on(Links(store=str(store), host="0.0.0.0", key="key"), monkeypatch, "change nothing")
+    read_only_reason(
+        Links(store=str(store), host="0.0.0.0", key="key"), monkeypatch, "change nothing"
+    )
 
 
 @pytest.mark.parametrize("key", ["", "another"])
 def test_live_changes_nothing_where_the_browser_did_not_give_the_key(
     key: str, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    looks_on(Links(store=str(store), key=key), monkeypatch, "open the address")
+    read_only_reason(Links(store=str(store), key=key), monkeypatch, "open the address")
 
 
-def looks_on(links: Links, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
+def read_only_reason(links: Links, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
     """The form of a studio at these links is not drawn, and it says why."""
     set_links(links, monkeypatch)
     app = draw("live")

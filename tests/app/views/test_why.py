@@ -57,7 +57,7 @@ def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
     found = why.source(info(store, PENDULUM_TOM), rows, [])
     assert isinstance(found, why.Source)
     assert found.step == FIT
-    assert len(found.lately) == 100  # 200 steps of exploration came before
+    assert len(found.policy_rows) == 100  # 200 steps of exploration came before
     for row in range(0, FIT, 17):
         assert found.sum_of(row).weight == pytest.approx(rows.weight[row], abs=1e-5)
 
@@ -72,7 +72,7 @@ def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
     assert isinstance(found, why.Source)
     for row in range(0, len(rows), 17):
         assert found.sum_of(row).weight == pytest.approx(weight[row], abs=1e-5)
-    assert len(found.lately) == 100
+    assert len(found.policy_rows) == 100
     near = why.neighbours(rows, found, 5)
     assert (near.near.distance.diff() >= 0).all()
 
@@ -120,7 +120,7 @@ def test_the_roads_policy_rows_are_its_footprint(store: Path) -> None:
     assert isinstance(found, why.Source)
     shown = RunReader(store / ROAD_TOM).field("data", 0)["footprint"]
     assert 0 < shown.sum() < 100
-    np.testing.assert_array_equal(found.lately.obs.numpy(), np.asarray(rows.rows.obs)[shown])
+    np.testing.assert_array_equal(found.policy_rows.obs.numpy(), np.asarray(rows.rows.obs)[shown])
 
 
 def test_other_weights_have_no_sum(store: Path) -> None:

@@ -54,14 +54,14 @@ def correlation(x: torch.Tensor, y: torch.Tensor) -> float:
 
 
 def test_the_logit_is_the_log_ratio_and_swapped_labels_reverse_it():
-    replay, lately = rows(4000, seed=0), rows(4000, seed=1, shift=SHIFT)
-    r, metrics = trained(replay, lately)
+    replay, policy_rows = rows(4000, seed=0), rows(4000, seed=1, shift=SHIFT)
+    r, metrics = trained(replay, policy_rows)
     assert correlation(r, exact(replay)) > 0.97
     slope = float((r * exact(replay)).mean() / exact(replay).square().mean())
     assert slope == pytest.approx(1.0, abs=0.2)  # its size too, not the order alone
     assert metrics["discriminator/accuracy"] > 0.75
     assert metrics["discriminator/loss"] < 0.5
-    backward, _ = judged(lately, replay, replay)
+    backward, _ = judged(policy_rows, replay, replay)
     assert correlation(backward, exact(replay)) < -0.97
 
 
@@ -72,10 +72,10 @@ def test_a_policy_that_is_the_replays_gets_a_logit_near_zero():
 
 
 def test_a_gradient_penalty_compresses_the_logit():
-    replay, lately = rows(2000, seed=0), rows(2000, seed=1, shift=SHIFT)
+    replay, policy_rows = rows(2000, seed=0), rows(2000, seed=1, shift=SHIFT)
     config = CONFIG.but(discriminator_steps=150)
-    free, _ = trained(replay, lately, config)
-    held, _ = trained(replay, lately, config.but(gradient_penalty=10.0))
+    free, _ = trained(replay, policy_rows, config)
+    held, _ = trained(replay, policy_rows, config.but(gradient_penalty=10.0))
     assert float(held.std()) < 0.8 * float(free.std())
 
 
@@ -112,15 +112,15 @@ def test_the_calibration_error_of_what_is_no_number_is_none():
 
 
 def test_a_discriminator_of_state_actions_is_blind_to_what_came_next():
-    replay, lately = rows(4000, seed=0), rows(4000, seed=1, shift=SHIFT)
+    replay, policy_rows = rows(4000, seed=0), rows(4000, seed=1, shift=SHIFT)
     elsewhere = replace(replay, next_obs=replay.next_obs.flip(0))
     config = CONFIG.but(discriminator_input="state-actions")
-    r, _ = trained(replay, lately, config)
-    blind, _ = judged(replay, lately, elsewhere, config)
+    r, _ = trained(replay, policy_rows, config)
+    blind, _ = judged(replay, policy_rows, elsewhere, config)
     assert torch.equal(r, blind)
     assert correlation(r, exact(replay)) > 0.97
-    seeing, _ = judged(replay, lately, elsewhere)
-    assert not torch.equal(trained(replay, lately)[0], seeing)
+    seeing, _ = judged(replay, policy_rows, elsewhere)
+    assert not torch.equal(trained(replay, policy_rows)[0], seeing)
 
 
 def test_what_comes_next_adds_noise_to_the_logit_where_one_environment_made_both():
@@ -128,12 +128,12 @@ def test_what_comes_next_adds_noise_to_the_logit_where_one_environment_made_both
     rng = np.random.default_rng(0)
     mdp = random_mdp(10, 3, 10, 0.9, rng)
     q, p = (transition_occupancy(mdp, random_policy(mdp, rng, uniform=0.3)) for _ in range(2))
-    replay, lately = (sample_transitions(mdp, d, 5000, rng)[0].torch() for d in (q, p))
+    replay, policy_rows = (sample_transitions(mdp, d, 5000, rng)[0].torch() for d in (q, p))
     log_ratio = torch.from_numpy(np.log(p.sum(2) / q.sum(2))).float()
     known = log_ratio[replay.obs.argmax(1), replay.action.argmax(1)]
     config = CONFIG.but(discriminator_steps=600)
     off = [
-        float((trained(replay, lately, config.but(discriminator_input=name))[0] - known).std())
+        float((trained(replay, policy_rows, config.but(discriminator_input=name))[0] - known).std())
         for name in ("transitions", "state-actions")
     ]
     assert off[1] < 0.7 * off[0]

@@ -6,9 +6,9 @@ from tom.learners.ratio import RatioLearner
 
 
 def test_weights_are_the_odds_of_the_discriminator():
-    replay, lately = rows(2000), rows(400, seed=1, shift=0.5)
+    replay, policy_rows = rows(2000), rows(400, seed=1, shift=0.5)
     learner = RatioLearner(QUICK, OBS, ACTION, generator())
-    found = learner.weigh(context(replay, lately))
+    found = learner.weigh(context(replay, policy_rows))
     assert found.log_ratio is not None
     expected = found.log_ratio.exp() / found.log_ratio.exp().mean()
     torch.testing.assert_close(found.weights, expected)

@@ -30,8 +30,8 @@ def buffer() -> TensorTransitions:
 
 def found(config: TomConfig):
     starts = torch.zeros(4, OBS)
-    lately = rows(120, seed=1, shift=1.0)
-    return occupancy_weights(buffer(), lately, uniform_policy, starts, config, generator(2))
+    policy_rows = rows(120, seed=1, shift=1.0)
+    return occupancy_weights(buffer(), policy_rows, uniform_policy, starts, config, generator(2))
 
 
 @pytest.mark.parametrize("flow", FLOWS)

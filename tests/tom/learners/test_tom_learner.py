@@ -24,9 +24,9 @@ def learner(config: TomConfig = QUICK) -> TomLearner:
     return TomLearner(config, OBS, ACTION, generator(5))
 
 
-def weigh(replay: Transitions, lately: Transitions, config: TomConfig = QUICK) -> Occupancy:
+def weigh(replay: Transitions, policy_rows: Transitions, config: TomConfig = QUICK) -> Occupancy:
     return occupancy_weights(
-        replay, lately, uniform_policy, torch.zeros(4, OBS), config, generator(2)
+        replay, policy_rows, uniform_policy, torch.zeros(4, OBS), config, generator(2)
     )
 
 
@@ -58,24 +58,24 @@ def test_weights_have_mean_one_and_favour_the_policys_region(divergence, discrim
 
 
 def test_numpy_and_tensors_give_the_same_bits_and_seeds_decide_them():
-    replay, lately = rows(300), rows(60, seed=3)
+    replay, policy_rows = rows(300), rows(60, seed=3)
     starts = torch.zeros(4, OBS)
-    tensors = weigh(replay, lately)
+    tensors = weigh(replay, policy_rows)
     arrays = occupancy_weights(
-        replay.numpy(), lately.numpy(), uniform_policy, starts.numpy(), QUICK, generator(2)
+        replay.numpy(), policy_rows.numpy(), uniform_policy, starts.numpy(), QUICK, generator(2)
     )
     for name in ("weights", "log_ratio"):
         assert torch.equal(getattr(tensors, name), getattr(arrays, name))
     float64 = Transitions(*(np.asarray(x, np.float64) for x in vars(replay.numpy()).values()))
-    assert torch.equal(weigh(float64, lately).weights, tensors.weights)
-    other = occupancy_weights(replay, lately, uniform_policy, starts, QUICK, generator(3))
+    assert torch.equal(weigh(float64, policy_rows).weights, tensors.weights)
+    other = occupancy_weights(replay, policy_rows, uniform_policy, starts, QUICK, generator(3))
     assert not torch.equal(other.weights, tensors.weights)
 
 
 def test_the_inputs_are_left_as_they_were():
-    replay, lately = rows(300), rows(60, seed=3)
+    replay, policy_rows = rows(300), rows(60, seed=3)
     before = replay.copy()
-    weigh(replay, lately)
+    weigh(replay, policy_rows)
     for name, value in vars(before).items():
         assert torch.equal(getattr(replay, name), value)
 
@@ -157,12 +157,12 @@ def test_estimates_exact_weights_of_a_small_mdp(divergence, support):
     q = transition_occupancy(mdp, behaviour)
     problem = OccupancyProblem.of(mdp, target, q)
     buffer, index = sample_transitions(mdp, q, 20_000, rng)
-    lately, _ = sample_transitions(mdp, transition_occupancy(mdp, target), 5000, rng)
+    policy_rows, _ = sample_transitions(mdp, transition_occupancy(mdp, target), 5000, rng)
     policy = OneHotPolicy(torch.from_numpy(target).float())
     config = TomConfig.preset("exact").but(discount=0.9, divergence=divergence, **SMALL)
     found = occupancy_weights(
         buffer,
-        lately,
+        policy_rows,
         policy if support else policy.__call__,
         torch.from_numpy(sample_starts(mdp, 1000, rng)),
         config.but(action_samples=5),
@@ -181,10 +181,10 @@ def test_the_replays_own_policy_weighs_everything_about_one():
     mdp = random_mdp(5, 2, 2, 0.9, rng)
     target = random_policy(mdp, rng)
     q = transition_occupancy(mdp, target)
-    buffer, lately = (sample_transitions(mdp, q, n, rng)[0] for n in (20_000, 5000))
+    buffer, policy_rows = (sample_transitions(mdp, q, n, rng)[0] for n in (20_000, 5000))
     found = occupancy_weights(
         buffer,
-        lately,
+        policy_rows,
         OneHotPolicy(torch.from_numpy(target).float()),
         torch.from_numpy(sample_starts(mdp, 1000, rng)),
         TomConfig.preset("exact").but(discount=0.9, **SMALL),
@@ -210,7 +210,7 @@ def test_terminal_states_end_the_flow():
     # A discriminator compares distributions: both have mass one there.
     problem = replace(problem, log_ratio=problem.log_ratio - np.log(p.sum()))
     buffer, index = sample_transitions(mdp, q, 20_000, rng)
-    lately, _ = sample_transitions(mdp, p, 5000, rng)
+    policy_rows, _ = sample_transitions(mdp, p, 5000, rng)
     exact = np.zeros(q.shape)
     exact[problem.index] = solve(problem, "chi2").weights
     expected = exact[tuple(index.T)]
@@ -220,7 +220,7 @@ def test_terminal_states_end_the_flow():
         flags[flag] = np.asarray(buffer.terminated)
         found = occupancy_weights(
             replace(buffer, **flags),
-            lately,
+            policy_rows,
             OneHotPolicy(torch.from_numpy(target).float()),
             torch.from_numpy(sample_starts(mdp, 1000, rng)),
             TomConfig.preset("exact").but(discount=0.9, **SMALL),
