@@ -13,7 +13,8 @@ from tom.config import RolloutConfig, TomConfig
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, mixed_with_uniform
-from tom.learners.terms import Terms, slope
+from tom.learners.divergences import divergence
+from tom.learners.terms import Terms
 from tom.policy.rollout import RolloutModel, Termination
 
 
@@ -46,7 +47,7 @@ def sum_of(terms: Terms, config: TomConfig, row: int) -> Sum:
     parts = (terms.log_ratio, terms.following, terms.restart, terms.now)
     r, following, restart, now = (float(part[row]) for part in parts)
     z = torch.tensor(r + following + restart - now - level, dtype=torch.float64)
-    raw = float(slope(z, config))
+    raw = float(divergence(config).slope(z))
     return Sum(r, following, restart, now, level, raw, mean, raw / mean if mean else float("nan"))
 
 

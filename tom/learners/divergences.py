@@ -5,28 +5,33 @@ optimal weights (eq. 17) are f*'(y). The conjugate is taken over x >= 0: a weigh
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
-from typing import Literal
 
 import torch
 from torch import Tensor
+
+from tom.config import TomConfig
 
 
 @dataclass(frozen=True)
 class Divergence:
     """D_f(d || q) = E_q[f(d/q)], its dual term and its weights.
 
-    `generator` is f itself, elementwise. `dual_term` maps y (..., N), drawn from q, to E_q[f*(y)]
-    or its counterpart for KL, (...,); `weights` maps y (N,) to the weights (N,). `multiplier` maps
-    y (..., N) to the lambda (...,) that minimises lambda + E_q[f*(y - lambda)], where the weights
-    have mean 1.
+    `generator` is f itself and `slope` f*', both elementwise. `dual_term` maps y (..., N), drawn
+    from q, to E_q[f*(y)] or its counterpart for KL, (...,). `multiplier` maps y (..., N) to the
+    lambda (...,) that minimises lambda + E_q[f*(y - lambda)], where the weights have mean 1.
+    `weights` maps y (N,) to the weights (N,): the slope, or, if `normalised`, weights that have
+    mean 1 whatever y is.
     """
 
+    label: str
     generator: Callable[[Tensor], Tensor]
     dual_term: Callable[[Tensor], Tensor]
-    weights: Callable[[Tensor], Tensor]
+    slope: Callable[[Tensor], Tensor]
     multiplier: Callable[[Tensor], Tensor]
+    weights: Callable[[Tensor], Tensor]
+    normalised: bool = False
 
 
 def chi2_generator(x: Tensor) -> Tensor:
@@ -100,27 +105,45 @@ def kl_weights(y: Tensor) -> Tensor:
     return torch.softmax(y, dim=0) * len(y)
 
 
-def divergence(
-    name: Literal["chi2", "full-chi2", "kl"],
-    conjugate: Literal["clamped", "released"] = "clamped",
-) -> Divergence:
-    """The divergence called `name`; `conjugate="released"` is an option of chi2 alone."""
-    if name == "kl":
-        return Divergence(kl_generator, kl_dual_term, kl_weights, kl_dual_term)
-    if name == "full-chi2":
-        return Divergence(
-            full_chi2_generator,
-            lambda y: full_chi2_conjugate(y).mean(-1),
-            full_chi2_weights,
-            full_chi2_multiplier,
-        )
-    if conjugate == "released":  # the parabola's slope is 1 + y, with mean 1 if y has mean 0
-        return Divergence(
-            chi2_generator,
-            lambda y: released_conjugate(y).mean(-1),
-            chi2_weights,
-            lambda y: y.mean(-1),
-        )
-    return Divergence(
-        chi2_generator, lambda y: chi2_conjugate(y).mean(-1), chi2_weights, chi2_multiplier
-    )
+DIVERGENCES: dict[str, Divergence] = {
+    "chi2": Divergence(
+        "chi-square",
+        chi2_generator,
+        lambda y: chi2_conjugate(y).mean(-1),
+        chi2_weights,
+        chi2_multiplier,
+        chi2_weights,
+    ),
+    "full-chi2": Divergence(
+        "full chi-square",
+        full_chi2_generator,
+        lambda y: full_chi2_conjugate(y).mean(-1),
+        full_chi2_weights,
+        full_chi2_multiplier,
+        full_chi2_weights,
+    ),
+    "kl": Divergence(
+        "KL",
+        kl_generator,
+        kl_dual_term,
+        torch.exp,
+        kl_dual_term,
+        kl_weights,
+        normalised=True,
+    ),
+}
+"""by the name in `TomConfig.divergence`"""
+
+# The parabola's slope is 1 + y, with mean 1 if y has mean 0; negative weights are cut.
+RELEASED = replace(
+    DIVERGENCES["chi2"],
+    dual_term=lambda y: released_conjugate(y).mean(-1),
+    multiplier=lambda y: y.mean(-1),
+)
+"""chi-square as in the released code"""
+
+
+def divergence(config: TomConfig) -> Divergence:
+    """The divergence of a configuration; the released conjugate is an option of chi2 alone."""
+    released = config.divergence == "chi2" and config.conjugate == "released"
+    return RELEASED if released else DIVERGENCES[config.divergence]

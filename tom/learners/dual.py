@@ -69,7 +69,7 @@ def dual_loss(values: Values, batch: Batch, config: TomConfig) -> Tensor:
     lambda + E_q[f*(y - lambda)] at the minimising lambda, which is a constant for Q's gradient (by
     the envelope theorem).
     """
-    f, flow = divergence(config.divergence, config.conjugate), Flow.of(config)
+    f, flow = divergence(config), Flow.of(config)
     y = dual_argument(values, batch.log_ratio, batch.ends, flow)
     if flow.normalised:
         multiplier = f.multiplier(y.detach())
@@ -234,7 +234,7 @@ class DualProblem:
         slow; but its curvature is known: E[shift^2] under `chi2` where every weight is positive,
         else less. Under a stationary flow, and but for ends under KL, weights do not depend on it.
         """
-        free = self.config.divergence == "kl" or self.flow.normalised
+        free = divergence(self.config).normalised or self.flow.normalised
         if free or self.config.q_bias_step == 0:
             return 0.0
         shift = self.flow.shift(self.flow.ends(self.replay))

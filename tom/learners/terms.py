@@ -43,26 +43,19 @@ class Terms:
 
         Under KL it is log E exp(y).
         """
-        y = self.argument(config)
-        if not (Flow.of(config).normalised or config.divergence == "kl"):
+        f, y = divergence(config), self.argument(config)
+        if not (Flow.of(config).normalised or f.normalised):
             return y.new_zeros(())
-        return divergence(config.divergence, config.conjugate).multiplier(y)
+        return f.multiplier(y)
 
     def raw(self, config: TomConfig) -> Tensor:
         """f*'(y - lambda), (N,), before the division by its mean."""
-        f, y = divergence(config.divergence, config.conjugate), self.argument(config)
+        f, y = divergence(config), self.argument(config)
         return f.weights(y - f.multiplier(y) if Flow.of(config).normalised else y)
 
     def recorded(self) -> dict[str, Tensor]:
         """All terms by name except r, which is recorded separately."""
         return {name: getattr(self, name) for name in Terms.named()[1:]}
-
-
-def slope(z: Tensor, config: TomConfig) -> Tensor:
-    """f*'(z) elementwise: the weight of a transition with z = y - lambda."""
-    if config.divergence == "kl":  # whose weights of a whole buffer are normalised
-        return z.exp()
-    return divergence(config.divergence, config.conjugate).weights(z)
 
 
 def of_recorded(columns: Mapping[str, Tensor]) -> Terms | None:

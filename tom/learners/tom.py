@@ -22,6 +22,7 @@ from tom.learners.discriminator import (
     discriminator_net,
     membership_reward,
 )
+from tom.learners.divergences import divergence
 from tom.learners.dual import DualProblem, QFunction, q_net
 from tom.learners.terms import Terms
 
@@ -125,7 +126,7 @@ def estimate(
 
 def _kl_drops_ends(config: TomConfig) -> bool:
     """Whether the flow loses mass at ends although KL's weights keep their sum."""
-    return config.divergence == "kl" and config.flow == "discounted"
+    return divergence(config).normalised and config.flow == "discounted"
 
 
 def occupancy_weights(

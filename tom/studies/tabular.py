@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from tom.analysis.exact_weights import solve
 from tom.analysis.tabular import FlowName
 from tom.learners.discriminator import Inputs
+from tom.learners.divergences import DIVERGENCES
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.origin import seeds as in_short
 from tom.reports.style import new_figure
@@ -44,7 +45,6 @@ from tom.studies.tabular_estimates import (
 )
 
 JUDGED = VARIANTS[0]
-LABELS = {"chi2": "chi-square", "kl": "KL", "full-chi2": "full chi-square"}
 WAYS = "Ways to estimate: median and worst"
 FLOWS = (
     "Exact weights of each flow, both buffers streams as collected, chi-square: on ends over the "
@@ -254,7 +254,7 @@ def estimate_figure(estimates: Sequence[Estimate]) -> Figure:
             alpha=0.35,
             linewidths=0,
         )
-        ax.set_title(f"{LABELS[divergence]}, discount {discount:g}")
+        ax.set_title(f"{DIVERGENCES[divergence].label}, discount {discount:g}")
         ax.set_xlabel("exact weight")
     axes[0].set_ylabel("estimated weight")
     return figure

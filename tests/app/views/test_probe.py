@@ -88,7 +88,11 @@ def test_the_tables_numbers_are_those_of_the_report(weighed: Path) -> None:
     medians = json.loads((weighed / "report.json").read_text())["medians"]
     for learner, label in (("tom", "TOM"), ("pmac", "PMAC"), ("mle", "MLE")):
         row, of = shown.loc[label], medians[learner]
-        assert [row["weight 0"], row["trend"], row["ESS"]] == [of["zeros"], of["spearman"], of["ess"]]
+        assert [row["weight 0"], row["trend"], row["ESS"]] == [
+            of["zeros"],
+            of["spearman"],
+            of["ess"],
+        ]
 
 
 def test_the_table_says_how_far_each_learners_weights_lie_from_the_policy(weighed: Path) -> None:

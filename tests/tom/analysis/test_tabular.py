@@ -20,7 +20,7 @@ from tom.analysis.tabular import (
     transition_occupancy,
     with_endings,
 )
-from tom.learners.divergences import divergence
+from tom.learners.divergences import DIVERGENCES
 
 
 def make(seed: int, successors: int, discount: float) -> tuple[Mdp, Array, Array, OccupancyProblem]:
@@ -188,7 +188,7 @@ def test_a_multiplier_adds_nothing_but_the_mass(name):
     y = problem.log_ratio + problem.flow[:, :-1] @ found.q[:-1]
     counts = np.rint(problem.replay * 1e6).astype(int)
     many = torch.from_numpy(np.repeat(y, counts))
-    assert float(divergence(name).multiplier(many)) == pytest.approx(found.q[-1], abs=1e-3)
+    assert float(DIVERGENCES[name].multiplier(many)) == pytest.approx(found.q[-1], abs=1e-3)
 
 
 @pytest.mark.parametrize("successors", [1, 3, 12])
@@ -325,7 +325,7 @@ def test_dual_value_is_the_learners_dual_term():
     q = np.random.default_rng(0).normal(size=len(problem.inflow))
     y = torch.from_numpy(problem.log_ratio + problem.flow @ q)
     for name in ("chi2", "kl"):
-        expected = problem.inflow @ q + float(divergence(name).dual_term(y))
+        expected = problem.inflow @ q + float(DIVERGENCES[name].dual_term(y))
         assert dual_value(uniform, q, name) == pytest.approx(expected)
 
 
