@@ -11,7 +11,7 @@ from app.data import datasets, readers
 from app.data.buffer import WINDOW, windows
 from app.data.cache import VersionedCache
 from app.figures.scales import OCTAVES, octaves
-from app.scenes import states
+from app.scenes import solids, states
 from app.scenes.colours import on_scale
 from app.scenes.control import Selection, StatesChoice
 from app.scenes.frame import Frame
@@ -88,7 +88,8 @@ class StatesFrame(Frame):
         ):
             if rows:
                 qpos = states.poses(known, recorded, state, windows(ended, rows))
-                one, height = states.group(model, qpos)
+                one = solids.of(model, qpos)
+                height = one.floor
                 groups.append((_label(words, weights), one, _colours(weights, self.mode)))
         self._draw(groups, height, env, model.dt)
         self._drawn = choice
