@@ -10,6 +10,7 @@ from app import text
 from app.data.exams import Exams
 from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, upright
 from app.theme import faded, learner_colour, learner_label, learner_symbol
+from tom.readable import score, short
 
 FITS = 1500
 """maximum number of drawn fits; the figure says if fits were left out"""
@@ -88,11 +89,11 @@ def hover(run: Exams) -> list[str]:
     lines = []
     for i, step in enumerate(run.step):
         nothing = "" if run.telling[i] else ": says nothing"
-        footprint = f"{text.short(run.footprint[i])} (noise {text.short(run.noise[i])}{nothing})"
+        footprint = f"{short(run.footprint[i])} (noise {short(run.noise[i])}{nothing})"
         lines.append(
             f"{who}<br>fit at step {step:,}<br>footprint {footprint}"
-            f"<br>error {text.short(run.error[i])}, five steps {text.short(run.rollout_error[i])}"
-            f"<br>return of the next evaluation {text.score(float(run.returns[i]))}"
+            f"<br>error {short(run.error[i])}, five steps {short(run.rollout_error[i])}"
+            f"<br>return of the next evaluation {score(float(run.returns[i]))}"
         )
     return lines
 

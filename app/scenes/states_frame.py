@@ -18,6 +18,7 @@ from app.scenes.frame import Frame
 from app.scenes.states import StatesScene
 from app.scenes.words import Words
 from app.theme import COLUMNS, Mode
+from tom import readable
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.record import stamps
@@ -131,13 +132,8 @@ class StatesFrame(Frame):
 
 
 def _label(words: str, weights: Sequence[float]) -> str:
-    low, high = min(weights), max(weights)
-    ends = list(dict.fromkeys(_short(weight) for weight in (low, high)))
+    ends = dict.fromkeys(readable.short(weight) for weight in (min(weights), max(weights)))
     return f"{words}: weight {' to '.join(ends)}"
-
-
-def _short(weight: float) -> str:
-    return f"{weight:.0f}" if weight >= 10 else f"{weight:.2g}"
 
 
 def _colours(weights: Sequence[float], mode: Mode) -> list[tuple[int, int, int]]:
