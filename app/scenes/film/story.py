@@ -10,7 +10,7 @@ from app.data.buffer import WINDOW, windows
 from app.data.called import names
 from app.data.readers import RunInfo
 from app.data.regions import principal_plane
-from app.scenes.film.robots import body, packed
+from app.scenes.film.robots import body, packed, travelling
 from app.scenes.states import poses
 from tom.analysis.curves import curve_points
 from tom.data.transitions import Transitions
@@ -26,7 +26,7 @@ FITS = 240
 POINTS = 2500
 ROBOTS = 56
 EVERY = 2
-"""steps from one frame of a moment to the next"""
+"""steps from one frame of a moment or an evaluation to the next"""
 EPISODES, FRAMES = 12, 150
 """maximum number of shown evaluations, and of frames of each"""
 
@@ -94,14 +94,12 @@ def _crowd(known: Task, model: Model, reader: RunReader, rows: Transitions) -> d
     index = spread(len(rows), ROBOTS)
     state = {name: of[: len(rows)] for name, of in reader.buffer_state().items()}
     qpos = poses(known, rows, state, windows(rows.ended(), index.tolist()))[:, ::EVERY]
-    robots = body(model, qpos.reshape(-1, qpos.shape[-1]))
     return {
         "row": index.tolist(),
         "frames": qpos.shape[1],
         "now": WINDOW // EVERY,
         "every": EVERY,
-        "radius": robots.radius.tolist(),
-        **robots.plain(),
+        **body(model, qpos.reshape(-1, qpos.shape[-1])),
     }
 
 
@@ -116,19 +114,7 @@ def _policy(known: Task, model: Model, reader: RunReader) -> list[dict[str, Any]
         returns = [e.undiscounted_return for e in episodes]
         middle = episodes[int(np.argsort(returns)[len(returns) // 2])]
         assert middle.qpos is not None
-        qpos = middle.qpos[: 2 * FRAMES : 2].copy()
-        roots = known.root_dims or 0
-        place = qpos[:, 0].copy() if roots else np.zeros(len(qpos))
-        qpos[:, :roots] = 0
-        robot = body(model, qpos)
-        told.append(
-            {
-                "step": step,
-                "return": round(middle.undiscounted_return, 1),
-                "place": np.round(place - place[0], 3).tolist(),
-                "every": 2,
-                "radius": robot.radius.tolist(),
-                **robot.plain(),
-            }
-        )
+        about = {"step": step, "return": round(middle.undiscounted_return, 1), "every": EVERY}
+        qpos = middle.qpos[: EVERY * FRAMES : EVERY]
+        told.append(about | travelling(known, model, qpos))
     return told
