@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from app.data.buffer import Floats, Rows
 from tom.data.sampling import ess, zero_share
 from tom.data.transitions import Transitions
+from tom.spread import spread
 
 Mask = NDArray[np.bool_]
 
@@ -171,10 +172,3 @@ def heavy_and_light(rows: Rows, mask: Mask, count: int, gap: int) -> tuple[list[
         picks(index[by_weight[::-1]], count, gap),
         picks(index[by_weight], count, gap),
     )
-
-
-def spread(count: int, limit: int) -> NDArray[np.int64]:
-    """At most `limit` of `count` row numbers, evenly spread, the same in every call, ascending."""
-    if count <= limit:
-        return np.arange(count)
-    return np.sort(np.random.default_rng(0).choice(count, limit, replace=False))

@@ -6,6 +6,7 @@ import plotly.graph_objects as go
 from app.data.brush import Brushed
 from app.figures.base import across, note, styled
 from app.theme import Mode, ramp
+from tom import readable
 from tom.analysis.brush import POLICY, REGION, REST
 
 NAMES = {
@@ -17,7 +18,7 @@ NAMES = {
 
 def factor_in_words(factor: float) -> str:
     """0.25 -> x 1/4."""
-    return f"x 1/{1 / factor:g}" if 0 < factor < 1 else f"x {factor:g}"
+    return f"x {readable.factor(factor)}"
 
 
 def change(brushed: Brushed, region: str, factor: float) -> np.ndarray:

@@ -10,6 +10,8 @@ from app import text
 from app.data.exams import Exams
 from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, upright
 from app.theme import faded, learner_colour, learner_label, learner_symbol
+from tom.readable import score, short
+from tom.spread import spread
 
 FITS = 1500
 """maximum number of drawn fits; the figure says if fits were left out"""
@@ -24,8 +26,8 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
     footprints (`Exams.telling`) are left out of the first panel, which says so.
     """
     figure = make_subplots(rows=1, cols=2, shared_yaxes=True, horizontal_spacing=0.03)
-    every = max(-(-sum(len(run.step) for run in exams) // FITS), 1)
-    shown = [run.at(np.arange(0, len(run.step), every)) for run in exams]
+    share = min(FITS / max(sum(len(run.step) for run in exams), 1), 1.0)
+    shown = [run.at(spread(len(run.step), int(np.ceil(share * len(run.step))))) for run in exams]
     for learner in dict.fromkeys(run.learner for run in shown):
         runs = [run for run in shown if run.learner == learner]
         figure.add_trace(_points(learner, [run.at(run.telling) for run in runs], "footprint"), 1, 1)
@@ -41,7 +43,7 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
     )
     figure.update_xaxes(title_text="return of the next evaluation", col=2)
     figure.update_yaxes(title_text="one-step error in the exam (std)", col=1)
-    words = _left_out(exams, every)
+    words = _left_out(exams, sum(len(run.step) for run in shown))
     return note(figure, "<br>".join(words), right=0.48) if words else figure
 
 
@@ -88,18 +90,18 @@ def hover(run: Exams) -> list[str]:
     lines = []
     for i, step in enumerate(run.step):
         nothing = "" if run.telling[i] else ": says nothing"
-        footprint = f"{text.short(run.footprint[i])} (noise {text.short(run.noise[i])}{nothing})"
+        footprint = f"{short(run.footprint[i])} (noise {short(run.noise[i])}{nothing})"
         lines.append(
             f"{who}<br>fit at step {step:,}<br>footprint {footprint}"
-            f"<br>error {text.short(run.error[i])}, five steps {text.short(run.rollout_error[i])}"
-            f"<br>return of the next evaluation {text.score(float(run.returns[i]))}"
+            f"<br>error {short(run.error[i])}, five steps {short(run.rollout_error[i])}"
+            f"<br>return of the next evaluation {score(float(run.returns[i]))}"
         )
     return lines
 
 
-def _left_out(exams: Sequence[Exams], every: int) -> list[str]:
+def _left_out(exams: Sequence[Exams], shown: int) -> list[str]:
     fits = sum(len(run.step) for run in exams)
-    words = [f"one of {every} of the {fits:,} fits is drawn"] if every > 1 else []
+    words = [f"{shown:,} of {fits:,} fits are drawn"] if shown < fits else []
     mute = sum(int((~run.telling).sum()) for run in exams)
     if mute:
         words.append(f"without {mute:,} of {fits:,} fits, whose footprint says nothing")

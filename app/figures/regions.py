@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.buffer import Against, Rows
-from app.data.regions import Mask, Plane, spread
+from app.data.regions import Mask, Plane
 from app.figures.base import across, note, styled, upright
 from app.figures.scales import octaves, relative_scale
 from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour
+from tom.spread import spread
 
 POINTS = 8000
 """maximum number of transitions on a map; the figure says if some were left out"""

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.theme import DIVERGING, SEQUENTIAL, Mode
+from tom import readable
 
 OCTAVES = 4.0
 """the colours range at most from 1/16 to 16 times the uniform weight"""
@@ -33,7 +34,7 @@ def relative_scale(
     """
     reach = span(weight) if reach is None else reach
     ticks = np.arange(-reach, reach + 1, 2 if reach == OCTAVES else 1)
-    words = [f"{2**t:g}" if t >= 0 else f"1/{2**-t:g}" for t in ticks]
+    words = [readable.factor(2.0**t) for t in ticks]
     if (weight < 2**-reach).any():
         words[0] = f"≤ {words[0]}"
     if (weight > 2**reach).any():
@@ -52,7 +53,7 @@ def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict:
     finite = bins[np.isfinite(bins)]
     top = max(float(np.quantile(finite, 0.995)) if len(finite) else 1.0, 1.0)
     ticks = np.linspace(0, top, 5)
-    words = [f"{tick:.3g}" for tick in ticks]
+    words = [readable.short(tick) for tick in ticks]
     if (finite > top).any():
         words[-1] = f"≥ {words[-1]}"
     bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "weight"}}

@@ -13,6 +13,7 @@ from app.figures.scales import linear_scale, octaves, relative_scale
 from app.theme import Mode, learner_colour, learner_label
 from tom.analysis.curves import Curve
 from tom.record.profiles import Profiles
+from tom.spread import spread
 
 FLOOR = 0.01
 """the smallest weight on a log axis, a hundredth of uniform; lower ones are drawn there"""
@@ -219,10 +220,7 @@ def bin_centres(bins: int) -> NDArray[np.float64]:
 
 def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
     """Indices of at most MAP_COLUMNS evenly spread fits, including `chosen` and both ends."""
-    if count <= MAP_COLUMNS:
-        return np.arange(count)
-    spread = np.linspace(0, count - 1, MAP_COLUMNS - 1).astype(np.int64)
-    return np.union1d(spread, [chosen])
+    return np.union1d(spread(count, MAP_COLUMNS - 1), [chosen])
 
 
 def _finish_profile(figure: go.Figure, height: int, keep: str) -> go.Figure:

@@ -8,6 +8,7 @@ from app import text
 from app.data.buffer import Floats
 from app.figures.base import note, styled
 from app.theme import NEUTRAL, learner_colour
+from tom import readable
 from tom.analysis.why import Sum
 
 BELOW = "#6f9fe8"
@@ -31,7 +32,7 @@ def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
             y=[*(value for _, _, value in bars), 0, parts.weight],
             measure=["relative"] * len(bars) + ["total", "absolute"],
             text=[f"{v:+.3g}" for _, _, v in bars]
-            + [f"{parts.argument:.3g}", f"{parts.weight:.3g}"],
+            + [readable.short(parts.argument), readable.short(parts.weight)],
             customdata=[*(words for _, words, _ in bars), "y - lambda", "f*'(sum) / mean"],
             textposition="outside",
             cliponaxis=False,

@@ -11,6 +11,7 @@ from app import session, text
 from app.data import trainings
 from app.data.readers import RunInfo
 from app.theme import learner_colour, learner_label
+from tom import readable
 from tom.analysis.settings import changed, telling_presets
 from tom.errors import UserError
 from tom.record import small_copy
@@ -68,12 +69,12 @@ def figures(run: RunInfo) -> list[tuple[str, str]]:
     """The returns, and the speed of a training run, which is unknown during a fit."""
     status = run.status
     numbers = [
-        ("last return", text.score(status.last_return)),
-        ("best return", text.score(status.best_return)),
+        ("last return", readable.score(status.last_return)),
+        ("best return", readable.score(status.best_return)),
     ]
     if status.alive:
-        numbers.append(("steps / s", text.number(status.env_steps_per_s or None)))
-        numbers.append(("ETA", text.duration(status.eta_s)))
+        numbers.append(("steps / s", readable.number(status.env_steps_per_s or None)))
+        numbers.append(("ETA", readable.duration(status.eta_s)))
     return numbers
 
 
@@ -112,7 +113,7 @@ def progress_line(run: RunInfo) -> str:
     if status.alive:
         return f"{steps} · {status.phase}" if status.phase else steps
     if status.shown == "dead":
-        return f"{steps} · no sign of life for {text.duration(time.time() - status.heartbeat)}"
+        return f"{steps} · no sign of life for {readable.duration(time.time() - status.heartbeat)}"
     return steps
 
 

@@ -21,6 +21,7 @@ from tom.analysis.why import Sum
 from tom.config import TomConfig
 from tom.envs import ROAD, is_code
 from tom.learners import SUBJECT
+from tom.readable import number, percent, score, short
 
 KEY = "row"
 STARTED = "why weighing"
@@ -110,10 +111,10 @@ def _telling(rows: Rows) -> dict[str, int | None]:
 def _head(rows: Rows, row: int) -> None:
     columns = st.columns(5)
     lighter = float((rows.weight < rows.weight[row]).mean())
-    columns[0].metric("weight", text.number(float(rows.weight[row]), 3))
-    columns[1].metric("heavier than", f"{100 * lighter:.1f} %", help="of the buffer")
+    columns[0].metric("weight", number(float(rows.weight[row]), 3))
+    columns[1].metric("heavier than", percent(lighter), help="of the buffer")
     columns[2].metric("its step in its episode", f"{rows.place[row] + 1:,}")
-    columns[3].metric("return of that episode", text.score(float(rows.episode_return[row])))
+    columns[3].metric("return of that episode", score(float(rows.episode_return[row])))
     ends = "yes" if rows.rows.numpy().ended()[row] else "no"
     columns[4].metric("ends the episode", ends)
 
@@ -126,12 +127,14 @@ def _sum(source: Source, summed: Sum) -> None:
 
 def in_words(config: TomConfig, parts: Sum, whose: str) -> str:
     """The weight as a formula with its numbers."""
-    divided = f" / {parts.mean:.4g} (its mean over the buffer)" if config.divergence != "kl" else ""
+    divided = (
+        f" / {short(parts.mean)} (its mean over the buffer)" if config.divergence != "kl" else ""
+    )
     g = 1.0 if config.flow == "stationary" else config.discount
     cut = " The sum lies below the cut, so the weight is zero." if parts.raw == 0 else ""
-    formula = FORMULA[config.divergence].replace("sum", f"{parts.argument:.4g}")
+    formula = FORMULA[config.divergence].replace("sum", short(parts.argument))
     return text.markdown(
-        f"{parts.weight:.4g} = {formula}{divided}.{cut} Divergence {config.divergence}, flow "
+        f"{short(parts.weight)} = {formula}{divided}.{cut} Divergence {config.divergence}, flow "
         f"{FLOWS[config.flow]}; g = {g:g}. Terms of {whose}."
     )
 

@@ -92,27 +92,3 @@ def dashes(line: NDArray, length: float = 0.02) -> list[NDArray]:
         share = length / np.linalg.norm(b - a)
         segments += [np.stack([a + s * (b - a), a + min(s + share, 1) * (b - a)]) for s in steps]
     return segments
-
-
-def upright(count: int) -> NDArray[np.float32]:
-    return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
-
-
-def unit_box() -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
-    faces = [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ]  # fmt: skip
-    return corners - 0.5, np.array(faces, np.uint32)
-
-
-def stone() -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    corners = np.array(
-        [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 0.7], [0, 0, -0.7]], np.float32
-    )
-    faces = [
-        [0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4],
-        [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5],
-    ]  # fmt: skip
-    return corners, np.array(faces, np.uint32)

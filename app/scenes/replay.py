@@ -1,7 +1,5 @@
 """An episode in 3D: the recorded robot, and the model's prediction as a ghost."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import viser
 from numpy.typing import NDArray
@@ -10,8 +8,7 @@ from app.data.replays import Replay
 from app.scenes import solids
 from app.scenes.colours import rgb
 from app.scenes.road import draw_map
-from app.scenes.robot import Robot
-from app.scenes.solids import Solids
+from app.scenes.solids import Robot, Solids
 from app.scenes.stage import floor, sky, under
 from app.scenes.words import Words
 from app.theme import Mode, learner_colour
@@ -24,25 +21,12 @@ ASIDE = np.array([0.0, -0.03, 0.0])
 would flicker"""
 
 
-@dataclass(frozen=True)
-class Track:
-    """One robot's parts and its root over an episode."""
-
-    solids: Solids
-    root: NDArray[np.float32]  # (H + 1, 3)
-    floor: float  # metres
-
-
-def track(model: geometry.Model | None, qpos: NDArray) -> Track:
+def track(model: geometry.Model | None, qpos: NDArray) -> Solids:
     """A MuJoCo task's robot at joint positions (H + 1, nq).
 
     Without a model it is road-and-rocks' car at positions (H + 1, 2).
     """
-    if model is None:
-        driven = solids.car(qpos)
-        return Track(driven, driven.position[:, 0], 0.0)
-    shapes = geometry.geometry(model.mj, qpos)
-    return Track(solids.of(shapes), shapes.root, shapes.ground)
+    return solids.car(qpos) if model is None else solids.of(model, qpos)
 
 
 class ReplayScene:
@@ -56,11 +40,11 @@ class ReplayScene:
         self.words: list[Words] = []
         if replay.road:
             self.words = draw_map(scene, replay.road, mode)
-        self.robot = Robot(scene, "/real", self._real.solids, [rgb(REAL[mode])])
+        self.robot = Robot(scene, "/real", self._real.meshes, [rgb(REAL[mode])])
         self.ghost = None
         if self._ghost is not None:
             colour = rgb(learner_colour(replay.learner))
-            self.ghost = Robot(scene, "/ghost", self._ghost.solids, [colour], GHOST_OPACITY)
+            self.ghost = Robot(scene, "/ghost", self._ghost.meshes, [colour], GHOST_OPACITY)
 
     @property
     def height(self) -> float:
@@ -70,7 +54,7 @@ class ReplayScene:
     @property
     def covered(self) -> tuple[NDArray[np.float32], float]:
         """Centre (3,) and extent of the robot's parts in the first frame, over the origin."""
-        parts = self._real.solids.position[0] - self._real.root[0] * (1.0, 1.0, 0.0)
+        parts = self._real.position[0] - self._real.root[0] * (1.0, 1.0, 0.0)
         middle = np.median(parts, axis=0).astype(np.float32)
         return middle, float(np.quantile(np.linalg.norm(parts - middle, axis=-1), 0.9))
 
@@ -85,5 +69,5 @@ class ReplayScene:
             (self.ghost, self._ghost, ASIDE),
         ):
             if robot is not None and of is not None:
-                shifted = (of.solids.position[frame] - place + aside).astype(np.float32)
-                robot.pose(shifted[None], of.solids.wxyz[frame][None])
+                shifted = (of.position[frame] - place + aside).astype(np.float32)
+                robot.pose(shifted[None], of.wxyz[frame][None])

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import viser
 
-from app import text
 from app.data import replays
 from app.data.replays import Replay
 from app.scenes.control import REAL_TIME, SPEEDS, Clock, ReplayChoice, Selection
 from app.scenes.frame import Frame, Vector
 from app.scenes.replay import ReplayScene
 from app.scenes.words import Words
+from tom import readable
 from tom.envs import ENVS
 from tom.errors import UserError
 from tom.record.store import Store
@@ -207,7 +207,7 @@ class ReplayFrame(Frame):
         self.words.content = (
             f"{frame * replay.dt:.2f} s of {len(reward) * replay.dt:.2f} s  \n"
             f"reward now **{now:.2f}**  \n"
-            f"return so far **{text.score(float(reward[:frame].sum()))}** of "
-            f"{text.score(float(reward.sum()))}"
+            f"return so far **{readable.score(float(reward[:frame].sum()))}** of "
+            f"{readable.score(float(reward.sum()))}"
         )
         self.curve.data = self._curve_data(replay, frame)

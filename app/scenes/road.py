@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import viser
 from numpy.typing import NDArray
+from trimesh import PointCloud, creation
 
 from app.data.pictures import Picture
 from app.data.roadmap import RoadShape, circle, outline
 from app.scenes import arrays, solids
-from app.scenes.colours import linear, rgb
-from app.scenes.robot import Robot
+from app.scenes.colours import rgb
+from app.scenes.solids import Robot, copies
 from app.scenes.words import Words, add_words, extent
 from app.theme import NEUTRAL, Mode, learner_colour, learner_label
 
@@ -33,6 +34,8 @@ EXPERTS = 3
 """number of cars on the expert's trajectories"""
 PIXELS = 10
 """pixels of a cell in the flat picture of the weights"""
+STONE = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 0.7), (0, 0, -0.7)]
+"""corners of a stone"""
 _BOULDER = {"light": (176, 167, 155), "dark": (84, 80, 78)}
 _LINE = {"light": (255, 255, 255), "dark": (205, 210, 222)}
 
@@ -118,7 +121,9 @@ class Fleet:
     ) -> None:
         self._ways = [solids.car(line, arrays.TALLEST + 2 * LIFT) for line in lines if len(line)]
         self._robot = (
-            Robot(scene, name, self._ways[0], [colour] * len(self._ways)) if self._ways else None
+            Robot(scene, name, self._ways[0].meshes, [colour] * len(self._ways))
+            if self._ways
+            else None
         )
         self.drive(0)
 
@@ -175,17 +180,14 @@ def _columns(
     scene: viser.SceneApi, name: str, picture: Picture, mode: Mode
 ) -> viser.SceneNodeHandle:
     bars = arrays.columns(picture.grid, mode)
-    vertices, faces = arrays.unit_box()
-    return scene.add_batched_meshes_simple(
+    return copies(
+        scene,
         name,
-        vertices,
-        faces,
-        batched_wxyzs=arrays.upright(len(bars.position)),
-        batched_positions=bars.position,
+        creation.box((1, 1, 1)),
+        bars.position,
+        bars.colour,
         batched_scales=bars.scale,
-        batched_colors=linear(bars.colour),  # viser reads instance colours as linear intensities
         flat_shading=True,
-        lod="off",
     )
 
 
@@ -220,18 +222,16 @@ def _draw_boulders(
     scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str
 ) -> viser.SceneNodeHandle:
     position, size = arrays.boulders(road)
-    vertices, faces = arrays.stone()
     turn = np.random.default_rng(5).normal(size=(len(size), 4))
-    return scene.add_batched_meshes_simple(
+    return copies(
+        scene,
         f"{root}/boulders",
-        vertices,
-        faces,
-        batched_wxyzs=turn / np.linalg.norm(turn, axis=1, keepdims=True),
-        batched_positions=position,
+        PointCloud(STONE).convex_hull,
+        position,
+        np.array(_BOULDER[mode], np.uint8),
+        turn / np.linalg.norm(turn, axis=1, keepdims=True),
         batched_scales=size,
-        batched_colors=linear(np.array(_BOULDER[mode], np.uint8)),
         flat_shading=True,
-        lod="off",
     )
 
 

@@ -1,48 +1,56 @@
-"""Capsules, ellipsoids, cylinders and boxes as triangle meshes with their poses. Pure functions."""
+"""Capsules, ellipsoids, cylinders and boxes with their poses, and robots made of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import viser
 from numpy.typing import NDArray
+from trimesh import Trimesh, creation
 
-from app.scenes.arrays import unit_box
-from tom.envs.scene import Geometry
+from app.scenes.colours import linear
+from tom.envs import scene as geometry
 
 SEGMENTS = 20
 """number of corners of a circle around a solid"""
-RINGS = 6
-"""number of circles from a half sphere's rim to its pole"""
+RINGS = 14
+"""number of circles of a capsule, from pole to pole"""
 
 CAR_SIZES = ((0.044, 0.026, 0.012), (0.022, 0.021, 0.010))
 """body and cabin: length, width, height; the road is 0.18 wide"""
 
-Mesh = tuple[NDArray[np.float32], NDArray[np.uint32]]
+Colour = tuple[int, int, int]
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Solids:
-    """G solid parts over H frames."""
+    """G solid parts over H frames, or over R robots and H frames; lengths in metres."""
 
-    meshes: list[Mesh]
-    position: NDArray[np.float32]  # (H, G, 3)
-    wxyz: NDArray[np.float32]  # (H, G, 4)
+    meshes: list[Trimesh]
+    position: Floats  # (..., G, 3)
+    wxyz: Floats  # (..., G, 4)
+    root: Floats  # (..., 3)
+    floor: float
 
-    def __len__(self) -> int:
-        return len(self.meshes)
 
-
-def of(geometry: Geometry) -> Solids:
-    """Every part of a MuJoCo task's geometry; lengths in metres."""
-    meshes = [capsule(float(radius), float(half)) for radius, half in geometry.capsules.size]
-    meshes += [ellipsoid(sizes) for sizes in geometry.ellipsoids.size]
-    meshes += [cylinder(float(radius), float(half)) for radius, half in geometry.cylinders.size]
-    meshes += [box(2 * sizes) for sizes in geometry.boxes.size]
-    xyzw = np.concatenate([shape.quaternion for shape in geometry.shapes], 1)
+def of(model: geometry.Model, qpos: NDArray) -> Solids:
+    """A MuJoCo task's robot at joint positions (..., nq)."""
+    frames = qpos.shape[:-1]
+    shapes = geometry.geometry(model.mj, qpos.reshape(-1, qpos.shape[-1]))
+    meshes = [capsule(float(radius), float(half)) for radius, half in shapes.capsules.size]
+    meshes += [creation.icosphere(2).apply_scale(half) for half in shapes.ellipsoids.size]
+    meshes += [_cylinder(float(radius), float(half)) for radius, half in shapes.cylinders.size]
+    meshes += [creation.box(2 * half) for half in shapes.boxes.size]
+    position = np.concatenate([shape.center for shape in shapes.shapes], 1)
+    xyzw = np.concatenate([shape.quaternion for shape in shapes.shapes], 1)
     return Solids(
         meshes,
-        np.concatenate([shape.center for shape in geometry.shapes], 1).astype(np.float32),
-        xyzw[..., [3, 0, 1, 2]].astype(np.float32),
+        position.reshape(*frames, -1, 3),
+        xyzw[..., [3, 0, 1, 2]].reshape(*frames, -1, 4),
+        shapes.root.reshape(*frames, 3),
+        shapes.ground,
     )
 
 
@@ -52,20 +60,21 @@ def car(line: NDArray, above: float = 0.006) -> Solids:
     Its wheels are `above` the ground.
     """
     heading = headings(line)
-    half = heading / 2
-    zero = np.zeros_like(half)
-    wxyz = np.stack([np.cos(half), zero, zero, np.sin(half)], -1)
-    meshes = [box(sizes) for sizes in CAR_SIZES]
+    zero = np.zeros_like(heading)
+    wxyz = np.stack([np.cos(heading / 2), zero, zero, np.sin(heading / 2)], -1)
     body, cabin = CAR_SIZES[0][2], CAR_SIZES[1][2]
     height = above + np.array([body / 2, body + cabin / 2])
     back = np.array([0.0, -0.12 * CAR_SIZES[0][0]])[None, :, None]  # the cabin sits further back
     ahead = np.stack([np.cos(heading), np.sin(heading)], -1)[:, None]
     flat = line[:, None] + back * ahead
-    position = np.concatenate([flat, np.broadcast_to(height[:, None], (*flat.shape[:2], 1))], -1)
+    upright = np.broadcast_to(height[:, None], (*flat.shape[:2], 1))
+    position = np.concatenate([flat, upright], -1).astype(np.float32)
     return Solids(
-        meshes,
-        position.astype(np.float32),
-        np.repeat(wxyz[:, None], len(meshes), 1).astype(np.float32),
+        [creation.box(sizes) for sizes in CAR_SIZES],
+        position,
+        np.repeat(wxyz[:, None], len(CAR_SIZES), 1).astype(np.float32),
+        position[:, 0],
+        0.0,
     )
 
 
@@ -78,49 +87,67 @@ def headings(line: NDArray) -> NDArray[np.float64]:
     return np.append(angle, angle[-1])
 
 
-def box(sizes: Sequence[float]) -> Mesh:
-    """A box of these sizes (3,) around the origin."""
-    vertices, faces = unit_box()
-    return (vertices * np.asarray(sizes, np.float32)).astype(np.float32), faces
-
-
-def capsule(radius: float, half_length: float) -> Mesh:
+def capsule(radius: float, half_length: float) -> Trimesh:
     """A capsule along z: two half spheres of `radius`, their centres 2 `half_length` apart."""
-    upwards = np.linspace(0, np.pi / 2, RINGS + 1)
-    rise = np.concatenate([-upwards[::-1], upwards])  # latitude of each ring, the rim twice
-    shift = np.repeat([-half_length, half_length], RINGS + 1)
-    turn = np.linspace(0, 2 * np.pi, SEGMENTS, endpoint=False)
-    ring = radius * np.cos(rise)[:, None]
-    z = radius * np.sin(rise) + shift
-    corners = np.stack(
-        [ring * np.cos(turn), ring * np.sin(turn), np.repeat(z[:, None], SEGMENTS, 1)], -1
+    return creation.capsule(2 * half_length, radius, count=(RINGS, SEGMENTS))
+
+
+def _cylinder(radius: float, half_length: float) -> Trimesh:
+    # `smooth_shaded` has the rims twice, because the normals of the ends differ from the side's.
+    return creation.cylinder(radius, 2 * half_length, sections=SEGMENTS).smooth_shaded
+
+
+def copies(
+    scene: viser.SceneApi,
+    name: str,
+    mesh: Trimesh,
+    position: NDArray,
+    colours: NDArray[np.uint8],
+    wxyz: NDArray | None = None,
+    **more: Any,
+) -> viser.BatchedMeshHandle:
+    """N copies of a mesh at position (N, 3) and orientation (N, 4), by default upright."""
+    return scene.add_batched_meshes_simple(
+        name,
+        np.asarray(mesh.vertices, np.float32),
+        np.asarray(mesh.faces, np.uint32),
+        batched_wxyzs=np.tile([1, 0, 0, 0], (len(position), 1)) if wxyz is None else wxyz,
+        batched_positions=position,
+        batched_colors=linear(colours),  # viser reads instance colours as linear intensities
+        lod="off",
+        **more,
     )
-    return corners.reshape(-1, 3).astype(np.float32), _faces(len(rise))
 
 
-def cylinder(radius: float, half_length: float) -> Mesh:
-    """A cylinder along z of length 2 `half_length`, closed at both ends."""
-    turn = np.linspace(0, 2 * np.pi, SEGMENTS, endpoint=False)
-    # The rim of each end twice, because its normals differ from those of the side.
-    rings = [(0.0, -1), (radius, -1), (radius, -1), (radius, 1), (radius, 1), (0.0, 1)]
-    corners = [
-        np.stack([r * np.cos(turn), r * np.sin(turn), np.full(SEGMENTS, z * half_length)], -1)
-        for r, z in rings
-    ]
-    return np.concatenate(corners).astype(np.float32), _faces(len(rings))
+class Robot:
+    """N copies of one robot, each part one batched mesh, moved by `pose`."""
 
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        meshes: Sequence[Trimesh],
+        colours: Sequence[Colour],
+        opacity: float | None = None,
+    ) -> None:
+        """`colours` has one colour per copy."""
+        self._root = scene.add_frame(name, show_axes=False)
+        origin, tint = np.zeros((len(colours), 3)), np.array(colours, np.uint8)
+        self._parts = [
+            copies(scene, f"{name}/{i}", mesh, origin, tint, opacity=opacity)
+            for i, mesh in enumerate(meshes)
+        ]
 
-def ellipsoid(half_sizes: NDArray) -> Mesh:
-    """An ellipsoid with these half axes (3,)."""
-    vertices, faces = capsule(1.0, 0.0)
-    return (vertices * np.asarray(half_sizes, np.float32)).astype(np.float32), faces
+    def pose(self, position: Floats, wxyz: Floats) -> None:
+        """Set the parts of every copy to position (N, G, 3) and orientation (N, G, 4)."""
+        for i, part in enumerate(self._parts):
+            part.batched_positions = position[:, i]
+            part.batched_wxyzs = wxyz[:, i]
 
+    @property
+    def visible(self) -> bool:
+        return self._root.visible
 
-def _faces(rings: int) -> NDArray[np.uint32]:
-    """Triangles between neighbouring rings, seen from outside, without those of zero area."""
-    ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(SEGMENTS), indexing="ij")
-    here = ring * SEGMENTS + corner
-    right = ring * SEGMENTS + (corner + 1) % SEGMENTS
-    lower = np.stack([here, right, right + SEGMENTS], -1)[1:]  # ring 0 is the lower pole
-    upper = np.stack([here, right + SEGMENTS, here + SEGMENTS], -1)[:-1]
-    return np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)]).astype(np.uint32)
+    @visible.setter
+    def visible(self, shown: bool) -> None:
+        self._root.visible = shown

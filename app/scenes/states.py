@@ -1,21 +1,17 @@
 """Robots in states of a replay buffer: two groups, each robot moving through its window."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
 from app.data.buffer import WINDOW
-from app.scenes import solids
-from app.scenes.robot import Robot
-from app.scenes.solids import Solids
+from app.scenes.solids import Colour, Floats, Robot, Solids
 from app.scenes.stage import floor, sky
 from app.scenes.words import Words, add_words
 from app.theme import Mode
 from tom.data.transitions import Transitions
-from tom.envs import scene as geometry
 from tom.envs.task import Task
 
 ABREAST = 3
@@ -26,8 +22,6 @@ TILT = 1.2
 """tilt of words, which lean back a little because the camera looks down"""
 MARGIN = 0.45
 """metres between two robots"""
-
-Floats = NDArray[np.float32]
 
 
 def poses(
@@ -46,28 +40,6 @@ def poses(
     return known.qpos_from_obs(np.asarray(recorded.obs, np.float32)[rows])
 
 
-@dataclass(frozen=True)
-class RobotGroup:
-    """R robots of one side: their parts over W frames."""
-
-    solids: Solids  # position (W, R, G, 3) flattened over frames and robots
-    count: int
-
-    def frame(self, at: int) -> tuple[Floats, Floats]:
-        """Position (R, G, 3) and orientation (R, G, 4) of every part at frame `at`."""
-        width = 2 * WINDOW + 1
-        places = self.solids.position.reshape(self.count, width, -1, 3)
-        turns = self.solids.wxyz.reshape(self.count, width, -1, 4)
-        return places[:, at], turns[:, at]
-
-
-def group(model: geometry.Model, qpos: Floats) -> tuple[RobotGroup, float]:
-    """R robots at joint positions (R, W, nq), and the floor's height."""
-    count = len(qpos)
-    shapes = geometry.geometry(model.mj, qpos.reshape(-1, qpos.shape[-1]))
-    return RobotGroup(solids.of(shapes), count), shapes.ground
-
-
 def places(count: int, size: NDArray, side: int) -> NDArray[np.float32]:
     """The positions (R, 3) of the robots of a side: lines of ABREAST, away from the middle.
 
@@ -79,11 +51,9 @@ def places(count: int, size: NDArray, side: int) -> NDArray[np.float32]:
     return np.stack([x, line * step[1], np.zeros(count)], -1).astype(np.float32)
 
 
-def footprint(groups: Sequence[RobotGroup]) -> NDArray[np.float64]:
+def footprint(groups: Sequence[Solids]) -> NDArray[np.float64]:
     """The extent of nearly all robots on the ground, (2,) metres in x and y, at least 0.6."""
-    sizes = []
-    for one in groups:
-        sizes.append(np.ptp(one.frame(WINDOW)[0][..., :2], axis=1))
+    sizes = [np.ptp(one.position[:, WINDOW, :, :2], axis=1) for one in groups]
     spans = np.concatenate(sizes) if sizes else np.zeros((1, 2))
     return np.quantile(spans, 0.9, axis=0).clip(0.6) + 0.2
 
@@ -94,7 +64,7 @@ class StatesScene:
     def __init__(
         self,
         scene: viser.SceneApi,
-        groups: Sequence[tuple[str, RobotGroup, Sequence[tuple[int, int, int]]]],
+        groups: Sequence[tuple[str, Solids, Sequence[Colour]]],
         height: float,
         mode: Mode,
     ) -> None:
@@ -103,13 +73,13 @@ class StatesScene:
         floor(scene, height, mode)
         self.size = footprint([one for _, one, _ in groups])
         self.words: list[Words] = []
-        self._robots: list[tuple[Robot, RobotGroup, NDArray[np.float32]]] = []
+        self._robots: list[tuple[Robot, Solids, NDArray[np.float32]]] = []
         for (words, one, colours), side in zip(groups, (-1, 1), strict=False):
-            at = places(one.count, self.size, side)
+            at = places(len(colours), self.size, side)
             name = "left" if side < 0 else "right"
-            self._robots.append((Robot(scene, f"/{name}", one.solids, colours), one, at))
+            self._robots.append((Robot(scene, f"/{name}", one.meshes, colours), one, at))
             middle = at.mean(0)
-            top = float(one.frame(WINDOW)[0][..., 2].max()) + 0.35
+            top = float(one.position[:, WINDOW, :, 2].max()) + 0.35
             foot = (float(middle[0]), float(at[:, 1].max()), top)
             letters = LETTERS * float(self.size[0] + MARGIN)
             label = f"/{name} label"
@@ -118,5 +88,4 @@ class StatesScene:
     def pose(self, at: int) -> None:
         """Show frame `at` of every window; WINDOW is the middle."""
         for robot, one, place in self._robots:
-            position, wxyz = one.frame(at)
-            robot.pose((position + place[:, None]).astype(np.float32), wxyz)
+            robot.pose(one.position[:, at] + place[:, None], one.wxyz[:, at])

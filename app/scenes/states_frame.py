@@ -11,13 +11,14 @@ from app.data import datasets, readers
 from app.data.buffer import WINDOW, windows
 from app.data.cache import VersionedCache
 from app.figures.scales import OCTAVES, octaves
-from app.scenes import states
+from app.scenes import solids, states
 from app.scenes.colours import on_scale
 from app.scenes.control import Selection, StatesChoice
 from app.scenes.frame import Frame
 from app.scenes.states import StatesScene
 from app.scenes.words import Words
 from app.theme import COLUMNS, Mode
+from tom import readable
 from tom.data.transitions import Transitions
 from tom.errors import UserError
 from tom.record import stamps
@@ -88,7 +89,8 @@ class StatesFrame(Frame):
         ):
             if rows:
                 qpos = states.poses(known, recorded, state, windows(ended, rows))
-                one, height = states.group(model, qpos)
+                one = solids.of(model, qpos)
+                height = one.floor
                 groups.append((_label(words, weights), one, _colours(weights, self.mode)))
         self._draw(groups, height, env, model.dt)
         self._drawn = choice
@@ -130,13 +132,8 @@ class StatesFrame(Frame):
 
 
 def _label(words: str, weights: Sequence[float]) -> str:
-    low, high = min(weights), max(weights)
-    ends = list(dict.fromkeys(_short(weight) for weight in (low, high)))
+    ends = dict.fromkeys(readable.short(weight) for weight in (min(weights), max(weights)))
     return f"{words}: weight {' to '.join(ends)}"
-
-
-def _short(weight: float) -> str:
-    return f"{weight:.0f}" if weight >= 10 else f"{weight:.2g}"
 
 
 def _colours(weights: Sequence[float], mode: Mode) -> list[tuple[int, int, int]]:

@@ -14,6 +14,7 @@ from app.parts.plot import Point, chart
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
 from app.theme import learner_label
+from tom import readable
 from tom.errors import UserError
 
 VISER, RERUN = "3D scene", "Rerun"
@@ -135,7 +136,7 @@ def _numbers(replay: Replay) -> None:
     episode = replay.episode
     columns = st.columns(5)
     columns[0].metric("learner", text.markdown(learner_label(replay.learner)))
-    columns[1].metric("return", text.score(episode.undiscounted_return))
+    columns[1].metric("return", readable.score(episode.undiscounted_return))
     columns[2].metric(
         "length", f"{episode.length:,} steps", help=f"{episode.length * replay.dt:.2f} seconds"
     )
@@ -144,7 +145,7 @@ def _numbers(replay: Replay) -> None:
     imagined = replay.imagined
     columns[4].metric(
         "return, imagined",
-        "-" if imagined is None else text.score(float(imagined.reward.sum())),
+        "-" if imagined is None else readable.score(float(imagined.reward.sum())),
         help="sum of the rewards that the model predicts along the ghost's path",
     )
     if replay.model_step is None:

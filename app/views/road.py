@@ -16,6 +16,7 @@ from app.parts.stage import stage
 from app.scenes.control import RoadChoice
 from app.scenes.export import as_html
 from app.theme import learner_label
+from tom import readable
 from tom.analysis.curves import curve_points
 from tom.envs import ROAD
 from tom.learners import SUBJECT
@@ -184,7 +185,7 @@ def _numbers(run: RunInfo, picture: Picture) -> None:
     columns = st.columns(6)
 
     def show(at: int, label: str, value: float, digits: int, unit: str, words: str) -> None:
-        columns[at].metric(label, f"{text.number(value, digits)}{unit}", help=words)
+        columns[at].metric(label, f"{readable.number(value, digits)}{unit}", help=words)
 
     columns[0].metric("learner", text.markdown(learner_label(run.learner)))
     recorded = last_value(frame, "weights/road_share", picture.step)

@@ -11,11 +11,11 @@ import pytest
 import streamlit as st
 from studio_pages import array, draw, figures, set_links, trace
 
-from app import text
 from app.data import studies
 from app.links import Links
 from app.theme import learner_label
 from app.views.compare.numbers import NO_SAC
+from tom import readable
 from tom.analysis.imagine import stored_step
 from tom.cli import main
 from tom.learners import LEARNER_NAMES
@@ -225,7 +225,7 @@ def test_replays_plays_its_last_episode(run: RunReader) -> None:
     app = draw("replays", run=run.run_id)
     shown = {metric.label: metric.value for metric in app.metric}
     episode = run.episodes(run.evaluation_steps()[-1])[0]
-    assert shown["return"] == text.score(episode.undiscounted_return)
+    assert shown["return"] == readable.score(episode.undiscounted_return)
     assert (shown["return, imagined"] != "-") == (stored_step(run) is not None)
 
 

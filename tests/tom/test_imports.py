@@ -43,6 +43,8 @@ ROOMS = {  # from the top down; docs/architecture.md draws the same tree
         "metrics",
         "rng",
         "harmless",
+        "readable",
+        "spread",
         "errors",
     ),
     "app": (

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tom.analysis import statistics
 from tom.analysis.grouping import Kind, natural
+from tom.spread import spread
 
 Statistic = Literal["mean", "median", "iqm"]
 Band = Literal["bootstrap", "deviation", "none"]
@@ -157,7 +158,7 @@ def aggregate(
     between = any(((grid >= c.step[0]) & (grid <= c.step[-1])).sum() > len(c.step) for c in curves)
     thinned = len(grid) > GRID
     if thinned:
-        some = grid[np.linspace(0, len(grid) - 1, GRID - 1).astype(int)]
+        some = grid[spread(len(grid), GRID - 1)]
         grid = np.union1d(some, [min(c.step[-1] for c in curves)])  # where a table compares runs
     values = np.stack([on_grid(c, grid) for c in curves])  # (n, T)
     count = np.isfinite(values).sum(0)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tom import readable
 from tom.errors import UserError, reason
 from tom.record.files import replace
 
@@ -16,15 +17,15 @@ def page(measured: Mapping[str, Any]) -> str:
     parts = [
         (
             row["part"],
-            _number(row["ms"]),
-            f"{_number(row['low_ms'])} to {_number(row['high_ms'])}",
-            _number(row["times_floor"]),
-            _number(row["times_ours"]),
+            readable.cell(row["ms"]),
+            f"{readable.cell(row['low_ms'])} to {readable.cell(row['high_ms'])}",
+            readable.cell(row["times_floor"]),
+            readable.cell(row["times_ours"]),
             _target(row),
         )
         for row in measured["parts"]
     ]
-    hours = [[_number(value) for value in row.values()] for row in measured["hours"]]
+    hours = [[readable.cell(value) for value in row.values()] for row in measured["hours"]]
     return "\n\n".join(
         (
             f"One thread, medians; {measured['gflops']:.0f} GFLOP/s in 256^3 products "
@@ -68,9 +69,3 @@ def _target(row: Mapping[str, Any]) -> str:
     if row["target"] is None:
         return "-"
     return f"{row['target']}: {'met' if row['met'] else '**missed**'}"
-
-
-def _number(value: object) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)

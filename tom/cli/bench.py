@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from tom import readable
 from tom.cli import studio
 from tom.cli.parser import folder, seed_number
 from tom.cli.runs import list_runs
@@ -239,12 +240,4 @@ def _print(title: str, rows: list[dict[str, Any]], as_json: bool) -> None:
 
 
 def _table(title: str, rows: list[dict[str, Any]]) -> None:
-    show(title, list(rows[0]), [[_cell(value) for value in row.values()] for row in rows])
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    if not isinstance(value, float):
-        return str(value)
-    return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
+    show(title, list(rows[0]), [[readable.cell(value) for value in row.values()] for row in rows])

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from tom import readable
 from tom.cli.parser import folder, seed_number
 from tom.cli.signals import on_stopping
-from tom.cli.tables import number, show, summary
+from tom.cli.tables import show, summary
 from tom.envs import ROAD
 from tom.machine.processes import Process, start, stop
 from tom.record import RunReader, Store
@@ -85,8 +86,8 @@ def _print_table(runs: list[RunReader]) -> None:
             row["env"],
             row["learner"],
             str(row["env_step"]),
-            number(row["last_return"]),
-            number(row["best_return"]),
+            readable.score(row["last_return"]),
+            readable.score(row["best_return"]),
             row["run_id"],
         )
         for row in map(summary, runs)

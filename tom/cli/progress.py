@@ -8,6 +8,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from tom.cli.screen import Screen, Shown
 from tom.events import Evaluation, Event, Notice, Tick
+from tom.readable import duration, score
 
 LINE_EVERY_S = 20.0
 
@@ -36,7 +37,7 @@ class Pace:
 
     def eta_text(self, total: int) -> str:
         left, rate = total - self.step, self.rate()
-        return f"eta {left / rate:.0f} s" if rate > 0 and left > 0 else ""
+        return f"eta {duration(left / rate)}" if rate > 0 and left > 0 else ""
 
 
 class ProgressReport(Shown):
@@ -73,7 +74,9 @@ class ProgressReport(Shown):
         return joined(at, self._text(), self._pace.eta_text(self._total))
 
     def _text(self) -> str:
-        returns = "" if self._last is None else f"return {self._last:.1f} best {self._best:.1f}"
+        returns = (
+            "" if self._last is None else f"return {score(self._last)} best {score(self._best)}"
+        )
         return joined(self._phase, self._pace.rate_text(), returns)
 
 

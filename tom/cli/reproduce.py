@@ -25,10 +25,11 @@ from tom.cli.signals import on_stopping
 from tom.cli.tables import show
 from tom.config import SacRecordingConfig
 from tom.errors import DivergedError
+from tom.readable import cell
 from tom.record import RunReader, Store
 from tom.record.files import plain
 from tom.reports.files import write_csv
-from tom.reports.html import Report, text_of, write_report
+from tom.reports.html import Report, write_report
 from tom.reports.origin import origin
 from tom.reports.style import STYLE, save
 from tom.studies import (
@@ -144,7 +145,11 @@ def _print(tables: Sequence[Table], said: Sequence[str]) -> None:
     for table in tables:
         rows = table.rows if table.brief is None else table.brief
         if rows:
-            show(table.title, tuple(rows[0]), [tuple(map(text_of, row.values())) for row in rows])
+            show(
+                table.title,
+                tuple(rows[0]),
+                [tuple(map(cell, row.values())) for row in rows],
+            )
         elif table.rows:
             print(f"{table.title}: in the report")
     print("\n".join(said))

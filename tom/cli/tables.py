@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from tom import readable
 from tom.harmless import is_number, terminal, terminal_lines
 from tom.record import RunReader, Status, Store
 
@@ -19,7 +20,7 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     listed = [list(row) for row in rows]
     table = Table()
     for i, column in enumerate(columns):
-        numeric = bool(listed) and all(row[i] == "-" or is_number(row[i]) for row in listed)
+        numeric = bool(listed) and all(_is_number(row[i]) for row in listed)
         table.add_column(terminal(column), justify="right" if numeric else "left", overflow="fold")
     for row in listed:
         # Text objects, because Rich would read brackets in strings as markup.
@@ -30,15 +31,14 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     console.print(table)
 
 
+def _is_number(shown: str) -> bool:
+    return shown == readable.UNKNOWN or is_number(shown.replace(",", ""))
+
+
 def name_problems(store: Store) -> None:
     """Print what `store.runs()` left out, apart from the output that a script reads."""
     for problem in store.problems:
         print(terminal(problem), file=sys.stderr)
-
-
-def cell(value: object) -> str:
-    """A value as text, numbers with two decimals."""
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
 def summary(done: RunReader, status: Status | None = None) -> dict[str, Any]:
@@ -55,8 +55,3 @@ def summary(done: RunReader, status: Status | None = None) -> dict[str, Any]:
         "best_return": status.best_return,
         "path": str(done.path),
     }
-
-
-def number(value: float | None) -> str:
-    """A return as text; a dash before the first evaluation."""
-    return "-" if value is None else f"{value:.1f}"

@@ -26,7 +26,7 @@ from tom.cli.parser import (
 from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
 from tom.cli.sweep import drive
-from tom.cli.tables import number, summary
+from tom.cli.tables import summary
 from tom.envs import ANY, ENV_NAMES, ROAD
 from tom.errors import (
     FAILED,
@@ -39,6 +39,7 @@ from tom.errors import (
 from tom.harmless import terminal
 from tom.learners import LEARNERS
 from tom.machine.memory import REFUSING, out_of_memory, ran_out
+from tom.readable import percent, score, size
 from tom.record import RunReader, Store, checkpoint, manage
 from tom.record.creating import TakenError
 from tom.record.files import size_of
@@ -304,11 +305,11 @@ def _print_summary(done: RunReader, as_json: bool) -> None:
         return
     print(
         f"{row['run_id']}: {row['state']} after {row['env_step']} steps, last return "
-        f"{number(row['last_return'])}, best {number(row['best_return'])}: {terminal(row['path'])}"
+        f"{score(row['last_return'])}, best {score(row['best_return'])}: {terminal(row['path'])}"
     )
     print(
-        f"on disk: {row['bytes'] / 1e6:.1f} MB, {row['checkpoint_bytes'] / 1e6:.1f} MB of it "
-        f"checkpoints, which took {checkpoint_share(done):.1%} of the time"
+        f"on disk: {size(row['bytes'])}, {size(row['checkpoint_bytes'])} of it "
+        f"checkpoints, which took {percent(checkpoint_share(done))} of the time"
     )
     if done.status.state == "failed":
         print(f"failed: {terminal(done.status.reason)}", file=sys.stderr)

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
+from tom import readable
 from tom.analysis.ordered_data import OrderedData
 from tom.analysis.weighing import POLICIES, Weighed
 from tom.analysis.weighing_plan import plan_weighing, setting_groups, settings_type
@@ -127,7 +128,7 @@ def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
         return
     columns = ("random_mean", "last_two", "spearman", "first_rise", "ess", *COLUMNS)
     rows = [
-        [row["learner"], str(row["seed"]), *(_number(row[c]) for c in columns)]
+        [row["learner"], str(row["seed"]), *(readable.short(row[c]) for c in columns)]
         for row in report["results"]
     ]
     at = "" if report["step"] is None else f" at step {report['step']}"
@@ -135,10 +136,6 @@ def _print(report: dict[str, Any], out: Path, as_json: bool) -> None:
     show(title, ("learner", "seed", *(c.replace("_", " ") for c in columns)), rows)
     print(FOOTPRINT)
     print(out)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
 
 
 def count(text: str) -> int:

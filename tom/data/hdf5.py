@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from tom import readable
 from tom.data.unpack import DAMAGE
 from tom.errors import UserError, reason
 from tom.machine.memory import available, ran_out
@@ -58,7 +59,7 @@ def column(group: h5py.Group, name: str, axes: int) -> np.ndarray:
     if stored.external or stored.is_virtual:  # either could read any file on this machine
         raise UserError(f"{where} lies in another file: only data within the file is read")
     if stored.shape is not None and stored.nbytes > available():
-        raise UserError(f"{where} has {stored.nbytes / 1e9:.0f} GB, more than the free memory")
+        raise UserError(f"{where} has {readable.size(stored.nbytes)}, more than the free memory")
     values = np.asarray(stored[()])
     if axes == 1 and values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]

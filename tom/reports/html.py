@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tom import readable
 from tom.record.files import replace
 
 NAME = "report.html"
@@ -88,11 +89,4 @@ def _table(rows: Rows) -> str:
 
 
 def _cell(value: object) -> str:
-    return f"<td>{html.escape(text_of(value))}</td>"
-
-
-def text_of(value: object) -> str:
-    """A value of a table as text; a dash for what is not known."""
-    if value is None or value != value:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"<td>{html.escape(readable.cell(value))}</td>"

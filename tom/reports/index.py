@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from tom import readable
 from tom.analysis.settings import variants
 from tom.data.unpack import read_bytes
 from tom.errors import UserError
@@ -89,8 +90,8 @@ def _row(run: RunReader, settings: str) -> dict[str, str]:
         "preset": markdown(", ".join(filter(None, [run.preset, settings]))),
         "seed": str(run.seed),
         "steps": f"{status.env_step:,}",
-        "final return": _number(status.last_return),
-        "best return": _number(status.best_return),
+        "final return": readable.score(status.last_return),
+        "best return": readable.score(status.best_return),
         "hours": f"{run_hours(run):.2f}",
         "commit": ", ".join(_commits(run)),
     }
@@ -157,10 +158,6 @@ def _commit(commit: object) -> str:
 
 def _label(learner: str) -> str:
     return LEARNERS[learner].label if learner in LEARNERS else markdown(learner)
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
 
 
 def _table(rows: Iterable[Mapping[str, str]]) -> str:

@@ -2,12 +2,11 @@
 
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from app.figures.scales import OCTAVES
 from app.scenes.film.page import document, look
-from app.scenes.film.robots import body
+from app.scenes.film.robots import travelling
 from app.theme import COLUMNS, Mode
 from tom.envs import Task
 from tom.envs.scene import Model
@@ -44,18 +43,5 @@ def ghosts(
 def _robot(
     drawn: tuple[Task, Model], qpos: NDArray, name: str, colour: str, shift: float, alpha: float
 ) -> dict[str, Any]:
-    known, model = drawn
-    roots = known.root_dims or 0
-    standing = np.array(qpos)
-    place = standing[:, 0].copy() if roots else np.zeros(len(standing))
-    standing[:, :roots] = 0
-    robot = body(model, standing)
-    return {
-        "name": name,
-        "colour": colour,
-        "shift": shift,
-        "alpha": alpha,
-        "place": np.round(place, 3).tolist(),
-        "radius": robot.radius.tolist(),
-        **robot.plain(),
-    }
+    style = {"name": name, "colour": colour, "shift": shift, "alpha": alpha}
+    return style | travelling(*drawn, qpos)

@@ -1,32 +1,23 @@
 """Robots for a canvas: capsules as two ends and a radius, in millimetres. Pure functions."""
 
 import base64
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tom.envs import Task
 from tom.envs import scene as geometry
 
 MOST = 32_767
 """millimetres; the largest number of 16 bits"""
 
 
-@dataclass(frozen=True)
-class Body:
-    """G parts over H frames. A sphere is a capsule whose ends coincide."""
+def body(model: geometry.Model, qpos: NDArray) -> dict[str, Any]:
+    """A MuJoCo task's robot at joint positions (H, nq), as JSON; the floor is at height 0.
 
-    ends: NDArray[np.int16]  # (H, G, 2, 3) millimetres, the floor at height 0
-    radius: NDArray[np.int16]  # (G,) millimetres
-
-    def plain(self) -> dict[str, Any]:
-        """As JSON: the ends as base64 of little-endian numbers."""
-        return {"shape": list(self.ends.shape[:2]), "ends": packed(self.ends)}
-
-
-def body(model: geometry.Model, qpos: NDArray) -> Body:
-    """A MuJoCo task's robot at joint positions (H, nq)."""
+    G parts have a radius (G,) and ends (H, G, 2, 3); those of a sphere coincide.
+    """
     shapes = geometry.geometry(model.mj, qpos)
     capsules, round_ = shapes.capsules, shapes.ellipsoids
     half = capsules.axis * capsules.size[:, 1:2]
@@ -35,7 +26,19 @@ def body(model: geometry.Model, qpos: NDArray) -> Body:
     radius = np.concatenate([capsules.size[:, 0], round_.size.mean(1)])
     lowest = float((ends[..., 2] - radius[:, None]).min()) if ends.size else 0.0
     ends[..., 2] -= lowest if shapes.floor is None else shapes.floor
-    return Body(_millimetres(ends), _millimetres(radius))
+    return {
+        "radius": _millimetres(radius).tolist(),
+        "shape": list(ends.shape[:2]),
+        "ends": packed(_millimetres(ends)),
+    }
+
+
+def travelling(known: Task, model: geometry.Model, qpos: NDArray) -> dict[str, Any]:
+    """A robot over the origin, and how far it is from there in each frame, metres."""
+    roots = known.root_dims or 0
+    place, standing = qpos[:, 0] * bool(roots), qpos.copy()
+    standing[:, :roots] = 0
+    return {"place": np.round(place, 3).tolist(), **body(model, standing)}
 
 
 def packed(numbers: NDArray) -> str:

@@ -10,23 +10,23 @@ from app.data.buffer import WINDOW, windows
 from app.data.called import names
 from app.data.readers import RunInfo
 from app.data.regions import principal_plane
-from app.scenes.film.robots import body, packed
+from app.scenes.film.robots import body, packed, travelling
 from app.scenes.states import poses
 from tom.analysis.curves import curve_points
 from tom.data.transitions import Transitions
 from tom.envs import ROAD, Task
 from tom.envs.scene import Model
 from tom.errors import UserError
-from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, task_of
+from tom.spread import spread
 
 FITS = 240
 """maximum number of fits: four per second of a minute"""
 POINTS = 2500
 ROBOTS = 56
 EVERY = 2
-"""steps from one frame of a moment to the next"""
+"""steps from one frame of a moment or an evaluation to the next"""
 EPISODES, FRAMES = 12, 150
 """maximum number of shown evaluations, and of frames of each"""
 
@@ -45,7 +45,7 @@ def story(run: RunInfo) -> dict[str, Any]:
     known, model = task_of(reader), scene_of(reader)
     if model is None:
         raise UserError(f"there is no robot to draw in {run.env}")
-    fits = _thinned(profiles)
+    fits = spread(len(profiles.env_step), FITS)
     end = min(int(profiles.env_step[-1]), len(recorded))
     rows = recorded[:end]
     return {
@@ -68,11 +68,6 @@ def may_be_told(run: RunInfo) -> bool:
     return run.env != ROAD and readers.has_profiles(run) and buffer_reader.has_rows(run)
 
 
-def _thinned(profiles: Profiles) -> NDArray[np.int64]:
-    count = len(profiles.env_step)
-    return np.unique(np.linspace(0, count - 1, min(count, FITS)).round().astype(np.int64))
-
-
 def _returns(run: RunInfo) -> dict[str, list[float]]:
     step, value = curve_points(readers.metrics(run), "eval/return")
     return {"step": np.asarray(step).tolist(), "value": np.round(value, 2).tolist()}
@@ -81,7 +76,7 @@ def _returns(run: RunInfo) -> dict[str, list[float]]:
 def _cloud(rows: Transitions) -> dict[str, Any]:
     """Evenly chosen transitions of the buffer, on its two principal components in [0, 1]."""
     plane = principal_plane(rows)
-    index = np.unique(np.linspace(0, len(rows) - 1, POINTS).astype(np.int64))
+    index = spread(len(rows), POINTS)
 
     def unit(x: NDArray) -> NDArray[np.float32]:
         low, high = np.quantile(x, [0.003, 0.997])
@@ -96,47 +91,30 @@ def _cloud(rows: Transitions) -> dict[str, Any]:
 
 def _crowd(known: Task, model: Model, reader: RunReader, rows: Transitions) -> dict[str, Any]:
     """Robots in evenly chosen states of the buffer, each moving through its window of steps."""
-    index = np.linspace(0, len(rows) - 1, min(ROBOTS, len(rows)) + 1).astype(np.int64)[:-1]
+    index = spread(len(rows), ROBOTS)
     state = {name: of[: len(rows)] for name, of in reader.buffer_state().items()}
     qpos = poses(known, rows, state, windows(rows.ended(), index.tolist()))[:, ::EVERY]
-    robots = body(model, qpos.reshape(-1, qpos.shape[-1]))
     return {
         "row": index.tolist(),
         "frames": qpos.shape[1],
         "now": WINDOW // EVERY,
         "every": EVERY,
-        "radius": robots.radius.tolist(),
-        **robots.plain(),
+        **body(model, qpos.reshape(-1, qpos.shape[-1])),
     }
 
 
 def _policy(known: Task, model: Model, reader: RunReader) -> list[dict[str, Any]]:
     """Evaluation episodes during the run, which show the progress of the policy."""
     kept = np.array(reader.evaluation_steps(), np.int64)
-    if not len(kept):
-        return []
-    chosen = kept[np.unique(np.linspace(0, len(kept) - 1, EPISODES).round().astype(int))]
     told = []
-    for step in chosen.tolist():
+    for step in kept[spread(len(kept), EPISODES)].tolist():
         episodes = [e for e in reader.episodes(step) if e.qpos is not None and e.length]
         if not episodes:
             continue
         returns = [e.undiscounted_return for e in episodes]
         middle = episodes[int(np.argsort(returns)[len(returns) // 2])]
         assert middle.qpos is not None
-        qpos = middle.qpos[: 2 * FRAMES : 2].copy()
-        roots = known.root_dims or 0
-        place = qpos[:, 0].copy() if roots else np.zeros(len(qpos))
-        qpos[:, :roots] = 0
-        robot = body(model, qpos)
-        told.append(
-            {
-                "step": step,
-                "return": round(middle.undiscounted_return, 1),
-                "place": np.round(place - place[0], 3).tolist(),
-                "every": 2,
-                "radius": robot.radius.tolist(),
-                **robot.plain(),
-            }
-        )
+        about = {"step": step, "return": round(middle.undiscounted_return, 1), "every": EVERY}
+        qpos = middle.qpos[: EVERY * FRAMES : EVERY]
+        told.append(about | travelling(known, model, qpos))
     return told

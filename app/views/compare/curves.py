@@ -22,6 +22,7 @@ from tom.analysis.curves import Curve, Group
 from tom.analysis.scores import common_step
 from tom.config import SAC_ALONE
 from tom.harmless import as_csv
+from tom.readable import UNKNOWN, short
 
 Files = Mapping[str, tuple[Callable[[], pd.DataFrame], str]]
 NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
@@ -212,7 +213,7 @@ def in_words(table: pd.DataFrame) -> pd.DataFrame:
     for name in [name.removesuffix(" low") for name in table if name.endswith(" low")]:
         low, high = shown.pop(f"{name} low"), shown.pop(f"{name} high")
         words = [
-            f"{a:,.4g} to {b:,.4g}" if np.isfinite(a) else "-"
+            f"{short(a, 4)} to {short(b, 4)}" if np.isfinite(a) else UNKNOWN
             for a, b in zip(low, high, strict=True)
         ]
         shown.insert(list(shown.columns).index(name) + 1, f"{name}, 95 %", words)

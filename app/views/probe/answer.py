@@ -15,6 +15,7 @@ from app.data.readers import RunInfo
 from app.figures.probe import RunErrors
 from app.views.probe import exams, model_error
 from tom.analysis.statistics import RANKED, means_differ
+from tom.readable import percent, short
 
 
 def draw(runs: Sequence[RunInfo]) -> None:
@@ -43,19 +44,19 @@ def sentence(errors: Mapping[str, Floats]) -> str:
         (name, values) = found[0]
         return (
             f"**{text.markdown(name)} alone has measured its error where its policy goes**: "
-            f"{values.mean():.3g}."
+            f"{short(values.mean())}."
         )
     ranked = [(name, values) for name, values in found if len(values) >= RANKED]
     if len(ranked) < 2:
-        means = (f"{text.markdown(name)} {v.mean():.3g} (n = {len(v)})" for name, v in found)
+        means = (f"{text.markdown(name)} {short(v.mean())} (n = {len(v)})" for name, v in found)
         said = f"**Too few seeds to rank** ({exams.NEEDED}). Where the policy goes"
         return f"{said}: {'; '.join(means)}."
     (first, least), (second, more), *_ = ranked
-    less = 100 * (1 - least.mean() / more.mean()) if more.mean() else 0.0
+    less = 1 - float(least.mean() / more.mean()) if more.mean() else 0.0
     return (
-        f"**Where its own policy goes, {text.markdown(first)} errs least**: {least.mean():.3g}, "
-        f"{less:.0f} % less than {text.markdown(second)}, the next (n = {len(least)} and "
-        f"{len(more)}). {beyond_noise(least, more)}"
+        f"**Where its own policy goes, {text.markdown(first)} errs least**: "
+        f"{short(least.mean())}, {percent(less, 0)} less than {text.markdown(second)}, "
+        f"the next (n = {len(least)} and {len(more)}). {beyond_noise(least, more)}"
     )
 
 
@@ -64,4 +65,4 @@ def beyond_noise(least: Floats, more: Floats) -> str:
     gap = float(more.mean() - least.mean())
     error = float(np.sqrt(least.var(ddof=1) / len(least) + more.var(ddof=1) / len(more)))
     said = "More than noise" if means_differ(least, more) else "No more than noise"
-    return f"{said}: the gap is {gap:.2g}, its standard error {error:.2g}."
+    return f"{said}: the gap is {short(gap, 2)}, its standard error {short(error, 2)}."

@@ -18,6 +18,7 @@ from app.views.probe import left_out
 from tom.analysis import grouping, statistics
 from tom.analysis.statistics import Interval
 from tom.exams.counted import counted_from
+from tom.readable import UNKNOWN, percent, short
 
 HEIGHT = 380
 SIGNIFICANT = 0.05
@@ -93,7 +94,7 @@ def verdict(result: Ranking) -> str:
     """One sentence: who errs least on its policy's transitions, by how much, and if it is noise."""
     if not result.ranked:
         counts = "; ".join(
-            f"{text.markdown(one.name)}: {_runs(one)}, typical error {text.short(one.typical)}"
+            f"{text.markdown(one.name)}: {_runs(one)}, typical error {short(one.typical)}"
             for one in result.standings
         )
         if len(result.standings) > NAMED:
@@ -105,10 +106,10 @@ def verdict(result: Ranking) -> str:
     first, second = result.ranked[:2]
     beats, p = result.first_beats_second, result.chance
     one, other = (text.markdown(standing.name) for standing in (first, second))
-    less = 100 * (1 - first.typical / second.typical)
+    less = 1 - first.typical / second.typical
     errors = (
-        f"{text.short(first.typical)}, {less:.0f} % less than {other}, the next, "
-        f"with {text.short(second.typical)},{counted(result)} "
+        f"{short(first.typical)}, {percent(less, 0)} less than {other}, the next, "
+        f"with {short(second.typical)},{counted(result)} "
         f"(n: {_runs(first)}; {_runs(second)})"
     )
     chance = (
@@ -158,10 +159,7 @@ def table(result: Ranking) -> pd.DataFrame:
 
 
 def _words(mean: Interval) -> str:
-    if not np.isfinite(mean.value):
-        return "-"
-    bounds = f" [{mean.low:.3g}, {mean.high:.3g}]" if np.isfinite(mean.low) else ""
-    return f"{mean.value:.3g}{bounds}"
+    return str(mean) if np.isfinite(mean.value) else UNKNOWN
 
 
 def _columns() -> dict:

@@ -21,6 +21,7 @@ from app.views.regions import brush, region_tables
 from tom.analysis.brush import AS_IT_IS
 from tom.envs import ROAD
 from tom.reports.brush_files import called
+from tom.spread import spread
 
 MAP_HEIGHT = 690
 STAGE_HEIGHT = 560
@@ -188,8 +189,7 @@ def _map(run: RunInfo, rows: Rows, mask: Mask, plane: Plane, axes: str) -> None:
         if region is None or len(region.outline) < 3:
             _forget_outline()
             return
-        every = max(-(-len(region.outline) // CORNERS), 1)
-        corners = region.outline[::every]
+        corners = [region.outline[i] for i in spread(len(region.outline), CORNERS)]
         st.query_params["outline"] = ";".join(f"{x:.4g},{y:.4g}" for x, y in corners)
         st.query_params["axes"] = axes
         st.session_state["region"] = DRAWN

@@ -4,13 +4,13 @@ import numpy as np
 import pandas as pd
 import streamlit as st
 
-from app import text
 from app.data import regions
 from app.data.buffer import Rows
 from app.data.readers import RunInfo
 from app.data.regions import EXPLORED, Mask
 from app.figures.regions import apart_bars
 from app.parts.plot import chart
+from tom import readable
 from tom.envs import ROAD
 
 LISTED = 300
@@ -40,7 +40,7 @@ def summary(rows: Rows, mask: Mask) -> pd.DataFrame:
     here, whole = regions.summary(rows, mask), regions.summary(rows, np.ones(len(rows), bool))
 
     def shown(name: str, value: float) -> str:
-        return text.number(value, 0 if name == "transitions" else 2)
+        return readable.number(value, 0 if name == "transitions" else 2)
 
     return pd.DataFrame(
         {

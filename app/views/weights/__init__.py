@@ -17,6 +17,7 @@ from app.parts import address, empty, why, widgets
 from app.parts.plot import Point, chart
 from app.theme import learner_label
 from app.views.weights import exam, play, same_buffer
+from tom import readable
 from tom.data.sampling import bin_means
 from tom.envs import ROAD
 from tom.learners import LEARNERS
@@ -192,13 +193,13 @@ def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
     columns[1].metric("transitions", f"{profiles.count[chosen]:,}")
     columns[2].metric(
         "effective sample",
-        f"{100 * profiles.ess[chosen]:.1f} %",
+        readable.percent(float(profiles.ess[chosen])),
         help="(sum w)² / sum w², as a share of the buffer: 100 % when all count the same",
     )
-    columns[3].metric("weight zero", f"{100 * profiles.zeros[chosen]:.1f} %")
+    columns[3].metric("weight zero", readable.percent(float(profiles.zeros[chosen])))
     columns[4].metric(
         "on the newest fifth",
-        f"{text.number(100 * share)} %",
+        readable.percent(share),
         help="share of the whole weight that lies on the newest fifth of the buffer; 20 % when "
         "all count the same",
     )

@@ -13,6 +13,7 @@ from tom.envs import ROAD
 from tom.exams.energy import informative
 from tom.learners import LEARNERS
 from tom.metrics import describe
+from tom.readable import short
 
 COLUMNS = {
     "footprint": "exam/footprint",
@@ -38,7 +39,7 @@ def of_fit(run: RunInfo, step: int) -> None:
             "buffer"
         )
         for column, (name, path) in zip(st.columns(len(COLUMNS)), COLUMNS.items(), strict=True):
-            column.metric(name, _shown(metrics.get(path)), help=describe(path))
+            column.metric(name, short(metrics.get(path)), help=describe(path))
         words = (in_words(metrics), of_which_weights(run.learner, run.settings))
         st.caption(text.markdown(" ".join(filter(None, words))))
 
@@ -76,10 +77,10 @@ def in_words(metrics: Mapping[str, float]) -> str:
     said = [about_weights(metrics)]
     if "exam/error" in metrics:
         ahead = metrics.get("exam/rollout_error")
-        five = "" if ahead is None else f", after five steps by {ahead:.3g}"
+        five = "" if ahead is None else f", after five steps by {short(ahead)}"
         said.append(
-            f"One step ahead its model errs by {metrics['exam/error']:.3g} standard deviations of "
-            f"a step's change{five}."
+            f"One step ahead its model errs by {short(metrics['exam/error'])} standard deviations "
+            f"of a step's change{five}."
         )
     return " ".join(said)
 
@@ -110,7 +111,3 @@ def about_weights(metrics: Mapping[str, float]) -> str:
     return (
         "With its weights the buffer lies as near to what the policy did as without, but for noise."
     )
-
-
-def _shown(value: float | None) -> str:
-    return text.number(value, 3)

@@ -82,7 +82,7 @@ def test_what_is_left_out_is_said() -> None:
     many = TOM.at(np.zeros(2 * FITS, np.int64))
     figure = footprint_error_return([many], 300)
     assert len(points(figure, "tom")[1]["x"]) == FITS
-    assert "one of 2 of the 3,000 fits is drawn" in said(figure)
+    assert "1,500 of 3,000" in said(figure)
 
 
 def test_names_from_files_are_words() -> None:

@@ -18,6 +18,7 @@ from app.views.compare.measure import in_order
 from app.views.live import usual
 from app.views.probe.exams import table, verdict
 from app.views.weights.exam import about_weights, in_words, of_which_weights
+from tom.readable import short
 from tom.record import layout
 from tom.record.reader import RunReader
 
@@ -91,8 +92,8 @@ def test_weights_shows_the_exam_of_the_fit_that_is_looked_at(store: Path) -> Non
     for step, error in zip(steps, errors, strict=True):
         app = draw("weights", run=PENDULUM_TOM, step=str(step))
         shown = {metric.label: metric.value for metric in app.metric}
-        assert shown["error, one step"] == f"{error:,.3f}"
-        assert shown["error, five steps"] == f"{ahead[step]:,.3f}"
+        assert shown["error, one step"] == short(error)
+        assert shown["error, five steps"] == short(ahead[step])
 
 
 def test_weights_says_where_there_is_no_exam(older: Path) -> None:

@@ -16,7 +16,7 @@ from studio_runs import PENDULUM_TOM, undescribed
 from app.data import readers, replays, why
 from app.data.readers import RunInfo
 from app.links import Links
-from app.scenes import states
+from app.scenes import solids, states
 from app.scenes.control import ReplayChoice, StatesChoice
 from app.scenes.film.story import story
 from app.scenes.replay import track
@@ -68,8 +68,8 @@ def test_a_robot_is_drawn_from_the_run_folder_alone(shown: Path, run_id: str):
     assert replay.imagined is not None
     assert (replay.ghost is not None) == run_id.endswith("Swimmer-v5")
     driven = track(replay.model, replay.real)
-    assert np.isfinite(driven.solids.position).all()
-    assert np.ptp(driven.solids.position, axis=0).max() > 1e-3  # it moves
+    assert np.isfinite(driven.position).all()
+    assert np.ptp(driven.position, axis=0).max() > 1e-3  # it moves
     app = draw("replays", run=run_id)
     assert not any("observations of the episode" in str(part) for part in app.main)
     assert "absent_module" not in sys.modules
@@ -88,10 +88,10 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
     ended = np.zeros(len(recorded), bool)
     rows = buffer_reader.windows(ended, [20, 120])
     qpos = states.poses(task_of(run), recorded, run.buffer_state(), rows)
-    group, height = states.group(model, qpos)
-    assert group.count == 2
-    assert np.isfinite(height)
-    assert np.abs(group.frame(0)[0] - group.frame(24)[0]).max() > 1e-4
+    robots = solids.of(model, qpos)
+    assert len(robots.position) == 2
+    assert np.isfinite(robots.floor)
+    assert np.abs(robots.position[:, 0] - robots.position[:, 24]).max() > 1e-4
     assert figures(draw("regions", run=run_id))
 
 

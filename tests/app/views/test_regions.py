@@ -11,7 +11,7 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 from app.data import buffer_reader, regions
 from app.data.buffer import WINDOW, Rows, against, dimension_names, episodes, rows_at, windows
 from app.figures.regions import POINTS, hover_data, region_map, weights_against
-from app.scenes import states
+from app.scenes import solids, states
 from app.views.regions.region_tables import listed
 from tom.data.transitions import Transitions
 from tom.envs import scene, task
@@ -276,8 +276,8 @@ def test_robots_stand_as_they_were_recorded(store: Path, rows: Rows) -> None:
     ended = (np.asarray(recorded.terminated) != 0) | (np.asarray(recorded.truncated) != 0)
     found = states.poses(task("inverted-pendulum"), recorded, {}, windows(ended, [7, 200]))
     assert found[:, WINDOW] == pytest.approx(np.asarray(recorded.obs)[[7, 200], :2])
-    group, _ = states.group(scene.model("inverted-pendulum"), found)
-    position, wxyz = group.frame(WINDOW)
+    robots = solids.of(scene.model("inverted-pendulum"), found)
+    position, wxyz = robots.position[:, WINDOW], robots.wxyz[:, WINDOW]
     assert position.shape == (2, 3, 3)
     assert np.linalg.norm(wxyz, axis=-1) == pytest.approx(1)
     kept = {"qpos": np.asarray(recorded.obs)[:, :2] + 5}

@@ -298,7 +298,9 @@ def test_the_charts_follow_the_end_of_playback_and_the_scenes_own_slider(
 
 
 def test_a_capsule_is_closed_and_as_long_as_it_says() -> None:
-    vertices, faces = solids.capsule(0.1, 0.3)
+    mesh = solids.capsule(0.1, 0.3)
+    vertices, faces = mesh.vertices, mesh.faces
+    assert mesh.is_watertight
     assert np.abs(vertices[:, 2]).max() == pytest.approx(0.4)
     assert np.linalg.norm(vertices[:, :2], axis=1).max() == pytest.approx(0.1)
     corners = vertices[faces]

@@ -29,7 +29,7 @@ def test_the_tables_stand_between_their_marks_and_replace_the_last_ones(tmp_path
     assert text.startswith(f"before\n{BEGIN}\n")
     assert text.endswith(f"{END}\nafter\n")
     assert "old" not in text
-    assert text.count("| SAC update | 3.78 | 3.68 to 3.9 |") == 2
+    assert text.count("| SAC update | 3.781 | 3.68 to 3.9 |") == 2
     assert "| 1.55 | - | <= 1.7 x floor: met |" in text
     assert "| - | 2.4 | >= 2.5 x ours: **missed** |" in text
     assert "| hopper | 125000 | 2.3 | 9 |" in text

@@ -24,6 +24,7 @@ from tom.envs import ENVS, scene
 from tom.errors import UserError, reason
 from tom.machine import memory
 from tom.machine.matmul import cache_file, choose_matmul
+from tom.readable import size
 from tom.record import Store
 from tom.record.rerun import hub
 
@@ -113,9 +114,9 @@ def _cores() -> CheckResult:
 def _memory() -> CheckResult:
     free = memory.available()
     bound = memory.STUDIO_CACHE_BYTES
-    words = f"{free / 1e9:.1f} GB free" if free < sys.maxsize else "nobody knows how much is free"
+    words = f"{size(free)} free" if free < sys.maxsize else "nobody knows how much is free"
     text = (
-        f"{words}; each of the studio's two servers keeps at most {bound / 1e6:.0f} MB of what it "
+        f"{words}; each of the studio's two servers keeps at most {size(bound)} of what it "
         "has read, beside the programs themselves"
     )
     if free > 2 * (bound + STUDIO_BYTES):
@@ -131,7 +132,7 @@ def _gpu() -> CheckResult:
             float(torch.ones(8, 8, device="cuda").mm(torch.ones(8, 8, device="cuda")).sum())
         except RuntimeError as error:  # this build of torch does not support the GPU
             return CheckResult("gpu", "bad", f"{card.name}: {reason(error)}", fix)
-        return CheckResult("gpu", "ok", f"{card.name}, {card.total_memory / 1e9:.0f} GB")
+        return CheckResult("gpu", "ok", f"{card.name}, {size(card.total_memory)}")
     if Path("/dev/nvidia0").exists():
         return CheckResult(
             "gpu", "bad", f"there is one, but torch {torch.__version__} sees none", fix

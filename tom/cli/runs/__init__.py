@@ -9,10 +9,11 @@ from typing import Any
 from tom.cli.parser import folder
 from tom.cli.runs import fetch, files
 from tom.cli.runs import labels as runs_labels
-from tom.cli.tables import name_problems, number, show, summary
+from tom.cli.tables import name_problems, show, summary
 from tom.config import flat
 from tom.errors import UserError, unknown
 from tom.harmless import terminal
+from tom.readable import score, short
 from tom.record import RunReader, Status, Store, small_copy
 
 STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
@@ -75,8 +76,8 @@ def list_runs(args: argparse.Namespace) -> int:
         "tags": [", ".join(row["tags"]) for row in rows],
         "state": [small_copy.shown(status, run.small_copy) for run, status in both],
         "step": [str(row["env_step"]) for row in rows],
-        "last return": [number(row["last_return"]) for row in rows],
-        "best return": [number(row["best_return"]) for row in rows],
+        "last return": [score(row["last_return"]) for row in rows],
+        "best return": [score(row["best_return"]) for row in rows],
         "problems": ["; ".join(row["problems"]) for row in rows],
     }
     said = {name: column for name, column in cells.items() if any(column) or name == "run"}
@@ -106,7 +107,11 @@ def show_run(args: argparse.Namespace) -> int:
     last = run.metrics().ffill().tail(1)
     if len(last):
         values = last.iloc[0].to_dict()
-        show("last metrics", ("metric", "value"), [(k, f"{v:.6g}") for k, v in values.items()])
+        show(
+            "last metrics",
+            ("metric", "value"),
+            [(k, short(v, 6)) for k, v in values.items()],
+        )
     for notice in run.notices():
         print(terminal(f"step {notice.get('env_step')}: {notice.get('message')}"))
     return 0

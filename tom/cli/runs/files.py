@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from tom import readable
 from tom.cli.tables import name_problems, show
 from tom.errors import UserError
 from tom.harmless import terminal
@@ -157,7 +158,7 @@ def size(args: argparse.Namespace) -> int:
     largest = sorted(bytes_of.items(), key=lambda item: -sum(item[1].values()))
     rows = [(name, *_megabytes([*parts.values(), sum(parts.values())])) for name, parts in largest]
     total = sum(sum(parts.values()) for parts in bytes_of.values())
-    show(f"{total / MB:.1f} MB in {len(rows)} runs", ("run", *sizes.PARTS, "all"), rows)
+    show(f"{readable.size(total)} in {len(rows)} runs", ("run", *sizes.PARTS, "all"), rows)
     return 0
 
 
@@ -172,8 +173,8 @@ def prune(args: argparse.Namespace) -> int:
         return 0
     would = "would free" if args.dry_run else "freed"
     for name, count in freed.items():
-        print(f"{name}: {would} {count / MB:.1f} MB")
-    print(f"{would} {sum(freed.values()) / MB:.1f} MB in all")
+        print(f"{name}: {would} {readable.size(count)}")
+    print(f"{would} {readable.size(sum(freed.values()))} in all")
     return 0
 
 
@@ -195,4 +196,4 @@ def _finished(store: Store, run_ids: Sequence[str]) -> list[RunReader]:
 
 
 def _megabytes(counts: Sequence[int]) -> list[str]:
-    return [f"{count / MB:.1f}" for count in counts]
+    return [readable.number(count / MB) for count in counts]

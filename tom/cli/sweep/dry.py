@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tom import readable
 from tom.cli.tables import name_problems, show
 from tom.record import RunReader, Store, checkpoint
 from tom.sweep.projection import Cost, cost, makespan
@@ -33,10 +34,10 @@ def dry_run(args: argparse.Namespace, store: Store, planned: Sequence[Trial], jo
     if args.json:
         print(json.dumps({"runs": rows, "hours": hours, "megabytes": disk}))
         return 0
-    cells = [["" if v is None else _cell(v) for v in row.values()] for row in rows]
+    cells = [[readable.cell(v) for v in row.values()] for row in rows]
     show(f"{len(rows)} runs, {len(todo)} to do", list(rows[0]), cells)
     if not todo or any(row["hours"] is not None for row in todo):
-        print(f"about {hours:.1f} h with {jobs} at a time and {disk / 1000:.1f} GB", end="")
+        print(f"about {hours:.1f} h with {jobs} at a time and {readable.size(1e6 * disk)}", end="")
         free = _free_gb(store.path)
         print(f" ({free:.0f} GB are free)" if free is not None else "")
     unknown = sorted({f"{r['env']} {r['learner']}" for r in todo if r["hours"] is None})
@@ -86,10 +87,6 @@ def _row(trial: Trial, run: RunReader | None, expected: Cost | None) -> dict[str
         "megabytes": expected.megabytes if expected else None,
         "judged by": expected.source if expected else None,
     }
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _free_gb(store: Path) -> float | None:

@@ -8,6 +8,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from tom import readable
 from tom.cli.screen import Screen, Shown
 from tom.harmless import terminal
 from tom.record import RunReader
@@ -88,20 +89,9 @@ class Watcher(Shown):
             status.phase if job.state == "running" and status.phase else job.state,
             str(status.env_step),
             str(status.total),
-            _number(status.last_return),
-            _number(status.best_return),
-            _number(status.env_steps_per_s),
-            _clock(status.eta_s) if job.state in ("running", "elsewhere") else "",
+            readable.score(status.last_return),
+            readable.score(status.best_return),
+            readable.number(status.env_steps_per_s),
+            readable.duration(status.eta_s) if job.state in ("running", "elsewhere") else "",
             note,
         )
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.1f}"
-
-
-def _clock(seconds: float | None) -> str:
-    if seconds is None:
-        return ""
-    minutes = round(seconds / 60)
-    return f"{minutes // 60}:{minutes % 60:02d} h"
