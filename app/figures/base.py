@@ -3,9 +3,11 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 
-from app.theme import NEUTRAL
+from app.theme import NEUTRAL, faded
 from tom.envs import ROAD
 
 ENV_STEPS = "env steps"
@@ -70,6 +72,29 @@ def upright(x: float, width: float, dash: str | None = None) -> dict[str, Any]:
     """A vertical line at `x`."""
     ends = {"x0": x, "x1": x, "xref": "x", "y0": 0, "y1": 1, "yref": "y domain"}
     return {"type": "line", **ends, "line": {"color": NEUTRAL, "width": width, "dash": dash}}
+
+
+def band(
+    x: NDArray, low: NDArray, high: NDArray, colour: str, group: str, opacity: float = 0.18
+) -> go.Scatter:
+    """The area between two lines, which appears and disappears with its group in the legend."""
+    return go.Scatter(
+        x=np.concatenate([x, x[::-1]]),
+        y=np.concatenate([high, low[::-1]]),
+        fill="toself",
+        fillcolor=faded(colour, opacity),
+        line={"width": 0},
+        mode="lines",
+        hoverinfo="skip",
+        legendgroup=group,
+        showlegend=False,
+    )
+
+
+def dashes(learners: Sequence[str]) -> list[str]:
+    """A dash for each of several lines, another one for each line of the same learner."""
+    counts = [learners[:i].count(learner) for i, learner in enumerate(learners)]
+    return [DASHES[count % len(DASHES)] for count in counts]
 
 
 def legend_rows(titles: Iterable[str], width: int) -> int:

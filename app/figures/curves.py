@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from app import text
 from app.figures.base import (
-    DASHES,
     ENV_STEPS,
     ROW,
+    band,
+    dashes,
     legend_rows,
     note,
     steps_in_words,
     styled,
 )
-from app.figures.logs import cut_bands, left_out
+from app.figures.lines import cut_bands, decimate, left_out
 from app.figures.looks import Look
 from app.figures.looks import looks as usual_looks
-from app.figures.thinning import decimate
-from app.theme import faded, learner_colour, learner_label, learner_symbol
+from app.theme import learner_colour, learner_label, learner_symbol
 from tom.analysis.curves import GRID, Curve, Group, smoothed
 from tom.analysis.grouping import Kind
 from tom.metrics import describe
@@ -73,8 +73,8 @@ def run_curves(
     """
     figure = go.Figure()
     words = []
-    learners = [curve.learner for curve in curves]
-    for i, curve in enumerate(curves):
+    usual = dashes([curve.learner for curve in curves])
+    for curve, dash in zip(curves, usual, strict=True):
         look = looks[curve.kind] if looks else None
         plain = f"{learner_label(curve.learner)} s{curve.seed}"
         step, value, cut = decimate(curve.step, curve.value, POINTS)
@@ -91,9 +91,7 @@ def run_curves(
                 line={
                     "color": look.colour if look else learner_colour(curve.learner),
                     "width": 2,
-                    "dash": look.dash
-                    if look
-                    else DASHES[learners[:i].count(curve.learner) % len(DASHES)],
+                    "dash": look.dash if look else dash,
                 },
                 marker={"size": 5, "symbol": learner_symbol(curve.learner)},
                 hovertemplate=_hover(curve, axes.x),
@@ -206,20 +204,9 @@ def _single(curve: Curve, look: Look) -> go.Scatter:
 
 def _band(group: Group, look: Look) -> go.Scatter:
     here = np.isfinite(group.low)
-    step = group.step[here]
-    return go.Scatter(
-        x=np.concatenate([step, step[::-1]]),
-        y=np.concatenate([group.high[here], group.low[here][::-1]]),
-        uid=_identity(group, "band"),
-        name="band",
-        fill="toself",
-        fillcolor=faded(look.colour, 0.18),
-        line={"width": 0},
-        mode="lines",
-        hoverinfo="skip",
-        legendgroup=_identity(group),
-        showlegend=False,
-    )
+    ends = group.low[here], group.high[here]
+    drawn = band(group.step[here], *ends, look.colour, _identity(group))
+    return drawn.update(uid=_identity(group, "band"), name="band")
 
 
 def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:

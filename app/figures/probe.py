@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.buffer import Floats
-from app.figures.base import DASHES, across, styled, upright
+from app.figures.base import across, band, dashes, styled, upright
 from app.figures.weights import AGES, bin_centres, on_log_axis
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 
@@ -44,7 +44,8 @@ def probe_profiles(
         x, median = bin_centres(values.shape[1]), np.median(values, 0)
         name = text.plotly(learner_label(learner))
         if len(values) > 1:
-            figure.add_trace(_range(x, values, learner))
+            ends = values.min(0), values.max(0)
+            figure.add_trace(band(x, *ends, learner_colour(learner), name, opacity=0.15))
         figure.add_trace(
             go.Scatter(
                 x=x,
@@ -68,20 +69,6 @@ def probe_profiles(
     return on_log_axis(figure) if log else figure
 
 
-def _range(x: Floats, values: NDArray[np.float64], learner: str) -> go.Scatter:
-    return go.Scatter(
-        x=np.concatenate([x, x[::-1]]),
-        y=np.concatenate([values.max(0), values.min(0)[::-1]]),
-        fill="toself",
-        fillcolor=faded(learner_colour(learner), 0.15),
-        line={"width": 0},
-        mode="lines",
-        hoverinfo="skip",
-        legendgroup=text.plotly(learner_label(learner)),
-        showlegend=False,
-    )
-
-
 def errors_by_age(
     errors: Sequence[tuple[str, str, Floats]], bins: int, height: int, *, keep: str = ""
 ) -> go.Figure:
@@ -90,8 +77,8 @@ def errors_by_age(
     A zoom lasts while `keep`, the id of the buffer's run, is the same.
     """
     figure = go.Figure()
-    learners = [learner for _, learner, _ in errors]
-    for i, (name, learner, error) in enumerate(errors):
+    usual = dashes([learner for _, learner, _ in errors])
+    for (name, learner, error), dash in zip(errors, usual, strict=True):
         parts = np.array_split(error, min(bins, len(error)))
         figure.add_trace(
             go.Scatter(
@@ -102,7 +89,7 @@ def errors_by_age(
                 line={
                     "color": learner_colour(learner),
                     "width": 2,
-                    "dash": DASHES[learners[:i].count(learner) % len(DASHES)],
+                    "dash": dash,
                 },
                 marker={"size": 5, "symbol": learner_symbol(learner)},
                 hovertemplate=f"{text.plotly(name)}<br>at %{{x:.0f}} % of the buffer (0: oldest)"

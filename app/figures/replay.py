@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data.replays import Replay
 from app.figures.base import note, steps_in_words, styled, upright
-from app.figures.thinning import decimate
+from app.figures.lines import decimate
 from app.theme import NEUTRAL, learner_colour, learner_label, learner_symbol
 from tom.analysis.curves import Curve
 

@@ -10,8 +10,8 @@ from plotly.subplots import make_subplots
 from app import text
 from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, note, steps_in_words
 from app.figures.curves import POINTS
+from app.figures.lines import decimate
 from app.figures.scales import octaves, relative_scale
-from app.figures.thinning import decimate
 from app.figures.weights import AGES, bin_centres, lone, shown_fits
 from app.theme import Mode, learner_colour, learner_symbol
 from tom.analysis.curves import Curve

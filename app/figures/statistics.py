@@ -8,9 +8,9 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import styled, upright
+from app.figures.base import band, styled, upright
 from app.figures.looks import Look
-from app.theme import NEUTRAL, faded
+from app.theme import NEUTRAL
 from tom.analysis.statistics import Interval
 
 LAST = 1.03  # of the axis of probabilities, where the column of p begins
@@ -42,19 +42,8 @@ def profiles(
     figure, x = go.Figure(), np.repeat(thresholds, 2)[1:]
     for one in groups:
         if np.isfinite(one.low).any():
-            figure.add_trace(
-                go.Scatter(
-                    x=np.concatenate([x, x[::-1]]),
-                    y=np.concatenate([_stairs(one.high), _stairs(one.low)[::-1]]),
-                    fill="toself",
-                    fillcolor=faded(one.look.colour, 0.18),
-                    line={"width": 0},
-                    mode="lines",
-                    hoverinfo="skip",
-                    showlegend=False,
-                    legendgroup=text.plotly(one.look.title),
-                )
-            )
+            ends = _stairs(one.low), _stairs(one.high)
+            figure.add_trace(band(x, *ends, one.look.colour, text.plotly(one.look.title)))
         figure.add_trace(
             go.Scatter(
                 x=x,

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import DASHES, ENV_STEPS, Y_AXIS, across, note, styled, upright
+from app.figures.base import ENV_STEPS, Y_AXIS, across, dashes, note, styled, upright
 from app.figures.scales import linear_scale, octaves, relative_scale
 from app.theme import Mode, learner_colour, learner_label
 from tom.analysis.curves import Curve
@@ -137,8 +137,8 @@ def profile_lines(
     Runs without a profile have no bins.
     """
     figure = go.Figure()
-    learners = [learner for _, learner, _ in profiles]
-    for i, (name, learner, bins) in enumerate(profiles):
+    usual = dashes([learner for _, learner, _ in profiles])
+    for (name, learner, bins), dash in zip(profiles, usual, strict=True):
         if not len(bins):
             continue  # it counts, so that a run has the same dash as in other figures
         figure.add_trace(
@@ -152,7 +152,7 @@ def profile_lines(
                     "color": learner_colour(learner),
                     "width": 1.8,
                     "shape": "hvh",
-                    "dash": DASHES[learners[:i].count(learner) % len(DASHES)],
+                    "dash": dash,
                 },
                 hovertemplate=f"{text.plotly(name)}<br>at %{{x:.0f}} % of the buffer (0: oldest)"
                 "<br>weight %{customdata:.3g}<extra></extra>",

@@ -7,11 +7,10 @@ from viser.infra import StateSerializer
 
 from app.data.pictures import Picture
 from app.scenes import road
-from app.scenes.frame import FRONT, GLOW
 from app.scenes.road import RoadScene
 from app.scenes.road_frame import LAYERS
-from app.scenes.stage import sky
-from app.scenes.words import Words, fix
+from app.scenes.stage import light, sky
+from app.scenes.words import fix
 from app.theme import Mode
 from tom.machine.address import free_port
 
@@ -35,8 +34,7 @@ def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, called: Sequence[str]
     try:
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
-        server.scene.add_light_ambient("/glow", intensity=GLOW[mode])
-        server.scene.add_light_directional("/front", intensity=0.5, position=FRONT)
+        light(server.scene, mode, front=0.5)
         server.scene.world_axes.visible = False
         camera = server.initial_camera
         camera.position, camera.look_at = road.view(len(fits[0]), camera.fov)
@@ -58,24 +56,19 @@ def _record(
     fits: Sequence[Sequence[Picture]],
 ) -> StateSerializer:
     shown = {name: on for name, _, on in LAYERS}
-    for each in scenes:
-        each.show(shown)
-        _fix_words(server, each.words)
-    serializer = server.get_scene_serializer()
+    serializer = None
     for number, pictures in enumerate(fits):
-        if number:
-            for each, picture in zip(scenes, pictures, strict=True):
+        for each, picture in zip(scenes, pictures, strict=True):
+            if number:
                 each.update(picture)
-                each.show(shown)
-                _fix_words(server, each.words)
+            each.show(shown)
+            for words in each.words:
+                fix(server.scene, words)
+        serializer = serializer or server.get_scene_serializer()
         for step in range(0, max(each.longest for each in scenes) + STRIDE, STRIDE):
             for each in scenes:
                 each.drive(step)
             serializer.insert_sleep(FRAME_S)
         serializer.insert_sleep(REST_S)
+    assert serializer is not None, "there is a fit"
     return serializer
-
-
-def _fix_words(server: viser.ViserServer, words: Sequence[Words]) -> None:
-    for each in words:
-        fix(server.scene, each)

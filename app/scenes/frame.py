@@ -7,16 +7,9 @@ import viser
 
 from app.scenes.colours import rgb
 from app.scenes.control import Clock, Selection
-from app.scenes.words import Words
+from app.scenes.stage import light
+from app.scenes.words import Vector, Words
 from app.theme import ACCENT, Mode
-
-GLOW: dict[Mode, float] = {"light": 1.7, "dark": 1.1}
-"""brightness of the ambient light"""
-
-FRONT = (-1.5, -4.0, 2.5)
-"""position of the front light, which shines towards the origin"""
-
-Vector = tuple[float, float, float]
 
 
 class Frame:
@@ -95,18 +88,12 @@ class Frame:
         # No environment map: viser fades in the canvas after its default map is loaded. If another
         # map arrives meanwhile, the scene stays pale until it is opened again.
         self.client.scene.configure_environment_map(None)
-        self._light()
-
-    def _light(self) -> None:
-        """Ambient light, and some light from the front."""
-        scene = self.client.scene
-        scene.add_light_ambient("/glow", intensity=GLOW[self.mode])
-        scene.add_light_directional("/fill", intensity=self.fill, position=FRONT)
+        light(self.client.scene, self.mode, self.fill)
 
     def clear(self) -> None:
         """Remove everything from the scene except the light."""
         self.client.scene.reset()
-        self._light()
+        light(self.client.scene, self.mode, self.fill)
 
     def _build_panel(self) -> None:
         raise NotImplementedError

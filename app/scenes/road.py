@@ -12,7 +12,7 @@ from app.data.roadmap import RoadShape, circle, outline
 from app.scenes import arrays, solids
 from app.scenes.colours import rgb
 from app.scenes.solids import Robot, copies
-from app.scenes.words import Words, add_words, extent
+from app.scenes.words import Vector, Words, add_words, extent
 from app.theme import NEUTRAL, Mode, learner_colour, learner_label
 
 CAMERA = (0.5, -0.12, 0.82)
@@ -153,7 +153,6 @@ class Fleet:
 
 
 Shown = viser.SceneNodeHandle | Fleet
-Vector = tuple[float, float, float]
 
 
 def place(number: int) -> float:

@@ -1,4 +1,4 @@
-"""The floor and background of robots; the floor moves under a robot that the camera follows."""
+"""The light, floor and background of scenes; the floor moves under a followed robot."""
 
 import numpy as np
 import viser
@@ -6,6 +6,8 @@ import viser
 from app.scenes.colours import rgb
 from app.theme import BACKGROUND, Mode
 
+GLOW: dict[Mode, float] = {"light": 1.7, "dark": 1.1}
+"""brightness of the ambient light"""
 CELL = 0.5
 """metres between two lines of the floor"""
 SECTION = 2.0
@@ -33,6 +35,12 @@ def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
         shadow_opacity=0.25,
         position=(0.0, 0.0, height),
     )
+
+
+def light(scene: viser.SceneApi, mode: Mode, front: float) -> None:
+    """Ambient light, and light of some brightness from the front, towards the origin."""
+    scene.add_light_ambient("/glow", intensity=GLOW[mode])
+    scene.add_light_directional("/fill", intensity=front, position=(-1.5, -4.0, 2.5))
 
 
 def sky(scene: viser.SceneApi, mode: Mode) -> None:

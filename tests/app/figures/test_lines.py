@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.figures.thinning import decimate
+from app.figures.lines import decimate
 
 
 @settings(deadline=None)

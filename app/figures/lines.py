@@ -1,11 +1,27 @@
-"""Log axes cannot show values at or below zero: figures count these and cut their bands."""
+"""What a figure leaves out of long lines, and of values at or below zero on a log axis."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
+
+
+def decimate(
+    step: NDArray[np.int64], value: NDArray[np.float64], limit: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64], bool]:
+    """At most `limit` points with the extremes of every bucket; whether points were dropped."""
+    if len(step) <= limit:
+        return step, value, False
+    edges = np.linspace(0, len(step), limit // 2 + 1).astype(int)
+    keep = [
+        index
+        for a, b in pairwise(edges)
+        for index in sorted({a + int(np.argmin(value[a:b])), a + int(np.argmax(value[a:b]))})
+    ]
+    return step[keep], value[keep], True
 
 
 def left_out(lines: Sequence[tuple[NDArray, NDArray]], *, log_x: bool, log_y: bool) -> list[str]:
