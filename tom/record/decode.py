@@ -197,13 +197,3 @@ def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     )
     table.insert(0, "env_step", np.array(sorted(merged), np.int64))
     return table
-
-
-def tidy(table: pd.DataFrame) -> pd.DataFrame:
-    """The table in the form of `metrics_table`, one row for each `env_step`."""
-    metrics = [name for name in table.columns if name != "env_step"]
-    numbers = table[metrics].apply(pd.to_numeric, errors="coerce").astype(np.float64)
-    table = pd.concat([table[["env_step"]].astype(np.int64), numbers], axis=1)
-    if table["env_step"].is_monotonic_increasing and table["env_step"].is_unique:
-        return table
-    return table.groupby("env_step", sort=True, as_index=False).last()

@@ -9,7 +9,6 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from tom.data.unpack import open_file
 from tom.record import checkpoint, layout
 from tom.record.files import files_in, read_json, replace_json
 
@@ -64,5 +63,5 @@ def _names(path: Path) -> Iterator[str]:
 
 
 def _digest(path: Path) -> str:
-    with open_file(path) as file:
+    with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

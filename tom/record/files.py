@@ -15,8 +15,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from tom.data.unpack import read_bytes
-
 
 def beside(path: Path) -> Path:
     """A name for what will be renamed to `path`, of nobody else.
@@ -210,10 +208,7 @@ def modified(path: Path) -> int:
 
 def read_json(path: Path) -> dict[str, Any]:
     """The JSON object in `path`. Raises OSError, or ValueError if it is something else."""
-    try:
-        content = json.loads(read_bytes(path))
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
+    content = json.loads(path.read_bytes())
     if not isinstance(content, dict):
         raise ValueError("not a JSON object")
     return content
@@ -221,7 +216,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
     """The rows of a JSON lines file, and the errors of the skipped lines."""
-    lines = read_bytes(path).split(b"\n")
+    lines = path.read_bytes().split(b"\n")
     rows: list[dict[str, Any]] = []
     problems: list[str] = []
     for number, line in enumerate(lines, start=1):
@@ -242,6 +237,6 @@ def parse_json_line(line: bytes) -> dict[str, Any] | None:
     """The JSON object in a line; None if it is anything else."""
     try:
         row = json.loads(line)
-    except (ValueError, RecursionError):
+    except ValueError:
         return None
     return row if isinstance(row, dict) else None

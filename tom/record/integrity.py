@@ -49,7 +49,7 @@ def verify(reader: RunReader) -> list[str]:
     fresh.list_folders()
     problems = list(fresh.problems)
     for path in _arrays(fresh.path):
-        error = _unreadable(path, fresh.most_bytes)
+        error = _unreadable(path)
         name = str(path.relative_to(fresh.path))
         if error and path.parent.name in PASSING and path not in path.parent.iterdir():
             continue  # the training has replaced it since it was listed
@@ -96,7 +96,7 @@ def repair(reader: RunReader) -> list[str]:
         ]
         done += [text for text in mended if text]
         for path in _arrays(reader.path):
-            if _name(reader, path) in altered or _unreadable(path, reader.most_bytes):
+            if _name(reader, path) in altered or _unreadable(path):
                 done.append(f"{_name(reader, path)}: {_set_aside(reader, path)}")
         done += [text for text in (_mend_status(reader, altered), _mend_table(reader)) if text]
         done += _accept(reader, [name for name in altered if name not in "\n".join(done)])
@@ -131,15 +131,15 @@ def _arrays(path: Path) -> Iterator[Path]:
                 yield file
 
 
-def _unreadable(path: Path, most: int) -> str | None:
-    """Why an array file cannot be read completely (at most `most` bytes); None if it can."""
+def _unreadable(path: Path) -> str | None:
+    """Why an array file cannot be read completely; None if it can."""
     try:
         if path.is_symlink():
             raise ValueError("a link is not followed")
         if path.suffix == ".parquet":
-            read_table(path, most)
+            read_table(path)
         else:
-            read_arrays(path, most)
+            read_arrays(path)
     except DAMAGE as error:
         return reason(error)
     return None
@@ -204,9 +204,9 @@ def _mend_lines(reader: RunReader, name: str, table: pd.DataFrame | None = None)
 def _table(reader: RunReader) -> pd.DataFrame | None:
     """The Parquet copy of the metrics; None if it is not whole."""
     path = reader.path / layout.METRICS_TABLE
-    if _unreadable(path, reader.most_bytes):
+    if _unreadable(path):
         return None
-    table = read_table(path, reader.most_bytes)
+    table = read_table(path)
     return table if "env_step" in table else None
 
 

@@ -18,13 +18,12 @@ from tom.data.transitions import Transitions
 from tom.data.unpack import cannot_read_now
 from tom.errors import reason
 from tom.events import Episode
-from tom.record import bounds, decode, labels, layout, small_copy, status
+from tom.record import decode, labels, layout, small_copy, status
 from tom.record.array_files import DAMAGE, read_arrays, read_table
 from tom.record.decode import Arrays
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
 from tom.record.profiles import Profiles
-from tom.record.rows import read_metrics
 from tom.record.status import Status
 
 T = TypeVar("T")
@@ -111,11 +110,6 @@ class RunReader:
         """When the run was created, ISO 8601; empty when unknown."""
         return str(self.config.get("created", ""))
 
-    @cached_property
-    def most_bytes(self) -> int:
-        """Upper bound in bytes of an unpacked array file; larger ones are not read."""
-        return bounds.most_bytes(self.config)
-
     @property
     def small_copy(self) -> bool:
         """Whether it is a small copy (`tom runs export --small`), which cannot be resumed."""
@@ -149,19 +143,14 @@ class RunReader:
         """
         rows, table = self.path / layout.METRICS, self.path / layout.METRICS_TABLE
         if modified(table) >= modified(rows) > 0:
-            read = self._read(layout.METRICS_TABLE, self._table)
+            read = self._read(layout.METRICS_TABLE, read_table)
             if read is not None and "env_step" in read:
                 return read
         return self.metric_rows()
 
     def metric_rows(self) -> pd.DataFrame:
         """`metrics` of the rows themselves, whatever the Parquet copy says."""
-        read = self._read(layout.METRICS, read_metrics)
-        if read is None:
-            return decode.metrics_table([])
-        for problem in read[1]:
-            self._problem(problem)
-        return read[0]
+        return decode.metrics_table(self._lines(layout.METRICS))
 
     def profiles(self) -> Profiles:
         """The weight profile of every model fit."""
@@ -180,7 +169,7 @@ class RunReader:
 
     def snapshot(self, step: int) -> pd.DataFrame:
         """One row per transition, oldest first: `weight`, and if stored `log_ratio`, `dim_i`."""
-        read = self._read(layout.snapshot(step), self._table, needed=True)
+        read = self._read(layout.snapshot(step), read_table, needed=True)
         return pd.DataFrame({"weight": np.zeros(0, np.float32)}) if read is None else read
 
     def policy_steps(self) -> list[int]:
@@ -203,7 +192,7 @@ class RunReader:
         """The evaluation episodes at `step`."""
 
         def episodes(path: Path) -> list[Episode]:
-            return decode.episodes_of(read_arrays(path, self.most_bytes))
+            return decode.episodes_of(read_arrays(path))
 
         return self._read(layout.episodes(step), episodes, needed=True) or []
 
@@ -249,7 +238,7 @@ class RunReader:
         self, name: str, wanted: Callable[[str], bool] = lambda name: True
     ) -> dict[str, NDArray] | None:
         """The `wanted` arrays of the run's file `name`; None if it cannot be read."""
-        return self._read(name, lambda p: read_arrays(p, self.most_bytes, wanted), needed=True)
+        return self._read(name, lambda p: read_arrays(p, wanted), needed=True)
 
     def list_folders(self) -> None:
         """Name folders that cannot be listed among `problems`: they look as if they were empty."""
@@ -264,7 +253,7 @@ class RunReader:
         """Rows with their policy versions, and states, of every segment up to the first gap."""
 
         def segment(path: Path) -> tuple[tuple[Transitions, NDArray[np.int64]], Arrays]:
-            arrays = read_arrays(path, self.most_bytes)
+            arrays = read_arrays(path)
             return decode.transitions_of(arrays), decode.state_of(arrays)
 
         row, widths = 0, None
@@ -285,9 +274,6 @@ class RunReader:
                 return
             yield part
             row += len(part[0][0])
-
-    def _table(self, path: Path) -> pd.DataFrame:
-        return read_table(path, self.most_bytes)
 
     def _lines(self, name: str) -> list[dict[str, Any]]:
         rows, problems = self._read(name, read_json_lines) or ([], [])

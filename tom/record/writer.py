@@ -18,9 +18,16 @@ from tom.events import Episode, Weights
 from tom.record import decode, digests, layout, lock, opening
 from tom.record.array_files import NUMBERS, read_arrays, write_table
 from tom.record.creating import make_folder
-from tom.record.files import JsonLines, begins_with, read_json, replace, replace_json, sync
+from tom.record.files import (
+    JsonLines,
+    begins_with,
+    read_json,
+    read_json_lines,
+    replace,
+    replace_json,
+    sync,
+)
 from tom.record.reader import RunReader
-from tom.record.rows import read_metrics
 from tom.record.status import Status
 from tom.record.store import Store
 from tom.record.versions import git_commit, versions
@@ -117,7 +124,7 @@ class RunWriter:
                 (self.path / layout.segment(first)).unlink()
         if mark["segment_rows"]:
             name = layout.segment(self._tail_first)
-            held = read_arrays(self.path / name, RunReader(self.path).most_bytes)
+            held = read_arrays(self.path / name)
             self._tail = [{of: held[of][: mark["segment_rows"]] for of in held}]
             # Its later rows would overlap the next segment's.
             self._arrays(name, self._tail[0], sync=True)
@@ -247,8 +254,8 @@ class RunWriter:
         self._lock.check()
         for lines in self._lines():
             lines.keep_name()
-        rows, _ = read_metrics(self.path / layout.METRICS)
-        table = pa.Table.from_pandas(rows, preserve_index=False)
+        rows, _ = read_json_lines(self.path / layout.METRICS)
+        table = pa.Table.from_pandas(decode.metrics_table(rows), preserve_index=False)
         self._table(layout.METRICS_TABLE, table, sync=True)
 
     def digests(self) -> None:

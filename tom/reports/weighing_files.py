@@ -44,7 +44,7 @@ BRUSH = "brush"
 ROWS = "rows_digest"
 """entry of a report whose weighing holds its rows: their digest"""
 SEGMENT_BYTES = 64 * 2**20
-"""bytes of rows per file: less than a reader accepts (`tom.data.unpack.MOST`)"""
+"""bytes of rows per file"""
 
 
 def of_run(store: Path, run_id: str) -> list[Path]:

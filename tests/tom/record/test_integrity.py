@@ -536,10 +536,10 @@ def test_a_snapshot_that_the_training_deletes_meanwhile_is_no_damage(
             recorder.consume(weights(step))
         replaced = store.path / "run" / "weights/snapshot-000000200.parquet"
 
-        def read(path: Path, most: int) -> object:
+        def read(path: Path) -> object:
             if path == replaced:
                 recorder.consume(weights(300))
-            return read_table(path, most)
+            return read_table(path)
 
         monkeypatch.setattr(integrity, "read_table", read)
         assert replaced.exists()
@@ -554,9 +554,9 @@ def test_a_file_that_no_training_deletes_is_missed_if_it_vanishes(
     gone = run.path / "episodes/000000500.npz"
     (run.path / "digests.json").unlink()
 
-    def read(path: Path, most: int) -> object:
+    def read(path: Path) -> object:
         gone.unlink(missing_ok=True)
-        return read_arrays(path, most)
+        return read_arrays(path)
 
     monkeypatch.setattr(integrity, "read_arrays", read)
     (problem,) = verify(run)

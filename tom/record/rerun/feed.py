@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from tom.data.unpack import open_file
 from tom.envs import ROAD
 from tom.errors import UserError
 from tom.events import Evaluation, Field
@@ -52,7 +51,7 @@ class Tail:
     def _next_block(self) -> bytes:
         """Some complete lines; empty if there are no new ones."""
         try:
-            with open_file(self._path) as file:
+            with self._path.open("rb") as file:
                 size = file.seek(0, os.SEEK_END)
                 if size < self._offset:  # a resumed run writes the following rows again
                     self._offset = file.seek(0)
@@ -60,7 +59,7 @@ class Tail:
                 text = file.read(BLOCK_BYTES)
                 while text and b"\n" not in text and (more := file.read(BLOCK_BYTES)):
                     text += more
-        except (OSError, ValueError):  # it does not exist yet, or is not a file
+        except OSError:  # it does not exist yet
             return b""
         whole = text[: text.rfind(b"\n") + 1]
         self._offset += len(whole)
