@@ -212,7 +212,7 @@ def _listed(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     named = (path for path in folder.iterdir() if _STEP.fullmatch(path.name))
-    checkpoints = [path for path in named if path.is_dir() and not path.is_symlink()]
+    checkpoints = [path for path in named if path.is_dir()]
     return sorted(checkpoints, key=lambda p: int(p.name), reverse=True)
 
 

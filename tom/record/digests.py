@@ -5,7 +5,6 @@ which can be made again from the files, and checkpoints, whose manifests have th
 """
 
 import hashlib
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,10 +33,8 @@ def changed(path: Path) -> dict[str, str]:
     Empty for a run without digests (not finished, or of an earlier version). Raises OSError or
     ValueError if the digests cannot be read.
     """
-    if not os.path.lexists(path / layout.DIGESTS):
+    if not (path / layout.DIGESTS).exists():
         return {}
-    if (path / layout.DIGESTS).is_symlink():
-        raise ValueError("a link is not followed")
     content = read_json(path / layout.DIGESTS)
     written = content.get("sha256")
     if content.get("schema") != SCHEMA or not isinstance(written, dict):

@@ -148,8 +148,7 @@ class JsonLines:
             self._file = -1
 
     def _open(self) -> None:
-        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW  # never follow a link
-        self._file = os.open(self.path, flags, 0o644)
+        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         self._digest = hashlib.sha256(self._content())
 
     def _content(self) -> bytes:

@@ -22,7 +22,6 @@ from tom.record.files import begins_with, modified, read_json_lines, replace_jso
 from tom.record.files import replace as replace_file
 from tom.record.manage import refused, unwritten
 from tom.record.mend import mend_lines
-from tom.record.opening import refuse_links
 from tom.record.reader import RunReader
 from tom.record.status import Status
 
@@ -76,15 +75,14 @@ def verify(reader: RunReader) -> list[str]:
 def repair(reader: RunReader) -> list[str]:
     """Repair a run; returns what was done, one line each.
 
-    Raises UserError while the run is being written, if a part of it is a link, or if the disk is
-    full: what is mended by then stays mended.
+    Raises UserError while the run is being written, or if the disk is full: what is mended by then
+    stays mended.
 
     Damaged lines become blank, rows of metrics come back from the Parquet copy if that is whole,
     else the copy is made again. Damaged arrays are set aside, the state of a dead run becomes
     `stopped`, a lost status is made again, and temporary files of an interrupted write are removed.
     """
     done: list[str] = []
-    refuse_links(reader.path)
     with unwritten(reader), refused(f"cannot repair run '{reader.run_id}'"):
         for path in _left(reader):
             path.unlink()
@@ -134,8 +132,6 @@ def _arrays(path: Path) -> Iterator[Path]:
 def _unreadable(path: Path) -> str | None:
     """Why an array file cannot be read completely; None if it can."""
     try:
-        if path.is_symlink():
-            raise ValueError("a link is not followed")
         if path.suffix == ".parquet":
             read_table(path)
         else:
@@ -173,7 +169,7 @@ def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
 
 def _left(reader: RunReader) -> list[Path]:
     """Temporary files of an interrupted write."""
-    return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file() and not p.is_symlink())
+    return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file())
 
 
 def _mend_metrics(reader: RunReader, altered: Collection[str]) -> str | None:

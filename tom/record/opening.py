@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from tom.errors import UserError
 from tom.record import layout
 from tom.record.files import replace
 
@@ -31,14 +30,3 @@ def renew(path: Path) -> None:
         held = path / name
         if held.exists():
             replace(held, lambda file, held=held: file.write(held.read_bytes()), sync=True)
-
-
-def refuse_links(path: Path) -> None:
-    """Raises UserError if a part of the run folder is a link or not a regular file."""
-    names = [*layout.FOLDERS, "checkpoint", layout.METRICS, layout.PROFILES, layout.NOTICES]
-    for name in (*names, layout.DAMAGED, layout.LOCK):
-        if (path / name).is_symlink():
-            raise UserError(f"{name} of run '{path.name}' is a link: not followed; remove it")
-    for name in (layout.METRICS, layout.PROFILES, layout.NOTICES, layout.LOCK):
-        if (path / name).exists() and not (path / name).is_file():
-            raise UserError(f"{name} of run '{path.name}' is no file: remove it")

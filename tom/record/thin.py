@@ -79,7 +79,7 @@ def _settle(status: Status, copy: Path) -> None:
 
 def _copy(reader: RunReader, to: Path, without: Collection[str]) -> None:
     for name in (layout.STATUS, layout.LABELS, layout.NOTICES, layout.SCENE):
-        if (reader.path / name).is_file() and not (reader.path / name).is_symlink():
+        if (reader.path / name).is_file():
             shutil.copyfile(reader.path / name, to / name)
     _lines(to / layout.METRICS, _chosen_rows(reader))
     _lines(to / layout.PROFILES, _profile_rows(reader.profiles()))

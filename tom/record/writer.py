@@ -49,12 +49,7 @@ class RunWriter:
     """
 
     def __init__(self, path: Path, config: RunConfig) -> None:
-        """Open the run folder `path`.
-
-        Raises UserError if another process writes it, or if a part of it is a link: nothing is ever
-        written outside the folder.
-        """
-        opening.refuse_links(path)
+        """Open the run folder `path`. Raises UserError if another process writes it."""
         self.path = path
         self.config = config
         self.run_id = path.name

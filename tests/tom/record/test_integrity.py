@@ -412,18 +412,6 @@ def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
     assert sizes.prune(run, keep=1) == 0, "none is whole: a part of one may be saved by hand"
 
 
-def test_a_part_that_leads_elsewhere_is_not_mended(record, tmp_path: Path):
-    run = record()
-    outside = tmp_path / "outside"
-    (run.path / "episodes").rename(outside)
-    (outside / "000000001.npz").write_bytes(b"no array")
-    (run.path / "episodes").symlink_to(outside)
-    before = sorted(outside.iterdir())
-    with pytest.raises(UserError, match="episodes of run 'run' is a link"):
-        repair(run)
-    assert sorted(outside.iterdir()) == before
-
-
 def test_the_model_of_a_small_copy_is_read_too(record):
     run = record()
     state = checkpoint.save(run.path / "model", 5, {}) / checkpoint.STATE

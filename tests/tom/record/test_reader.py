@@ -148,16 +148,6 @@ def test_what_is_not_there_is_empty(tmp_path):
     assert run.status.state == "unknown"
 
 
-def test_a_file_that_is_a_link_out_of_the_run_is_not_read(record, tmp_path):
-    run = record()
-    secret = tmp_path / "secret.jsonl"
-    secret.write_text('{"env_step": 1, "secret": 1}\n')
-    (run.path / "notices.jsonl").unlink()
-    (run.path / "notices.jsonl").symlink_to(secret)
-    assert run.notices() == []
-    assert problem(run) == "notices.jsonl leads out of the run folder and was not read"
-
-
 def test_recordings_are_in_the_order_they_were_written(record):
     run = record()
     for name in ("run-10.rrd", "run.rrd", "run-2.rrd", "run-x.rrd"):

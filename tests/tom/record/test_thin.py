@@ -243,14 +243,6 @@ def test_a_copy_does_not_tell_where_its_run_lay(record, tmp_path: Path):
     ]
 
 
-def test_what_a_link_leads_to_is_not_copied(record, tmp_path: Path):
-    run, secret = record(), tmp_path / "secret"
-    secret.write_text('{"name": "mine"}')
-    (run.path / "labels.json").symlink_to(secret)
-    small = export_small(run, tmp_path / "out")
-    assert not (small / "labels.json").exists()
-
-
 @pytest.mark.parametrize("note", [None, 1, [], {}, {"left_out": "buffer"}, {"left_out": [1]}])
 def test_a_note_that_says_nothing_is_no_error(record, tmp_path: Path, note: object):
     small = RunReader(export_small(record(), tmp_path))
