@@ -1,7 +1,6 @@
 """Writes a run folder (docs/run-folder.md): files only, no threads."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,8 +36,6 @@ SEGMENT_ROWS = 4096
 
 RESUMING = ("versions", "settings", "checkpoint")
 """the kinds of notice that a resume begins with"""
-BALLAST_BYTES = 64 * 1024
-"""freed when the disk is full, as space for the final status"""
 
 
 class RunWriter:
@@ -66,7 +63,6 @@ class RunWriter:
         self._tail: list[dict[str, NDArray]] = []
         self._tail_first = 0
         self._unsynced: set[Path] = set()
-        self._take_ballast()
 
     @classmethod
     def create(
@@ -141,15 +137,6 @@ class RunWriter:
     def check(self) -> None:
         """Raises LostError if another writer has taken over the folder."""
         self._lock.check()
-
-    def throw_off_ballast(self) -> None:
-        """Free the space that is reserved for the final status on a full disk."""
-        if not self._lock.lost:
-            (self.path / layout.BALLAST).unlink(missing_ok=True)
-
-    def _take_ballast(self) -> None:
-        with suppress(OSError):  # if the disk is that full, the first row will raise an error
-            replace(self.path / layout.BALLAST, lambda f: f.write(bytes(BALLAST_BYTES)), sync=False)
 
     def resumed(self, config: RunConfig, command: str) -> None:
         """Add to `config.json` that the run was resumed, with which code and until which step."""
@@ -262,7 +249,6 @@ class RunWriter:
         """Close the files and release the lock."""
         for lines in self._lines():
             lines.close()
-        self.throw_off_ballast()
         self._lock.close()
 
     def _tail_rows(self) -> int:
