@@ -1,6 +1,5 @@
 """Errors in one line: those a user can fix, those that end a training, and any other."""
 
-import errno
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -33,17 +32,6 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     near = get_close_matches(name.lower(), names, n=1, cutoff=0.5)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return UserError(f"unknown {kind} '{name}': {hint}Known: {', '.join(names)}")
-
-
-UNREACHABLE = (errno.EACCES, errno.ENAMETOOLONG)
-"""errors of paths that cannot even be looked at"""
-
-
-def unreachable(error: OSError) -> UserError | None:
-    """The error in a user's words, if it is of a path that cannot be looked at; else None."""
-    if error.errno not in UNREACHABLE or error.filename is None:
-        return None
-    return UserError(f"{error.filename}: {error.strerror}: name a path that this user can reach")
 
 
 def reason(error: BaseException) -> str:

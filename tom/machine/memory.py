@@ -24,7 +24,7 @@ def available() -> int:
     return int(free[0]) * 1024 if free else sys.maxsize
 
 
-REFUSING = (MemoryError, RuntimeError, ValueError, TypeError)
+REFUSING = (MemoryError, RuntimeError)
 """types of the errors that a lack of memory may be; `ran_out` tells which of them are"""
 
 _REFUSALS = (
