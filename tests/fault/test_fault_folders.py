@@ -21,7 +21,7 @@ from same_records import assert_same_record
 from tom.cli import main
 from tom.errors import NOT_NOW, START_AGAIN, UserError
 from tom.record import Store, checkpoint
-from tom.record.integrity import repair, verify
+from tom.record.integrity import verify
 from tom.record.manage import restore, trash
 from tom.record.rerun.feed import stream
 from tom.training.resume import recorded_config, resume, unfinished
@@ -326,14 +326,3 @@ def test_a_thousand_run_folders__are_all_listed_and_each_file_of_them_read_once(
     assert len(listed) == 1000
     assert set(opened) <= {"config.json", "status.json", "labels.json"}
     assert set(opened.values()) == {1000}
-
-
-@pytest.mark.quick
-@pytest.mark.parametrize("name", ["status.json", "digests.json"])
-def test_a_folder_in_place_of_a_file__is_set_aside_by_repair(store: Store, name: str):
-    run = store.run("whole")
-    (run.path / name).unlink()
-    (run.path / name).mkdir()
-    repair(run)
-    assert (run.path / "damaged" / name).is_dir()
-    assert verify(run) == []

@@ -17,7 +17,6 @@ from tom.errors import reason
 from tom.record import checkpoint, digests, layout
 from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
 from tom.record.aside import copy_aside, set_aside
-from tom.record.decode import is_whole
 from tom.record.files import begins_with, modified, read_json_lines, replace_json
 from tom.record.files import replace as replace_file
 from tom.record.manage import refused, unwritten
@@ -155,8 +154,6 @@ def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
     lost = unlike(reader.path, held) if held is not None else []
     if not lost and not _altered(reader.path):
         return []
-    if (reader.path / layout.DIGESTS).is_dir():
-        _set_aside(reader, reader.path / layout.DIGESTS)
     digests.write(reader.path)
     kept = [name for name in altered if (reader.path / name).is_file()]
     return [f"{text}: kept as it is now" for text in lost if text.split()[0] not in altered] + [
@@ -252,7 +249,7 @@ def _total(reader: RunReader) -> int:
     settings = reader.config.get("config")
     steps = settings.get("steps") if isinstance(settings, dict) else None
     kind = RunConfig if reader.fits_model else SacRecordingConfig
-    return kind.model_construct(steps=steps).total_steps if is_whole(steps) else 0
+    return kind.model_construct(steps=steps).total_steps if isinstance(steps, int) else 0
 
 
 def _last(table: pd.DataFrame, name: str) -> float | None:
@@ -288,7 +285,4 @@ def _name(reader: RunReader, path: Path) -> str:
 def _when(unix: float) -> str:
     if unix <= 0:
         return "ever"
-    try:
-        return datetime.fromtimestamp(unix).isoformat(" ", "seconds")
-    except (ValueError, OverflowError, OSError):  # beyond the last date, as of milliseconds
-        return f"unix second {unix:.0f}"
+    return datetime.fromtimestamp(unix).isoformat(" ", "seconds")

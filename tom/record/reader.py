@@ -34,13 +34,6 @@ def at_or_before(steps: Sequence[int], step: int) -> int:
     return max((at for at in steps if at <= step), default=steps[0])
 
 
-def _widths(part: tuple[tuple[Transitions, NDArray[np.int64]], Arrays]) -> list[tuple[int, ...]]:
-    """The shape of a row in each of a segment's arrays."""
-    (rows, _), state = part
-    arrays = [rows.obs, rows.action, rows.reward, rows.next_obs, rows.terminated, rows.truncated]
-    return [np.shape(array)[1:] for array in (*arrays, *state.values())]
-
-
 class RunReader:
     """One run folder. Cheap to make; every call reads the current files."""
 
@@ -99,11 +92,7 @@ class RunReader:
 
     @property
     def seed(self) -> int:
-        seed = self.config.get("seed", 0)
-        if isinstance(seed, int) and abs(seed) < 2**63:
-            return seed
-        self._problem(f"{layout.CONFIG}: its seed is no number of 64 bits, and shown as 0")
-        return 0
+        return self.config.get("seed", 0)
 
     @property
     def created(self) -> str:
@@ -150,18 +139,15 @@ class RunReader:
 
     def metric_rows(self) -> pd.DataFrame:
         """`metrics` of the rows themselves, whatever the Parquet copy says."""
-        return decode.metrics_table(self._lines(layout.METRICS))
+        return self._rows(layout.METRICS, decode.metrics_table)
 
     def profiles(self) -> Profiles:
         """The weight profile of every model fit."""
-        profiles, bad = decode.profiles_of(self._lines(layout.PROFILES))
-        if bad:
-            self._problem(f"{layout.PROFILES}: {bad} unusable rows were skipped")
-        return profiles
+        return self._rows(layout.PROFILES, decode.profiles_of)
 
     def notices(self) -> list[dict[str, Any]]:
         """The notices, with `env_step`, `kind` and `message`."""
-        return self._lines(layout.NOTICES)
+        return self._rows(layout.NOTICES, list)
 
     def snapshot_steps(self) -> list[int]:
         """Steps of the model fits whose single weights were stored."""
@@ -256,7 +242,7 @@ class RunReader:
             arrays = read_arrays(path)
             return decode.transitions_of(arrays), decode.state_of(arrays)
 
-        row, widths = 0, None
+        row = 0
         self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one
         for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
             name = layout.segment(first)
@@ -266,20 +252,18 @@ class RunReader:
             part = self._read(name, segment)
             if part is None:
                 return
-            widths = widths or _widths(part)
-            if _widths(part) != widths:
-                self._problem(
-                    f"{name}: its rows are of another width; it and later rows are left out"
-                )
-                return
             yield part
             row += len(part[0][0])
 
-    def _lines(self, name: str) -> list[dict[str, Any]]:
-        rows, problems = self._read(name, read_json_lines) or ([], [])
-        for problem in problems:
-            self._problem(problem)
-        return rows
+    def _rows(self, name: str, decoded: Callable[[list[dict[str, Any]]], T]) -> T:
+        def lines(path: Path) -> T:
+            rows, problems = read_json_lines(path)
+            for problem in problems:
+                self._problem(problem)
+            return decoded(rows)
+
+        read = self._read(name, lines)
+        return decoded([]) if read is None else read
 
     def _read(self, name: str, read: Callable[[Path], T], *, needed: bool = False) -> T | None:
         try:

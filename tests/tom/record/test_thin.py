@@ -39,14 +39,6 @@ def test_next_observations_come_back_from_the_following_rows(count: int):
     np.testing.assert_array_equal(rows.next_obs, following)
 
 
-@pytest.mark.parametrize("jump", [[-1], [9], [0.5]])
-def test_a_jump_from_a_row_that_is_not_there_is_damage(jump: list[float]):
-    obs = np.zeros((4, 2), np.float32)
-    damaged = decode.without_next_obs(segment(obs, obs)) | {"jump": np.array(jump)}
-    with pytest.raises(ValueError, match="not there"):
-        decode.transitions_of(damaged)
-
-
 def test_halves_are_close_and_large_numbers_stay():
     numbers = np.random.default_rng(0).normal(size=1000) * 10.0 ** np.arange(-5, 5).repeat(100)
     assert half(numbers).dtype == (np.float16 if np.abs(numbers).max() < 65504 else np.float32)
@@ -241,15 +233,6 @@ def test_a_copy_does_not_tell_where_its_run_lay(record, tmp_path: Path):
     assert small.config["resumes"] == [
         {"at": "noon", "command": "tom train --resume=run --headless"}
     ]
-
-
-@pytest.mark.parametrize("note", [None, 1, [], {}, {"left_out": "buffer"}, {"left_out": [1]}])
-def test_a_note_that_says_nothing_is_no_error(record, tmp_path: Path, note: object):
-    small = RunReader(export_small(record(), tmp_path))
-    content = {**small.config, "thinned": note}
-    (small.path / "config.json").write_text(json.dumps(content))
-    found = RunReader(small.path)
-    assert (found.small_copy, found.left_out) == (True, ())
 
 
 def test_what_is_large_is_left_out_unless_it_is_asked_for(
