@@ -12,7 +12,7 @@ from app.figures.base import DASHES, ENV_STEPS, Y_AXIS, across, note, styled, up
 from app.figures.scales import linear_scale, octaves, relative_scale
 from app.theme import Mode, learner_colour, learner_label
 from tom.analysis.curves import Curve
-from tom.record.profiles import Profiles
+from tom.record.decode import Profiles
 
 FLOOR = 0.01
 """the smallest weight on a log axis, a hundredth of uniform; lower ones are drawn there"""

@@ -21,8 +21,7 @@ from typing import Any, BinaryIO, cast
 from tom.data.unpack import cannot_read_now
 from tom.errors import reason
 from tom.record import layout
-from tom.record.aside import set_aside
-from tom.record.files import beside, read_json, sync
+from tom.record.files import beside, read_json, set_aside, sync
 
 SCHEMA = 1
 FOLDER = "checkpoint"

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
 from tom.events import Episode
-from tom.record.profiles import Profiles
 
 Arrays = Mapping[str, NDArray]
 
@@ -108,6 +107,20 @@ def empty_transitions() -> tuple[Transitions, NDArray[np.int64]]:
     flat, wide = np.zeros(0, np.float32), np.zeros((0, 0), np.float32)
     rows = Transitions(wide, wide, flat, wide, flat.astype(bool), flat.astype(bool))
     return rows, np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """The profiles of F model fits (`tom.data.sampling.bin_means`).
+
+    In runs recorded before 2026-11-22 bins have whole rows, and NaN if there are none.
+    """
+
+    env_step: NDArray[np.int64]  # (F,)
+    bins: NDArray[np.float64]  # (F, bins)
+    count: NDArray[np.int64]  # (F,) transitions in the buffer
+    ess: NDArray[np.float64]  # (F,) effective sample size as a share of the buffer
+    zeros: NDArray[np.float64]  # (F,) share of transitions with weight zero
 
 
 def profiles_of(rows: Sequence[Mapping[str, Any]]) -> Profiles:

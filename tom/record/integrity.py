@@ -16,8 +16,14 @@ from tom.config import RunConfig, SacRecordingConfig
 from tom.errors import reason
 from tom.record import checkpoint, digests, layout
 from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
-from tom.record.aside import copy_aside, set_aside
-from tom.record.files import begins_with, modified, read_json_lines, replace_json
+from tom.record.files import (
+    begins_with,
+    copy_aside,
+    modified,
+    read_json_lines,
+    replace_json,
+    set_aside,
+)
 from tom.record.files import replace as replace_file
 from tom.record.manage import refused, unwritten
 from tom.record.mend import mend_lines

@@ -20,10 +20,9 @@ from tom.errors import reason
 from tom.events import Episode
 from tom.record import decode, labels, layout, small_copy, status
 from tom.record.array_files import DAMAGE, read_arrays, read_table
-from tom.record.decode import Arrays
+from tom.record.decode import Arrays, Profiles
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
-from tom.record.profiles import Profiles
 from tom.record.status import Status
 
 T = TypeVar("T")

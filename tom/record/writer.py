@@ -14,7 +14,7 @@ from tom.config import RunConfig
 from tom.data.sampling import bin_means, ess, zero_share
 from tom.data.transitions import Transitions
 from tom.events import Episode, Weights
-from tom.record import decode, digests, layout, lock, opening
+from tom.record import decode, digests, layout, lock
 from tom.record.array_files import NUMBERS, read_arrays, write_table
 from tom.record.creating import make_folder
 from tom.record.files import (
@@ -52,10 +52,10 @@ class RunWriter:
         self.run_id = path.name
         taken_over = lock.written_here(path) is False
         self._lock = lock.acquire(path)
-        opening.drop_unfinished(path)
-        opening.make_folders(path)
+        _drop_unfinished(path)
+        _make_folders(path)
         if taken_over:
-            opening.renew(path)
+            _renew(path)
         self._metrics = JsonLines(path / layout.METRICS)
         self._profiles = JsonLines(path / layout.PROFILES)
         self._notices = JsonLines(path / layout.NOTICES)
@@ -274,3 +274,29 @@ class RunWriter:
 
         self._lock.check()
         replace(self.path / name, write, sync=sync)
+
+
+def _drop_unfinished(path: Path) -> None:
+    """Remove the temporary files of a killed writer (we hold the lock)."""
+    for folder in (path, *(path / name for name in layout.FOLDERS)):
+        for temporary in folder.glob(".*.tmp"):
+            if not temporary.name.startswith(f".{layout.LABELS}"):  # labels are written by others
+                temporary.unlink(missing_ok=True)
+
+
+def _make_folders(path: Path) -> None:
+    """Make folders that an earlier version did not make."""
+    for name in layout.FOLDERS:
+        (path / name).mkdir(exist_ok=True)
+
+
+def _renew(path: Path) -> None:
+    """Replace the growing files by copies.
+
+    A writer on another machine may still have them open, with rows that its kernel has not sent
+    yet; those rows then end in files that no longer have a name.
+    """
+    for name in (layout.METRICS, layout.PROFILES, layout.NOTICES):
+        held = path / name
+        if held.exists():
+            replace(held, lambda file, held=held: file.write(held.read_bytes()), sync=True)

@@ -17,7 +17,7 @@ from tom.data.transitions import Transitions
 from tom.envs import ROAD, Task
 from tom.envs.scene import Model
 from tom.errors import UserError
-from tom.record.profiles import Profiles
+from tom.record.decode import Profiles
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, task_of
 

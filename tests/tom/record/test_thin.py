@@ -16,8 +16,7 @@ from tom.record import RunReader, Store, checkpoint, decode, layout
 from tom.record.export import export_small
 from tom.record.integrity import verify
 from tom.record.recorder import Recorder
-from tom.record.rounding import half
-from tom.record.thin import OPTIONAL
+from tom.record.thin import OPTIONAL, half
 from tom.record.writer import RunWriter
 
 
