@@ -10,7 +10,7 @@ from app.servers.launcher import Studio, run
 from tom import plugins
 from tom.cli.arguments import Parser
 from tom.cli.parser import folder
-from tom.errors import UserError, unreachable
+from tom.errors import UserError
 from tom.harmless import terminal
 from tom.record.store import Store
 
@@ -39,13 +39,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return cinema.export(store, chosen, args.cinema, args.theme or "light")
         studio = Studio(store=store, host=args.host, port=args.port, theme=args.theme)
         return run(studio, browser=not args.no_browser)
-    except UserError as error:
+    except (UserError, OSError) as error:
         print(f"tom studio: {terminal(error)}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        if (said := unreachable(error)) is None:
-            raise
-        print(f"tom studio: {terminal(said)}", file=sys.stderr)
         return 2
 
 

@@ -46,17 +46,6 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     return UserError(f"unknown {kind} '{name}': {hint}Known: {', '.join(names)}")
 
 
-UNREACHABLE = (errno.EACCES, errno.ENAMETOOLONG)
-"""errors of paths that cannot even be looked at"""
-
-
-def unreachable(error: OSError) -> UserError | None:
-    """The error in a user's words, if it is of a path that cannot be looked at; else None."""
-    if error.errno not in UNREACHABLE or error.filename is None:
-        return None
-    return UserError(f"{error.filename}: {error.strerror}: name a path that this user can reach")
-
-
 def reason(error: BaseException) -> str:
     """Why something failed: the first line of an error, or its type if it has no message."""
     lines = str(error).strip().splitlines() or [type(error).__name__]

@@ -16,8 +16,8 @@ from app.data.pictures import Picture
 from tom.config import Settings
 from tom.errors import UserError
 from tom.record import manage, small_copy, stamps
+from tom.record.decode import Profiles
 from tom.record.labels import Labels
-from tom.record.profiles import Profiles
 from tom.record.reader import RunReader
 from tom.record.stamps import Stamp
 from tom.record.status import DEAD_AFTER_S, Status

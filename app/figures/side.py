@@ -15,7 +15,7 @@ from app.figures.scales import octaves, relative_scale
 from app.figures.weights import AGES, bin_centres, lone, shown_fits
 from app.theme import Mode, learner_colour, learner_symbol
 from tom.analysis.curves import Curve
-from tom.record.profiles import Profiles
+from tom.record.decode import Profiles
 
 Part = tuple[str, Curve, Profiles]
 """a column: name, curve and weight profiles of a run"""

@@ -12,7 +12,7 @@ from app.figures.base import ENV_STEPS, Y_AXIS, across, dashes, note, styled, up
 from app.figures.scales import linear_scale, octaves, relative_scale
 from app.theme import Mode, learner_colour, learner_label
 from tom.analysis.curves import Curve
-from tom.record.profiles import Profiles
+from tom.record.decode import Profiles
 from tom.spread import spread
 
 FLOOR = 0.01

@@ -21,12 +21,8 @@ def limited() -> None:
 @pytest.mark.parametrize(
     "option",
     [
-        "--sac.batch-size=10000000000",
-        "--sac.hidden=10000000",
         "--model.hidden=10000000",
         "--replay-capacity=1000000000000",
-        "--rollout.starts=100000000000",
-        "--evaluation.episodes=10000000000000",
     ],
 )
 def test_settings_that_no_memory_holds__exit_1_one_line_and_a_status_that_says_so(

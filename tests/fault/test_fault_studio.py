@@ -34,7 +34,7 @@ from app.servers import launcher
 from app.servers.launcher import DEFAULT_PORT
 from app.servers.pages import recording_path
 from tom.errors import UserError
-from tom.record import RunReader, Store, manage
+from tom.record import Store, manage
 from tom.record.rerun import hub
 from tom.training.presets import resolve
 from tom.training.run import train
@@ -135,23 +135,6 @@ def test_hostile_words_in_names_notes_settings_and_notices__are_shown_as_plain_w
         pass  # a name or tag that is not allowed is as good as a harmless one
     for query in ({}, {"run": "bad"}, {"runs": "bad"}):
         harmless(page(name, **query))
-
-
-def test_a_seed_that_no_number_holds__is_named_and_every_page_shows_the_runs(store: Path):
-    content = json.loads((store / "mle" / "config.json").read_text())
-    content["seed"] = content["config"]["seed"] = 2**63
-    (store / "mle" / "config.json").write_text(json.dumps(content))
-    for show in ("Runs", "Curves"):
-        app = page("compare", show=show)
-        assert not app.exception, app.exception[0].message
-    for name in NAMES:
-        assert not page(name, run="mle", runs="mle").exception
-    assert "seed" in "".join(problem for run in Store(store).runs() for problem in _problems(run))
-
-
-def _problems(run: RunReader) -> list[str]:
-    assert run.seed >= 0
-    return run.problems
 
 
 def bound() -> list[str]:

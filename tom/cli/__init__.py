@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from tom import __version__, plugins
 from tom.cli.arguments import Parser
-from tom.errors import UserError, reason, unreachable
+from tom.errors import UserError, reason
 from tom.harmless import terminal
 
 COMMANDS = {
@@ -52,9 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _close_stdout()
         return 1
     except OSError as error:
-        if (said := unreachable(error)) is None:
-            raise
-        print(f"tom: {terminal(said)}", file=sys.stderr)
+        print(f"tom: {terminal(error)}", file=sys.stderr)
         return 2
     except MemoryError as error:
         print(f"tom: not enough memory ({reason(error)}): free some", file=sys.stderr)

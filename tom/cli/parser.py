@@ -24,25 +24,11 @@ def folder(word: str) -> Path:
     return Path(word)
 
 
-DIGITS = 40
-"""of a whole number, more than any setting takes"""
-SEEDS = 2**63
-"""seeds are less than this, as in the configuration"""
-
-
-def whole_number(word: str) -> int | None:
-    """The whole number that `word` is, else None; Python reads no thousands of digits."""
-    return int(word) if word.isdecimal() and len(word) <= DIGITS else None
-
-
 def seed_number(word: str) -> int:
-    """The type of a seed, for argparse; its bound is the configuration's."""
-    number, shown = whole_number(word), word[:DIGITS]
-    if number is None:
-        raise argparse.ArgumentTypeError(f"'{shown}' is no seed: a whole number, 0 or more")
-    if number >= SEEDS:
-        raise argparse.ArgumentTypeError(f"'{shown}' is no seed: it must be less than {SEEDS}")
-    return number
+    """The type of a seed, for argparse."""
+    if not word.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{word}' is no seed: a whole number, 0 or more")
+    return int(word)
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:

@@ -15,13 +15,11 @@ from pydantic import ValidationError
 from tom.cli.named import add_termination
 from tom.cli.parser import (
     DEST,
-    DIGITS,
     add_config_options,
     add_run_options,
     one_line,
     overrides,
     seed_number,
-    whole_number,
 )
 from tom.cli.progress import ProgressReport
 from tom.cli.signals import on_stopping
@@ -183,9 +181,9 @@ def _trials(args: argparse.Namespace) -> list[Trial]:
     if args.run_id or args.resume not in (None, "auto"):
         raise UserError("--run-id and --resume RUN are for one training alone")
     seed = str(settings.pop("seed", 0))
-    if (one := whole_number(seed)) is None:
-        raise UserError(f"--seed {seed[:DIGITS]}: must be a whole number, 0 or more")
-    seeds = args.seeds or [one]
+    if not seed.isdecimal():
+        raise UserError(f"--seed {seed}: must be a whole number, 0 or more")
+    seeds = args.seeds or [int(seed)]
     trials = [
         Trial(args.env, learner, seed, args.preset or default_preset(args.env, learner), settings)
         for learner in dict.fromkeys(args.learner)
@@ -205,14 +203,16 @@ def record(config: AnyConfig, args: argparse.Namespace) -> int:
     return _watched(args, config, lambda **options: train(config, store, args.run_id, **options))
 
 
-def _resume(args: argparse.Namespace, run_id: str, steps: int | None = None) -> int:
+def _resume(args: argparse.Namespace, run_id: str, given: str | int | None = None) -> int:
+    """Go on with a run, to the step that is `given`."""
     store = Store(args.store)
     config = recorded_config(store.run(run_id))
-    if steps is not None:
+    if given is not None:
         try:
-            config = config.but(steps=steps)
+            config = config.but(steps=given)
         except ValidationError as error:
             raise one_line(error) from None
+    steps = None if given is None else config.steps
     accepted = args.accept_versions
     return _watched(
         args,
@@ -284,16 +284,11 @@ def _without_rule(given: dict[str, Any], run_id: str, store: Path) -> dict[str, 
     return {**given, "model": rest} if rest else {k: v for k, v in given.items() if k != "model"}
 
 
-def _steps(given: dict[str, Any]) -> int | None:
+def _steps(given: dict[str, Any]) -> str | None:
     """The number of steps, the only setting that may change when a run is resumed."""
     if set(given) - {"steps"}:
         raise UserError("--resume takes --steps alone: a run goes on with its own settings")
-    steps = given.get("steps")
-    if steps is None:
-        return None
-    if not (wanted := whole_number(str(steps))):
-        raise UserError(f"--steps {str(steps)[:DIGITS]}: must be a whole number above 0")
-    return wanted
+    return given.get("steps")
 
 
 def _print_summary(done: RunReader, as_json: bool) -> None:

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from tom.data.recorded import assemble, check_finite
 from tom.data.transitions import Transitions
-from tom.data.unpack import DAMAGE, open_file, read_arrays, read_columns
+from tom.data.unpack import DAMAGE, read_arrays, read_columns
 from tom.errors import UserError, reason
-from tom.machine.memory import available
 
 AXES = {"obs": 2, "action": 2, "reward": 1, "next_obs": 2, "terminated": 1, "truncated": 1}
 """the accepted names of each column"""
@@ -55,15 +54,14 @@ def read_columnar(path: Path) -> Transitions:
 
 def _arrays(path: Path) -> Columns:
     columns: Columns = {}
-    for name, values in read_arrays(path, available(), _wanted).items():
+    for name, values in read_arrays(path, _wanted).items():
         _put(path, columns, name, values)
     return columns
 
 
 def _table(path: Path) -> Columns:
     """Vectors are lists of equal length in a column, or numbered columns: `obs_0`, `obs_1`, ..."""
-    with open_file(path) as file:
-        table = read_columns(file, available())
+    table = read_columns(path)
     columns: Columns = {}
     numbered: dict[str, dict[int, NDArray]] = {}
     for name in table.column_names:

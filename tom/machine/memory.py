@@ -24,7 +24,7 @@ def available() -> int:
     return int(free[0]) * 1024 if free else sys.maxsize
 
 
-REFUSING = (MemoryError, RuntimeError, ValueError, TypeError)
+REFUSING = (MemoryError, RuntimeError)
 """types of the errors that a lack of memory may be; `ran_out` tells which of them are"""
 
 _REFUSALS = (
@@ -32,11 +32,8 @@ _REFUSALS = (
     "can't allocate memory",
     "not allocate memory",
     "can't start new thread",
-    "Storage size calculation overflowed",
-    "argument 'size' failed to unpack",
 )
-"""parts of the messages of torch, MuJoCo and the kernel when memory runs out; the last two are for
-more bytes, or more rows, than 64 bits count"""
+"""parts of the messages of torch, MuJoCo and the kernel when memory runs out"""
 
 
 def ran_out(error: BaseException) -> bool:

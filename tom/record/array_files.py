@@ -7,17 +7,16 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tom.data.unpack import DAMAGE, MOST, open_file, read_arrays, read_columns
+from tom.data.unpack import DAMAGE, read_arrays, read_columns
 
 __all__ = ["DAMAGE", "read_arrays", "read_table", "write_table"]
 
 
-def read_table(path: Path, most: int = MOST) -> pd.DataFrame:
-    """The columns of a Parquet file, at most `most` bytes. Raises one of DAMAGE."""
+def read_table(path: Path) -> pd.DataFrame:
+    """The columns of a Parquet file. Raises one of DAMAGE."""
     # Not by pandas: it would read hive partitions from the folder's name, and its conversion from
     # Arrow takes twice as long, which matters in a store of 200 runs.
-    with open_file(path) as file:
-        read = read_columns(file, most)
+    read = read_columns(path)
     return pd.DataFrame({name: read[name].to_numpy() for name in read.column_names})
 
 

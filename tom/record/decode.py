@@ -1,8 +1,9 @@
-"""Convert arrays on disk to the backend's types. Wrong content raises ValueError or KeyError."""
+"""Convert arrays on disk to the backend's types. Wrong content raises an error of `DAMAGE`."""
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import Any, TypeGuard
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,12 +11,8 @@ from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
 from tom.events import Episode
-from tom.record.profiles import Profiles
-from tom.record.status import HUGE
 
 Arrays = Mapping[str, NDArray]
-
-LARGEST = float(np.finfo(np.float64).max)
 
 
 def episode_arrays(episodes: Sequence[Episode]) -> dict[str, NDArray]:
@@ -69,29 +66,15 @@ def transition_arrays(
 
 
 def state_of(arrays: Arrays) -> dict[str, NDArray]:
-    """The simulator's states in `buffer/<first row>.npz`, if the run stored them.
-
-    Raises ValueError if they are not as many as its rows.
-    """
-    length = len(arrays["policy_version"])
-    state = {n.removeprefix(STATE): arrays[n] for n in arrays if n.startswith(STATE)}
-    if any(len(array) != length for array in state.values()):
-        raise ValueError("its states and its rows differ in number")
-    return state
+    """The simulator's states in `buffer/<first row>.npz`, if the run stored them."""
+    return {n.removeprefix(STATE): arrays[n] for n in arrays if n.startswith(STATE)}
 
 
 def transitions_of(arrays: Arrays) -> tuple[Transitions, NDArray[np.int64]]:
-    """The rows and policy versions in `buffer/<first row>.npz`.
-
-    Raises ValueError if its arrays differ in length.
-    """
+    """The rows and policy versions in `buffer/<first row>.npz`."""
     whole = {"next_obs": _following(arrays), **arrays} if "jump" in arrays else arrays
     rows = Transitions(*(_single(whole[f.name]) for f in fields(Transitions)))
-    version = arrays["policy_version"]
-    sizes = {len(getattr(rows, f.name)) for f in fields(rows)} | {len(version)}
-    if len(sizes) != 1:
-        raise ValueError("its arrays differ in length")
-    return rows, version
+    return rows, arrays["policy_version"]
 
 
 def without_next_obs(arrays: Arrays) -> dict[str, NDArray]:
@@ -110,9 +93,6 @@ def without_next_obs(arrays: Arrays) -> dict[str, NDArray]:
 def _following(arrays: Arrays) -> NDArray:
     """`next_obs` (N, O), restored from the result of `without_next_obs`."""
     obs, jump = arrays["obs"], arrays["jump"]
-    inside = jump.dtype.kind == "i" and ((jump >= 0) & (jump < len(obs))).all()
-    if not inside:
-        raise ValueError("a row that it names is not there")
     following = np.concatenate([obs[1:], obs[-1:]])
     following[jump] = arrays["jump_obs"]
     return following
@@ -129,53 +109,38 @@ def empty_transitions() -> tuple[Transitions, NDArray[np.int64]]:
     return rows, np.zeros(0, np.int64)
 
 
-def profiles_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Profiles, int]:
-    """The profiles in the rows of `weights/profiles.jsonl`, and how many rows were unusable.
+@dataclass(frozen=True)
+class Profiles:
+    """The profiles of F model fits (`tom.data.sampling.bin_means`).
 
-    The number of bins is that of the first usable row.
+    In runs recorded before 2026-11-22 bins have whole rows, and NaN if there are none.
     """
-    read = [row for row in map(_profile_row, rows) if row is not None]
-    width = len(read[0][1]) if read else 0
-    good = [row for row in read if len(row[1]) == width]
-    columns = list(zip(*good, strict=True)) if good else [(), (), (), (), ()]
-    profiles = Profiles(
-        env_step=np.array(columns[0], np.int64),
-        bins=np.array(columns[1], np.float64).reshape(len(good), width),
-        count=np.array(columns[2], np.int64),
-        ess=np.array(columns[3], np.float64),
-        zeros=np.array(columns[4], np.float64),
+
+    env_step: NDArray[np.int64]  # (F,)
+    bins: NDArray[np.float64]  # (F, bins)
+    count: NDArray[np.int64]  # (F,) transitions in the buffer
+    ess: NDArray[np.float64]  # (F,) effective sample size as a share of the buffer
+    zeros: NDArray[np.float64]  # (F,) share of transitions with weight zero
+
+
+def profiles_of(rows: Sequence[Mapping[str, Any]]) -> Profiles:
+    """The profiles in the rows of `weights/profiles.jsonl`; null becomes NaN."""
+    bins = np.array([row["bins"] for row in rows], np.float64)
+    return Profiles(
+        env_step=np.array([row["env_step"] for row in rows], np.int64),
+        bins=bins.reshape(len(rows), -1 if rows else 0),
+        count=np.array([row["count"] for row in rows], np.int64),
+        ess=np.array([row["ess"] for row in rows], np.float64),
+        zeros=np.array([row["zeros"] for row in rows], np.float64),
     )
-    return profiles, len(rows) - len(good)
-
-
-def _profile_row(row: Mapping[str, Any]) -> tuple[int, NDArray, int, float, float] | None:
-    try:
-        bins = np.array(row["bins"], np.float64)  # null becomes NaN
-        if bins.ndim != 1:
-            return None
-        if not (is_whole(row["env_step"]) and is_whole(row["count"])):
-            return None
-        ess, zeros = _number(row["ess"]), _number(row["zeros"])
-        return row["env_step"], bins, row["count"], ess, zeros
-    except (KeyError, TypeError, ValueError, OverflowError):
-        return None
-
-
-def _number(value: Any) -> float:
-    return np.nan if value is None else float(value)
-
-
-def is_whole(value: Any) -> TypeGuard[int]:
-    """Whether it is an integer that an array can hold."""
-    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < HUGE
 
 
 def numbers(row: Mapping[str, Any]) -> dict[str, float]:
-    """The finite numbers among the values of a metric row, by name, without its `env_step`."""
+    """The finite values of a metric row by name, without its `env_step`; others were null."""
     return {
         name: float(value)
         for name, value in row.items()
-        if name != "env_step" and isinstance(value, int | float) and abs(value) < LARGEST
+        if name != "env_step" and value is not None and math.isfinite(value)
     }
 
 
@@ -187,7 +152,7 @@ def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     merged: dict[int, dict[str, float]] = {}
     names: dict[str, None] = {}
     for row in rows:
-        if is_whole(step := row.get("env_step")):
+        if isinstance(step := row.get("env_step"), int):
             merged.setdefault(step, {}).update(numbers(row))
             names |= dict.fromkeys(row)
     names.pop("env_step", None)
@@ -197,13 +162,3 @@ def metrics_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     )
     table.insert(0, "env_step", np.array(sorted(merged), np.int64))
     return table
-
-
-def tidy(table: pd.DataFrame) -> pd.DataFrame:
-    """The table in the form of `metrics_table`, one row for each `env_step`."""
-    metrics = [name for name in table.columns if name != "env_step"]
-    numbers = table[metrics].apply(pd.to_numeric, errors="coerce").astype(np.float64)
-    table = pd.concat([table[["env_step"]].astype(np.int64), numbers], axis=1)
-    if table["env_step"].is_monotonic_increasing and table["env_step"].is_unique:
-        return table
-    return table.groupby("env_step", sort=True, as_index=False).last()

@@ -5,11 +5,9 @@ which can be made again from the files, and checkpoints, whose manifests have th
 """
 
 import hashlib
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from tom.data.unpack import open_file
 from tom.record import checkpoint, layout
 from tom.record.files import files_in, read_json, replace_json
 
@@ -35,10 +33,8 @@ def changed(path: Path) -> dict[str, str]:
     Empty for a run without digests (not finished, or of an earlier version). Raises OSError or
     ValueError if the digests cannot be read.
     """
-    if not os.path.lexists(path / layout.DIGESTS):
+    if not (path / layout.DIGESTS).exists():
         return {}
-    if (path / layout.DIGESTS).is_symlink():
-        raise ValueError("a link is not followed")
     content = read_json(path / layout.DIGESTS)
     written = content.get("sha256")
     if content.get("schema") != SCHEMA or not isinstance(written, dict):
@@ -64,5 +60,5 @@ def _names(path: Path) -> Iterator[str]:
 
 
 def _digest(path: Path) -> str:
-    with open_file(path) as file:
+    with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -86,7 +86,7 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
     from tensorboardX.summary import scalar
 
     event = vars(event_pb2)["Event"]  # made when it is imported
-    begun = _unix(reader.created)
+    begun = datetime.fromisoformat(reader.created).timestamp()
     with whole_folder(folder) as unfinished, closing(EventsWriter(f"{unfinished}/events")) as file:
         for row in reader.metrics().to_dict("records"):
             step = int(row.pop("env_step"))
@@ -103,13 +103,6 @@ def _rrd(reader: RunReader, path: Path) -> None:
     from tom.record.rerun.file import write
 
     write(reader, path)
-
-
-def _unix(created: str) -> float:
-    try:
-        return datetime.fromisoformat(created).timestamp()
-    except ValueError:
-        return 0.0
 
 
 EXPORTERS: dict[str, tuple[str, Callable[[RunReader, Path], object]]] = {

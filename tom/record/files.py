@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from tom.data.unpack import read_bytes
+from tom.record import layout
 
 
 def beside(path: Path) -> Path:
@@ -150,8 +150,7 @@ class JsonLines:
             self._file = -1
 
     def _open(self) -> None:
-        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW  # never follow a link
-        self._file = os.open(self.path, flags, 0o644)
+        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         self._digest = hashlib.sha256(self._content())
 
     def _content(self) -> bytes:
@@ -210,10 +209,7 @@ def modified(path: Path) -> int:
 
 def read_json(path: Path) -> dict[str, Any]:
     """The JSON object in `path`. Raises OSError, or ValueError if it is something else."""
-    try:
-        content = json.loads(read_bytes(path))
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
+    content = json.loads(path.read_bytes())
     if not isinstance(content, dict):
         raise ValueError("not a JSON object")
     return content
@@ -221,7 +217,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def read_json_lines(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
     """The rows of a JSON lines file, and the errors of the skipped lines."""
-    lines = read_bytes(path).split(b"\n")
+    lines = path.read_bytes().split(b"\n")
     rows: list[dict[str, Any]] = []
     problems: list[str] = []
     for number, line in enumerate(lines, start=1):
@@ -242,6 +238,35 @@ def parse_json_line(line: bytes) -> dict[str, Any] | None:
     """The JSON object in a line; None if it is anything else."""
     try:
         row = json.loads(line)
-    except (ValueError, RecursionError):
+    except ValueError:
         return None
     return row if isinstance(row, dict) else None
+
+
+def set_aside(run: Path, path: Path) -> Path:
+    """Move a file or folder of the run folder `run` into its `damaged/`; returns the new place."""
+    place = _place(run, path)
+    path.rename(place)
+    return place
+
+
+def copy_aside(run: Path, path: Path) -> Path:
+    """`set_aside` for a file that is replaced next, so that no kill finds the run without it."""
+    place = _place(run, path)
+    try:
+        shutil.copy2(path, place)
+    except BaseException:
+        place.unlink(missing_ok=True)
+        raise
+    return place
+
+
+def _place(run: Path, path: Path) -> Path:
+    """A free place for it."""
+    place = run / layout.DAMAGED / path.relative_to(run)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while os.path.lexists(place):
+        number += 1
+        place = place.with_name(f"{path.name}~{number}")
+    return place

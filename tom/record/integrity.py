@@ -16,13 +16,17 @@ from tom.config import RunConfig, SacRecordingConfig
 from tom.errors import reason
 from tom.record import checkpoint, digests, layout
 from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
-from tom.record.aside import copy_aside, set_aside
-from tom.record.decode import is_whole
-from tom.record.files import begins_with, modified, read_json_lines, replace_json
+from tom.record.files import (
+    begins_with,
+    copy_aside,
+    modified,
+    read_json_lines,
+    replace_json,
+    set_aside,
+)
 from tom.record.files import replace as replace_file
 from tom.record.manage import refused, unwritten
 from tom.record.mend import mend_lines
-from tom.record.opening import refuse_links
 from tom.record.reader import RunReader
 from tom.record.status import Status
 
@@ -49,7 +53,7 @@ def verify(reader: RunReader) -> list[str]:
     fresh.list_folders()
     problems = list(fresh.problems)
     for path in _arrays(fresh.path):
-        error = _unreadable(path, fresh.most_bytes)
+        error = _unreadable(path)
         name = str(path.relative_to(fresh.path))
         if error and path.parent.name in PASSING and path not in path.parent.iterdir():
             continue  # the training has replaced it since it was listed
@@ -76,15 +80,14 @@ def verify(reader: RunReader) -> list[str]:
 def repair(reader: RunReader) -> list[str]:
     """Repair a run; returns what was done, one line each.
 
-    Raises UserError while the run is being written, if a part of it is a link, or if the disk is
-    full: what is mended by then stays mended.
+    Raises UserError while the run is being written, or if the disk is full: what is mended by then
+    stays mended.
 
     Damaged lines become blank, rows of metrics come back from the Parquet copy if that is whole,
     else the copy is made again. Damaged arrays are set aside, the state of a dead run becomes
     `stopped`, a lost status is made again, and temporary files of an interrupted write are removed.
     """
     done: list[str] = []
-    refuse_links(reader.path)
     with unwritten(reader), refused(f"cannot repair run '{reader.run_id}'"):
         for path in _left(reader):
             path.unlink()
@@ -96,7 +99,7 @@ def repair(reader: RunReader) -> list[str]:
         ]
         done += [text for text in mended if text]
         for path in _arrays(reader.path):
-            if _name(reader, path) in altered or _unreadable(path, reader.most_bytes):
+            if _name(reader, path) in altered or _unreadable(path):
                 done.append(f"{_name(reader, path)}: {_set_aside(reader, path)}")
         done += [text for text in (_mend_status(reader, altered), _mend_table(reader)) if text]
         done += _accept(reader, [name for name in altered if name not in "\n".join(done)])
@@ -131,15 +134,13 @@ def _arrays(path: Path) -> Iterator[Path]:
                 yield file
 
 
-def _unreadable(path: Path, most: int) -> str | None:
-    """Why an array file cannot be read completely (at most `most` bytes); None if it can."""
+def _unreadable(path: Path) -> str | None:
+    """Why an array file cannot be read completely; None if it can."""
     try:
-        if path.is_symlink():
-            raise ValueError("a link is not followed")
         if path.suffix == ".parquet":
-            read_table(path, most)
+            read_table(path)
         else:
-            read_arrays(path, most)
+            read_arrays(path)
     except DAMAGE as error:
         return reason(error)
     return None
@@ -159,8 +160,6 @@ def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
     lost = unlike(reader.path, held) if held is not None else []
     if not lost and not _altered(reader.path):
         return []
-    if (reader.path / layout.DIGESTS).is_dir():
-        _set_aside(reader, reader.path / layout.DIGESTS)
     digests.write(reader.path)
     kept = [name for name in altered if (reader.path / name).is_file()]
     return [f"{text}: kept as it is now" for text in lost if text.split()[0] not in altered] + [
@@ -173,7 +172,7 @@ def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
 
 def _left(reader: RunReader) -> list[Path]:
     """Temporary files of an interrupted write."""
-    return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file() and not p.is_symlink())
+    return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file())
 
 
 def _mend_metrics(reader: RunReader, altered: Collection[str]) -> str | None:
@@ -204,9 +203,9 @@ def _mend_lines(reader: RunReader, name: str, table: pd.DataFrame | None = None)
 def _table(reader: RunReader) -> pd.DataFrame | None:
     """The Parquet copy of the metrics; None if it is not whole."""
     path = reader.path / layout.METRICS_TABLE
-    if _unreadable(path, reader.most_bytes):
+    if _unreadable(path):
         return None
-    table = read_table(path, reader.most_bytes)
+    table = read_table(path)
     return table if "env_step" in table else None
 
 
@@ -256,7 +255,7 @@ def _total(reader: RunReader) -> int:
     settings = reader.config.get("config")
     steps = settings.get("steps") if isinstance(settings, dict) else None
     kind = RunConfig if reader.fits_model else SacRecordingConfig
-    return kind.model_construct(steps=steps).total_steps if is_whole(steps) else 0
+    return kind.model_construct(steps=steps).total_steps if isinstance(steps, int) else 0
 
 
 def _last(table: pd.DataFrame, name: str) -> float | None:
@@ -292,7 +291,4 @@ def _name(reader: RunReader, path: Path) -> str:
 def _when(unix: float) -> str:
     if unix <= 0:
         return "ever"
-    try:
-        return datetime.fromtimestamp(unix).isoformat(" ", "seconds")
-    except (ValueError, OverflowError, OSError):  # beyond the last date, as of milliseconds
-        return f"unix second {unix:.0f}"
+    return datetime.fromtimestamp(unix).isoformat(" ", "seconds")

@@ -26,14 +26,8 @@ class Labels:
 
 
 def parse(content: dict[str, Any]) -> Labels:
-    """The labels in a JSON object. Raises ValueError that names the error."""
-    tags = content.get("tags", [])
-    if not isinstance(tags, list):
-        raise ValueError(f"tags is {tags!r:.80}")
-    try:
-        return checked(Labels(content.get("name", ""), tuple(tags), content.get("note", "")))
-    except UserError as error:
-        raise ValueError(str(error)) from None
+    """The labels in a JSON object."""
+    return Labels(content.get("name", ""), tuple(content.get("tags", ())), content.get("note", ""))
 
 
 def checked(labels: Labels) -> Labels:
@@ -46,14 +40,14 @@ def checked(labels: Labels) -> Labels:
     return Labels(_line("name", labels.name, NAME_LENGTH), tuple(tags), _text(labels.note))
 
 
-def _line(kind: str, text: Any, length: int) -> str:
-    if not isinstance(text, str) or not text.isprintable():
+def _line(kind: str, text: str, length: int) -> str:
+    if not text.isprintable():
         raise UserError(f"a {kind} is one line of plain text, not {text!r:.60}")
     return _short(kind, text.strip(), length)
 
 
-def _text(text: Any) -> str:
-    if not isinstance(text, str) or not all(line.isprintable() for line in text.split("\n")):
+def _text(text: str) -> str:
+    if not all(line.isprintable() for line in text.split("\n")):
         raise UserError("a note is plain text, without control characters")
     return _short("note", text.strip(), NOTE_LENGTH)
 

@@ -40,7 +40,6 @@ BESIDE_RUNS = {
 }
 """folders of a store that are not runs, and their content"""
 LOCK = ".writer"
-BALLAST = ".ballast"
 FOLDERS = ("weights", POLICIES, "episodes", BUFFER, "fields")
 
 _NUMBERED = re.compile(r"(?:(?P<name>.+)-)?(?P<number>\d{9,18})")

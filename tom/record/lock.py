@@ -8,14 +8,12 @@ taken for dead sees another writer's id in the file and stops writing.
 import fcntl
 import os
 import secrets
-import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from tom.data.unpack import read_bytes
 from tom.errors import TryLaterError, UserError
 from tom.record import layout
 
@@ -66,18 +64,13 @@ def acquire(path: Path) -> RunLock:
     Raises BusyError if another process holds the lock, UserError if the folder cannot be written.
     """
     try:
-        lock = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        lock = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
         raise UserError(
             f"cannot write into run '{path.name}' ({error.strerror}): make its folder writable"
         ) from error
     try:
-        if not stat.S_ISREG(os.fstat(lock).st_mode):
-            raise UserError(f"{layout.LOCK} of run '{path.name}' is no file: remove it")
         _lock(lock)
-    except UserError:
-        os.close(lock)
-        raise
     except OSError as error:
         os.close(lock)
         raise BusyError(
@@ -108,7 +101,7 @@ def _lock(file: int) -> None:
 def held(path: Path) -> bool:
     """Whether a process on this machine holds the lock of the run folder `path`."""
     try:
-        lock = os.open(path / layout.LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        lock = os.open(path / layout.LOCK, os.O_RDONLY)
     except OSError:
         return False
     try:
@@ -153,8 +146,8 @@ def alone_in(folder: Path) -> Iterator[None]:
 def written_here(path: Path) -> bool | None:
     """Whether the last writer was this machine since its boot; None if unknown."""
     try:
-        return read_bytes(path / layout.LOCK).startswith(_boot())
-    except (OSError, ValueError):
+        return (path / layout.LOCK).read_bytes().startswith(_boot())
+    except OSError:
         return None
 
 

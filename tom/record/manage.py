@@ -120,11 +120,9 @@ def _changing(store: Store, run_id: str) -> Iterator[tuple[Path, Labels]]:
 def _held(path: Path) -> Labels:
     """The labels to change. Raises UserError if they are unreadable, so as not to lose them."""
     file = path / layout.LABELS
-    if not os.path.lexists(file):
+    if not file.exists():
         return Labels()
     try:
-        if file.is_symlink():
-            raise ValueError("a link is not followed")
         return labels.parse(read_json(file))
     except ValueError as error:
         raise UserError(f"{file} is damaged ({error}): mend it or move it away") from None
@@ -140,7 +138,7 @@ def _entries(folder: Path) -> Iterator[tuple[str, int]]:
     """(run id, number among those of that id) of everything in the trash."""
     for path in folder.iterdir() if folder.is_dir() else ():
         match = _TRASHED.fullmatch(path.name)
-        if match and path.is_dir() and not path.is_symlink():
+        if match and path.is_dir():
             yield match[1], int(match[2] or 1)
 
 

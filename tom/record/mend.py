@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from tom.record.decode import is_whole, numbers
+from tom.record.decode import numbers
 from tom.record.files import parse_json_line
 
 
@@ -68,7 +68,7 @@ def _compared(
         step = row.get("env_step") if row is not None else None
         if row is None:
             gap = True
-        if row is None or not is_whole(step) or step not in true:
+        if row is None or not isinstance(step, int) or step not in true:
             continue
         values, missing = numbers(row), left.get(step, {})
         differs = any(missing.get(name, value) != value for name, value in values.items())

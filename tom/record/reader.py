@@ -18,13 +18,11 @@ from tom.data.transitions import Transitions
 from tom.data.unpack import cannot_read_now
 from tom.errors import reason
 from tom.events import Episode
-from tom.record import bounds, decode, labels, layout, small_copy, status
+from tom.record import decode, labels, layout, small_copy, status
 from tom.record.array_files import DAMAGE, read_arrays, read_table
-from tom.record.decode import Arrays
+from tom.record.decode import Arrays, Profiles
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
-from tom.record.profiles import Profiles
-from tom.record.rows import read_metrics
 from tom.record.status import Status
 
 T = TypeVar("T")
@@ -33,13 +31,6 @@ T = TypeVar("T")
 def at_or_before(steps: Sequence[int], step: int) -> int:
     """The last of `steps` that is not after `step`, else the first one."""
     return max((at for at in steps if at <= step), default=steps[0])
-
-
-def _widths(part: tuple[tuple[Transitions, NDArray[np.int64]], Arrays]) -> list[tuple[int, ...]]:
-    """The shape of a row in each of a segment's arrays."""
-    (rows, _), state = part
-    arrays = [rows.obs, rows.action, rows.reward, rows.next_obs, rows.terminated, rows.truncated]
-    return [np.shape(array)[1:] for array in (*arrays, *state.values())]
 
 
 class RunReader:
@@ -100,21 +91,12 @@ class RunReader:
 
     @property
     def seed(self) -> int:
-        seed = self.config.get("seed", 0)
-        if isinstance(seed, int) and abs(seed) < 2**63:
-            return seed
-        self._problem(f"{layout.CONFIG}: its seed is no number of 64 bits, and shown as 0")
-        return 0
+        return self.config.get("seed", 0)
 
     @property
     def created(self) -> str:
         """When the run was created, ISO 8601; empty when unknown."""
         return str(self.config.get("created", ""))
-
-    @cached_property
-    def most_bytes(self) -> int:
-        """Upper bound in bytes of an unpacked array file; larger ones are not read."""
-        return bounds.most_bytes(self.config)
 
     @property
     def small_copy(self) -> bool:
@@ -149,30 +131,22 @@ class RunReader:
         """
         rows, table = self.path / layout.METRICS, self.path / layout.METRICS_TABLE
         if modified(table) >= modified(rows) > 0:
-            read = self._read(layout.METRICS_TABLE, self._table)
+            read = self._read(layout.METRICS_TABLE, read_table)
             if read is not None and "env_step" in read:
                 return read
         return self.metric_rows()
 
     def metric_rows(self) -> pd.DataFrame:
         """`metrics` of the rows themselves, whatever the Parquet copy says."""
-        read = self._read(layout.METRICS, read_metrics)
-        if read is None:
-            return decode.metrics_table([])
-        for problem in read[1]:
-            self._problem(problem)
-        return read[0]
+        return self._rows(layout.METRICS, decode.metrics_table)
 
     def profiles(self) -> Profiles:
         """The weight profile of every model fit."""
-        profiles, bad = decode.profiles_of(self._lines(layout.PROFILES))
-        if bad:
-            self._problem(f"{layout.PROFILES}: {bad} unusable rows were skipped")
-        return profiles
+        return self._rows(layout.PROFILES, decode.profiles_of)
 
     def notices(self) -> list[dict[str, Any]]:
         """The notices, with `env_step`, `kind` and `message`."""
-        return self._lines(layout.NOTICES)
+        return self._rows(layout.NOTICES, list)
 
     def snapshot_steps(self) -> list[int]:
         """Steps of the model fits whose single weights were stored."""
@@ -180,7 +154,7 @@ class RunReader:
 
     def snapshot(self, step: int) -> pd.DataFrame:
         """One row per transition, oldest first: `weight`, and if stored `log_ratio`, `dim_i`."""
-        read = self._read(layout.snapshot(step), self._table, needed=True)
+        read = self._read(layout.snapshot(step), read_table, needed=True)
         return pd.DataFrame({"weight": np.zeros(0, np.float32)}) if read is None else read
 
     def policy_steps(self) -> list[int]:
@@ -203,7 +177,7 @@ class RunReader:
         """The evaluation episodes at `step`."""
 
         def episodes(path: Path) -> list[Episode]:
-            return decode.episodes_of(read_arrays(path, self.most_bytes))
+            return decode.episodes_of(read_arrays(path))
 
         return self._read(layout.episodes(step), episodes, needed=True) or []
 
@@ -249,7 +223,7 @@ class RunReader:
         self, name: str, wanted: Callable[[str], bool] = lambda name: True
     ) -> dict[str, NDArray] | None:
         """The `wanted` arrays of the run's file `name`; None if it cannot be read."""
-        return self._read(name, lambda p: read_arrays(p, self.most_bytes, wanted), needed=True)
+        return self._read(name, lambda p: read_arrays(p, wanted), needed=True)
 
     def list_folders(self) -> None:
         """Name folders that cannot be listed among `problems`: they look as if they were empty."""
@@ -264,10 +238,10 @@ class RunReader:
         """Rows with their policy versions, and states, of every segment up to the first gap."""
 
         def segment(path: Path) -> tuple[tuple[Transitions, NDArray[np.int64]], Arrays]:
-            arrays = read_arrays(path, self.most_bytes)
+            arrays = read_arrays(path)
             return decode.transitions_of(arrays), decode.state_of(arrays)
 
-        row, widths = 0, None
+        row = 0
         self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one
         for first in layout.numbers(self.path / layout.BUFFER, ".npz"):
             name = layout.segment(first)
@@ -277,29 +251,21 @@ class RunReader:
             part = self._read(name, segment)
             if part is None:
                 return
-            widths = widths or _widths(part)
-            if _widths(part) != widths:
-                self._problem(
-                    f"{name}: its rows are of another width; it and later rows are left out"
-                )
-                return
             yield part
             row += len(part[0][0])
 
-    def _table(self, path: Path) -> pd.DataFrame:
-        return read_table(path, self.most_bytes)
+    def _rows(self, name: str, decoded: Callable[[list[dict[str, Any]]], T]) -> T:
+        def lines(path: Path) -> T:
+            rows, problems = read_json_lines(path)
+            for problem in problems:
+                self._problem(problem)
+            return decoded(rows)
 
-    def _lines(self, name: str) -> list[dict[str, Any]]:
-        rows, problems = self._read(name, read_json_lines) or ([], [])
-        for problem in problems:
-            self._problem(problem)
-        return rows
+        read = self._read(name, lines)
+        return decoded([]) if read is None else read
 
     def _read(self, name: str, read: Callable[[Path], T], *, needed: bool = False) -> T | None:
         try:
-            if self._leads_out(name):
-                self._problem(f"{name} leads out of the run folder and was not read")
-                return None
             return read(self.path / name)
         except FileNotFoundError:
             if needed:
@@ -310,14 +276,6 @@ class RunReader:
             if cannot_read_now(error):
                 self.unread.append(problem)
         return None
-
-    def _leads_out(self, name: str) -> bool:
-        """Whether a link on the path of the file leads out of the run folder."""
-        path = self.path / name
-        steps = (path, *path.parents[: name.count("/")])
-        if not any(step.is_symlink() for step in steps):
-            return False  # a shortcut, because resolving paths is slow for 200 runs
-        return not path.resolve().is_relative_to(self.path.resolve())
 
     def _problem(self, text: str) -> None:
         if text not in self.problems:

@@ -154,7 +154,6 @@ class Recorder:
             if state == "finished":
                 state, reason = "failed", self._why(error)
         finally:
-            self._writer.throw_off_ballast()  # not earlier: Rerun would use the space
             self._end(state, reason)
             self._writer.close()
 

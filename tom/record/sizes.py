@@ -25,8 +25,7 @@ def sizes(reader: RunReader) -> dict[str, int]:
 
 def checkpoints(reader: RunReader) -> list[Path]:
     """The checkpoints of a run, newest first."""
-    folder = reader.path / checkpoint.FOLDER
-    return [] if folder.is_symlink() else checkpoint.folders(folder)
+    return checkpoint.folders(reader.path / checkpoint.FOLDER)
 
 
 def prune(reader: RunReader, keep: int, *, dry_run: bool = False) -> int:

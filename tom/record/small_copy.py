@@ -20,9 +20,7 @@ def is_one(config: Mapping[str, Any]) -> bool:
 
 def left_out(config: Mapping[str, Any]) -> tuple[str, ...]:
     """The parts of the run that its small copy lacks; of `other ...` it has some."""
-    note = config.get(KEY)
-    names = note.get("left_out") if isinstance(note, dict) else None
-    return tuple(name for name in names if isinstance(name, str)) if isinstance(names, list) else ()
+    return tuple(config.get(KEY, {}).get("left_out", ()))
 
 
 def shown(status: Status, small: bool) -> str:
@@ -54,12 +52,8 @@ def _placeless(made: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _without_places(command: str) -> str:
-    try:
-        words = shlex.split(command)
-    except ValueError:  # an unclosed quote: not a shell command
-        return command
     kept, place = [], False
-    for word in words:
+    for word in shlex.split(command):
         name, given, _ = word.partition("=")
         if name in PLACES:
             place = not given  # else the value is the next word

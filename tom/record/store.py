@@ -95,11 +95,7 @@ class Store:
                 "at most 100, starting with a letter or digit"
             )
         path = self.path / run_id
-        try:
-            link = path.is_symlink()
-        except OSError as error:  # the store's folder, or one above it
-            raise self._unreadable(error) from error
-        if link:
+        if path.is_symlink():
             raise UserError(
                 f"run '{run_id}' is a link, which {self.path}/ may not hold: not followed"
             )
@@ -155,11 +151,7 @@ class Store:
 
     def ensure_there(self) -> None:
         """Raises UserError if there is no such folder: a mistyped name is not an empty store."""
-        try:
-            there = self.path.exists()
-        except OSError as error:
-            raise self._unreadable(error) from error
-        if not there:
+        if not self.path.exists():
             raise UserError(
                 f"there is no store {self.path}/: name another with --store, or train something "
                 "(`tom demo`)"
@@ -179,23 +171,13 @@ class Store:
     def _names(self) -> list[str]:
         try:
             with os.scandir(self.path) as entries:
-                return sorted(entry.name for entry in entries if _is_folder(entry))
+                return sorted(entry.name for entry in entries if entry.is_dir())
         except FileNotFoundError:
             return []
         except OSError as error:
-            raise self._unreadable(error) from error
-
-    def _unreadable(self, error: OSError) -> UserError:
-        return UserError(
-            f"cannot read the store {self.path}: {error.strerror}; name another with --store"
-        )
-
-
-def _is_folder(entry: os.DirEntry[str]) -> bool:
-    try:
-        return entry.is_dir()
-    except OSError:  # a link that leads nowhere: to itself, or through what we may not enter
-        return False
+            raise UserError(
+                f"cannot read the store {self.path}: {error.strerror}; name another with --store"
+            ) from error
 
 
 def _why(reader: RunReader) -> str:

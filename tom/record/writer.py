@@ -1,7 +1,6 @@
 """Writes a run folder (docs/run-folder.md): files only, no threads."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,12 +14,19 @@ from tom.config import RunConfig
 from tom.data.sampling import bin_means, ess, zero_share
 from tom.data.transitions import Transitions
 from tom.events import Episode, Weights
-from tom.record import decode, digests, layout, lock, opening
+from tom.record import decode, digests, layout, lock
 from tom.record.array_files import NUMBERS, read_arrays, write_table
 from tom.record.creating import make_folder
-from tom.record.files import JsonLines, begins_with, read_json, replace, replace_json, sync
+from tom.record.files import (
+    JsonLines,
+    begins_with,
+    read_json,
+    read_json_lines,
+    replace,
+    replace_json,
+    sync,
+)
 from tom.record.reader import RunReader
-from tom.record.rows import read_metrics
 from tom.record.status import Status
 from tom.record.store import Store
 from tom.record.versions import git_commit, versions
@@ -30,8 +36,6 @@ SEGMENT_ROWS = 4096
 
 RESUMING = ("versions", "settings", "checkpoint")
 """the kinds of notice that a resume begins with"""
-BALLAST_BYTES = 64 * 1024
-"""freed when the disk is full, as space for the final status"""
 
 
 class RunWriter:
@@ -42,21 +46,16 @@ class RunWriter:
     """
 
     def __init__(self, path: Path, config: RunConfig) -> None:
-        """Open the run folder `path`.
-
-        Raises UserError if another process writes it, or if a part of it is a link: nothing is ever
-        written outside the folder.
-        """
-        opening.refuse_links(path)
+        """Open the run folder `path`. Raises UserError if another process writes it."""
         self.path = path
         self.config = config
         self.run_id = path.name
         taken_over = lock.written_here(path) is False
         self._lock = lock.acquire(path)
-        opening.drop_unfinished(path)
-        opening.make_folders(path)
+        _drop_unfinished(path)
+        _make_folders(path)
         if taken_over:
-            opening.renew(path)
+            _renew(path)
         self._metrics = JsonLines(path / layout.METRICS)
         self._profiles = JsonLines(path / layout.PROFILES)
         self._notices = JsonLines(path / layout.NOTICES)
@@ -64,7 +63,6 @@ class RunWriter:
         self._tail: list[dict[str, NDArray]] = []
         self._tail_first = 0
         self._unsynced: set[Path] = set()
-        self._take_ballast()
 
     @classmethod
     def create(
@@ -117,7 +115,7 @@ class RunWriter:
                 (self.path / layout.segment(first)).unlink()
         if mark["segment_rows"]:
             name = layout.segment(self._tail_first)
-            held = read_arrays(self.path / name, RunReader(self.path).most_bytes)
+            held = read_arrays(self.path / name)
             self._tail = [{of: held[of][: mark["segment_rows"]] for of in held}]
             # Its later rows would overlap the next segment's.
             self._arrays(name, self._tail[0], sync=True)
@@ -139,15 +137,6 @@ class RunWriter:
     def check(self) -> None:
         """Raises LostError if another writer has taken over the folder."""
         self._lock.check()
-
-    def throw_off_ballast(self) -> None:
-        """Free the space that is reserved for the final status on a full disk."""
-        if not self._lock.lost:
-            (self.path / layout.BALLAST).unlink(missing_ok=True)
-
-    def _take_ballast(self) -> None:
-        with suppress(OSError):  # if the disk is that full, the first row will raise an error
-            replace(self.path / layout.BALLAST, lambda f: f.write(bytes(BALLAST_BYTES)), sync=False)
 
     def resumed(self, config: RunConfig, command: str) -> None:
         """Add to `config.json` that the run was resumed, with which code and until which step."""
@@ -247,8 +236,8 @@ class RunWriter:
         self._lock.check()
         for lines in self._lines():
             lines.keep_name()
-        rows, _ = read_metrics(self.path / layout.METRICS)
-        table = pa.Table.from_pandas(rows, preserve_index=False)
+        rows, _ = read_json_lines(self.path / layout.METRICS)
+        table = pa.Table.from_pandas(decode.metrics_table(rows), preserve_index=False)
         self._table(layout.METRICS_TABLE, table, sync=True)
 
     def digests(self) -> None:
@@ -260,7 +249,6 @@ class RunWriter:
         """Close the files and release the lock."""
         for lines in self._lines():
             lines.close()
-        self.throw_off_ballast()
         self._lock.close()
 
     def _tail_rows(self) -> int:
@@ -286,3 +274,29 @@ class RunWriter:
 
         self._lock.check()
         replace(self.path / name, write, sync=sync)
+
+
+def _drop_unfinished(path: Path) -> None:
+    """Remove the temporary files of a killed writer (we hold the lock)."""
+    for folder in (path, *(path / name for name in layout.FOLDERS)):
+        for temporary in folder.glob(".*.tmp"):
+            if not temporary.name.startswith(f".{layout.LABELS}"):  # labels are written by others
+                temporary.unlink(missing_ok=True)
+
+
+def _make_folders(path: Path) -> None:
+    """Make folders that an earlier version did not make."""
+    for name in layout.FOLDERS:
+        (path / name).mkdir(exist_ok=True)
+
+
+def _renew(path: Path) -> None:
+    """Replace the growing files by copies.
+
+    A writer on another machine may still have them open, with rows that its kernel has not sent
+    yet; those rows then end in files that no longer have a name.
+    """
+    for name in (layout.METRICS, layout.PROFILES, layout.NOTICES):
+        held = path / name
+        if held.exists():
+            replace(held, lambda file, held=held: file.write(held.read_bytes()), sync=True)

@@ -1,6 +1,5 @@
 """The page on how the small copies in a store were made, written by `tom runs index`."""
 
-import os
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,7 +9,6 @@ from typing import Any
 
 from tom import readable
 from tom.analysis.settings import variants
-from tom.data.unpack import read_bytes
 from tom.errors import UserError
 from tom.harmless import code, fenced, markdown
 from tom.learners import LEARNERS, learner_rank
@@ -66,15 +64,13 @@ def write(path: Path, page: str) -> None:
     Raises UserError if `path` is a page that a person wrote, or if it cannot be written.
     """
     try:
-        held = read_bytes(path).decode(errors="replace") if os.path.lexists(path) else MARK
+        held = path.read_text(errors="replace") if path.exists() else MARK
         if MARK not in held:
             raise UserError(
                 f"{path} was not written by this command: move it away, or write the line "
                 f"'{MARK}' into it to have it replaced"
             )
         replace(path, lambda file: file.write(page.encode()), sync=False)
-    except ValueError as error:
-        raise UserError(f"{path} cannot be read ({error}): move it away") from error
     except OSError as error:
         raise UserError(
             f"cannot write {path} ({error.strerror}): make its folder writable, or move it away"

@@ -44,7 +44,7 @@ BRUSH = "brush"
 ROWS = "rows_digest"
 """entry of a report whose weighing holds its rows: their digest"""
 SEGMENT_BYTES = 64 * 2**20
-"""bytes of rows per file: less than a reader accepts (`tom.data.unpack.MOST`)"""
+"""bytes of rows per file"""
 
 
 def of_run(store: Path, run_id: str) -> list[Path]:
@@ -278,7 +278,7 @@ def is_whole(report: Mapping[str, Any]) -> bool:
     said = report["data"], report["policy"]
     return (
         all(isinstance(name, str) for name in said)
-        and decode.is_whole(report["rows"])
+        and isinstance(report["rows"], int)
         and all(map(_is_result, report["results"]))
         and _is_origin(report.get("made", {}))
     )
@@ -295,7 +295,7 @@ def _is_result(row: object) -> bool:
         return False
     said = row.get("notices", [])
     told = isinstance(said, list) and all(isinstance(message, str) for message in said)
-    return told and isinstance(row.get("learner"), str) and decode.is_whole(row.get("seed"))
+    return told and isinstance(row.get("learner"), str) and isinstance(row.get("seed"), int)
 
 
 def _is_origin(made: object) -> bool:
@@ -303,7 +303,7 @@ def _is_origin(made: object) -> bool:
     if not isinstance(made, dict) or not isinstance(made.get("versions", {}), dict):
         return False
     hours = made.get("hours", 0.0)
-    return isinstance(hours, float) or decode.is_whole(hours)
+    return isinstance(hours, (float, int))
 
 
 def _read_weights(path: Path) -> dict[str, NDArray]:

@@ -67,7 +67,6 @@ FEW = 3
 """groups whose exams are compared on the screen even if nobody named them"""
 BY = {"best": BEST, "last": FINAL, "area": HEIGHT}
 CAPTION = "Best return so far: mean over seeds, 95 % bootstrap band, single seeds faint."
-DIGITS = 40
 """of a step, more than any run has"""
 NAMED = 3
 """runs named at most in a sentence"""
@@ -200,8 +199,8 @@ def _steps(words: Sequence[str], envs: Sequence[str]) -> dict[str, int]:
     of_one: dict[str, int] = {}
     for word in words:
         env, named, digits = word.rpartition("=")
-        if not (digits.isdecimal() and len(digits) <= DIGITS and int(digits)):
-            raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word[:DIGITS]}'")
+        if not (digits.isdecimal() and int(digits)):
+            raise UserError(f"--at must be at least 1, or ENV=STEP, not '{word}'")
         if not named and of_all:
             raise UserError("--at takes one step of all, and one ENV=STEP for each other")
         if named and task(env).name not in envs:

@@ -22,7 +22,7 @@ from tom.data.sampling import bin_means
 from tom.envs import ROAD
 from tom.learners import LEARNERS
 from tom.learners.base import DEGENERATE
-from tom.record.profiles import Profiles
+from tom.record.decode import Profiles
 from tom.record.reader import at_or_before
 from tom.record.thin import FITS
 

@@ -35,7 +35,7 @@ from app.theme import learner_colour
 from tom.analysis.curves import GRID, Curve, Group, aggregate
 from tom.analysis.statistics import Interval
 from tom.analysis.why import Sum
-from tom.record.profiles import Profiles
+from tom.record.decode import Profiles
 from tom.record.reader import RunReader
 
 

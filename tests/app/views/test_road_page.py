@@ -109,7 +109,10 @@ def test_in_either_theme_the_scene_and_the_map_agree_on_what_is_bright() -> None
 
 
 def test_steps_of_the_road_are_called_what_they_are() -> None:
-    live = [figure["layout"]["xaxis"]["title"]["text"] for figure in figures(draw("live", runs=ROAD_TOM))]
+    live = [
+        figure["layout"]["xaxis"]["title"]["text"]
+        for figure in figures(draw("live", runs=ROAD_TOM))
+    ]
     assert live[0] == "steps of policy optimisation"
     compare = figures(draw("compare", env="inverted-pendulum"))[0]
     assert compare["layout"]["xaxis"]["title"]["text"] == "env steps"

@@ -1,7 +1,5 @@
 """Checkpoints are written whole, and checked before they are used."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -50,37 +48,6 @@ def test_a_damaged_checkpoint_is_named_and_the_previous_one_used(tmp_path: Path,
     assert "000000002" in loaded.problems[0]
 
 
-WITHOUT_MEMORY = """
-import resource, sys
-from pathlib import Path
-import torch
-from tom.record import checkpoint
-
-status = Path("/proc/self/status").read_text()
-[held] = [line.split()[1] for line in status.splitlines() if line.startswith("VmData:")]
-limit = 1024 * int(held) + 30_000_000
-resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-try:
-    checkpoint.load(Path(sys.argv[1]))
-except MemoryError as error:
-    print(error)
-"""
-"""in a process of its own: one that has trained keeps freed memory, and would read from it"""
-
-
-@pytest.mark.fault
-@pytest.mark.quick
-def test_no_memory_for_a_checkpoint__is_no_damage_of_it(tmp_path: Path):
-    for step in (1, 2):
-        checkpoint.save(tmp_path, step, {"x": torch.zeros(25_000_000)})
-    command = [sys.executable, "-c", WITHOUT_MEMORY, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("checkpoint 000000002")
-    loaded = checkpoint.load(tmp_path)
-    assert loaded is not None
-    assert (loaded.env_step, loaded.problems) == (2, [])
-
-
 def test_code_in_a_checkpoint_is_not_executed(tmp_path: Path):
     class Evil:
         def __reduce__(self):
@@ -116,15 +83,6 @@ def test_a_writer_that_is_replaced_while_it_saves_leaves_what_is_there(tmp_path:
     loaded = checkpoint.load(folder)
     assert loaded is not None
     assert loaded.state["x"][0] == 1
-
-
-@pytest.mark.parametrize("name", ["²", "1" * 30, "000000007.old", "٧"])  # noqa: RUF001
-def test_a_folder_that_is_no_checkpoint_is_passed_over(name: str, tmp_path: Path):
-    checkpoint.save(tmp_path, 5, state(1))
-    (tmp_path / name).mkdir()
-    assert checkpoint.newest(tmp_path) == 5
-    checkpoint.save(tmp_path, 6, state(1))
-    assert (tmp_path / name).is_dir()
 
 
 def test_an_empty_folder_has_none(tmp_path: Path):

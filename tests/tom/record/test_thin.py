@@ -16,8 +16,7 @@ from tom.record import RunReader, Store, checkpoint, decode, layout
 from tom.record.export import export_small
 from tom.record.integrity import verify
 from tom.record.recorder import Recorder
-from tom.record.rounding import half
-from tom.record.thin import OPTIONAL
+from tom.record.thin import OPTIONAL, half
 from tom.record.writer import RunWriter
 
 
@@ -37,14 +36,6 @@ def test_next_observations_come_back_from_the_following_rows(count: int):
     assert len(short["jump"]) == len({*range(0, count, 7), count - 1})
     rows, _ = decode.transitions_of(short)
     np.testing.assert_array_equal(rows.next_obs, following)
-
-
-@pytest.mark.parametrize("jump", [[-1], [9], [0.5]])
-def test_a_jump_from_a_row_that_is_not_there_is_damage(jump: list[float]):
-    obs = np.zeros((4, 2), np.float32)
-    damaged = decode.without_next_obs(segment(obs, obs)) | {"jump": np.array(jump)}
-    with pytest.raises(ValueError, match="not there"):
-        decode.transitions_of(damaged)
 
 
 def test_halves_are_close_and_large_numbers_stay():
@@ -241,23 +232,6 @@ def test_a_copy_does_not_tell_where_its_run_lay(record, tmp_path: Path):
     assert small.config["resumes"] == [
         {"at": "noon", "command": "tom train --resume=run --headless"}
     ]
-
-
-def test_what_a_link_leads_to_is_not_copied(record, tmp_path: Path):
-    run, secret = record(), tmp_path / "secret"
-    secret.write_text('{"name": "mine"}')
-    (run.path / "labels.json").symlink_to(secret)
-    small = export_small(run, tmp_path / "out")
-    assert not (small / "labels.json").exists()
-
-
-@pytest.mark.parametrize("note", [None, 1, [], {}, {"left_out": "buffer"}, {"left_out": [1]}])
-def test_a_note_that_says_nothing_is_no_error(record, tmp_path: Path, note: object):
-    small = RunReader(export_small(record(), tmp_path))
-    content = {**small.config, "thinned": note}
-    (small.path / "config.json").write_text(json.dumps(content))
-    found = RunReader(small.path)
-    assert (found.small_copy, found.left_out) == (True, ())
 
 
 def test_what_is_large_is_left_out_unless_it_is_asked_for(

@@ -93,9 +93,7 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
         ("env: hopper\nenv: ant\nlearner: tom", "line 2"),
         ("env: [hopper\nlearner: tom", "line"),
         ("env: !!python/object/apply:os.system ['true']\nlearner: tom", "plan.yaml"),
-        ("a: &a [x]\nb: [*a, *a]", "anchors"),
         ("- hopper", "mapping"),
-        ("[" * 5000, "nested"),
         ("", "mapping"),
         ("env: \x00", "plan.yaml"),
     ],
@@ -110,9 +108,6 @@ def test_bad_plans_are_one_line(text: str, named: str, tmp_path: Path):
 def test_files_that_are_no_plans(tmp_path: Path):
     with pytest.raises(UserError, match="cannot read"):
         read_plan(tmp_path / "none.yaml")
-    (tmp_path / "long.yaml").write_text("# " + "x" * 200_000)
-    with pytest.raises(UserError, match="too long"):
-        read_plan(tmp_path / "long.yaml")
     (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(UserError):
         read_plan(tmp_path / "bytes.yaml")

@@ -12,7 +12,7 @@ from tom.errors import UserError
 from tom.events import Evaluation, Event, TrainedPolicy
 from tom.policy.stored import UniformPolicy, policy_arrays, read_policy
 from tom.record import RunReader, Store
-from tom.record.rounding import half
+from tom.record.thin import half
 from tom.studies.sac import recorded
 from tom.training.resume import resume, unfinished
 from tom.training.run import Stop, train

@@ -61,7 +61,7 @@ def _replace(held: RunReader, fetched: RunReader) -> str:
         if held.config.get("created") != fetched.config.get("created"):
             _trash(held, fetched)
             return FETCHED_ANEW
-        if labels.is_file() and not labels.is_symlink():
+        if labels.is_file():
             shutil.copy2(labels, fetched.path / layout.LABELS)
         if held.status.state == "unknown":
             _trash(held, fetched)

@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from tom.data.unpack import open_file
 from tom.envs import ROAD
 from tom.errors import UserError
 from tom.events import Evaluation, Field
 from tom.record import layout
-from tom.record.decode import is_whole, numbers, profiles_of
+from tom.record.decode import numbers, profiles_of
 from tom.record.files import parse_json_line
 from tom.record.reader import RunReader
 from tom.record.rerun.view import RerunView
@@ -47,12 +46,12 @@ class Tail:
         """
         while whole := self._next_block():
             rows = map(parse_json_line, whole.splitlines())
-            yield [row for row in rows if row and is_whole(row.get("env_step"))]
+            yield [row for row in rows if row and isinstance(row.get("env_step"), int)]
 
     def _next_block(self) -> bytes:
         """Some complete lines; empty if there are no new ones."""
         try:
-            with open_file(self._path) as file:
+            with self._path.open("rb") as file:
                 size = file.seek(0, os.SEEK_END)
                 if size < self._offset:  # a resumed run writes the following rows again
                     self._offset = file.seek(0)
@@ -60,7 +59,7 @@ class Tail:
                 text = file.read(BLOCK_BYTES)
                 while text and b"\n" not in text and (more := file.read(BLOCK_BYTES)):
                     text += more
-        except (OSError, ValueError):  # it does not exist yet, or is not a file
+        except OSError:  # it does not exist yet
             return b""
         whole = text[: text.rfind(b"\n") + 1]
         self._offset += len(whole)
@@ -86,7 +85,7 @@ class Follower:
             self._view.flush()
             yield
         for rows in self._profiles.blocks():
-            profiles, _ = profiles_of(rows)
+            profiles = profiles_of(rows)
             for step, bins in zip(profiles.env_step.tolist(), profiles.bins, strict=True):
                 self._view.profile(step, bins)
             yield
@@ -144,7 +143,7 @@ def _every(run: RunReader) -> int:
     settings = run.config.get("config")
     evaluation = settings.get("evaluation") if isinstance(settings, dict) else None
     every = evaluation.get("every") if isinstance(evaluation, dict) else None
-    return max(every, 1) if is_whole(every) else 1000
+    return max(every, 1) if isinstance(every, int) else 1000
 
 
 def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:

@@ -13,7 +13,6 @@ from rerun.chunk import RrdReader
 
 from tom.events import Metrics
 from tom.record import RunReader, Store, layout
-from tom.record.export import export
 from tom.record.recorder import Recorder
 from tom.record.rerun import feed
 from tom.record.rerun.feed import Follower, Tail, Trainings, stream, stream_all
@@ -197,26 +196,6 @@ ODD_PROFILES = (
     '{"env_step": 5}',
     '{"env_step": 5, "bins": [1' + "0" * 400 + '], "ess": 1, "zeros": 0, "count": 1}',
 )
-
-
-@pytest.mark.fault
-@pytest.mark.quick
-def test_rows_of_text_and_of_numbers_that_none_holds__are_passed_over_in_rerun_and_the_rest_shown(
-    record, tmp_path: Path
-):
-    run = record()
-    (run.path / "metrics.parquet").unlink()
-    for name, rows in ((layout.METRICS, ODD_ROWS), (layout.PROFILES, ODD_PROFILES)):
-        with (run.path / name).open("a") as file:
-            file.write("\n".join(rows) + "\n")
-    (run.path / layout.episodes(500)).write_bytes(b"no archive")
-    np.savez(run.path / layout.field("map", 500), allow_pickle=False, other=np.zeros(3))
-    path = export(run, "rrd", tmp_path / "out")
-    assert logged(path, "critic/q")["env_step"].tolist() == [1001]
-    assert len(logged(path, "weights/profile")) == STEPS / FIT
-    assert sum(map(len, stream(run, threading.Event()))) > 10_000
-    assert run.metrics()["env_step"].tolist()[-3:] == [1001, 1002, 1003]
-    assert len(run.profiles().env_step) == STEPS / FIT
 
 
 @pytest.mark.fault

@@ -1,0 +1,89 @@
+"""Files of arrays in which a bit is flipped, or that are cut."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from faults import config, stopped
+
+from tom.errors import UserError
+from tom.policy.stored import read_policy
+from tom.record import RunReader, Store
+from tom.record.export import export_small
+from tom.record.integrity import verify
+from tom.training.run import train
+
+pytestmark = [pytest.mark.fault, pytest.mark.quick]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with a stopped run and a finished one."""
+    path = tmp_path_factory.mktemp("made") / "store"
+    stopped(Store(path), 130, "a")
+    train(config("tom"), Store(path), "whole", rerun=False)
+    return path
+
+
+@pytest.fixture
+def store(made: Path, tmp_path: Path) -> Store:
+    return Store(shutil.copytree(made, tmp_path / "store"))
+
+
+def last(run: RunReader, part: str) -> str:
+    """The name of the last file of a part of a run: nothing comes after it."""
+    path = max((run.path / part).iterdir()) if (run.path / part).is_dir() else run.path / part
+    return str(path.relative_to(run.path))
+
+
+def _snapshot(run: RunReader) -> str:
+    return f"snapshot-{run.snapshot_steps()[0]:09d}.parquet"
+
+
+def test_a_bit_flipped_anywhere_in_a_small_copys_arrays__raises_nothing(
+    store: Store, tmp_path: Path
+):
+    copy = RunReader(export_small(store.run("whole"), tmp_path / "copies"))
+    rng = np.random.default_rng(0)
+    files = [p for p in sorted(copy.path.rglob("*")) if p.suffix in (".npz", ".parquet")]
+    assert len(files) > 6
+    for path in files:
+        content = bytearray(path.read_bytes())
+        ends = [*range(150), *range(len(content) - 150, len(content))]
+        for at in {*ends, *rng.integers(0, len(content), 60).tolist()} & {*range(len(content))}:
+            bit = 1 << int(rng.integers(8))
+            content[at] ^= bit
+            path.write_bytes(content)
+            content[at] ^= bit
+            read(copy.path, path)
+        path.write_bytes(content)
+
+
+def read(run: Path, path: Path) -> None:
+    """Read the part of the run that `path` is, as the pages do."""
+    reader = RunReader(run)
+    match path.parent.name:
+        case "buffer":
+            reader.buffer()
+            reader.buffer_state()
+        case "episodes":
+            reader.episodes(int(path.stem))
+        case "weights":
+            reader.snapshot(int(path.stem.partition("-")[2]))
+        case _:
+            try:
+                read_policy(path)
+            except UserError:
+                return
+
+
+@pytest.mark.parametrize("part", ["episodes", "buffer", "policy.npz", "weights"])
+def test_a_cut_array_file__is_left_out_of_a_small_copy(store: Store, tmp_path: Path, part: str):
+    run = store.run("whole")
+    path = run.path / (last(run, part) if part != "weights" else f"weights/{_snapshot(run)}")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    copy = RunReader(export_small(run, tmp_path / "copies"))
+    assert copy.status.state == "finished"
+    assert len(copy.metrics()) > 3
+    assert verify(copy) == []
