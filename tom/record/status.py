@@ -47,6 +47,11 @@ class Status:
 
 
 def parse(content: dict[str, Any]) -> Status:
-    """The status in a JSON object, of which a newer version may know more."""
+    """The status in a JSON object, of which a newer version may know more.
+
+    Raises TypeError if its numbers are none.
+    """
     known = {field.name: content[field.name] for field in fields(Status) if field.name in content}
-    return Status(**{**known, "warnings": tuple(known.get("warnings", ()))})
+    status = Status(**{**known, "warnings": tuple(known.get("warnings", ()))})
+    _ = status.alive, status.share  # pages ask for both, where nobody expects an error
+    return status

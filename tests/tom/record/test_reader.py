@@ -108,7 +108,9 @@ def test_the_buffer_ends_where_a_segment_is_missing_or_damaged(record):
     assert problem(run).startswith("buffer/000000000.npz cannot be read")
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "\x00"])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "\x00", '{"total": "9"}', '{"state": "running", "heartbeat": "now"}']
+)
 def test_a_damaged_status_is_unknown(record, text: str):
     run = record()
     (run.path / "status.json").write_text(text)
