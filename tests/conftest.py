@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import sys
 from collections.abc import Iterator
 from urllib.request import Request, urlopen
 
@@ -13,6 +14,14 @@ OVERRIDE = 1 << 1 | 1 << 2
 """those by which root reads what its mode forbids"""
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported; children inherit it
+
+
+@pytest.fixture(autouse=True)
+def main_stays_main() -> Iterator[None]:
+    """Streamlit makes a page that is drawn here the main module, which child processes import."""
+    before = sys.modules["__main__"]
+    yield
+    sys.modules["__main__"] = before
 
 
 @pytest.fixture
