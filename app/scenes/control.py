@@ -1,32 +1,26 @@
-"""The control socket between pages and the viser server, which only this user can open."""
+"""What a 3D frame shows, and the socket over which pages say so to the viser server.
 
-import json
+Only this user can open the socket, so its messages are pickled objects of this module.
+"""
+
 import logging
-import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from itertools import count
-from multiprocessing.connection import Client, Connection, Listener
+from dataclasses import dataclass
+from multiprocessing.connection import Client, Listener
 from pathlib import Path
-from threading import Lock, Thread
-from typing import Any, Literal
+from queue import SimpleQueue
+from threading import Thread
+from typing import Literal
 
 from app.theme import Mode
 
-MESSAGE_LIMIT = 100_000
-SILENCE_S = 30.0
-"""seconds after which a silent client is dropped"""
 ANSWER_S = 1.0
 """seconds that a page waits for an answer"""
-PAUSE_S = 0.1
-"""pause in seconds after a failed accept, so that a broken socket does not use a whole core"""
-
 REAL_TIME = "real time"
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, REAL_TIME: 1.0, "2 times": 2.0, "4 times": 4.0}
 """choices of playback speed"""
-CLOCK = "clock"
-"""the kind of a message that asks for the clock"""
-Wish = Literal["go", "play", "pause"]
+Wish = Literal["go", "play", "pause", "start"]
+"""go to a frame, play on, pause, or play from the beginning"""
 
 _log = logging.getLogger(__name__)
 
@@ -50,10 +44,9 @@ class RoadChoice:
 
 @dataclass(frozen=True)
 class ReplayChoice:
-    """An evaluation episode from `frame` on, with a ghost that restarts every `horizon` steps.
+    """An evaluation episode, first shown at `frame`, with a ghost that restarts every `horizon`.
 
-    `played` counts the page's requests to play it from the beginning, `asked` those of its `wish`:
-    to play, to pause, or to go to `frame`. A higher count means a new request.
+    `asked` counts the page's requests: a higher count means that its `wish` is a new one.
     """
 
     run: str
@@ -61,7 +54,6 @@ class ReplayChoice:
     episode: int
     frame: int
     horizon: int
-    played: int = 0
     asked: int = 0
     wish: Wish = "go"
     speed: str = REAL_TIME
@@ -81,123 +73,73 @@ class StatesChoice:
 
 
 Choice = RoadChoice | ReplayChoice | StatesChoice
-KINDS: dict[str, type[Choice]] = {
-    "road": RoadChoice,
-    "replay": ReplayChoice,
-    "states": StatesChoice,
-}
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The content of one browser frame; in a `compact` one the panel is small and closed."""
+    """The content of one browser frame; in a `compact` one the panel is closed at first."""
 
     choice: Choice
     mode: Mode = "light"
     compact: bool = False
 
 
-def tell(socket: str, client: str, selection: Selection) -> None:
-    """Ask the viser server to show `selection` in the frame of `client`.
+def tell(socket: str, page: str, selection: Selection) -> None:
+    """Ask the viser server to show `selection` in the frame of `page`.
 
     Raises OSError if there is no server.
     """
-    with Client(socket) as connection:
-        connection.send_bytes(packed(client, selection))
+    with Client(socket) as server:
+        server.send((page, selection))
 
 
-def clock(socket: str, client: str) -> Clock | None:
-    """The clock of the frame of `client`; None if nothing plays there.
+def clock(socket: str, page: str) -> Clock | None:
+    """The clock of the frame of `page`; None if nothing plays there.
 
     Raises OSError if there is no server, or it does not answer.
     """
-    with Client(socket) as connection:
-        connection.send_bytes(json.dumps({"client": client, "kind": CLOCK}).encode())
-        if not connection.poll(ANSWER_S):
+    with Client(socket) as server:
+        server.send((page, None))
+        if not server.poll(ANSWER_S):
             raise TimeoutError("the scene server is busy")
         try:
-            told = json.loads(connection.recv_bytes(MESSAGE_LIMIT))
+            return server.recv()
         except EOFError as error:
             raise ConnectionError("the scene server has hung up") from error
-    if not told:
-        return None
-    return Clock(int(told["frame"]), bool(told["playing"]), int(told["asked"]))
 
 
 def listen(
     socket: str,
     select: Callable[[str, Selection], None],
-    clock_of: Callable[[str], Clock | None] = lambda _: None,
+    clock_of: Callable[[str], Clock | None],
 ) -> None:
-    """Pass every arriving selection to `select`, one after another, forever.
+    """Pass arriving selections to `select`, in their order, and answer with `clock_of`, forever.
 
-    A request for a clock is answered with `clock_of`.
-
-    Each client has a thread, so that a silent one does not block others. Of a page's selections the
-    one that connected last counts. An incomplete or invalid message is logged, and later ones are
-    still processed.
+    Selections are shown in a thread, so that a scene that takes long to draw delays no answer. A
+    message that fails is logged.
     """
+    arrived: SimpleQueue[tuple[str, Selection]] = SimpleQueue()
+    Thread(target=_show_all, args=(arrived, select), daemon=True).start()
     Path(socket).unlink(missing_ok=True)  # left by a killed server
-    ear = _Ear(select, clock_of)
     with Listener(socket) as listener:
-        for number in count():
+        while True:
             try:
-                caller = listener.accept()
-                Thread(target=ear.hear, args=(number, caller), daemon=True).start()
-            except Exception:
+                with listener.accept() as caller:
+                    page, selection = caller.recv()
+                    if selection is None:
+                        caller.send(clock_of(page))
+                    else:
+                        arrived.put((page, selection))
+            except (OSError, EOFError):  # the page was closed meanwhile
                 _log.exception("a page was not heard")
-                time.sleep(PAUSE_S)
 
 
-class _Ear:
-    """Receives the messages of pages in threads."""
-
-    def __init__(
-        self,
-        select: Callable[[str, Selection], None],
-        clock_of: Callable[[str], Clock | None],
-    ) -> None:
-        self._select = select
-        self._clock_of = clock_of
-        self._newest: dict[str, int] = {}
-        """by page, the number of the connection of its current selection"""
-        self._turn = Lock()
-
-    def hear(self, number: int, caller: Connection) -> None:
-        """Read one message and show it, unless its page has sent a newer one."""
+def _show_all(
+    arrived: SimpleQueue[tuple[str, Selection]], select: Callable[[str, Selection], None]
+) -> None:
+    while True:
+        page, selection = arrived.get()
         try:
-            with caller:
-                if not caller.poll(SILENCE_S):
-                    raise TimeoutError(f"nothing was said for {SILENCE_S:.0f} s")
-                message = caller.recv_bytes(MESSAGE_LIMIT)
-                if (what := json.loads(message))["kind"] == CLOCK:
-                    told = self._clock_of(str(what["client"]))
-                    caller.send_bytes(json.dumps(told and asdict(told)).encode())
-                    return
-                client, selection = unpacked(message)
-                with self._turn:
-                    if number > self._newest.get(client, -1):
-                        self._newest[client] = number
-                        self._select(client, selection)
+            select(page, selection)
         except Exception:
-            with self._turn:  # Python 3.11 cannot format two tracebacks at a time
-                _log.exception("a page's selection was not shown")
-
-
-def packed(client: str, selection: Selection) -> bytes:
-    """A selection as a message."""
-    kind = next(name for name, made in KINDS.items() if isinstance(selection.choice, made))
-    look = {"mode": selection.mode, "compact": selection.compact}
-    what = {"client": client, "kind": kind, "choice": asdict(selection.choice)}
-    return json.dumps(what | look).encode()
-
-
-def unpacked(message: bytes) -> tuple[str, Selection]:
-    """The client and the selection of a message."""
-    what = json.loads(message)
-    choice: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in what["choice"].items()
-    }
-    shown = KINDS[what["kind"]](**choice)
-    return str(what["client"]), Selection(shown, what["mode"], what["compact"])
+            _log.exception("a page's selection was not shown")

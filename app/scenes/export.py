@@ -10,7 +10,6 @@ from app.scenes import road
 from app.scenes.road import RoadScene
 from app.scenes.road_frame import LAYERS
 from app.scenes.stage import light, sky
-from app.scenes.words import fix
 from app.theme import Mode
 from tom.machine.address import free_port
 
@@ -62,8 +61,6 @@ def _record(
             if number:
                 each.update(picture)
             each.show(shown)
-            for words in each.words:
-                fix(server.scene, words)
         serializer = serializer or server.get_scene_serializer()
         for step in range(0, max(each.longest for each in scenes) + STRIDE, STRIDE):
             for each in scenes:

@@ -1,14 +1,13 @@
 """The base of all browser frames of the viser server: panel, scene, light, camera."""
 
 import threading
-from collections.abc import Sequence
 
 import viser
 
 from app.scenes.colours import rgb
 from app.scenes.control import Clock, Selection
 from app.scenes.stage import light
-from app.scenes.words import Vector, Words
+from app.scenes.words import Vector
 from app.theme import ACCENT, Mode
 
 
@@ -37,8 +36,8 @@ class Frame:
         if compact:
             client.gui.main_panel.minimize()
 
-    def show(self, selection: Selection, *, play: bool = False) -> None:
-        """Show a page's choice; with `play`, play it from the beginning if possible.
+    def show(self, selection: Selection, *, obey: bool = False) -> None:
+        """Show a page's choice; with `obey`, carry out its request too.
 
         Raises UserError if it cannot be read.
         """
@@ -47,9 +46,7 @@ class Frame:
                 self.mode = selection.mode
                 self._dress()
                 self._mode_changed()
-            self._show(selection)
-            if play:
-                self._play()
+            self._show(selection, obey=obey)
 
     def close(self) -> None:
         """Clear the scene and the panel for a frame of another kind."""
@@ -63,9 +60,6 @@ class Frame:
         with self._lock:
             if not self._closed:  # the clock may still tick a frame that was just replaced
                 self._tick(seconds)
-                camera = self.client.camera.position
-                for words in self._words():
-                    words.face(camera)
 
     def clock(self) -> Clock | None:
         """The state of playback; None if this kind of scene plays nothing."""
@@ -98,18 +92,11 @@ class Frame:
     def _build_panel(self) -> None:
         raise NotImplementedError
 
-    def _show(self, selection: Selection) -> None:
+    def _show(self, selection: Selection, *, obey: bool) -> None:
         raise NotImplementedError
-
-    def _play(self) -> None:
-        """Play from the beginning."""
 
     def _mode_changed(self) -> None:
         """Redraw everything that has colours of the old mode."""
 
     def _tick(self, seconds: float) -> None:
         """Advance playback; by default nothing plays."""
-
-    def _words(self) -> Sequence[Words]:
-        """The words in the scene that must face the camera."""
-        return ()

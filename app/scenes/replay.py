@@ -10,7 +10,6 @@ from app.scenes.colours import rgb
 from app.scenes.road import draw_map
 from app.scenes.solids import Robot, Solids
 from app.scenes.stage import floor, sky, under
-from app.scenes.words import Words
 from app.theme import Mode, learner_colour
 from tom.envs import scene as geometry
 
@@ -37,9 +36,8 @@ class ReplayScene:
         self._ghost = None if replay.ghost is None else track(replay.model, replay.ghost)
         sky(scene, mode)
         self._floor = None if replay.road else floor(scene, self._real.floor, mode)
-        self.words: list[Words] = []
         if replay.road:
-            self.words = draw_map(scene, replay.road, mode)
+            draw_map(scene, replay.road, mode)
         self.robot = Robot(scene, "/real", self._real.meshes, [rgb(REAL[mode])])
         self.ghost = None
         if self._ghost is not None:

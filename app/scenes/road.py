@@ -12,7 +12,7 @@ from app.data.roadmap import RoadShape, circle, outline
 from app.scenes import arrays, solids
 from app.scenes.colours import rgb
 from app.scenes.solids import Robot, copies
-from app.scenes.words import Vector, Words, add_words, extent
+from app.scenes.words import Vector, add_words, extent
 from app.theme import NEUTRAL, Mode, learner_colour, learner_label
 
 CAMERA = (0.5, -0.12, 0.82)
@@ -60,7 +60,7 @@ class RoadScene:
         self.mode: Mode = mode
         scene.add_frame(self._name, show_axes=False, position=(x, 0.0, 0.0))
         self._called = called or learner_label(picture.learner)
-        self._names = draw_map(scene, picture.road, mode, self._name)
+        draw_map(scene, picture.road, mode, self._name)
         self._rocks = _draw_boulders(scene, picture.road, mode, self._name)
         self.update(picture)
 
@@ -85,12 +85,7 @@ class RoadScene:
             "boulders": [self._rocks],
         }
         words, foot = f"{self._called}, record of step {picture.step:,}", (0.5, 1.03, 0.02)
-        self._title = add_words(scene, f"{name}/title", words, self.mode, foot, TITLE, TILT)
-
-    @property
-    def words(self) -> list[Words]:
-        """The words on the map."""
-        return [self._title, *self._names]
+        add_words(scene, f"{name}/title", words, self.mode, foot, TITLE, TILT)
 
     def show(self, layers: Mapping[str, bool]) -> None:
         """Show and hide layers by name."""
@@ -197,9 +192,8 @@ def _flat(scene: viser.SceneApi, name: str, picture: Picture, mode: Mode) -> vis
     )
 
 
-def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "") -> list[Words]:
-    """Draw the floor with the road, its start and its goal; returns their words."""
-    names = []
+def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "") -> None:
+    """Draw the floor with the road, its start and its goal, and their names."""
     scene.add_image(
         f"{root}/ground", arrays.ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
     )
@@ -213,8 +207,7 @@ def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "")
         _lines(scene, f"{root}/{name}", ring, colour, 2 * LIFT, 3.5)
         half = extent(name, mode, NAME)[0] / 2 + MARGIN
         beside = (-half if x < 0.5 else 1 + half, y - NAME / 2, LIFT)
-        names.append(add_words(scene, f"{root}/{name}/name", name, mode, beside, NAME, TILT))
-    return names
+        add_words(scene, f"{root}/{name}/name", name, mode, beside, NAME, TILT)
 
 
 def _draw_boulders(

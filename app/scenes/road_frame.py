@@ -1,7 +1,5 @@
 """The browser frame that shows road-and-rocks in 3D."""
 
-from collections.abc import Sequence
-
 import viser
 
 from app.data import pictures
@@ -12,7 +10,6 @@ from app.scenes.control import RoadChoice, Selection
 from app.scenes.frame import Frame
 from app.scenes.road import RoadScene
 from app.scenes.stage import sky
-from app.scenes.words import Words
 from tom.envs import ROAD
 from tom.errors import UserError
 from tom.record.reader import at_or_before
@@ -61,7 +58,7 @@ class RoadFrame(Frame):
         for layer in self.layers.values():
             layer.on_update(lambda _: self._apply_layers())
 
-    def _show(self, selection: Selection) -> None:
+    def _show(self, selection: Selection, *, obey: bool) -> None:
         choice = selection.choice
         assert isinstance(choice, RoadChoice)
         store = Store(self.store)
@@ -140,9 +137,6 @@ class RoadFrame(Frame):
             RoadScene(self.client.scene, picture, self.mode, str(i), scene.place(i), called[run])
             for i, (run, picture) in enumerate(shown)
         ]
-
-    def _words(self) -> Sequence[Words]:
-        return [words for each in self._scenes for words in each.words]
 
     def _drive(self) -> None:
         for each in self._scenes:

@@ -16,16 +16,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from app.links import Links
-from app.scenes.control import (
-    Choice,
-    Clock,
-    ReplayChoice,
-    RoadChoice,
-    Selection,
-    StatesChoice,
-    listen,
-)
-from app.theme import BACKGROUND, Mode
+from app.scenes.control import Choice, Clock, ReplayChoice, RoadChoice, Selection, listen
+from app.theme import BACKGROUND
 from tom import plugins
 from tom.errors import UserError
 from tom.machine.address import framing, refusal
@@ -44,8 +36,8 @@ class SceneServer:
     def __init__(self, links: Links) -> None:
         self.links = links
         self.chosen: dict[str, Selection] = {}
-        self.begun: dict[str, int] = {}
-        """by page, how often its episode was played from the beginning"""
+        self.heard: dict[str, int] = {}
+        """by page, its last request that a frame has carried out"""
         self.frames: dict[int, tuple[str, Frame]] = {}
         with guarded(links):
             self.server = viser.ViserServer(links.host, links.viser_port, verbose=False)
@@ -55,67 +47,66 @@ class SceneServer:
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._left)
 
-    def select(self, client: str, selection: Selection) -> None:
+    def select(self, page: str, selection: Selection) -> None:
         """Store a page's selection and show it in its frames."""
-        before = self.chosen.get(client)
-        self.chosen[client] = selection
+        before, self.chosen[page] = self.chosen.get(page), selection
         if before == selection:
             return
-        frames = list(self.frames.items())
-        here = [(number, frame) for number, (name, frame) in frames if name == client]
-        play = bool(here) and self._asked_to_play(client, selection.choice)
-        for number, frame in here:
-            self._show(number, client, frame, selection, play=play)
+        here = [item for item in list(self.frames.items()) if item[1][0] == page]
+        obey = bool(here) and self._asks_anew(page, selection.choice)
+        for number, (_, frame) in here:
+            self._show(number, page, frame, selection, obey=obey)
 
-    def clock(self, client: str) -> Clock | None:
+    def clock(self, page: str) -> Clock | None:
         """The clock of a page's frame; None if nothing plays there."""
-        frames = [frame for _, (name, frame) in list(self.frames.items()) if name == client]
-        clocks = [clock for frame in frames if (clock := frame.clock())]
-        return clocks[-1] if clocks else None
+        frames = [frame for _, (name, frame) in list(self.frames.items()) if name == page]
+        return next((clock for frame in reversed(frames) if (clock := frame.clock())), None)
 
     def tick(self, seconds: float) -> None:
         """Advance all frames by `seconds`."""
         for _, frame in list(self.frames.values()):
             frame.tick(seconds)
 
-    def _asked_to_play(self, name: str, choice: Choice) -> bool:
-        """Whether the page has requested playback since the last start, which is then counted.
+    def _asks_anew(self, page: str, choice: Choice) -> bool:
+        """Whether the choice has a request that no frame of the page has carried out; now one will.
 
-        So a request waits for the page's first frame, and a reconnected frame does not play again.
+        So a request waits for the page's first frame, and a reconnected frame does not repeat it.
         """
-        asked = choice.played if isinstance(choice, ReplayChoice) else 0
-        begun, self.begun[name] = self.begun.get(name, 0), asked
-        return asked > begun
+        asked = choice.asked if isinstance(choice, ReplayChoice) else 0
+        heard, self.heard[page] = self.heard.get(page, 0), asked
+        return asked > heard
 
     def _show(
-        self, number: int, name: str, frame: "Frame", selection: Selection, *, play: bool
+        self, number: int, page: str, frame: "Frame", selection: Selection, *, obey: bool
     ) -> None:
         if type(frame) is not frame_class(selection.choice):
             frame.close()
             frame = self._frame(frame.client, selection)
-            if not self._insert(number, name, frame):
+            if not self._insert(number, page, frame):
                 return
         try:
-            frame.show(selection, play=play)
+            frame.show(selection, obey=obey)
         except UserError as error:  # deleted or damaged meanwhile; the last picture stays
             frame.client.add_notification("Not shown", str(error), auto_close_seconds=8)
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        request = self._request(client)
+        # viser has no public attribute for a client's request; its path is the only thing that a
+        # page can set (`?websocket=` in Links.viser).
+        request = self.server._websock_server._live_connections[client.client_id].request
         if request is None:  # already disconnected
             return
-        name = request.path.strip("/")
-        selection = self.chosen.get(name, Selection(RoadChoice(), self.links.theme or "light"))
+        page = request.path.strip("/")
+        selection = self.chosen.get(page, Selection(RoadChoice(), self.links.theme or "light"))
         frame = self._frame(client, selection)
-        if not self._insert(client.client_id, name, frame):
+        if not self._insert(client.client_id, page, frame):
             return
-        selection = self.chosen.get(name, selection)  # it may have changed while this was built
-        play = self._asked_to_play(name, selection.choice)
-        self._show(client.client_id, name, frame, selection, play=play)
+        selection = self.chosen.get(page, selection)  # it may have changed while this was built
+        obey = self._asks_anew(page, selection.choice)
+        self._show(client.client_id, page, frame, selection, obey=obey)
 
-    def _insert(self, number: int, name: str, frame: "Frame") -> bool:
+    def _insert(self, number: int, page: str, frame: "Frame") -> bool:
         """Store a frame; returns False if its tab was closed while it was built (see `_left`)."""
-        self.frames[number] = (name, frame)
+        self.frames[number] = (page, frame)
         if number in self.server.get_clients():
             return True
         self.frames.pop(number, None)
@@ -128,27 +119,20 @@ class SceneServer:
     def _left(self, client: viser.ClientHandle) -> None:
         self.frames.pop(client.client_id, None)
 
-    def _request(self, client: viser.ClientHandle) -> Request | None:
-        # viser has no public attribute for a client's request; its path is the only thing that a
-        # page can set (`?websocket=` in Links.viser).
-        return self.server._websock_server._live_connections[client.client_id].request
-
 
 def frame_class(choice: Choice) -> "type[Frame]":
     """What shows a choice; imported when a page first asks for it, since a robot needs MuJoCo."""
-    match choice:
-        case RoadChoice():
-            from app.scenes.road_frame import RoadFrame
+    if isinstance(choice, RoadChoice):
+        from app.scenes.road_frame import RoadFrame
 
-            return RoadFrame
-        case ReplayChoice():
-            from app.scenes.replay_frame import ReplayFrame
+        return RoadFrame
+    if isinstance(choice, ReplayChoice):
+        from app.scenes.replay_frame import ReplayFrame
 
-            return ReplayFrame
-        case StatesChoice():
-            from app.scenes.states_frame import StatesFrame
+        return ReplayFrame
+    from app.scenes.states_frame import StatesFrame
 
-            return StatesFrame
+    return StatesFrame
 
 
 @contextmanager
@@ -180,16 +164,16 @@ def _admit(
     if answered is not None:
         answered.headers["Content-Security-Policy"] = framing(links.host, links.port)
         if urlsplit(request.path).path == "/" and answered.status_code == HTTPStatus.OK:
-            _dress(answered, "dark" if "darkMode" in request.path else "light")
+            # viser's script, which colours the page, takes a second to start.
+            colour = BACKGROUND["dark" if "darkMode" in request.path else "light"]
+            _insert_style(answered, f"html {{ background: {colour} }}")
     return answered
 
 
-def _dress(page: Response, mode: Mode) -> None:
-    """Give viser's page the studio's background at once, because its script takes a second."""
+def _insert_style(page: Response, style: str) -> None:
     packed = page.headers.get("Content-Encoding") == "gzip"
     html = gzip.decompress(page.body) if packed else page.body
-    style = f"<head><style>html {{ background: {BACKGROUND[mode]} }}</style>".encode()
-    html = html.replace(b"<head>", style, 1)
+    html = html.replace(b"<head>", f"<head><style>{style}</style>".encode(), 1)
     page.body = gzip.compress(html, 1) if packed else html
     if "Content-Length" in page.headers:
         del page.headers["Content-Length"]
@@ -201,15 +185,17 @@ def main() -> None:
     plugins.load()
     links = Links.from_environment()
     served = SceneServer(links)
-    threading.Thread(
-        target=listen, args=(links.control, served.select, served.clock), daemon=True
-    ).start()
-    then = time.monotonic()
-    while True:
-        time.sleep(TICK_S)
-        now = time.monotonic()
-        served.tick(now - then)
-        then = now
+
+    def tick() -> None:
+        then = time.monotonic()
+        while True:
+            time.sleep(TICK_S)
+            now = time.monotonic()
+            served.tick(now - then)
+            then = now
+
+    threading.Thread(target=tick, daemon=True).start()
+    listen(links.control, served.select, served.clock)
 
 
 if __name__ == "__main__":

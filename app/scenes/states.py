@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app.data.buffer import WINDOW
 from app.scenes.solids import Colour, Floats, Robot, Solids
 from app.scenes.stage import floor, sky
-from app.scenes.words import Words, add_words
+from app.scenes.words import add_words
 from app.theme import Mode
 from tom.data.transitions import Transitions
 from tom.envs.task import Task
@@ -72,7 +72,6 @@ class StatesScene:
         sky(scene, mode)
         floor(scene, height, mode)
         self.size = footprint([one for _, one, _ in groups])
-        self.words: list[Words] = []
         self._robots: list[tuple[Robot, Solids, NDArray[np.float32]]] = []
         for (words, one, colours), side in zip(groups, (-1, 1), strict=False):
             at = places(len(colours), self.size, side)
@@ -83,7 +82,7 @@ class StatesScene:
             foot = (float(middle[0]), float(at[:, 1].max()), top)
             letters = LETTERS * float(self.size[0] + MARGIN)
             label = f"/{name} label"
-            self.words.append(add_words(scene, label, words, mode, foot, letters, TILT))
+            add_words(scene, label, words, mode, foot, letters, TILT)
 
     def pose(self, at: int) -> None:
         """Show frame `at` of every window; WINDOW is the middle."""

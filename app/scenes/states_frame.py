@@ -16,7 +16,6 @@ from app.scenes.colours import on_scale
 from app.scenes.control import Selection, StatesChoice
 from app.scenes.frame import Frame
 from app.scenes.states import StatesScene
-from app.scenes.words import Words
 from app.theme import COLUMNS, Mode
 from tom import readable
 from tom.data.transitions import Transitions
@@ -69,7 +68,7 @@ class StatesFrame(Frame):
         gui.add_markdown("The colour is the weight: orange counts more than average, blue less.")
         self.offset.on_update(self._scrubbed)
 
-    def _show(self, selection: Selection) -> None:
+    def _show(self, selection: Selection, *, obey: bool) -> None:
         choice = selection.choice
         assert isinstance(choice, StatesChoice)
         if choice == self._drawn:
@@ -121,9 +120,6 @@ class StatesFrame(Frame):
             self._at = (self._at + step) % (2 * WINDOW + 1)
             self.offset.value = int(self._at) - WINDOW
             self._pose()
-
-    def _words(self) -> Sequence[Words]:
-        return () if self._scene is None else self._scene.words
 
     def _pose(self) -> None:
         if self._scene is not None:

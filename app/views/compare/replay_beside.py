@@ -73,7 +73,7 @@ def show(run: RunInfo, clicked: int, step: int, called: str) -> None:
     head.markdown(f"[Replay of {text.markdown(called)}, step {step:,}]({address}){asked}")
     close.button("", icon=":material/close:", key="close replay", help="close", on_click=_forget)
     stage(
-        ReplayChoice(run.run_id, step, 0, 0, DEFAULT_HORIZON, played=1),
+        ReplayChoice(run.run_id, step, 0, 0, DEFAULT_HORIZON, 1, "start"),
         HEIGHT,
         "compare",
         compact=True,

@@ -88,7 +88,9 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
             words = f"step {before[-1]:,}" if before else _without(run)
             st.caption(f"{text.markdown(called[run.run_id])}, {words}")
             if before:
-                choice = ReplayChoice(run.run_id, before[-1], 0, 0, DEFAULT_HORIZON, played)
+                choice = ReplayChoice(
+                    run.run_id, before[-1], 0, 0, DEFAULT_HORIZON, played, "start"
+                )
                 stage(choice, STAGE_HEIGHT, f"side{i}", compact=True)
 
 

@@ -81,4 +81,4 @@ def _newest(run: RunInfo) -> Choice | None:
     if shown != (run.run_id, step):
         count += 1
         st.session_state[SEEN] = ((run.run_id, step), count)
-    return ReplayChoice(run.run_id, step, 0, 0, WITHOUT_GHOST, played=count)
+    return ReplayChoice(run.run_id, step, 0, 0, WITHOUT_GHOST, count, "start")

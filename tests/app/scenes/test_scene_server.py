@@ -73,7 +73,7 @@ def only_frame(served: SceneServer) -> ReplayFrame | None:
 
 
 def asked(times: int) -> Selection:
-    return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, 0, 25, played=times), compact=True)
+    return Selection(ReplayChoice(PENDULUM_TOM, 400, 0, 0, 25, times, "start"), compact=True)
 
 
 def test_what_was_to_play_before_its_frame_connected_plays_then(served: SceneServer) -> None:

@@ -1,7 +1,7 @@
 """The 3D scene: what is drawn, and that a frame shows what its page chose."""
 
 import base64
-import os
+import queue
 import re
 import socket
 import threading
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import viser
 import zstandard
+from studio_pages import answers
 from studio_runs import ROAD_MLE, ROAD_TOM
 
 from app.data import pictures
@@ -22,14 +23,13 @@ from app.data.roadmap import CELLS, on_road
 from app.scenes import arrays, solids
 from app.scenes import road as scene
 from app.scenes.control import (
+    Choice,
     ReplayChoice,
     RoadChoice,
     Selection,
     StatesChoice,
     listen,
-    packed,
     tell,
-    unpacked,
 )
 from app.scenes.export import FRAME_S, REST_S, STRIDE, as_html
 from app.scenes.road import RoadScene
@@ -118,11 +118,6 @@ def test_a_fit_takes_the_place_of_another(
     assert not any(fleet.visible for fleet in drawn.cars)
 
 
-def test_maps_stand_side_by_side() -> None:
-    assert scene.place(0) == 0
-    assert scene.place(1) > 1
-
-
 def test_one_map_is_seen_as_the_camera_of_all_scenes_has_it() -> None:
     camera, at = scene.view(1, FOV)
     assert camera == pytest.approx(scene.CAMERA)
@@ -173,122 +168,57 @@ def test_the_export_is_one_page_with_every_fit(picture: pictures.Picture, store:
     drive = (max(len(w) for w in picture.learnt) - 1) / STRIDE * FRAME_S
     assert scene_of["durationSeconds"] >= 2 * (drive + REST_S)
     names = {message.get("name") for _, message in scene_of["messages"]}
-    assert {"/road0/weights", "/road1/weights", "/road0/learnt cars/0", "/road1/goal/name"} <= names
+    assert {"/road0/weights", "/road1/weights", "/road0/learnt cars/0"} <= names
     assert {"/road0/title front", "/road0/title back", "/road1/goal/name back"} <= names
     assert not re.search(r'(?:src|href)="https?://', page)
 
 
-def test_a_page_reaches_the_scene_server(tmp_path: Path) -> None:
-    heard: list[tuple[str, Selection]] = []
-    arrived = threading.Event()
-
-    def select(client: str, selection: Selection) -> None:
-        heard.append((client, selection))
-        arrived.set()
-
-    path = str(tmp_path / "control")
+@pytest.fixture
+def told(tmp_path: Path) -> tuple[str, queue.Queue[tuple[str, Selection]]]:
+    """A socket that is listened to, and what it is told; the page `deleted` cannot be shown."""
+    path, told = str(tmp_path / "control"), queue.Queue()
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(path)
-    threading.Thread(target=listen, args=(path, select), daemon=True).start()
-    wanted = Selection(RoadChoice((ROAD_TOM,), 60), "dark")
-    for _ in range(100):
-        try:
-            tell(path, "page", wanted)
-            break
-        except OSError:
-            arrived.wait(0.05)
-    assert arrived.wait(10)
-    assert heard == [("page", wanted)]
 
+    def select(page: str, selection: Selection) -> None:
+        if page == "deleted":
+            raise IndexError(page)
+        told.put((page, selection))
 
-def closed_unsent(path: str) -> bool:
-    """As a page does that is killed before it has sent; False while nobody listens."""
-    try:
-        Client(path).close()
-    except OSError:
-        return False
-    return True
-
-
-def test_messages_that_fail_do_not_end_the_listening(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    got: list[Selection] = []
-    shown = threading.Event()
-
-    def select(client: str, selection: Selection) -> None:
-        if client == "rewound":
-            raise IndexError(client)
-        got.append(selection)
-        shown.set()
-
-    path = str(tmp_path / "control")
-    threading.Thread(target=listen, args=(path, select), daemon=True).start()
+    threading.Thread(target=listen, args=(path, select, lambda _: None), daemon=True).start()
     until = time.monotonic() + 10
-    while not closed_unsent(path) and time.monotonic() < until:
+    while not answers(path) and time.monotonic() < until:
         time.sleep(0.02)
-    with Client(path) as broken:
-        broken.send_bytes(b"{")
-    tell(path, "rewound", Selection(RoadChoice()))
-    tell(path, "page", Selection(RoadChoice(step=3)))
-    assert shown.wait(10)
-    assert got == [Selection(RoadChoice(step=3))]
-    while len(caplog.records) < 3 and time.monotonic() < until + 10:
-        time.sleep(0.02)
-    kinds = [type(record.exc_info[1]).__name__ for record in caplog.records if record.exc_info]
-    assert sorted(kinds) == ["EOFError", "IndexError", "JSONDecodeError"]
-
-
-def heard(path: str) -> tuple[list[Selection], threading.Event]:
-    """What is shown from now on, and that something was, of what `path` is told."""
-    got: list[Selection] = []
-    shown = threading.Event()
-
-    def select(_: str, selection: Selection) -> None:
-        got.append(selection)
-        shown.set()
-
-    threading.Thread(target=listen, args=(path, select), daemon=True).start()
-    until = time.monotonic() + 10
-    while not closed_unsent(path) and time.monotonic() < until:
-        time.sleep(0.02)
-    return got, shown
-
-
-@pytest.mark.parametrize("said", [b"", b"\0\0"], ids=["silent", "broken off"])
-def test_a_client_that_does_not_finish_holds_up_nobody(tmp_path: Path, said: bytes) -> None:
-    path = str(tmp_path / "control")
-    got, shown = heard(path)
-    with Client(path) as halting:
-        os.write(halting.fileno(), said)
-        tell(path, "page", Selection(RoadChoice(step=3)))
-        assert shown.wait(10)
-    assert got == [Selection(RoadChoice(step=3))]
-
-
-def test_of_two_selections_of_a_page_the_later_connection_counts(tmp_path: Path) -> None:
-    path = str(tmp_path / "control")
-    got, shown = heard(path)
-    with Client(path) as late:
-        tell(path, "page", Selection(RoadChoice(step=2)))
-        assert shown.wait(10)
-        late.send_bytes(packed("page", Selection(RoadChoice(step=1))))
-        with pytest.raises(EOFError):  # it was heard to its end
-            late.recv_bytes()
-    assert got == [Selection(RoadChoice(step=2))]
+    return path, told
 
 
 @pytest.mark.parametrize(
     "choice",
     [
-        RoadChoice(("a", "b"), 3),
-        ReplayChoice("a", 1, 2, 3, 4),
+        RoadChoice((ROAD_TOM,), 60),
+        ReplayChoice("a", 1, 2, 3, 4, wish="play"),
         StatesChoice("a", (1, 2), (), (2.5, 3.0), ()),
     ],
 )
-def test_a_message_says_what_was_chosen(choice: RoadChoice | ReplayChoice | StatesChoice) -> None:
-    selection = Selection(choice, "dark", compact=True)
-    assert unpacked(packed("page", selection)) == ("page", selection)
+def test_a_page_reaches_the_scene_server(choice: Choice, told) -> None:
+    path, heard = told
+    wanted = Selection(choice, "dark", compact=True)
+    tell(path, "page", wanted)
+    assert heard.get(timeout=10) == ("page", wanted)
+
+
+def test_messages_that_fail_do_not_end_the_listening(
+    told, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, heard = told
+    Client(path).close()  # as a page does that is killed before it has sent
+    tell(path, "deleted", Selection(RoadChoice()))
+    for step in (3, 4):
+        tell(path, "page", Selection(RoadChoice(step=step)))
+    shown = [heard.get(timeout=10)[1] for _ in range(2)]
+    assert shown == [Selection(RoadChoice(step=step)) for step in (3, 4)]
+    kinds = {type(record.exc_info[1]).__name__ for record in caplog.records if record.exc_info}
+    assert kinds == {"EOFError", "IndexError"}
 
 
 def test_a_server_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:

@@ -423,7 +423,7 @@ def test_play_all_starts_every_replay_of_the_page(
 ) -> None:
     told: queue.Queue[tuple[str, Selection]] = queue.Queue()
     control = tmp_path / "control"
-    listening = (str(control), lambda *words: told.put(words))
+    listening = (str(control), lambda *words: told.put(words), lambda _: None)
     threading.Thread(target=listen, args=listening, daemon=True).start()
     links = Links(store=str(store), viser_port=9, control=str(control))
     set_links(links, monkeypatch)
@@ -437,7 +437,7 @@ def test_play_all_starts_every_replay_of_the_page(
         for selection in selections.values():
             assert selection.compact
             assert isinstance(selection.choice, ReplayChoice)
-            assert (selection.choice.step, selection.choice.played) == (400, played)
+            assert (selection.choice.step, selection.choice.asked) == (400, played)
 
 
 def test_settings_show_only_what_differs() -> None:
