@@ -16,8 +16,7 @@ from streamlit.navigation.page import StreamlitPage
 from app import session
 from app.data import readers
 from app.parts import address
-from app.scenes.colours import rgb
-from app.theme import LEARNER_COLOURS, NEUTRAL
+from app.theme import LEARNER_COLOURS, NEUTRAL, rgb
 from tom.learners import SUBJECT
 from tom.plugins import PAGES
 

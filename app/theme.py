@@ -1,8 +1,10 @@
 """Colours: one for each learner everywhere, readable on light and dark and by the colour-blind."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tom.config import SAC_ALONE
 from tom.learners import LEARNERS
@@ -97,10 +99,23 @@ def learner_label(learner: str) -> str:
     return LEARNERS[learner].label if learner in LEARNERS else _OTHER_LABELS.get(learner, learner)
 
 
+def rgb(colour: str) -> tuple[int, int, int]:
+    """`#rrggbb` as three numbers from 0 to 255."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
 def faded(colour: str, alpha: float) -> str:
     """`#rrggbb` as a CSS colour of opacity `alpha`."""
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    red, green, blue = rgb(colour)
     return f"rgba({red}, {green}, {blue}, {alpha:g})"
+
+
+def on_scale(share: NDArray[np.float64], scale: Sequence[tuple[float, str]]) -> NDArray[np.uint8]:
+    """Positions in [0, 1] as colours: (...,) -> (..., 3), linear between the scale's stops."""
+    stops = np.array([at for at, _ in scale])
+    colours = np.array([rgb(colour) for _, colour in scale], np.float64)
+    channels = [np.interp(share, stops, colours[:, c]) for c in range(3)]
+    return np.stack(channels, -1).round().astype(np.uint8)
 
 
 def streamlit_options(theme: Mode | None) -> dict[str, Any]:

@@ -1,14 +1,39 @@
-"""The base of all browser frames of the viser server: panel, scene, light, camera."""
+"""What all scenes have: a browser frame with its panel, the light, the floor, the sky and words.
+
+viser's labels are black on a white box in every theme, so words are painted here in the page's own
+colours and placed in the scene as pictures: two back to back, so that no letter is mirrored.
+"""
 
 import threading
 
+import numpy as np
 import viser
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from trimesh import Trimesh
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
-from app.scenes.colours import rgb
 from app.scenes.control import Clock, Selection
-from app.scenes.stage import light
-from app.scenes.words import Vector
-from app.theme import ACCENT, Mode
+from app.theme import ACCENT, BACKGROUND, TEXT, Mode, rgb
+
+Vector = tuple[float, float, float]
+
+GLOW: dict[Mode, float] = {"light": 1.7, "dark": 1.1}
+"""brightness of the ambient light"""
+CELL = 0.5
+"""metres between two lines of the floor"""
+SECTION = 2.0
+"""metres between two thick lines"""
+_FLOOR: dict[Mode, tuple[str, str, str]] = {
+    "light": ("#eef0f4", "#d3d8e2", "#aab2c2"),
+    "dark": ("#171b24", "#2b3240", "#465066"),
+}
+"""plane, thin lines, thick lines"""
+PIXELS = 32
+"""height of the letters in the picture"""
+HALO = 2
+"""pixels of the page's background around every letter, for contrast"""
 
 
 class Frame:
@@ -100,3 +125,102 @@ class Frame:
 
     def _tick(self, seconds: float) -> None:
         """Advance playback; by default nothing plays."""
+
+
+def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
+    """An infinite floor at `height` metres."""
+    plane, thin, thick = (rgb(colour) for colour in _FLOOR[mode])
+    return scene.add_grid(
+        "/floor",
+        infinite_grid=True,
+        cell_size=CELL,
+        cell_color=thin,
+        section_size=SECTION,
+        section_color=thick,
+        fade_distance=18.0,
+        plane_color=plane,
+        plane_opacity=1.0,
+        shadow_opacity=0.25,
+        position=(0.0, 0.0, height),
+    )
+
+
+def light(scene: viser.SceneApi, mode: Mode, front: float) -> None:
+    """Ambient light, and light of some brightness from the front, towards the origin."""
+    scene.add_light_ambient("/glow", intensity=GLOW[mode])
+    scene.add_light_directional("/fill", intensity=front, position=(-1.5, -4.0, 2.5))
+
+
+def sky(scene: viser.SceneApi, mode: Mode) -> None:
+    """The page's background colour."""
+    scene.set_background_image(np.full((1, 1, 3), rgb(BACKGROUND[mode]), np.uint8))
+
+
+def under(place: np.ndarray, height: float) -> tuple[float, float, float]:
+    """The floor's position when a robot at `place` (3,) is drawn at the origin."""
+    x, y = -np.mod(place[:2], SECTION)
+    return float(x), float(y), height
+
+
+def painted(words: str, mode: Mode) -> NDArray[np.uint8]:
+    """The words as a picture (h, w, 4), transparent between letters; first row on top."""
+    font = ImageFont.load_default(PIXELS)
+    left, top, right, bottom = (int(x) for x in font.getbbox(words, stroke_width=HALO))
+    image = Image.new("RGBA", (right - left + 2, bottom - top + 2), f"{BACKGROUND[mode]}00")
+    ImageDraw.Draw(image).text(
+        (1 - left, 1 - top), words, TEXT[mode], font,
+        stroke_width=HALO, stroke_fill=f"{BACKGROUND[mode]}b0",
+    )  # fmt: skip
+    return np.asarray(image)
+
+
+def extent(words: str, mode: Mode, height: float) -> tuple[float, float]:
+    """Width and height in metres of words whose letters are `height` high."""
+    high, across = painted(words, mode).shape[:2]
+    return height / PIXELS * across, height / PIXELS * high
+
+
+def add_words(
+    scene: viser.SceneApi,
+    name: str,
+    words: str,
+    mode: Mode,
+    foot: Vector,
+    height: float,
+    tilt: float,
+) -> list[viser.GlbHandle]:
+    """Add words whose lower edge is centred at `foot`; `height` of the letters in metres.
+
+    `tilt` is the angle from the ground: 0 is flat, read from above; pi / 2 is upright, read from
+    -y and from behind.
+    """
+    width, high = extent(words, mode, height)
+    picture = _one_sided(painted(words, mode), width, high)
+    middle = np.array(foot) + high / 2 * np.array([0.0, np.cos(tilt), np.sin(tilt)])
+    across, along = np.cos(tilt / 2), np.sin(tilt / 2)
+    return [
+        scene.add_mesh_trimesh(
+            f"{name} {side}", picture, wxyz=turn, position=middle,
+            cast_shadow=False, receive_shadow=False,
+        )
+        for side, turn in (("front", (across, along, 0, 0)), ("back", (0, 0, across, along)))
+    ]  # fmt: skip
+
+
+def _one_sided(image: NDArray[np.uint8], width: float, height: float) -> Trimesh:
+    """A picture as a rectangle in x and y that is visible only from +z, as in glTF."""
+    texture = Image.fromarray(image)
+    # It shines and reflects nothing: under the scene's light the letters would change their colour.
+    material = PBRMaterial(
+        baseColorTexture=texture, baseColorFactor=(0, 0, 0, 255),
+        emissiveTexture=texture, emissiveFactor=(1, 1, 1),
+        alphaMode="BLEND", metallicFactor=0.0, roughnessFactor=1.0, doubleSided=False,
+    )  # fmt: skip
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
+    flat = (corners - 0.5) * (width, height)
+    return Trimesh(
+        np.column_stack([flat, np.zeros(4)]),
+        [(0, 1, 2), (0, 2, 3)],
+        visual=TextureVisuals(uv=corners, material=material),
+        process=False,
+    )

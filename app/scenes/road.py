@@ -1,6 +1,8 @@
-"""Road-and-rocks in 3D: the nodes that draw a picture."""
+"""Road-and-rocks in 3D: columns, ground, stones and lines as arrays, and their scene nodes."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import viser
@@ -8,13 +10,19 @@ from numpy.typing import NDArray
 from trimesh import PointCloud, creation
 
 from app.data.pictures import Picture
-from app.data.roadmap import RoadShape, circle, outline
-from app.scenes import arrays, solids
-from app.scenes.colours import rgb
+from app.data.roadmap import CELLS, RoadShape, cell_centres, circle, on_road, outline
+from app.figures.scales import OCTAVES, octaves
+from app.scenes import solids
+from app.scenes.frame import Vector, add_words, extent
 from app.scenes.solids import Robot, copies
-from app.scenes.words import Vector, add_words, extent
-from app.theme import NEUTRAL, Mode, learner_colour, learner_label
+from app.theme import COLUMNS, NEUTRAL, Mode, learner_colour, learner_label, on_scale, rgb
 
+GROUND_PIXELS = 400
+BOULDERS = 240
+TALLEST = 0.13
+"""height of a column whose weight is 16 times the uniform one or more"""
+_ROAD = {"light": (196, 201, 212), "dark": (66, 73, 90)}
+_ROCK = {"light": (226, 221, 213), "dark": (38, 38, 44)}
 CAMERA = (0.5, -0.12, 0.82)
 LOOK_AT = (0.5, 0.59, 0.0)
 """behind the centre, so that the panel does not cover the map"""
@@ -72,7 +80,7 @@ class RoadScene:
             Fleet(scene, f"{name}/expert cars", picture.expert[:EXPERTS], rgb(NEUTRAL)),
             Fleet(scene, f"{name}/learnt cars", picture.learnt, colour),
         ]
-        over = arrays.TALLEST + LIFT
+        over = TALLEST + LIFT
         field = picture.points, picture.true, picture.modelled
         self.layers: dict[str, list[Shown]] = {
             "columns": [_columns(scene, f"{name}/weights", picture, self.mode)],
@@ -114,7 +122,7 @@ class Fleet:
         lines: Sequence[NDArray],
         colour: tuple[int, int, int],
     ) -> None:
-        self._ways = [solids.car(line, arrays.TALLEST + 2 * LIFT) for line in lines if len(line)]
+        self._ways = [solids.car(line, TALLEST + 2 * LIFT) for line in lines if len(line)]
         self._robot = (
             Robot(scene, name, self._ways[0].meshes, [colour] * len(self._ways))
             if self._ways
@@ -173,7 +181,7 @@ def view(count: int, fov: float, aspect: float = ASPECT) -> tuple[Vector, Vector
 def _columns(
     scene: viser.SceneApi, name: str, picture: Picture, mode: Mode
 ) -> viser.SceneNodeHandle:
-    bars = arrays.columns(picture.grid, mode)
+    bars = columns(picture.grid, mode)
     return copies(
         scene,
         name,
@@ -186,7 +194,7 @@ def _columns(
 
 
 def _flat(scene: viser.SceneApi, name: str, picture: Picture, mode: Mode) -> viser.SceneNodeHandle:
-    fine = np.kron(arrays.flat(picture.grid, mode), np.ones((PIXELS, PIXELS, 1), np.uint8))
+    fine = np.kron(flat(picture.grid, mode), np.ones((PIXELS, PIXELS, 1), np.uint8))
     return scene.add_image(
         name, fine, 1.0, 1.0, format="png", position=(0.5, 0.5, LIFT / 2), visible=False
     )
@@ -195,10 +203,10 @@ def _flat(scene: viser.SceneApi, name: str, picture: Picture, mode: Mode) -> vis
 def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "") -> None:
     """Draw the floor with the road, its start and its goal, and their names."""
     scene.add_image(
-        f"{root}/ground", arrays.ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
+        f"{root}/ground", ground(road, mode), 1.0, 1.0, format="png", position=(0.5, 0.5, 0)
     )
     _lines(scene, f"{root}/edge", outline(road), _LINE[mode], LIFT, 2.5)
-    _lines(scene, f"{root}/centre", arrays.dashes(road.centre_line), _LINE[mode], LIFT, 1.5)
+    _lines(scene, f"{root}/centre", dashes(road.centre_line), _LINE[mode], LIFT, 1.5)
     for name, (x, y, radius), colour in (
         ("start", road.start, (43, 111, 224)),
         ("goal", road.goal, (31, 157, 85)),
@@ -213,7 +221,7 @@ def draw_map(scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str = "")
 def _draw_boulders(
     scene: viser.SceneApi, road: RoadShape, mode: Mode, root: str
 ) -> viser.SceneNodeHandle:
-    position, size = arrays.boulders(road)
+    position, size = boulders(road)
     turn = np.random.default_rng(5).normal(size=(len(size), 4))
     return copies(
         scene,
@@ -235,7 +243,7 @@ def _lines(
     height: float,
     thickness: float,
 ) -> viser.SceneNodeHandle:
-    points = arrays.segments(lines, height)
+    points = segments(lines, height)
     return scene.add_line_segments(
         name, points, colour, thickness=thickness, thickness_units="screen"
     )
@@ -246,10 +254,84 @@ def _arrows(
 ) -> viser.SceneNodeHandle:
     return scene.add_arrows(
         name,
-        arrays.arrows(points, moves, 2 * LIFT),
+        arrows(points, moves, 2 * LIFT),
         colour,
         shaft_radius=0.0014,
         head_radius=0.0042,
         head_length=0.012,
         visible=False,
     )
+
+
+@dataclass(frozen=True)
+class Columns:
+    """One column for each cell with a visible weight."""
+
+    position: NDArray[np.float32]  # (C, 3)
+    scale: NDArray[np.float32]  # (C, 3)
+    colour: NDArray[np.uint8]  # (C, 3)
+
+
+def columns(grid: NDArray[np.float64], mode: Mode) -> Columns:
+    """The weights as columns, with square-root heights so that light cells are visible."""
+    y, x = np.nonzero(np.nan_to_num(grid) >= 2**-OCTAVES)
+    weight = grid[y, x]
+    height = TALLEST * np.sqrt(np.minimum(weight, 2**OCTAVES) / 2**OCTAVES)
+    middle = cell_centres()
+    return Columns(
+        position=np.stack([middle[x], middle[y], height / 2], -1).astype(np.float32),
+        scale=np.stack([np.full(len(x), 0.86 / CELLS)] * 2 + [height], -1).astype(np.float32),
+        colour=on_scale(octaves(weight) / (2 * OCTAVES) + 0.5, COLUMNS[mode]),
+    )
+
+
+def flat(grid: NDArray[np.float64], mode: Mode) -> NDArray[np.uint8]:
+    """The weights as a picture (CELLS, CELLS, 4), row 0 at the lowest y, empty cells clear."""
+    known = np.isfinite(grid)
+    share = octaves(np.where(known, grid, 1.0)) / (2 * OCTAVES) + 0.5
+    alpha = np.where(known, 235, 0).astype(np.uint8)
+    return np.concatenate([on_scale(share, COLUMNS[mode]), alpha[..., None]], -1)
+
+
+def ground(road: RoadShape, mode: Mode) -> NDArray[np.uint8]:
+    """The map's floor: (GROUND_PIXELS, GROUND_PIXELS, 3), row 0 at the lowest y."""
+    middle = (np.arange(GROUND_PIXELS) + 0.5) / GROUND_PIXELS
+    x, y = np.meshgrid(middle, middle)
+    inside = on_road(np.stack([x.ravel(), y.ravel()], -1), road).reshape(x.shape)
+    grain = np.random.default_rng(0).normal(0, 3, x.shape)[..., None]
+    floor = np.where(inside[..., None], _ROAD[mode], _ROCK[mode]) + grain
+    return floor.clip(0, 255).astype(np.uint8)
+
+
+def boulders(road: RoadShape) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Positions (K, 3) and sizes (K,) of stones beside the road, the same in every call."""
+    draw = np.random.default_rng(3)
+    places = draw.uniform(0.01, 0.99, (4 * BOULDERS, 2))
+    size = draw.uniform(0.004, 0.013, 4 * BOULDERS)
+    off = ~on_road(
+        places, RoadShape(road.centre_line, road.half_width + 0.02, road.start, road.goal)
+    )
+    places, size = places[off][:BOULDERS], size[off][:BOULDERS]
+    return np.column_stack([places, size * 0.35]).astype(np.float32), size.astype(np.float32)
+
+
+def segments(lines: Sequence[NDArray], height: float) -> NDArray[np.float32]:
+    """Polylines (K, 2) as line segments (S, 2, 3) at a height."""
+    parts = [np.stack([line[:-1], line[1:]], 1) for line in lines if len(line) > 1]
+    flat = np.concatenate(parts) if parts else np.zeros((0, 2, 2))
+    return np.concatenate([flat, np.full((*flat.shape[:2], 1), height)], -1).astype(np.float32)
+
+
+def arrows(points: NDArray, moves: NDArray, height: float) -> NDArray[np.float32]:
+    """Arrows (G, 2, 3) from points along displacements, at a height."""
+    ends = np.stack([points, points + moves], 1)
+    return np.concatenate([ends, np.full((*ends.shape[:2], 1), height)], -1).astype(np.float32)
+
+
+def dashes(line: NDArray, length: float = 0.02) -> list[NDArray]:
+    segments = []
+    for a, b in pairwise(line):
+        steps = np.arange(0, np.linalg.norm(b - a), 2 * length) / np.linalg.norm(b - a)
+        share = length / np.linalg.norm(b - a)
+        segments += [np.stack([a + s * (b - a), a + min(s + share, 1) * (b - a)]) for s in steps]
+    return segments

@@ -1,17 +1,21 @@
-"""The browser frame that shows road-and-rocks in 3D."""
+"""Road-and-rocks in a browser frame, and as one HTML file that plays without a server."""
+
+from collections.abc import Sequence
 
 import viser
+from viser.infra import StateSerializer
 
 from app.data import pictures
 from app.data.called import told_apart
 from app.data.pictures import Picture
 from app.scenes import road as scene
 from app.scenes.control import RoadChoice, Selection
-from app.scenes.frame import Frame
+from app.scenes.frame import Frame, light, sky
 from app.scenes.road import RoadScene
-from app.scenes.stage import sky
+from app.theme import Mode
 from tom.envs import ROAD
 from tom.errors import UserError
+from tom.machine.address import free_port
 from tom.record.reader import at_or_before
 from tom.record.store import Store
 
@@ -31,6 +35,12 @@ LAYERS = (
     ("modelled", "modelled displacement", False),
     ("boulders", "rocks", True),
 )
+HERE = "127.0.0.1"
+FRAME_S = 0.1
+STRIDE = 2
+"""steps of the task from one frame to the next"""
+REST_S = 1.0
+"""how long a fit is shown after the cars have arrived"""
 
 
 class RoadFrame(Frame):
@@ -146,3 +156,53 @@ class RoadFrame(Frame):
         with self._lock:
             for each in self._scenes:
                 each.show({name: bool(box.value) for name, box in self.layers.items()})
+
+
+def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, called: Sequence[str] = ()) -> str:
+    """The pictures of R runs at F fits, (F, R), as a self-contained page.
+
+    `called`: a name for each run (R,), by default its learner's.
+
+    Its timeline shows the fits one after another; in each the cars drive their whole way. It is
+    made by a temporary viser server in this process.
+    """
+    server = viser.ViserServer(HERE, free_port(HERE), verbose=False)
+    try:
+        server.scene.set_up_direction("+z")
+        server.scene.configure_environment_map(None)
+        light(server.scene, mode, front=0.5)
+        server.scene.world_axes.visible = False
+        camera = server.initial_camera
+        camera.position, camera.look_at = scene.view(len(fits[0]), camera.fov)
+        sky(server.scene, mode)
+        names = called or [""] * len(fits[0])
+        scenes = [
+            RoadScene(server.scene, picture, mode, str(i), scene.place(i), name)
+            for i, (picture, name) in enumerate(zip(fits[0], names, strict=True))
+        ]
+        serializer = _record(server, scenes, fits)
+        return serializer.as_html(dark_mode=mode == "dark")
+    finally:
+        server.stop()
+
+
+def _record(
+    server: viser.ViserServer,
+    scenes: Sequence[RoadScene],
+    fits: Sequence[Sequence[Picture]],
+) -> StateSerializer:
+    shown = {name: on for name, _, on in LAYERS}
+    serializer = None
+    for number, fit in enumerate(fits):
+        for each, picture in zip(scenes, fit, strict=True):
+            if number:
+                each.update(picture)
+            each.show(shown)
+        serializer = serializer or server.get_scene_serializer()
+        for step in range(0, max(each.longest for each in scenes) + STRIDE, STRIDE):
+            for each in scenes:
+                each.drive(step)
+            serializer.insert_sleep(FRAME_S)
+        serializer.insert_sleep(REST_S)
+    assert serializer is not None, "there is a fit"
+    return serializer

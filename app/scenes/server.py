@@ -127,10 +127,10 @@ def frame_class(choice: Choice) -> "type[Frame]":
 
         return RoadFrame
     if isinstance(choice, ReplayChoice):
-        from app.scenes.replay_frame import ReplayFrame
+        from app.scenes.replay import ReplayFrame
 
         return ReplayFrame
-    from app.scenes.states_frame import StatesFrame
+    from app.scenes.states import StatesFrame
 
     return StatesFrame
 

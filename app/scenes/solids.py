@@ -9,7 +9,6 @@ import viser
 from numpy.typing import NDArray
 from trimesh import Trimesh, creation
 
-from app.scenes.colours import linear
 from tom.envs import scene as geometry
 
 SEGMENTS = 20
@@ -95,6 +94,13 @@ def capsule(radius: float, half_length: float) -> Trimesh:
 def _cylinder(radius: float, half_length: float) -> Trimesh:
     # `smooth_shaded` has the rims twice, because the normals of the ends differ from the side's.
     return creation.cylinder(radius, 2 * half_length, sections=SEGMENTS).smooth_shaded
+
+
+def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """sRGB colours as light intensities, both 0 to 255 (IEC 61966-2-1)."""
+    share = np.asarray(colours, np.float64) / 255
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return (255 * light).round().astype(np.uint8)
 
 
 def copies(

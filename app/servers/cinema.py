@@ -13,7 +13,7 @@ from PIL import Image
 
 from app.data import readers
 from app.parts import widgets
-from app.scenes.film.page import HEIGHT, SECONDS, WIDTH, cinema
+from app.scenes.film import HEIGHT, SECONDS, WIDTH, cinema
 from app.scenes.film.story import may_be_told, story
 from app.servers.browser import chromium
 from app.servers.mp4 import Sample, mp4

@@ -9,7 +9,7 @@ from app.data import readers
 from app.data.cache import VersionedCache
 from app.data.readers import RunInfo
 from app.parts import empty, widgets
-from app.scenes.film.page import SECONDS, cinema
+from app.scenes.film import SECONDS, cinema
 from app.scenes.film.story import may_be_told, story
 from tom.errors import UserError
 

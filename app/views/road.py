@@ -14,7 +14,7 @@ from app.parts import address, empty, form, pick, widgets
 from app.parts.plot import chart
 from app.parts.stage import stage
 from app.scenes.control import RoadChoice
-from app.scenes.export import as_html
+from app.scenes.road_frame import as_html
 from app.theme import learner_label
 from tom import readable
 from tom.analysis.curves import curve_points

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from app.scenes.colours import linear, on_scale, rgb
+from app.scenes.solids import linear
 from app.theme import (
     BACKGROUND,
     COLUMNS,
@@ -19,7 +19,9 @@ from app.theme import (
     learner_colour,
     learner_label,
     learner_symbol,
+    on_scale,
     ramp,
+    rgb,
 )
 from tom.learners import LEARNERS
 

@@ -1,5 +1,6 @@
-"""A run's story as plain data: weights, buffer, returns and robots on one timeline."""
+"""A run's story as plain data for a canvas: weights, buffer, returns and robots on one timeline."""
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -10,17 +11,19 @@ from app.data.buffer import WINDOW, windows
 from app.data.called import names
 from app.data.readers import RunInfo
 from app.data.regions import principal_plane
-from app.scenes.film.robots import body, packed, travelling
 from app.scenes.states import poses
 from tom.analysis.curves import curve_points
 from tom.data.transitions import Transitions
 from tom.envs import ROAD, Task
+from tom.envs import scene as geometry
 from tom.envs.scene import Model
 from tom.errors import UserError
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, task_of
 from tom.spread import spread
 
+MOST = 32_767
+"""millimetres; the largest number of 16 bits"""
 FITS = 240
 """maximum number of fits: four per second of a minute"""
 POINTS = 2500
@@ -118,3 +121,41 @@ def _policy(known: Task, model: Model, reader: RunReader) -> list[dict[str, Any]
         qpos = middle.qpos[: EVERY * FRAMES : EVERY]
         told.append(about | travelling(known, model, qpos))
     return told
+
+
+def body(model: Model, qpos: NDArray) -> dict[str, Any]:
+    """A MuJoCo task's robot at joint positions (H, nq), as JSON; the floor is at height 0.
+
+    G parts have a radius (G,) and ends (H, G, 2, 3); those of a sphere coincide.
+    """
+    shapes = geometry.geometry(model.mj, qpos)
+    capsules, round_ = shapes.capsules, shapes.ellipsoids
+    half = capsules.axis * capsules.size[:, 1:2]
+    ends = np.stack([capsules.center - half, capsules.center + half], 2)
+    ends = np.concatenate([ends, np.repeat(round_.center[:, :, None], 2, 2)], 1)
+    radius = np.concatenate([capsules.size[:, 0], round_.size.mean(1)])
+    lowest = float((ends[..., 2] - radius[:, None]).min()) if ends.size else 0.0
+    ends[..., 2] -= lowest if shapes.floor is None else shapes.floor
+    return {
+        "radius": _millimetres(radius).tolist(),
+        "shape": list(ends.shape[:2]),
+        "ends": packed(_millimetres(ends)),
+    }
+
+
+def travelling(known: Task, model: Model, qpos: NDArray) -> dict[str, Any]:
+    """A robot over the origin, and how far it is from there in each frame, metres."""
+    roots = known.root_dims or 0
+    place, standing = qpos[:, 0] * bool(roots), qpos.copy()
+    standing[:, :roots] = 0
+    return {"place": np.round(place, 3).tolist(), **body(model, standing)}
+
+
+def packed(numbers: NDArray) -> str:
+    """Numbers as base64, little-endian, with their own bit width."""
+    little = numbers.astype(numbers.dtype.newbyteorder("<"), copy=False)
+    return base64.b64encode(np.ascontiguousarray(little).tobytes()).decode()
+
+
+def _millimetres(metres: NDArray) -> NDArray[np.int16]:
+    return np.clip(np.round(1000 * metres), -MOST, MOST).astype(np.int16)

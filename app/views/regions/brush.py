@@ -17,7 +17,7 @@ from app.data.regions import Mask
 from app.data.trainings import Started
 from app.figures.brush import NAMES, change, error_bars, factor_in_words
 from app.parts.plot import chart
-from app.scenes.film.ghosts import ghosts
+from app.scenes.film import ghosts
 from tom.analysis.brush import FACTORS
 from tom.envs import ROAD, is_code
 from tom.machine.processes import Process

@@ -12,10 +12,8 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import readers
 from app.links import Links
-from app.scenes.film import robots
-from app.scenes.film.ghosts import ghosts
-from app.scenes.film.page import cinema
-from app.scenes.film.story import may_be_told, story
+from app.scenes.film import cinema, ghosts
+from app.scenes.film.story import body, may_be_told, story
 from app.servers.cinema import opened, video
 from app.servers.mp4 import Sample, mp4
 from tom.envs import task
@@ -46,7 +44,7 @@ def test_a_story_is_what_the_run_recorded(store: Path) -> None:
 
 
 def test_robots_stand_on_the_floor_as_the_simulator_has_them() -> None:
-    found = robots.body(model("hopper"), np.array([[0, 1.25, 0, 0, 0, 0]], np.float32))
+    found = body(model("hopper"), np.array([[0, 1.25, 0, 0, 0, 0]], np.float32))
     ends = numbers(found["ends"], "<i2").reshape(*found["shape"], 2, 3)
     radius = np.array(found["radius"])[:, None]
     lowest = (ends[0, ..., 2] - radius).min()

@@ -20,7 +20,7 @@ from websockets.typing import Origin, Subprotocol
 from app.links import Links
 from app.scenes.control import Clock, ReplayChoice, Selection, Wish, clock, listen
 from app.scenes.frame import Frame
-from app.scenes.replay_frame import ReplayFrame
+from app.scenes.replay import ReplayFrame
 from app.scenes.server import SceneServer
 from app.servers.processes import free_port
 from app.theme import BACKGROUND, Mode

@@ -20,8 +20,8 @@ from studio_runs import ROAD_MLE, ROAD_TOM
 
 from app.data import pictures
 from app.data.roadmap import CELLS, on_road
-from app.scenes import arrays, solids
 from app.scenes import road as scene
+from app.scenes import solids
 from app.scenes.control import (
     Choice,
     ReplayChoice,
@@ -31,9 +31,8 @@ from app.scenes.control import (
     listen,
     tell,
 )
-from app.scenes.export import FRAME_S, REST_S, STRIDE, as_html
 from app.scenes.road import RoadScene
-from app.scenes.road_frame import LAYERS
+from app.scenes.road_frame import FRAME_S, LAYERS, REST_S, STRIDE, as_html
 from app.servers.processes import free_port
 from tom.record.reader import RunReader
 
@@ -49,50 +48,50 @@ def picture(store: Path) -> pictures.Picture:
 
 
 def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
-    columns = arrays.columns(picture.grid, "light")
+    columns = scene.columns(picture.grid, "light")
     heavy = np.nan_to_num(picture.grid) >= 1 / 16
     assert len(columns.position) == heavy.sum() > 100
     i = int(np.argmax(columns.scale[:, 2]))
     x, y = (columns.position[i, :2] * CELLS).astype(int)
     assert picture.grid[y, x] >= 16 or picture.grid[y, x] == np.nanmax(picture.grid)
     assert columns.position[:, 2] == pytest.approx(columns.scale[:, 2] / 2)
-    assert columns.scale[:, 2].max() <= arrays.TALLEST + 1e-6
+    assert columns.scale[:, 2].max() <= scene.TALLEST + 1e-6
 
 
 def test_toms_columns_stand_on_the_road(picture: pictures.Picture) -> None:
-    columns = arrays.columns(picture.grid, "light")
-    tall = columns.scale[:, 2] > arrays.TALLEST / 2
+    columns = scene.columns(picture.grid, "light")
+    tall = columns.scale[:, 2] > scene.TALLEST / 2
     assert on_road(columns.position[tall, :2], picture.road).mean() > 0.9
 
 
 def test_height_and_colour_grow_with_the_weight() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, :4] = [0.01, 1, 4, 100]
-    columns = arrays.columns(grid, "light")
+    columns = scene.columns(grid, "light")
     assert len(columns.scale) == 3
-    assert columns.scale[:, 2] == pytest.approx(arrays.TALLEST * np.array([0.25, 0.5, 1]))
+    assert columns.scale[:, 2] == pytest.approx(scene.TALLEST * np.array([0.25, 0.5, 1]))
     assert columns.colour[2].tolist() == [194, 44, 6]
 
 
 def test_stones_lie_beside_the_road(picture: pictures.Picture) -> None:
-    position, size = arrays.boulders(picture.road)
+    position, size = scene.boulders(picture.road)
     assert len(position) == len(size) > 100
     assert not on_road(position[:, :2], picture.road).any()
 
 
 def test_arrows_point_where_the_model_says(picture: pictures.Picture) -> None:
-    found = arrays.arrows(picture.points, picture.modelled, 0.1)
+    found = scene.arrows(picture.points, picture.modelled, 0.1)
     assert found[:, 1, :2] - found[:, 0, :2] == pytest.approx(picture.modelled, abs=1e-6)
     assert (found[..., 2] == np.float32(0.1)).all()
 
 
 def test_lines_become_segments() -> None:
     line = np.array([[0, 0], [1, 0], [1, 1]])
-    assert arrays.segments([line, line[:1]], 0.5).tolist() == [
+    assert scene.segments([line, line[:1]], 0.5).tolist() == [
         [[0, 0, 0.5], [1, 0, 0.5]],
         [[1, 0, 0.5], [1, 1, 0.5]],
     ]
-    assert arrays.segments([], 0).shape == (0, 2, 3)
+    assert scene.segments([], 0).shape == (0, 2, 3)
 
 
 @pytest.fixture
@@ -149,7 +148,7 @@ def test_cars_drive_the_recorded_ways(picture: pictures.Picture) -> None:
 def test_the_flat_picture_is_clear_where_nothing_was_recorded() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, 3] = 100
-    flat = arrays.flat(grid, "light")
+    flat = scene.flat(grid, "light")
     assert flat[0, 3].tolist() == [194, 44, 6, 235]
     assert flat[..., 3].sum() == 235
 

@@ -7,10 +7,9 @@ import pytest
 import viser
 import viser.transforms
 
-from app.scenes.colours import rgb
-from app.scenes.words import PIXELS, add_words, extent, painted
+from app.scenes.frame import PIXELS, add_words, extent, painted
 from app.servers.processes import free_port
-from app.theme import BACKGROUND, TEXT, Mode
+from app.theme import BACKGROUND, TEXT, Mode, rgb
 
 
 @pytest.fixture(scope="module")

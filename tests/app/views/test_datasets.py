@@ -16,7 +16,7 @@ from studio_pages import TIMEOUT_S, array, draw, figures, set_links
 
 from app.data import datasets, weighings
 from app.links import Links
-from app.scenes.states_frame import whose_rows
+from app.scenes.states import whose_rows
 from tom.cli import main
 from tom.envs import task
 from tom.errors import UserError

@@ -13,8 +13,7 @@ from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
 from app.data import pictures
 from app.data.called import names, short_names, task, told_apart
 from app.links import Links
-from app.scenes.colours import rgb
-from app.theme import COLUMNS, DIVERGING
+from app.theme import COLUMNS, DIVERGING, rgb
 from app.views.road import BESIDE
 from tom.record.export import export_small
 from tom.record.labels import Labels
