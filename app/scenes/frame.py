@@ -5,6 +5,8 @@ colours and placed in the scene as pictures: two back to back, so that no letter
 """
 
 import threading
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import viser
@@ -16,6 +18,7 @@ from trimesh.visual.material import PBRMaterial
 
 from app.scenes.control import Clock, Selection
 from app.theme import ACCENT, BACKGROUND, TEXT, Mode, rgb
+from tom.record.store import Store
 
 Vector = tuple[float, float, float]
 
@@ -50,9 +53,8 @@ class Frame:
         self, client: viser.ClientHandle, store: str, mode: Mode, *, compact: bool = False
     ) -> None:
         self.client = client
-        self.store = store
+        self.store = Store(store)
         self.mode: Mode = mode
-        self.compact = compact
         self._lock = threading.RLock()
         self._closed = False
         self._dress()
@@ -71,7 +73,7 @@ class Frame:
                 self.mode = selection.mode
                 self._dress()
                 self._mode_changed()
-            self._show(selection, obey=obey)
+            self._show(selection.choice, obey=obey)
 
     def close(self) -> None:
         """Clear the scene and the panel for a frame of another kind."""
@@ -95,7 +97,23 @@ class Frame:
         self.client.camera.position = position
         self.client.camera.look_at = at
 
+    def clear(self) -> None:
+        """Remove everything from the scene except the light and the page's background."""
+        self.client.scene.reset()
+        stage(self.client.scene, self.mode, self.fill)
+
+    def on_scrub(self, slider: viser.GuiSliderHandle, moved: Callable[[float], None]) -> None:
+        """Call `moved` with the slider's value if the user has moved it, not playback."""
+
+        def updated(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                with self._lock:
+                    moved(float(slider.value))
+
+        slider.on_update(updated)
+
     def _dress(self) -> None:
+        scene = self.client.scene
         self.client.gui.configure_theme(
             dark_mode=self.mode == "dark",
             show_logo=False,
@@ -103,21 +121,16 @@ class Frame:
             control_width="small",
             brand_color=rgb(ACCENT[self.mode]),
         )
-        self.client.scene.configure_default_lights(cast_shadow=self.shadows)
+        scene.configure_default_lights(cast_shadow=self.shadows)
         # No environment map: viser fades in the canvas after its default map is loaded. If another
         # map arrives meanwhile, the scene stays pale until it is opened again.
-        self.client.scene.configure_environment_map(None)
-        light(self.client.scene, self.mode, self.fill)
-
-    def clear(self) -> None:
-        """Remove everything from the scene except the light."""
-        self.client.scene.reset()
-        light(self.client.scene, self.mode, self.fill)
+        scene.configure_environment_map(None)
+        stage(scene, self.mode, self.fill)
 
     def _build_panel(self) -> None:
         raise NotImplementedError
 
-    def _show(self, selection: Selection, *, obey: bool) -> None:
+    def _show(self, choice: Any, *, obey: bool) -> None:
         raise NotImplementedError
 
     def _mode_changed(self) -> None:
@@ -125,6 +138,13 @@ class Frame:
 
     def _tick(self, seconds: float) -> None:
         """Advance playback; by default nothing plays."""
+
+
+def stage(scene: viser.SceneApi, mode: Mode, front: float) -> None:
+    """The page's background, ambient light, and light of some brightness from the front."""
+    scene.set_background_image(np.full((1, 1, 3), rgb(BACKGROUND[mode]), np.uint8))
+    scene.add_light_ambient("/glow", intensity=GLOW[mode])
+    scene.add_light_directional("/fill", intensity=front, position=(-1.5, -4.0, 2.5))
 
 
 def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
@@ -143,17 +163,6 @@ def floor(scene: viser.SceneApi, height: float, mode: Mode) -> viser.GridHandle:
         shadow_opacity=0.25,
         position=(0.0, 0.0, height),
     )
-
-
-def light(scene: viser.SceneApi, mode: Mode, front: float) -> None:
-    """Ambient light, and light of some brightness from the front, towards the origin."""
-    scene.add_light_ambient("/glow", intensity=GLOW[mode])
-    scene.add_light_directional("/fill", intensity=front, position=(-1.5, -4.0, 2.5))
-
-
-def sky(scene: viser.SceneApi, mode: Mode) -> None:
-    """The page's background colour."""
-    scene.set_background_image(np.full((1, 1, 3), rgb(BACKGROUND[mode]), np.uint8))
 
 
 def under(place: np.ndarray, height: float) -> tuple[float, float, float]:
@@ -214,7 +223,7 @@ def _one_sided(image: NDArray[np.uint8], width: float, height: float) -> Trimesh
     material = PBRMaterial(
         baseColorTexture=texture, baseColorFactor=(0, 0, 0, 255),
         emissiveTexture=texture, emissiveFactor=(1, 1, 1),
-        alphaMode="BLEND", metallicFactor=0.0, roughnessFactor=1.0, doubleSided=False,
+        alphaMode="BLEND", metallicFactor=1.0, roughnessFactor=1.0, doubleSided=False,
     )  # fmt: skip
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
     flat = (corners - 0.5) * (width, height)

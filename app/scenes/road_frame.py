@@ -3,21 +3,19 @@
 from collections.abc import Sequence
 
 import viser
-from viser.infra import StateSerializer
 
 from app.data import pictures
 from app.data.called import told_apart
 from app.data.pictures import Picture
-from app.scenes import road as scene
-from app.scenes.control import RoadChoice, Selection
-from app.scenes.frame import Frame, light, sky
+from app.scenes import road
+from app.scenes.control import RoadChoice
+from app.scenes.frame import Frame, stage
 from app.scenes.road import RoadScene
 from app.theme import Mode
 from tom.envs import ROAD
 from tom.errors import UserError
 from tom.machine.address import free_port
 from tom.record.reader import at_or_before
-from tom.record.store import Store
 
 PLAY_S = 1.0
 """seconds for which each fit is shown during playback"""
@@ -36,11 +34,10 @@ LAYERS = (
     ("boulders", "rocks", True),
 )
 HERE = "127.0.0.1"
-FRAME_S = 0.1
-STRIDE = 2
-"""steps of the task from one frame to the next"""
+FRAME_S, STRIDE = 0.1, 2
+"""of a film: seconds between two frames, and steps of the task"""
 REST_S = 1.0
-"""how long a fit is shown after the cars have arrived"""
+"""how long a film shows a fit after the cars have arrived"""
 
 
 class RoadFrame(Frame):
@@ -64,17 +61,14 @@ class RoadFrame(Frame):
             self.layers = {
                 name: gui.add_checkbox(label, initial_value=shown) for name, label, shown in LAYERS
             }
-        self.fit.on_update(self._fit_moved)
+        self.on_scrub(self.fit, lambda _: self._redraw())
         for layer in self.layers.values():
             layer.on_update(lambda _: self._apply_layers())
 
-    def _show(self, selection: Selection, *, obey: bool) -> None:
-        choice = selection.choice
-        assert isinstance(choice, RoadChoice)
-        store = Store(self.store)
-        newest = (run.run_id for run in store.runs() if run.env == ROAD)
+    def _show(self, choice: RoadChoice, *, obey: bool) -> None:
+        newest = (run.run_id for run in self.store.runs() if run.env == ROAD)
         self._runs = choice.runs or tuple(newest)[:1]
-        steps = {step for run in self._runs for step in pictures.steps(store.run(run))}
+        steps = {step for run in self._runs for step in pictures.steps(self.store.run(run))}
         self._steps = sorted(steps)
         self.fit.max = max(len(self._steps) - 1, 1)
         self.fit.disabled = len(self._steps) < 2
@@ -84,11 +78,6 @@ class RoadFrame(Frame):
 
     def _mode_changed(self) -> None:
         self._drawn = []
-
-    def _fit_moved(self, event: viser.GuiEvent) -> None:
-        if event.client is not None:  # moved by the user, not by playback
-            with self._lock:
-                self._redraw()
 
     def _tick(self, seconds: float) -> None:
         """Advance to the next fit if the fits play, in a loop, and move the cars."""
@@ -122,29 +111,26 @@ class RoadFrame(Frame):
         self._drawn = drawn
         self.words.content = f"the record of step **{step:,}**"
 
-    def _fit_of(self, run: str, step: int) -> tuple[str, Picture] | None:
+    def _fit_of(self, run_id: str, step: int) -> tuple[str, Picture] | None:
         """A run's fit at `step`, else the last one before; None if it was deleted or damaged."""
-        store = Store(self.store)
         try:
-            read = store.run(run)
+            run = self.store.run(run_id)
         except UserError:
             return None
-        steps = pictures.steps(read)
-        picture = pictures.load(read, at_or_before(steps, step)) if steps else None
-        return None if picture is None else (run, picture)
+        steps = pictures.steps(run)
+        picture = pictures.load(run, at_or_before(steps, step)) if steps else None
+        return None if picture is None else (run_id, picture)
 
     def _draw(self, shown: list[tuple[str, Picture]]) -> None:
         if len(shown) != len(self._scenes):
             camera = self.client.camera
             high = camera.image_height  # 0 in a tab that was never in front
-            aspect = camera.image_width / high if high else scene.ASPECT
-            self.look(*scene.view(len(shown), camera.fov, aspect))
+            aspect = camera.image_width / high if high else road.ASPECT
+            self.look(*road.view(len(shown), camera.fov, aspect))
         self.clear()
-        sky(self.client.scene, self.mode)
-        store = Store(self.store)
-        called = told_apart([store.run(run) for run, _ in shown])
+        called = told_apart([self.store.run(run) for run, _ in shown])
         self._scenes = [
-            RoadScene(self.client.scene, picture, self.mode, str(i), scene.place(i), called[run])
+            RoadScene(self.client.scene, picture, self.mode, i, called[run])
             for i, (run, picture) in enumerate(shown)
         ]
 
@@ -170,39 +156,31 @@ def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, called: Sequence[str]
     try:
         server.scene.set_up_direction("+z")
         server.scene.configure_environment_map(None)
-        light(server.scene, mode, front=0.5)
+        stage(server.scene, mode, front=0.5)
         server.scene.world_axes.visible = False
         camera = server.initial_camera
-        camera.position, camera.look_at = scene.view(len(fits[0]), camera.fov)
-        sky(server.scene, mode)
+        camera.position, camera.look_at = road.view(len(fits[0]), camera.fov)
         names = called or [""] * len(fits[0])
         scenes = [
-            RoadScene(server.scene, picture, mode, str(i), scene.place(i), name)
+            RoadScene(server.scene, picture, mode, i, name)
             for i, (picture, name) in enumerate(zip(fits[0], names, strict=True))
         ]
-        serializer = _record(server, scenes, fits)
-        return serializer.as_html(dark_mode=mode == "dark")
+        _show(scenes, fits[0])
+        film = server.get_scene_serializer()
+        for number, fit in enumerate(fits):
+            if number:
+                _show(scenes, fit)
+            for step in range(0, max(each.longest for each in scenes) + STRIDE, STRIDE):
+                for each in scenes:
+                    each.drive(step)
+                film.insert_sleep(FRAME_S)
+            film.insert_sleep(REST_S)
+        return film.as_html(dark_mode=mode == "dark")
     finally:
         server.stop()
 
 
-def _record(
-    server: viser.ViserServer,
-    scenes: Sequence[RoadScene],
-    fits: Sequence[Sequence[Picture]],
-) -> StateSerializer:
-    shown = {name: on for name, _, on in LAYERS}
-    serializer = None
-    for number, fit in enumerate(fits):
-        for each, picture in zip(scenes, fit, strict=True):
-            if number:
-                each.update(picture)
-            each.show(shown)
-        serializer = serializer or server.get_scene_serializer()
-        for step in range(0, max(each.longest for each in scenes) + STRIDE, STRIDE):
-            for each in scenes:
-                each.drive(step)
-            serializer.insert_sleep(FRAME_S)
-        serializer.insert_sleep(REST_S)
-    assert serializer is not None, "there is a fit"
-    return serializer
+def _show(scenes: Sequence[RoadScene], fit: Sequence[Picture]) -> None:
+    for each, picture in zip(scenes, fit, strict=True):
+        each.update(picture)
+        each.show({name: shown for name, _, shown in LAYERS})

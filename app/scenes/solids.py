@@ -15,7 +15,6 @@ SEGMENTS = 20
 """number of corners of a circle around a solid"""
 RINGS = 14
 """number of circles of a capsule, from pole to pole"""
-
 CAR_SIZES = ((0.044, 0.026, 0.012), (0.022, 0.021, 0.010))
 """body and cabin: length, width, height; the road is 0.18 wide"""
 
@@ -38,9 +37,15 @@ def of(model: geometry.Model, qpos: NDArray) -> Solids:
     """A MuJoCo task's robot at joint positions (..., nq)."""
     frames = qpos.shape[:-1]
     shapes = geometry.geometry(model.mj, qpos.reshape(-1, qpos.shape[-1]))
-    meshes = [capsule(float(radius), float(half)) for radius, half in shapes.capsules.size]
+    meshes = [
+        creation.capsule(2 * half, radius, count=(RINGS, SEGMENTS))
+        for radius, half in shapes.capsules.size.astype(float)
+    ]
     meshes += [creation.icosphere(2).apply_scale(half) for half in shapes.ellipsoids.size]
-    meshes += [_cylinder(float(radius), float(half)) for radius, half in shapes.cylinders.size]
+    meshes += [  # smooth: the rims are there twice, as the ends' normals are not those of the side
+        creation.cylinder(radius, 2 * half, sections=SEGMENTS).smooth_shaded
+        for radius, half in shapes.cylinders.size.astype(float)
+    ]
     meshes += [creation.box(2 * half) for half in shapes.boxes.size]
     position = np.concatenate([shape.center for shape in shapes.shapes], 1)
     xyzw = np.concatenate([shape.quaternion for shape in shapes.shapes], 1)
@@ -58,7 +63,9 @@ def car(line: NDArray, above: float = 0.006) -> Solids:
 
     Its wheels are `above` the ground.
     """
-    heading = headings(line)
+    moves = np.diff(np.asarray(line, np.float64), axis=0)
+    heading = np.arctan2(moves[:, 1], moves[:, 0])
+    heading = np.append(heading, heading[-1:] if len(moves) else 0.0)  # the last one is kept
     zero = np.zeros_like(heading)
     wxyz = np.stack([np.cos(heading / 2), zero, zero, np.sin(heading / 2)], -1)
     body, cabin = CAR_SIZES[0][2], CAR_SIZES[1][2]
@@ -75,25 +82,6 @@ def car(line: NDArray, above: float = 0.006) -> Solids:
         position[:, 0],
         0.0,
     )
-
-
-def headings(line: NDArray) -> NDArray[np.float64]:
-    """The direction (H + 1,) of travel at positions (H + 1, 2), radians; the last is repeated."""
-    if len(line) < 2:
-        return np.zeros(len(line))
-    moves = np.diff(np.asarray(line, np.float64), axis=0)
-    angle = np.arctan2(moves[:, 1], moves[:, 0])
-    return np.append(angle, angle[-1])
-
-
-def capsule(radius: float, half_length: float) -> Trimesh:
-    """A capsule along z: two half spheres of `radius`, their centres 2 `half_length` apart."""
-    return creation.capsule(2 * half_length, radius, count=(RINGS, SEGMENTS))
-
-
-def _cylinder(radius: float, half_length: float) -> Trimesh:
-    # `smooth_shaded` has the rims twice, because the normals of the ends differ from the side's.
-    return creation.cylinder(radius, 2 * half_length, sections=SEGMENTS).smooth_shaded
 
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -138,9 +126,9 @@ class Robot:
     ) -> None:
         """`colours` has one colour per copy."""
         self._root = scene.add_frame(name, show_axes=False)
-        origin, tint = np.zeros((len(colours), 3)), np.array(colours, np.uint8)
+        tint = np.reshape(np.array(colours, np.uint8), (-1, 3))
         self._parts = [
-            copies(scene, f"{name}/{i}", mesh, origin, tint, opacity=opacity)
+            copies(scene, f"{name}/{i}", mesh, np.zeros(tint.shape), tint, opacity=opacity)
             for i, mesh in enumerate(meshes)
         ]
 

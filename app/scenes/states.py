@@ -12,12 +12,13 @@ from app.data.buffer import WINDOW, windows
 from app.data.cache import VersionedCache
 from app.figures.scales import OCTAVES, octaves
 from app.scenes import solids
-from app.scenes.control import Selection, StatesChoice
-from app.scenes.frame import Frame, add_words, floor, sky
+from app.scenes.control import SPEEDS, StatesChoice
+from app.scenes.frame import Frame, add_words, floor
 from app.scenes.solids import Colour, Floats, Robot, Solids
 from app.theme import COLUMNS, Mode, on_scale
 from tom import readable
 from tom.data.transitions import Transitions
+from tom.envs.scene import Model
 from tom.envs.task import Task
 from tom.errors import UserError
 from tom.record import stamps
@@ -33,7 +34,9 @@ TILT = 1.2
 """tilt of words, which lean back a little because the camera looks down"""
 MARGIN = 0.45
 """metres between two robots"""
-SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0}
+SLOW = tuple(name for name, speed in SPEEDS.items() if speed <= 1)
+_RECORDED: VersionedCache[tuple[Transitions, dict[str, NDArray]]] = VersionedCache()
+"""of each run, the rows of its buffer and the simulator's state at each"""
 
 
 def poses(
@@ -74,52 +77,25 @@ class StatesScene:
     """The scene nodes of two groups of robots; `pose` moves them through their windows."""
 
     def __init__(
-        self,
-        scene: viser.SceneApi,
-        groups: Sequence[tuple[str, Solids, Sequence[Colour]]],
-        height: float,
-        mode: Mode,
+        self, scene: viser.SceneApi, groups: Sequence[tuple[str, Solids, list[Colour]]], mode: Mode
     ) -> None:
         """`groups` are left and right: the title, the robots, a colour for each."""
-        sky(scene, mode)
-        floor(scene, height, mode)
+        floor(scene, groups[-1][1].floor if groups else 0.0, mode)
         self.size = footprint([one for _, one, _ in groups])
         self._robots: list[tuple[Robot, Solids, NDArray[np.float32]]] = []
         for (words, one, colours), side in zip(groups, (-1, 1), strict=False):
             at = places(len(colours), self.size, side)
             name = "left" if side < 0 else "right"
             self._robots.append((Robot(scene, f"/{name}", one.meshes, colours), one, at))
-            middle = at.mean(0)
             top = float(one.position[:, WINDOW, :, 2].max()) + 0.35
-            foot = (float(middle[0]), float(at[:, 1].max()), top)
+            foot = (float(at[:, 0].mean()), float(at[:, 1].max()), top)
             letters = LETTERS * float(self.size[0] + MARGIN)
-            label = f"/{name} label"
-            add_words(scene, label, words, mode, foot, letters, TILT)
+            add_words(scene, f"/{name} label", words, mode, foot, letters, TILT)
 
     def pose(self, at: int) -> None:
         """Show frame `at` of every window; WINDOW is the middle."""
         for robot, one, place in self._robots:
             robot.pose(one.position[:, at] + place[:, None], one.wxyz[:, at])
-
-
-Recorded = tuple[Transitions, dict[str, NDArray]]
-_RECORDED: VersionedCache[Recorded] = VersionedCache()
-
-
-def _recorded(run: RunReader) -> Recorded:
-    """The rows of a run's buffer, and the simulator's state at each."""
-
-    def read() -> Recorded:
-        return run.buffer()[0], run.buffer_state()
-
-    return _RECORDED.get(str(run.path), read, stamps.buffer(run.path))
-
-
-def whose_rows(store: str, name: str) -> RunReader:
-    """The reader of the run or data set `name`. Raises UserError if there is none."""
-    if Store(store).has_folder(name):
-        return Store(store).run(name)
-    return readers.reader_at(Path(datasets.find(store, name).path))
 
 
 class StatesFrame(Frame):
@@ -131,81 +107,78 @@ class StatesFrame(Frame):
 
     def _build_panel(self) -> None:
         self._scene: StatesScene | None = None
-        self._drawn: StatesChoice | None = None
-        self._env = ""
-        self._dt = 0.01
+        self._choice: StatesChoice | None = None
+        self._env, self._dt = "", 0.01
         self._at = float(WINDOW)
         gui = self.client.gui
         self.play = gui.add_checkbox("play the moments", initial_value=False)
         self.offset = gui.add_slider("steps around", -WINDOW, WINDOW, 1, 0)
-        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1/4")
+        self.speed = gui.add_dropdown("speed", SLOW, initial_value="1/4")
         gui.add_markdown("The colour is the weight: orange counts more than average, blue less.")
-        self.offset.on_update(self._scrubbed)
+        self.on_scrub(self.offset, lambda offset: self._pose(offset + WINDOW))
 
-    def _show(self, selection: Selection, *, obey: bool) -> None:
-        choice = selection.choice
-        assert isinstance(choice, StatesChoice)
-        if choice == self._drawn:
+    def _show(self, choice: StatesChoice, *, obey: bool) -> None:
+        if choice == self._choice:
             return
-        run = whose_rows(self.store, choice.run)
-        recorded, state = _recorded(run)
-        env, known, model = run.env, task_of(run), scene_of(run)
+        run = reader_of(str(self.store.path), choice.run)
+        model = scene_of(run)
         if model is None:
-            raise UserError(f"there is nothing to draw of {env}: its states are curves on the page")
-        ended = recorded.ended()
-        if max((*choice.heavy, *choice.light), default=0) >= len(ended):
-            raise UserError("these transitions are no longer in the run's record")
-        groups, height = [], 0.0
-        for words, rows, weights in (
-            ("heaviest", choice.heavy, choice.heavy_weights),
-            ("lightest", choice.light, choice.light_weights),
-        ):
-            if rows:
-                qpos = poses(known, recorded, state, windows(ended, rows))
-                one = solids.of(model, qpos)
-                height = one.floor
-                groups.append((_label(words, weights), one, _colours(weights, self.mode)))
-        self._draw(groups, height, env, model.dt)
-        self._drawn = choice
-
-    def _draw(self, groups: list, height: float, env: str, dt: float) -> None:
+            raise UserError(f"nothing to draw of {run.env}: its states are curves on the page")
+        groups = _groups(run, choice, model, self.mode)
         with self.client.atomic():
             self.clear()
-            self._scene = StatesScene(self.client.scene, groups, height, self.mode)
-            self._pose()
-        if env != self._env:
-            self._env, self._dt = env, dt
+            self._scene = StatesScene(self.client.scene, groups, self.mode)
+            self._pose(self._at)
+        if run.env != self._env:
+            self._env, self._dt = run.env, model.dt
+            height = groups[-1][1].floor if groups else 0.0
             width, depth = 3.6 * (self._scene.size + MARGIN)
             away = 0.5 * width + 0.4
             self.look((0.1, -away, height + 1.0 + 0.35 * away), (0.1, 0.3 * depth, height + 0.5))
+        self._choice = choice
 
     def _mode_changed(self) -> None:
-        self._drawn = None
-
-    def _scrubbed(self, event: viser.GuiEvent) -> None:
-        if event.client is not None:  # moved by the user, not by playback
-            with self._lock:
-                self._at = float(self.offset.value + WINDOW)
-                self._pose()
+        self._choice = None
 
     def _tick(self, seconds: float) -> None:
         if self.play.value and self._scene is not None:
             step = seconds * SPEEDS[self.speed.value] / self._dt
-            self._at = (self._at + step) % (2 * WINDOW + 1)
+            self._pose((self._at + step) % (2 * WINDOW + 1))
             self.offset.value = int(self._at) - WINDOW
-            self._pose()
 
-    def _pose(self) -> None:
+    def _pose(self, at: float) -> None:
+        self._at = at
         if self._scene is not None:
             with self.client.atomic():
-                self._scene.pose(int(self._at))
+                self._scene.pose(int(at))
 
 
-def _label(words: str, weights: Sequence[float]) -> str:
-    ends = dict.fromkeys(readable.short(weight) for weight in (min(weights), max(weights)))
-    return f"{words}: weight {' to '.join(ends)}"
+def reader_of(store: str, name: str) -> RunReader:
+    """The reader of the run or data set `name`. Raises UserError if there is none."""
+    if Store(store).has_folder(name):
+        return Store(store).run(name)
+    return readers.reader_at(Path(datasets.find(store, name).path))
 
 
-def _colours(weights: Sequence[float], mode: Mode) -> list[tuple[int, int, int]]:
-    share = octaves(np.asarray(weights, np.float64)) / (2 * OCTAVES) + 0.5
-    return [(int(r), int(g), int(b)) for r, g, b in on_scale(share, COLUMNS[mode])]
+def _groups(
+    run: RunReader, choice: StatesChoice, model: Model, mode: Mode
+) -> list[tuple[str, Solids, list[Colour]]]:
+    """The title, the robots and their colours of each group that has rows."""
+    recorded, state = _RECORDED.get(
+        str(run.path), lambda: (run.buffer()[0], run.buffer_state()), stamps.buffer(run.path)
+    )
+    ended = recorded.ended()
+    if max((*choice.heavy, *choice.light), default=0) >= len(ended):
+        raise UserError("these transitions are no longer in the run's record")
+    groups = []
+    for words, rows, weights in (
+        ("heaviest", choice.heavy, choice.heavy_weights),
+        ("lightest", choice.light, choice.light_weights),
+    ):
+        if rows:
+            qpos = poses(task_of(run), recorded, state, windows(ended, rows))
+            ends = dict.fromkeys(readable.short(weight) for weight in (min(weights), max(weights)))
+            share = octaves(np.array(weights, np.float64)) / (2 * OCTAVES) + 0.5
+            colours = [(int(r), int(g), int(b)) for r, g, b in on_scale(share, COLUMNS[mode])]
+            groups.append((f"{words}: weight {' to '.join(ends)}", solids.of(model, qpos), colours))
+    return groups

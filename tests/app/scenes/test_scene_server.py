@@ -123,7 +123,7 @@ def test_a_page_plays_pauses_and_asks_where_its_episode_is(served: SceneServer) 
     with frame_of_a_page(served):
         wait_for(lambda: served.clock(PAGE) == Clock(3, playing=False))
         served.select(PAGE, wish(1, "play", 3))
-        served.tick(2 * only_frame(served)._replay.dt)  # type: ignore[union-attr]
+        served.tick(2 * only_frame(served)._drawn[0].dt)  # pyright: ignore[reportOptionalMemberAccess, reportOptionalSubscript]
         assert served.clock(PAGE) == Clock(5, playing=True, asked=1)
         served.select(PAGE, wish(2, "pause", 5))
         assert served.clock(PAGE) == Clock(5, playing=False, asked=2)

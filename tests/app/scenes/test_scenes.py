@@ -20,8 +20,7 @@ from studio_runs import ROAD_MLE, ROAD_TOM
 
 from app.data import pictures
 from app.data.roadmap import CELLS, on_road
-from app.scenes import road as scene
-from app.scenes import solids
+from app.scenes import road, solids
 from app.scenes.control import (
     Choice,
     ReplayChoice,
@@ -48,50 +47,40 @@ def picture(store: Path) -> pictures.Picture:
 
 
 def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
-    columns = scene.columns(picture.grid, "light")
+    position, scale, _ = road.columns(picture.grid, "light")
     heavy = np.nan_to_num(picture.grid) >= 1 / 16
-    assert len(columns.position) == heavy.sum() > 100
-    i = int(np.argmax(columns.scale[:, 2]))
-    x, y = (columns.position[i, :2] * CELLS).astype(int)
+    assert len(position) == heavy.sum() > 100
+    i = int(np.argmax(scale[:, 2]))
+    x, y = (position[i, :2] * CELLS).astype(int)
     assert picture.grid[y, x] >= 16 or picture.grid[y, x] == np.nanmax(picture.grid)
-    assert columns.position[:, 2] == pytest.approx(columns.scale[:, 2] / 2)
-    assert columns.scale[:, 2].max() <= scene.TALLEST + 1e-6
-
-
-def test_toms_columns_stand_on_the_road(picture: pictures.Picture) -> None:
-    columns = scene.columns(picture.grid, "light")
-    tall = columns.scale[:, 2] > scene.TALLEST / 2
-    assert on_road(columns.position[tall, :2], picture.road).mean() > 0.9
+    assert position[:, 2] == pytest.approx(scale[:, 2] / 2)
+    assert scale[:, 2].max() <= road.TALLEST + 1e-6
+    tall = scale[:, 2] > road.TALLEST / 2
+    assert on_road(position[tall, :2], picture.road).mean() > 0.9
 
 
 def test_height_and_colour_grow_with_the_weight() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, :4] = [0.01, 1, 4, 100]
-    columns = scene.columns(grid, "light")
-    assert len(columns.scale) == 3
-    assert columns.scale[:, 2] == pytest.approx(scene.TALLEST * np.array([0.25, 0.5, 1]))
-    assert columns.colour[2].tolist() == [194, 44, 6]
+    _, scale, colour = road.columns(grid, "light")
+    assert len(scale) == 3
+    assert scale[:, 2] == pytest.approx(road.TALLEST * np.array([0.25, 0.5, 1]))
+    assert colour[2].tolist() == [194, 44, 6]
 
 
 def test_stones_lie_beside_the_road(picture: pictures.Picture) -> None:
-    position, size = scene.boulders(picture.road)
+    position, size = road.stones(picture.road)
     assert len(position) == len(size) > 100
     assert not on_road(position[:, :2], picture.road).any()
 
 
-def test_arrows_point_where_the_model_says(picture: pictures.Picture) -> None:
-    found = scene.arrows(picture.points, picture.modelled, 0.1)
-    assert found[:, 1, :2] - found[:, 0, :2] == pytest.approx(picture.modelled, abs=1e-6)
-    assert (found[..., 2] == np.float32(0.1)).all()
-
-
 def test_lines_become_segments() -> None:
     line = np.array([[0, 0], [1, 0], [1, 1]])
-    assert scene.segments([line, line[:1]], 0.5).tolist() == [
+    assert road.segments([line, line[:1]], 0.5).tolist() == [
         [[0, 0, 0.5], [1, 0, 0.5]],
         [[1, 0, 0.5], [1, 1, 0.5]],
     ]
-    assert scene.segments([], 0).shape == (0, 2, 3)
+    assert road.segments([], 0).shape == (0, 2, 3)
 
 
 @pytest.fixture
@@ -118,19 +107,19 @@ def test_a_fit_takes_the_place_of_another(
 
 
 def test_one_map_is_seen_as_the_camera_of_all_scenes_has_it() -> None:
-    camera, at = scene.view(1, FOV)
-    assert camera == pytest.approx(scene.CAMERA)
-    assert at == pytest.approx(scene.LOOK_AT)
+    camera, at = road.view(1, FOV)
+    assert camera == pytest.approx(road.CAMERA)
+    assert at == pytest.approx(road.LOOK_AT)
 
 
 @pytest.mark.parametrize("aspect", [0.6, 1.0, 16 / 9, 3.0])
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_every_map_is_in_the_picture_however_wide_it_is(count: int, aspect: float) -> None:
-    camera, at = map(np.array, scene.view(count, FOV, aspect))
-    assert camera[0] == at[0] == pytest.approx((scene.place(count - 1) + 1) / 2)
+    camera, at = map(np.array, road.view(count, FOV, aspect))
+    assert camera[0] == at[0] == pytest.approx((road.place(count - 1) + 1) / 2)
     ahead = (at - camera) / np.linalg.norm(at - camera)
     up = np.cross([1, 0, 0], ahead)
-    for x in (0, scene.place(count - 1) + 1):
+    for x in (0, road.place(count - 1) + 1):
         for y in (0, 1):
             seen = np.array([x, y, 0]) - camera
             half = (seen @ ahead) * np.tan(FOV / 2)  # of the picture's height, at this distance
@@ -148,7 +137,7 @@ def test_cars_drive_the_recorded_ways(picture: pictures.Picture) -> None:
 def test_the_flat_picture_is_clear_where_nothing_was_recorded() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, 3] = 100
-    flat = scene.flat(grid, "light")
+    flat = road.cells(grid, "light")
     assert flat[0, 3].tolist() == [194, 44, 6, 235]
     assert flat[..., 3].sum() == 235
 
