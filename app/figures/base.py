@@ -1,13 +1,15 @@
-"""The layout of all figures: margins, axes, hover. Text colours follow the page's theme."""
+"""What all figures share: layout, marks, bands, thinned lines, and the colour scales of weights."""
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from app.theme import NEUTRAL, faded
+from app.theme import DIVERGING, NEUTRAL, SEQUENTIAL, Mode, faded
+from tom import readable
 from tom.envs import ROAD
 
 ENV_STEPS = "env steps"
@@ -31,6 +33,9 @@ LAYOUT = {
 _AXIS = {"gridcolor": GRID, "zeroline": False, "automargin": True}
 X_AXIS = {"showgrid": False, "ticks": "outside", "tickcolor": GRID, **_AXIS}
 Y_AXIS = {"title": {"standoff": 8}, **_AXIS}  # else wide tick labels overlap the title
+OCTAVES = 4.0
+"""the colours range at most from 1/16 to 16 times the uniform weight"""
+_BELOW = {"orientation": "h", "y": 0, "yanchor": "top", "len": 0.9, "ypad": 8}
 
 
 def steps_in_words(envs: Iterable[str]) -> str:
@@ -126,3 +131,96 @@ def note(figure: go.Figure, text: str, right: float = 1) -> go.Figure:
         opacity=0.75,
     )
     return figure
+
+
+def octaves(weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """log2 of the weight relative to uniform, clipped to the colours' range; NaN stays."""
+    with np.errstate(divide="ignore"):
+        return np.clip(np.log2(weight), -OCTAVES, OCTAVES)
+
+
+def span(weight: NDArray[np.float64]) -> float:
+    """The octaves around the uniform weight that the colours must cover: 1 to OCTAVES."""
+    reach = np.abs(octaves(weight[np.isfinite(weight)]))
+    needed = np.ceil(np.quantile(reach, 0.98)) if len(reach) else 1.0
+    return float(np.clip(needed, 1.0, OCTAVES))
+
+
+def relative_scale(
+    weight: NDArray[np.float64], mode: Mode, *, flat: bool = False, reach: float | None = None
+) -> dict:
+    """A heatmap's colours for log2 of these weights; with `flat` the colour bar is below.
+
+    They cover these weights, or `reach` octaves if figures are to be compared. The bar marks an end
+    beyond which there are weights.
+    """
+    reach = span(weight) if reach is None else reach
+    ticks = np.arange(-reach, reach + 1, 2 if reach == OCTAVES else 1)
+    words = [readable.factor(2.0**t) for t in ticks]
+    if (weight < 2**-reach).any():
+        words[0] = f"≤ {words[0]}"
+    if (weight > 2**reach).any():
+        words[-1] = f"≥ {words[-1]}"
+    bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "times uniform"}}
+    return {
+        "colorscale": DIVERGING[mode],
+        "zmin": -reach,
+        "zmax": reach,
+        "colorbar": _bar(bar | _BELOW if flat else bar),
+    }
+
+
+def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict:
+    """A heatmap's linear colours; the bar marks an end beyond which there are weights."""
+    finite = bins[np.isfinite(bins)]
+    top = max(float(np.quantile(finite, 0.995)) if len(finite) else 1.0, 1.0)
+    ticks = np.linspace(0, top, 5)
+    words = [readable.short(tick) for tick in ticks]
+    if (finite > top).any():
+        words[-1] = f"≥ {words[-1]}"
+    bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "weight"}}
+    return {
+        "colorscale": SEQUENTIAL[mode],
+        "zmin": 0,
+        "zmax": top,
+        "colorbar": _bar(bar),
+    }
+
+
+def _bar(more: dict) -> dict:
+    return {"thickness": 12, "outlinewidth": 0, "len": 1.0, "xpad": 6} | more
+
+
+def decimate(
+    step: NDArray[np.int64], value: NDArray[np.float64], limit: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64], bool]:
+    """At most `limit` points with the extremes of every bucket; whether points were dropped."""
+    if len(step) <= limit:
+        return step, value, False
+    edges = np.linspace(0, len(step), limit // 2 + 1).astype(int)
+    keep = [
+        index
+        for a, b in pairwise(edges)
+        for index in sorted({a + int(np.argmin(value[a:b])), a + int(np.argmax(value[a:b]))})
+    ]
+    return step[keep], value[keep], True
+
+
+def left_out(lines: Sequence[tuple[NDArray, NDArray]], *, log_x: bool, log_y: bool) -> list[str]:
+    """In words, which points of lines, x (T,) and y (T,) each, log axes leave out; may be empty."""
+    total = gone = 0
+    for x, y in lines:
+        total += int(np.isfinite(y).sum())
+        gone += int((np.isfinite(y) & ((log_x & (x <= 0)) | (log_y & (y <= 0)))).sum())
+    return [f"{gone:,} of {total:,} values at or below zero: not on a log axis"] if gone else []
+
+
+def cut_bands(figure: go.Figure, *, log_x: bool, log_y: bool) -> None:
+    """End the filled bands of a figure at the smallest positive value shown."""
+    traces: list[Any] = list(figure.data)
+    positive = [y[y > 0] for y in (np.asarray(trace.y, np.float64) for trace in traces)]
+    lowest = min((float(y.min()) for y in positive if len(y)), default=np.nan)
+    for band in (trace for trace in traces if trace.fill == "toself"):
+        x, y = np.asarray(band.x, np.float64), np.asarray(band.y, np.float64)
+        here = (x > 0) | (not log_x)
+        band.update(x=x[here], y=np.where((y > 0) | (not log_y), y, lowest)[here])

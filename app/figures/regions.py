@@ -1,4 +1,4 @@
-"""The map of a replay buffer, features of a region, and weights against other quantities."""
+"""The map of a replay buffer, what sets a region apart, and a weight as the sum of its terms."""
 
 import textwrap
 from collections.abc import Sequence
@@ -9,11 +9,14 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data.buffer import Against, Rows
+from app.data.brush import Brushed
+from app.data.buffer import Against, Floats, Rows
 from app.data.regions import Mask, Plane
-from app.figures.base import across, note, styled, upright
-from app.figures.scales import octaves, relative_scale
-from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour
+from app.figures.base import across, note, octaves, relative_scale, styled, upright
+from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour, ramp
+from tom import readable
+from tom.analysis.brush import POLICY, REGION, REST
+from tom.analysis.why import Sum
 from tom.spread import spread
 
 POINTS = 8000
@@ -27,6 +30,12 @@ HOVER = (
     "step %{customdata[0]:,}<br>episode %{customdata[1]:,}, its step %{customdata[2]:,}<br>"
     "%{customdata[3]}<br>reward %{customdata[4]:.3g}<br>weight %{customdata[5]:.3g}<extra></extra>"
 )
+NAMES = {
+    REGION: "held-out, in the region",
+    REST: "held-out, elsewhere",
+    POLICY: "what the policy does anew",
+}
+BELOW = "#6f9fe8"
 
 
 def region_map(
@@ -161,3 +170,127 @@ def weights_against(
     figure.update_layout(showlegend=False)
     figure.update_yaxes(rangemode="tozero", title_text="weight")
     return figure
+
+
+def factor_in_words(factor: float) -> str:
+    """0.25 -> x 1/4."""
+    return f"x {readable.factor(factor)}"
+
+
+def change(brushed: Brushed, region: str, factor: float) -> np.ndarray:
+    """The model's error (S,) for each seed, relative to the original weights."""
+    of = brushed.errors[region]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.array(of[factor]) / np.array(of[1.0])
+
+
+def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
+    """One group of bars per region, one bar per factor: the mean over seeds and the range.
+
+    Where no error could be measured there is no bar.
+    """
+    figure = go.Figure()
+    regions = [name for name in NAMES if name in brushed.errors]
+    colours = ramp(len(brushed.factors), mode)
+    for factor, colour in zip(brushed.factors, colours, strict=True):
+        ratios = [change(brushed, name, factor) for name in regions]
+        measured = [r[np.isfinite(r)] for r in ratios]
+        means, least, most = (
+            np.array([of(r) if len(r) else np.nan for r in measured])
+            for of in (np.mean, np.min, np.max)
+        )
+        figure.add_trace(
+            go.Bar(
+                x=[NAMES[name] for name in regions],
+                y=means - 1,
+                base=1,
+                name=f"weight {factor_in_words(factor)}",
+                marker={"color": colour},
+                error_y={
+                    "array": most - means,
+                    "arrayminus": means - least,
+                    "thickness": 1.4,
+                    "width": 4,
+                },
+                customdata=np.stack([means, least, most], -1),
+                hovertemplate="%{x}<br>error x %{customdata[0]:.3f} "
+                "(%{customdata[1]:.3f} to %{customdata[2]:.3f})<extra>%{fullData.name}</extra>",
+            )
+        )
+    styled(figure, "", height, keep=f"brush {brushed.name}", marks=[across(1, 1.5, "dash")])
+    figure.update_yaxes(title_text="one-step error, times that of the weights as they are")
+    figure.update_layout(barmode="group", bargap=0.25)
+    seeds = len(next(iter(brushed.errors[regions[0]].values())))
+    return note(figure, f"mean and range of {seeds} seeds")
+
+
+def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
+    """The terms of y - lambda one after another, and the resulting weight."""
+    bars = [
+        ("r", "log p/q, from the discriminator", parts.log_ratio),
+        ("+ g E Q(s', a')", "what the policy does next", parts.following),
+    ]
+    if parts.restart:
+        bars.append(("+ g E Q(s0, a0)", "a new start after the end (mu0)", parts.restart))
+    bars.append(("- Q(s, a)", "the state itself", -parts.now))
+    if parts.level:
+        bars.append(("- level", "lambda: the mean weight is 1", -parts.level))
+    names = [name for name, _, _ in bars]
+    figure = go.Figure(
+        go.Waterfall(
+            x=[*names, "sum", "weight"],
+            y=[*(value for _, _, value in bars), 0, parts.weight],
+            measure=["relative"] * len(bars) + ["total", "absolute"],
+            text=[f"{v:+.3g}" for _, _, v in bars]
+            + [readable.short(parts.argument), readable.short(parts.weight)],
+            customdata=[*(words for _, words, _ in bars), "y - lambda", "f*'(sum) / mean"],
+            textposition="outside",
+            cliponaxis=False,
+            increasing={"marker": {"color": learner_colour(learner)}},
+            decreasing={"marker": {"color": BELOW}},
+            totals={"marker": {"color": NEUTRAL}},
+            connector={"line": {"color": NEUTRAL, "width": 1, "dash": "dot"}},
+            hovertemplate="%{x}: %{text}<br>%{customdata}<extra></extra>",
+        )
+    )
+    styled(figure, "", height, keep=f"why {parts}")
+    figure.update_layout(showlegend=False, margin={"t": 30, "b": 8})
+    figure.update_yaxes(zeroline=True, zerolinecolor=NEUTRAL)
+    return figure
+
+
+def rollout_lines(
+    paths: Floats, recorded: NDArray, name: str, learner: str, height: int
+) -> go.Figure:
+    """One dimension of rollouts (K, T + 1) and of the record from the same state on."""
+    figure = go.Figure()
+    colour = learner_colour(learner)
+    steps = np.arange(paths.shape[1])
+    # All rollouts are one trace with gaps, so that there is only one legend entry.
+    gap = np.full((len(paths), 1), np.nan)
+    figure.add_trace(
+        go.Scatter(
+            x=np.tile(np.append(steps, np.nan), len(paths)),
+            y=np.concatenate([paths, gap], 1).ravel(),
+            mode="lines",
+            name="rollouts of the policy in the model",
+            opacity=0.45,
+            line={"color": colour, "width": 1.2},
+            hovertemplate="step %{x}<br>%{y:.3g}<extra>model</extra>",
+        )
+    )
+    figure.add_trace(
+        go.Scatter(
+            x=np.arange(len(recorded)),
+            y=recorded,
+            mode="lines+markers",
+            name="recorded, by the policy of its time",
+            line={"color": NEUTRAL, "width": 2.5},
+            marker={"size": 5},
+            hovertemplate="step %{x}<br>%{y:.3g}<extra>recorded</extra>",
+        )
+    )
+    styled(figure, "steps", height, keep=f"rollouts {name} from {recorded[0]}")
+    figure.update_yaxes(title_text=text.plotly(name))
+    ended = int(np.isnan(paths[:, -1]).sum())
+    return note(figure, f"{ended} of {len(paths)} rollouts ended before") if ended else figure

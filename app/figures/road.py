@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data.pictures import Picture
 from app.data.roadmap import cell_centres, circle, outline
-from app.figures.base import styled
-from app.figures.scales import OCTAVES, octaves, relative_scale
+from app.figures.base import OCTAVES, octaves, relative_scale, styled
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 
 NO_DATA: dict[Mode, str] = {"light": "#c4c9d3", "dark": "#414858"}

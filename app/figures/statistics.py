@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app import text
 from app.figures.base import band, styled, upright
-from app.figures.looks import Look
+from app.figures.curves import Look
 from app.theme import NEUTRAL
 from tom.analysis.statistics import Interval
 

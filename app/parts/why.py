@@ -13,7 +13,7 @@ from app.data.buffer import Rows, dimension_names
 from app.data.readers import RunInfo
 from app.data.regions import Plane
 from app.data.why import Source
-from app.figures.why import rollout_lines, waterfall
+from app.figures.regions import rollout_lines, waterfall
 from app.parts import weighing
 from app.parts.plot import Point, chart
 from app.theme import learner_label

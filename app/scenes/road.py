@@ -10,7 +10,7 @@ from trimesh import PointCloud, creation
 
 from app.data.pictures import Picture
 from app.data.roadmap import CELLS, RoadShape, cell_centres, circle, on_road, outline
-from app.figures.scales import OCTAVES, octaves
+from app.figures.base import OCTAVES, octaves
 from app.scenes import solids
 from app.scenes.frame import Vector, add_words, extent
 from app.scenes.solids import Colour, Robot, copies

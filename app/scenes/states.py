@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.data import datasets, readers
 from app.data.buffer import WINDOW, windows
 from app.data.cache import VersionedCache
-from app.figures.scales import OCTAVES, octaves
+from app.figures.base import OCTAVES, octaves
 from app.scenes import solids
 from app.scenes.control import SPEEDS, StatesChoice
 from app.scenes.frame import Frame, add_words, floor

@@ -7,8 +7,7 @@ from app import session, text
 from app.data import readers, replays
 from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
-from app.figures.observations import observed_curves
-from app.figures.replay import error_curve, return_curve, reward_curve
+from app.figures.replay import error_curve, observed_curves, return_curve, reward_curve
 from app.parts import address, again, empty, player, rerun, widgets
 from app.parts.plot import Point, chart
 from app.parts.stage import stage

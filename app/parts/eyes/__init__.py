@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import streamlit as st
 from streamlit.components.v2 import component
 
-from app.figures.looks import Look
+from app.figures.curves import Look
 
 _SCRIPT = Path(__file__).with_name("eyes.js")
 _STYLE = Path(__file__).with_name("eyes.css")

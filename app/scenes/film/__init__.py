@@ -11,7 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from app.figures.scales import OCTAVES
+from app.figures.base import OCTAVES
 from app.scenes.film.story import travelling
 from app.theme import (
     BACKGROUND,

@@ -8,7 +8,7 @@ import streamlit as st
 from app import session
 from app.data.called import names, short_names
 from app.data.readers import RunInfo
-from app.figures.looks import Look, looks
+from app.figures.curves import Look, looks_of
 from app.parts import address
 from app.parts.eyes import Item, Row
 from tom.analysis import grouping
@@ -102,7 +102,7 @@ class Comparison:
 def compare(runs: Sequence[RunInfo], by: str) -> Comparison:
     """Group the runs, and read from the page or its address which of them are hidden."""
     kinds = grouping.kinds(runs, by)
-    look_of = looks([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
+    look_of = looks_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
     there = {run.run_id for run in runs} | {look.title for look in look_of.values()}
     hidden = [word for word in address.value_of(HIDE, list) if word in there]
     address.keep(HIDE, hidden)

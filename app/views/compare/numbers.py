@@ -12,7 +12,7 @@ from streamlit.delta_generator import DeltaGenerator
 from app import text
 from app.data.readers import RunInfo
 from app.data.tables import default_level, reached
-from app.figures.looks import Look
+from app.figures.curves import Look
 from app.figures.statistics import Improvement, Profile, improvement, profiles
 from app.parts import address
 from app.parts.plot import chart

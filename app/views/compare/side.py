@@ -9,7 +9,7 @@ from app.data import readers
 from app.data.called import told_apart
 from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON
-from app.figures.side import side_by_side
+from app.figures.weights import side_by_side
 from app.parts import address, asked, empty
 from app.parts.plot import chart
 from app.parts.stage import stage

@@ -11,8 +11,8 @@ from app.data import readers
 from app.data.cache import VersionedCache
 from app.data.exams import Exams, Ranking, Standing, exams_of, middle, ranking
 from app.data.readers import RunInfo
+from app.figures.curves import looks_of
 from app.figures.exams import footprint_error_return
-from app.figures.looks import looks
 from app.parts.plot import chart
 from app.views.probe import left_out
 from tom.analysis import grouping, statistics
@@ -86,7 +86,7 @@ def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Ranking]:
 def group_names(runs: Sequence[RunInfo]) -> dict[str, str]:
     """By run id the name of its group: its learner, and what distinguishes it from other groups."""
     kinds = grouping.kinds(runs)
-    groups = looks((run.env, kinds[run.run_id]) for run in runs)
+    groups = looks_of((run.env, kinds[run.run_id]) for run in runs)
     return {run_id: groups[kind].title for run_id, kind in kinds.items()}
 
 

@@ -9,8 +9,8 @@ from app.data import buffer_reader, datasets, readers, regions, weighings
 from app.data.buffer import Rows, dimension_names
 from app.data.readers import RunInfo
 from app.data.regions import Mask, Plane
-from app.figures.observations import moments_figure
 from app.figures.regions import region_map
+from app.figures.replay import moments_figure
 from app.parts import address, empty, why, widgets
 from app.parts.plot import Region, chart
 from app.parts.stage import stage

@@ -15,7 +15,7 @@ from app.data.buffer import Rows
 from app.data.readers import RunInfo
 from app.data.regions import Mask
 from app.data.trainings import Started
-from app.figures.brush import NAMES, change, error_bars, factor_in_words
+from app.figures.regions import NAMES, change, error_bars, factor_in_words
 from app.parts.plot import chart
 from app.scenes.film import ghosts
 from tom.analysis.brush import FACTORS

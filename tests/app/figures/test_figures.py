@@ -11,13 +11,12 @@ import pytest
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import pictures, readers
-from app.figures.base import ROW, steps_in_words
+from app.figures.base import ROW, linear_scale, octaves, relative_scale, span, steps_in_words
 from app.figures.curves import POINTS, Axes, group_curves, run_curves
-from app.figures.observations import moments_figure
 from app.figures.probe import RunErrors, errors_by_age, focus, probe_profiles
+from app.figures.regions import waterfall
+from app.figures.replay import moments_figure
 from app.figures.road import road_map
-from app.figures.scales import linear_scale, octaves, relative_scale, span
-from app.figures.side import side_by_side
 from app.figures.statistics import Improvement, improvement
 from app.figures.weights import (
     MAP_COLUMNS,
@@ -25,11 +24,11 @@ from app.figures.weights import (
     effective_sample,
     profile_lines,
     shown_fits,
+    side_by_side,
     weight_map,
     weight_profile,
     with_returns,
 )
-from app.figures.why import waterfall
 from app.parts import widgets
 from app.theme import learner_colour
 from tom.analysis.curves import GRID, Curve, Group, aggregate

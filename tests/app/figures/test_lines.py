@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.figures.lines import decimate
+from app.figures.base import decimate
 
 
 @settings(deadline=None)

@@ -15,7 +15,7 @@ from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with
 from app.data import brush, buffer_reader, trainings, weighings
 from app.data.brush import Brushed
 from app.data.weighings import WeighingInfo
-from app.figures.brush import error_bars
+from app.figures.regions import error_bars
 from app.links import Links
 from app.theme import Mode
 from app.views.regions.brush import BEGUN, command

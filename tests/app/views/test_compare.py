@@ -20,9 +20,9 @@ from studio_runs import PENDULUM_TOM, info
 from app.data.readers import profiles
 from app.data.tables import default_level, reached
 from app.figures import statistics
-from app.figures.looks import Look
-from app.figures.side import side_by_side
+from app.figures.curves import Look
 from app.figures.statistics import Profile
+from app.figures.weights import side_by_side
 from app.links import Links
 from app.parts import replay_link, shortlinks, widgets
 from app.parts.plot import View
