@@ -1,7 +1,8 @@
 """What all figures share: layout, marks, bands, thinned lines, and the colour scales of weights."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 """for lines of one colour"""
 GRID = "rgba(128, 138, 158, 0.22)"
 MARGINS = 30  # pixels, left and right together
-LAYOUT = {
+LAYOUT: dict[str, Any] = {
     "margin": {"l": 4, "r": 26, "t": 14, "b": 4},
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
@@ -32,7 +33,10 @@ LAYOUT = {
 }
 _AXIS = {"gridcolor": GRID, "zeroline": False, "automargin": True}
 X_AXIS = {"showgrid": False, "ticks": "outside", "tickcolor": GRID, **_AXIS}
-Y_AXIS = {"title": {"standoff": 8}, **_AXIS}  # else wide tick labels overlap the title
+Y_AXIS: dict[str, Any] = {
+    "title": {"standoff": 8},
+    **_AXIS,
+}  # else wide tick labels overlap the title
 OCTAVES = 4.0
 """the colours range at most from 1/16 to 16 times the uniform weight"""
 _BELOW = {"orientation": "h", "y": 0, "yanchor": "top", "len": 0.9, "ypad": 8}
@@ -47,24 +51,52 @@ def steps_in_words(envs: Iterable[str]) -> str:
 
 
 def styled(
-    figure: go.Figure, x: str, height: int, *, keep: str, marks: Sequence[dict] = ()
+    figure: go.Figure,
+    x: str,
+    height: int,
+    *,
+    keep: str,
+    marks: Sequence[dict] = (),
+    y: str | None = None,
+    x_axis: Mapping[str, Any] = MappingProxyType({}),
+    y_axis: Mapping[str, Any] = MappingProxyType({}),
+    **layout: Any,
 ) -> go.Figure:
     """`figure` with the common layout; the user's zoom is kept as long as `keep` is the same.
 
     `keep` names what is drawn, such as a run: a zoom on one would show nothing of another.
-    The page has the figure's title. `marks` are lines made by `across` and `upright`. Only for a
-    figure with one pair of axes and no layout yet, because setting a whole layout takes a third of
-    the time of updates.
+    The page has the figure's title; `x` and `y` are those of the axes. `marks` are lines made by
+    `across` and `upright`; `x_axis`, `y_axis` and `layout` are further settings of Plotly. Only for
+    a figure with one pair of axes and no layout yet, because setting a whole layout takes a third
+    of the time of updates.
     """
-    figure.layout = go.Layout(
-        **LAYOUT,
-        height=height,
-        uirevision=keep,
-        xaxis={"title": {"text": x}, **X_AXIS},
-        yaxis=Y_AXIS,
-        shapes=list(marks),
-    )
+    titles = {"text": x}, {**Y_AXIS["title"], **({} if y is None else {"text": y})}
+    own = {
+        "height": height,
+        "uirevision": keep,
+        "xaxis": {**X_AXIS, "title": titles[0], **x_axis},
+        "yaxis": {**Y_AXIS, "title": titles[1], **y_axis},
+        "shapes": list(marks),
+    }
+    margin = LAYOUT["margin"] | layout.pop("margin", {})
+    figure.layout = go.Layout(LAYOUT | own | {"margin": margin} | layout)
     return figure
+
+
+def line(
+    x: Any,
+    y: Any,
+    colour: str,
+    width: float,
+    hover: str | None,
+    *,
+    dash: str | None = None,
+    shape: str | None = None,
+    **more: Any,
+) -> go.Scatter:
+    """A line through points; `more` are other properties of the trace."""
+    style = {"color": colour, "width": width, "dash": dash, "shape": shape}
+    return go.Scatter(x=x, y=y, line=style, hovertemplate=hover, **({"mode": "lines"} | more))
 
 
 def across(y: float, width: float, dash: str | None = None) -> dict[str, Any]:
@@ -113,23 +145,15 @@ def legend_rows(titles: Iterable[str], width: int) -> int:
     return rows
 
 
-def note(figure: go.Figure, text: str, right: float = 1) -> go.Figure:
-    """A remark in the figure's corner.
+def note(figure: go.Figure, words: Sequence[str], right: float = 1) -> go.Figure:
+    """Remarks in the figure's corner, one below the other; none if there are no words.
 
-    It ends at `right`, a share of the figure's width.
+    They end at `right`, a share of the figure's width.
     """
-    figure.add_annotation(
-        text=text,
-        xref="paper",
-        yref="paper",
-        x=right,
-        y=0,
-        xanchor="right",
-        yanchor="bottom",
-        showarrow=False,
-        font={"size": 11},
-        opacity=0.75,
-    )
+    if words:
+        place = {"x": right, "y": 0, "xref": "paper", "yref": "paper"}
+        corner = {"xanchor": "right", "yanchor": "bottom", "showarrow": False, "opacity": 0.75}
+        figure.add_annotation(text="<br>".join(words), **place, **corner, font={"size": 11})
     return figure
 
 
@@ -148,7 +172,7 @@ def span(weight: NDArray[np.float64]) -> float:
 
 def relative_scale(
     weight: NDArray[np.float64], mode: Mode, *, flat: bool = False, reach: float | None = None
-) -> dict:
+) -> dict[str, Any]:
     """A heatmap's colours for log2 of these weights; with `flat` the colour bar is below.
 
     They cover these weights, or `reach` octaves if figures are to be compared. The bar marks an end
@@ -161,16 +185,11 @@ def relative_scale(
         words[0] = f"≤ {words[0]}"
     if (weight > 2**reach).any():
         words[-1] = f"≥ {words[-1]}"
-    bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "times uniform"}}
-    return {
-        "colorscale": DIVERGING[mode],
-        "zmin": -reach,
-        "zmax": reach,
-        "colorbar": _bar(bar | _BELOW if flat else bar),
-    }
+    bar = _bar(ticks, words, "times uniform") | (_BELOW if flat else {})
+    return {"colorscale": DIVERGING[mode], "zmin": -reach, "zmax": reach, "colorbar": bar}
 
 
-def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict:
+def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict[str, Any]:
     """A heatmap's linear colours; the bar marks an end beyond which there are weights."""
     finite = bins[np.isfinite(bins)]
     top = max(float(np.quantile(finite, 0.995)) if len(finite) else 1.0, 1.0)
@@ -178,17 +197,13 @@ def linear_scale(bins: NDArray[np.float64], mode: Mode) -> dict:
     words = [readable.short(tick) for tick in ticks]
     if (finite > top).any():
         words[-1] = f"≥ {words[-1]}"
-    bar = {"tickvals": ticks, "ticktext": words, "title": {"text": "weight"}}
-    return {
-        "colorscale": SEQUENTIAL[mode],
-        "zmin": 0,
-        "zmax": top,
-        "colorbar": _bar(bar),
-    }
+    bar = _bar(ticks, words, "weight")
+    return {"colorscale": SEQUENTIAL[mode], "zmin": 0, "zmax": top, "colorbar": bar}
 
 
-def _bar(more: dict) -> dict:
-    return {"thickness": 12, "outlinewidth": 0, "len": 1.0, "xpad": 6} | more
+def _bar(ticks: NDArray[np.float64], words: list[str], title: str) -> dict[str, Any]:
+    own = {"tickvals": ticks, "ticktext": words, "title": {"text": title}}
+    return {"thickness": 12, "outlinewidth": 0, "len": 1.0, "xpad": 6} | own
 
 
 def decimate(

@@ -21,6 +21,7 @@ from app.figures.base import (
     decimate,
     left_out,
     legend_rows,
+    line,
     note,
     steps_in_words,
     styled,
@@ -67,27 +68,25 @@ def looks_of(
     groups of learners without that setting are grey.
     """
     tasks = Counter(kind for _, kind in set(groups))
+    learnt = sorted(kind for kind in tasks if kind.learner)
     if by in (USUAL, "learner"):
-        return _of_learners(tasks)
+        # The kind with the most tasks comes first, so its learner's solid line belongs to it.
+        kinds = sorted(tasks, key=lambda kind: (kind.learner, -tasks[kind], kind))
+        dash = dashes([kind.learner for kind in kinds])
+        return {
+            kind: Look(
+                _title(kind, tasks),
+                learner_colour(kind.learner),
+                dash[i],
+                learner_symbol(kind.learner),
+            )
+            for i, kind in enumerate(kinds)
+        }
     values = sorted((kind for kind in tasks if not kind.learner), key=_order)
-    return _of_values(values, by, mode) | _left_grey(tasks)
-
-
-def _of_learners(tasks: Mapping[Kind, int]) -> dict[Kind, Look]:
-    # The kind with the most tasks comes first, so its learner's solid line belongs to it.
-    look_of: dict[Kind, Look] = {}
-    for kind in sorted(tasks, key=lambda kind: (kind.learner, -tasks[kind], kind)):
-        place = sum(other.learner == kind.learner for other in look_of)
-        colour, symbol = learner_colour(kind.learner), learner_symbol(kind.learner)
-        look_of[kind] = Look(_title(kind, tasks), colour, DASHES[place % len(DASHES)], symbol)
-    return look_of
-
-
-def _of_values(values: Sequence[Kind], by: str, mode: Mode) -> dict[Kind, Look]:
     # Seeds are numbers without a meaning.
     ordered = by != "seed" and all(number(kind, by) is not None for kind in values)
     colours = ramp(len(values), mode) if ordered else QUALITATIVE
-    return {
+    of_values = {
         kind: Look(
             _title(kind, values),
             colours[i % len(colours)],
@@ -96,16 +95,13 @@ def _of_values(values: Sequence[Kind], by: str, mode: Mode) -> dict[Kind, Look]:
         )
         for i, kind in enumerate(values)
     }
-
-
-def _left_grey(kinds: Iterable[Kind]) -> dict[Kind, Look]:
-    left = sorted(kind for kind in kinds if kind.learner)
-    return {
+    grey = {
         kind: Look(
-            _title(kind, left), NEUTRAL, DASHES[i % len(DASHES)], learner_symbol(kind.learner)
+            _title(kind, learnt), NEUTRAL, DASHES[i % len(DASHES)], learner_symbol(kind.learner)
         )
-        for i, kind in enumerate(left)
+        for i, kind in enumerate(learnt)
     }
+    return of_values | grey
 
 
 def _title(kind: Kind, among: Iterable[Kind]) -> str:
@@ -164,26 +160,24 @@ def run_curves(
         if cut:
             words = [f"thinned to {POINTS} points a line"]
         figure.add_trace(
-            go.Scatter(
-                x=step,
-                y=value,
+            line(
+                step,
+                value,
+                look.colour if look else learner_colour(curve.learner),
+                2,
+                _hover(curve, axes.x),
+                dash=look.dash if look else dash,
                 uid=line_uid(curve),
                 name=text.plotly((called or {}).get(curve.run_id, plain)),
                 meta=curve.run_id,
                 mode="lines+markers" if len(step) < 40 else "lines",
-                line={
-                    "color": look.colour if look else learner_colour(curve.learner),
-                    "width": 2,
-                    "dash": look.dash if look else dash,
-                },
                 marker={"size": 5, "symbol": learner_symbol(curve.learner)},
-                hovertemplate=_hover(curve, axes.x),
                 showlegend=legend,
             )
         )
     _draw_axes(figure, metric, height, axes, [curve.env for curve in curves], keep)
     words += left_out([(c.step, c.value) for c in curves], log_x=axes.log_x, log_y=axes.log_y)
-    return note(figure, "<br>".join(words)) if words else figure
+    return note(figure, words)
 
 
 def group_curves(
@@ -213,8 +207,10 @@ def group_curves(
         traces = []
         if singles and group.n > 1:
             traces += [_single(curve, look) for curve in group.curves]
-        if np.isfinite(group.low).any():
-            traces.append(_band(smooth, look))
+        if (here := np.isfinite(group.low)).any():
+            ends = smooth.step[here], smooth.low[here], smooth.high[here]
+            drawn_band = band(*ends, look.colour, _identity(smooth))
+            traces.append(drawn_band.update(uid=_identity(smooth, "band"), name="band"))
         count = f"n = {group.n}" if group.n > 1 else "1 seed, no band"
         traces += _middle(smooth, f"{look.title} ({count})", look)
         if group.kind in hidden:
@@ -225,7 +221,9 @@ def group_curves(
         if singles and group.n > 1:
             drawn += [(curve.step, curve.value) for curve in group.curves]
     if width:
-        height += _rows_beyond(figure, width) * ROW
+        lines: list[Any] = list(figure.data)
+        titles = [trace.name for trace in lines if trace.showlegend]
+        height += ROW * max(0, legend_rows(titles, width) - ROWS)
     _draw_axes(figure, metric, height, axes, [group.env for group in groups])
     words = [f"smoothed: mean of {window} points of the line"] if window > 1 else []
     if any(group.thinned for group in groups):
@@ -236,12 +234,7 @@ def group_curves(
     figure.update_layout(hovermode="x unified", hoversort="value descending")
     cut_bands(figure, log_x=axes.log_x, log_y=axes.log_y)
     words += left_out(drawn, log_x=axes.log_x, log_y=axes.log_y)
-    return note(figure, "<br>".join(words)) if words else figure
-
-
-def _rows_beyond(figure: go.Figure, width: int) -> int:
-    traces: list[Any] = list(figure.data)
-    return max(0, legend_rows((trace.name for trace in traces if trace.showlegend), width) - ROWS)
+    return note(figure, words)
 
 
 def _identity(group: Group | Curve, part: str = "") -> str:
@@ -257,76 +250,68 @@ def _draw_axes(
     figure: go.Figure, metric: str, height: int, axes: Axes, envs: Sequence[str], keep: str = ""
 ) -> None:
     x = steps_in_words(envs) if axes.x == ENV_STEPS else text.plotly(axes.x)
-    styled(figure, x, height, keep=f"{metric} {axes} {keep}")
-    figure.update_xaxes(type="log" if axes.log_x else "linear")
-    figure.update_yaxes(type="log" if axes.log_y else "linear")
     lines: list[Any] = list(figure.data)
-    places = {float(x) for line in lines for x in line.x[:2]}
-    if len(places) == 1 and not axes.log_x:
+    x_axis: dict[str, Any] = {"type": "log" if axes.log_x else "linear"}
+    if len({float(x) for trace in lines for x in trace.x[:2]}) == 1 and not axes.log_x:
         # With a single point Plotly would show a tiny range around it: start the axis at zero.
-        figure.update_xaxes(rangemode="tozero", autorangeoptions={"include": 0})
+        x_axis |= {"rangemode": "tozero", "autorangeoptions": {"include": 0}}
+    y_axis = {"type": "log" if axes.log_y else "linear"}
+    kept = f"{metric} {axes} {keep}"
+    styled(figure, x, height, keep=kept, x_axis=x_axis, y_axis=y_axis)
 
 
 def _single(curve: Curve, look: Look) -> go.Scatter:
     step, value, _ = decimate(curve.step, curve.value, POINTS)
-    return go.Scatter(
-        x=step,
-        y=value,
+    name = f"{text.plotly(learner_label(curve.learner))} s{curve.seed}"
+    return line(
+        step,
+        value,
+        look.colour,
+        1,
+        f"{name}: %{{y:.4g}}<extra></extra>",
         uid=line_uid(curve),
         name=text.plotly(curve.run_id),
         meta=curve.run_id,
-        mode="lines",
-        line={"color": look.colour, "width": 1},
         opacity=0.35,
-        hovertemplate=f"{text.plotly(learner_label(curve.learner))} s{curve.seed}: %{{y:.4g}}"
-        "<extra></extra>",
         legendgroup=_identity(curve),
         showlegend=False,
     )
 
 
-def _band(group: Group, look: Look) -> go.Scatter:
-    here = np.isfinite(group.low)
-    ends = group.low[here], group.high[here]
-    drawn = band(group.step[here], *ends, look.colour, _identity(group))
-    return drawn.update(uid=_identity(group, "band"), name="band")
-
-
 def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:
+    """The line of a group: solid where all its runs are, and dotted elsewhere."""
     full = group.complete
-    parts: list[tuple[go.Scatter, bool]] = []
+    parts = []
     if full.any():  # the legend leaves out a line without points
-        solid = go.Scatter(x=group.step[full], y=group.mean[full], customdata=group.count[full])
-        parts.append((solid, True))
+        parts.append((full, group.mean[full], True))
     if not full.all():
         # Joined to the solid part, so that both look like one line.
-        value = np.where(_beside(~full), group.mean, np.nan)
-        parts.append((go.Scatter(x=group.step, y=value, customdata=group.count), False))
+        near = ~full | np.append(~full[1:], False) | np.append(False, ~full[:-1])
+        parts.append((np.ones_like(full), np.where(near, group.mean, np.nan), False))
     only = group.curves[0].run_id if group.curves else None
     marked = len(group.step) < 40 and not group.interpolated
     statistic = {"mean": "mean", "median": "median", "iqm": "IQM"}[group.statistic]
-    for i, (part, whole) in enumerate(parts):
-        part.update(
+    title = look.title if len(look.title) <= LONGEST else f"{look.title[: LONGEST - 3]}..."
+    hover = f"<b>{text.plotly(title)}</b> {statistic}, n = %{{customdata}}: %{{y:.4g}}"
+    return [
+        line(
+            group.step[here],
+            value,
+            look.colour,
+            2.6 if whole else 1.6,
+            f"{hover}<extra></extra>",
+            dash=look.dash if whole else "dot",
+            customdata=group.count[here],
             uid=line_uid(group) if i == 0 else _identity(group, "dots"),
             name=text.plotly(name) if i == 0 else "fewer runs than n",
             meta=[curve.run_id for curve in group.curves] if group.n > 1 else only,
             mode="lines+markers" if marked and whole else "lines",
-            line={
-                "color": look.colour,
-                "width": 2.6 if whole else 1.6,
-                "dash": look.dash if whole else "dot",
-            },
             marker={"size": 6, "symbol": look.symbol},
-            hovertemplate=f"<b>{text.plotly(_short(look.title))}</b> {statistic}, "
-            "n = %{customdata}: %{y:.4g}<extra></extra>",
             legendgroup=_identity(group),
             showlegend=i == 0,
         )
-    return [part for part, _ in parts]
-
-
-def _short(title: str) -> str:
-    return title if len(title) <= LONGEST else f"{title[: LONGEST - 3]}..."
+        for i, (here, value, whole) in enumerate(parts)
+    ]
 
 
 def line_uid(of: Group | Curve) -> str:
@@ -334,18 +319,7 @@ def line_uid(of: Group | Curve) -> str:
     return _identity(of, "line") if isinstance(of, Group) else _identifier(of.run_id)
 
 
-def _beside(here: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A mask (T,) of the places in `here` and their neighbours on either side."""
-    wider = here.copy()
-    wider[1:] |= here[:-1]
-    wider[:-1] |= here[1:]
-    return wider
-
-
-def _hover(curve: Curve, x: str = ENV_STEPS) -> str:
+def _hover(curve: Curve, x: str) -> str:
     name = f"{text.plotly(learner_label(curve.learner))}</b> seed {curve.seed}"
-    return f"<b>{name}<br>{text.plotly(curve.run_id)}<br>{_at(x)}: %{{y:.4g}}<extra></extra>"
-
-
-def _at(x: str) -> str:
-    return "%{x:,} steps" if x == ENV_STEPS else f"{text.plotly(x)} %{{x:.4g}}"
+    at = "%{x:,} steps" if x == ENV_STEPS else f"{text.plotly(x)} %{{x:.4g}}"
+    return f"<b>{name}<br>{text.plotly(curve.run_id)}<br>{at}: %{{y:.4g}}<extra></extra>"

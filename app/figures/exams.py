@@ -32,23 +32,23 @@ def footprint_error_return(exams: Sequence[Exams], height: int) -> go.Figure:
         runs = [run for run in shown if run.learner == learner]
         figure.add_trace(_points(learner, [run.at(run.telling) for run in runs], "footprint"), 1, 1)
         figure.add_trace(_points(learner, runs, "returns"), 1, 2)
-        figure.add_trace(_key(learner), 1, 1)
+        # The legend's entry, also if the first panel has none of the learner's points.
+        key = {"size": LEGEND, "color": learner_colour(learner), "symbol": learner_symbol(learner)}
+        named = {"name": text.plotly(learner_label(learner)), "legendgroup": text.plotly(learner)}
+        figure.add_trace(go.Scatter(x=[None], y=[None], mode="markers", marker=key, **named), 1, 1)
     marks = [upright(0, 1, "dot"), upright(1, 1, "dot")]
     keep = " ".join(["exams", *(run.run_id for run in exams)])
     figure.update_layout(**LAYOUT, height=height, uirevision=keep, shapes=marks)
-    figure.update_xaxes(**X_AXIS)
     figure.update_yaxes(**Y_AXIS, type="log", tickvals=TICKS, ticktext=[f"{at:g}" for at in TICKS])
-    figure.update_xaxes(
-        title_text="footprint (0: like the policy itself, 1: as without weights)", col=1
-    )
-    figure.update_xaxes(title_text="return of the next evaluation", col=2)
+    footprint = "footprint (0: like the policy itself, 1: as without weights)"
+    figure.update_xaxes(**X_AXIS, title_text=footprint, col=1)
+    figure.update_xaxes(**X_AXIS, title_text="return of the next evaluation", col=2)
     figure.update_yaxes(title_text="one-step error in the exam (std)", col=1)
-    words = _left_out(exams, sum(len(run.step) for run in shown))
-    return note(figure, "<br>".join(words), right=0.48) if words else figure
+    return note(figure, _left_out(exams, sum(len(run.step) for run in shown)), right=0.48)
 
 
 def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
-    colour = learner_colour(learner)
+    colour, symbol = learner_colour(learner), {"symbol": learner_symbol(learner)}
     return go.Scatter(
         x=np.concatenate([getattr(run, x) for run in runs]),
         y=np.concatenate([run.error for run in runs]),
@@ -57,30 +57,9 @@ def _points(learner: str, runs: Sequence[Exams], x: str) -> go.Scatter:
         name=text.plotly(learner_label(learner)),
         meta=text.plotly(learner),
         mode="markers",
-        marker={
-            "size": 6,
-            "color": faded(colour, 0.8),
-            "symbol": learner_symbol(learner),
-            "line": {"width": 0},
-        },
+        marker={"size": 6, "color": faded(colour, 0.8), "line": {"width": 0}} | symbol,
         legendgroup=text.plotly(learner),
         showlegend=False,
-    )
-
-
-def _key(learner: str) -> go.Scatter:
-    """The learner's legend entry, also if the first panel has none of its points."""
-    return go.Scatter(
-        x=[None],
-        y=[None],
-        name=text.plotly(learner_label(learner)),
-        mode="markers",
-        marker={
-            "size": LEGEND,
-            "color": learner_colour(learner),
-            "symbol": learner_symbol(learner),
-        },
-        legendgroup=text.plotly(learner),
     )
 
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from app import text
 from app.data.buffer import Floats
-from app.figures.base import across, band, dashes, styled, upright
-from app.figures.weights import AGES, bin_centres, on_log_axis
+from app.figures.base import across, band, dashes, line, styled, upright
+from app.figures.weights import AGES, AT_AGE, PLACE, WEIGHT_AT, bin_centres, on_log_axis
 from app.theme import faded, learner_colour, learner_label, learner_symbol
 
 
@@ -42,30 +42,37 @@ def probe_profiles(
     figure = go.Figure()
     for learner, values in profiles.items():
         x, median = bin_centres(values.shape[1]), np.median(values, 0)
-        name = text.plotly(learner_label(learner))
+        name, colour = text.plotly(learner_label(learner)), learner_colour(learner)
         if len(values) > 1:
-            ends = values.min(0), values.max(0)
-            figure.add_trace(band(x, *ends, learner_colour(learner), name, opacity=0.15))
+            figure.add_trace(band(x, values.min(0), values.max(0), colour, name, opacity=0.15))
+        seeds = f"{len(values)} seed{'s' * (len(values) > 1)}"
         figure.add_trace(
-            go.Scatter(
-                x=x,
-                y=median,
+            line(
+                x,
+                median,
+                colour,
+                2,
+                f"{name}<br>{WEIGHT_AT}",
+                shape="hvh",
                 customdata=median,
-                name=f"{name} ({len(values)} seed{'s' * (len(values) > 1)})",
+                name=f"{name} ({seeds})",
                 meta=text.plotly(learner),
-                mode="lines",
-                line={"color": learner_colour(learner), "width": 2, "shape": "hvh"},
                 legendgroup=name,
-                hovertemplate=f"{name}<br>at %{{x:.0f}} % of the buffer (0: oldest)"
-                "<br>weight %{customdata:.3g}<extra></extra>",
             )
         )
     marks = [across(1, 1.5, "dash")]
     if random > 0:
         marks.append(upright(100 * random, 1, "dot"))
-    styled(figure, "position in the buffer", height, keep=f"probe {keep}", marks=marks)
-    figure.update_xaxes(**AGES)
-    figure.update_yaxes(title_text="mean weight", type="linear")
+    styled(
+        figure,
+        PLACE,
+        height,
+        keep=f"probe {keep}",
+        marks=marks,
+        y="mean weight",
+        x_axis=AGES,
+        y_axis={"type": "linear"},
+    )
     return on_log_axis(figure) if log else figure
 
 
@@ -80,27 +87,30 @@ def errors_by_age(
     usual = dashes([learner for _, learner, _ in errors])
     for (name, learner, error), dash in zip(errors, usual, strict=True):
         parts = np.array_split(error, min(bins, len(error)))
+        hover = f"{text.plotly(name)}<br>{AT_AGE}<br>error %{{y:.3g}}<extra></extra>"
         figure.add_trace(
-            go.Scatter(
-                x=bin_centres(len(parts)),
-                y=[part.mean() for part in parts],
+            line(
+                bin_centres(len(parts)),
+                [part.mean() for part in parts],
+                learner_colour(learner),
+                2,
+                hover,
+                dash=dash,
                 name=text.plotly(name),
                 mode="lines+markers",
-                line={
-                    "color": learner_colour(learner),
-                    "width": 2,
-                    "dash": dash,
-                },
                 marker={"size": 5, "symbol": learner_symbol(learner)},
-                hovertemplate=f"{text.plotly(name)}<br>at %{{x:.0f}} % of the buffer (0: oldest)"
-                "<br>error %{y:.3g}<extra></extra>",
             )
         )
-    styled(figure, "position in the buffer", height, keep=f"errors by age {keep}")
-    figure.update_xaxes(**AGES)
-    figure.update_yaxes(title_text="one-step error (std)", rangemode="tozero")
-    figure.update_layout(showlegend=True)  # a single line may be of another run than the buffer
-    return figure
+    return styled(
+        figure,
+        PLACE,
+        height,
+        keep=f"errors by age {keep}",
+        y="one-step error (std)",
+        x_axis=AGES,
+        y_axis={"rangemode": "tozero"},
+        showlegend=True,  # a single line may be of another run than the buffer
+    )
 
 
 def focus(groups: Mapping[str, Sequence[RunErrors]], height: int, keep: str) -> go.Figure:
@@ -116,28 +126,30 @@ def focus(groups: Mapping[str, Sequence[RunErrors]], height: int, keep: str) -> 
             colour, run_id = learner_colour(run.learner), text.plotly(run.run_id)
             apart = min(0.12, 0.6 / len(runs))
             nudge = apart * (k - (len(runs) - 1) / 2)
+            x = [i - 0.15 + nudge, i + 0.15 + nudge]
+            ring = {"color": [colour, "rgba(0,0,0,0)"], "line": {"color": colour, "width": 2}}
             figure.add_trace(
-                go.Scatter(
-                    x=[i - 0.15 + nudge, i + 0.15 + nudge],
-                    y=[run.policy, run.other],
+                line(
+                    x,
+                    [run.policy, run.other],
+                    faded(colour, 0.5),
+                    1.5,
+                    f"{run_id}<br>%{{customdata}}<br>error %{{y:.3g}}<extra></extra>",
                     customdata=["the policy's transitions", "the other transitions"],
                     meta=run_id,
                     mode="lines+markers",
-                    line={"color": faded(colour, 0.5), "width": 1.5},
-                    marker={
-                        "size": 10,
-                        "color": [colour, "rgba(0,0,0,0)"],
-                        "line": {"color": colour, "width": 2},
-                        "symbol": "circle",
-                    },
+                    marker={"size": 10, "symbol": "circle", **ring},
                     showlegend=False,
-                    hovertemplate=f"{run_id}<br>%{{customdata}}<br>error %{{y:.3g}}<extra></extra>",
                 )
             )
     ids = " ".join(run.run_id for runs in groups.values() for run in runs)
-    styled(figure, "", height, keep=f"{keep} {ids}")
-    figure.update_xaxes(
-        tickvals=list(range(len(ticks))), ticktext=ticks, range=[-0.6, len(ticks) - 0.4]
+    names = {"tickvals": list(range(len(ticks))), "ticktext": ticks}
+    return styled(
+        figure,
+        "",
+        height,
+        keep=f"{keep} {ids}",
+        y="error (std)",
+        x_axis={**names, "range": [-0.6, len(ticks) - 0.4]},
+        y_axis={"rangemode": "tozero"},
     )
-    figure.update_yaxes(title_text="error (std)", rangemode="tozero")
-    return figure

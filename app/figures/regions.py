@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -12,7 +11,7 @@ from app import text
 from app.data.brush import Brushed
 from app.data.buffer import Against, Floats, Rows
 from app.data.regions import Mask, Plane
-from app.figures.base import across, note, octaves, relative_scale, styled, upright
+from app.figures.base import across, line, note, octaves, relative_scale, styled, upright
 from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour, ramp
 from tom import readable
 from tom.analysis.brush import POLICY, REGION, REST
@@ -89,13 +88,15 @@ def region_map(
             name="region",
         )
     )
-    marks = [_drawn(outline, TEXT[mode])] if outline else []
-    styled(figure, text.plotly(plane.x_name), height, keep=keep, marks=marks)
-    figure.update_layout(dragmode="lasso", showlegend=False, margin={"r": 4})
-    figure.update_yaxes(title_text=text.plotly(plane.y_name))
-    if len(shown) < len(weight):
-        note(figure, f"{len(shown):,} of {len(weight):,} transitions, drawn evenly")
-    return figure
+    marks = []
+    if outline:  # the lasso or box that the user has drawn
+        path = "M" + "L".join(f"{x},{y}" for x, y in outline) + "Z"
+        marks = [{"type": "path", "path": path, "line": {"color": TEXT[mode], "width": 1.5}}]
+    x, y = text.plotly(plane.x_name), text.plotly(plane.y_name)
+    layout = {"dragmode": "lasso", "showlegend": False, "margin": {"r": 4}}
+    styled(figure, x, height, keep=keep, marks=marks, y=y, **layout)
+    words = f"{len(shown):,} of {len(weight):,} transitions, drawn evenly"
+    return note(figure, [words] if len(shown) < len(weight) else [])
 
 
 def hover_data(rows: Rows, index: NDArray[np.int64]) -> NDArray[np.object_]:
@@ -113,12 +114,6 @@ def hover_data(rows: Rows, index: NDArray[np.int64]) -> NDArray[np.object_]:
         rows.weight[index],
     )
     return np.stack([np.asarray(column, object) for column in columns], -1)
-
-
-def _drawn(outline: Sequence[tuple[float, float]], colour: str) -> dict[str, Any]:
-    """The lasso or box that the user has drawn."""
-    path = "M" + "L".join(f"{x},{y}" for x, y in outline) + "Z"
-    return {"type": "path", "path": path, "line": {"color": colour, "width": 1.5}}
 
 
 def apart_bars(gaps: Sequence[tuple[str, float]], height: int, *, keep: str = "") -> go.Figure:
@@ -153,23 +148,20 @@ def weights_against(
         (groups.mean, "mean weight", 2.0, "solid"),
         (groups.high, "9 of 10 are below", 1.2, "dot"),
     ):
-        figure.add_trace(
-            go.Scatter(
-                x=groups.x,
-                y=values,
-                name=name,
-                mode="lines+markers" if name == "mean weight" else "lines",
-                line={"color": colour, "width": width, "dash": dash},
-                marker={"size": 4},
-                hovertemplate=f"{text.plotly(x)} %{{x:.4g}}<br>{name} %{{y:.3g}}<extra></extra>",
-            )
-        )
-    marks = [across(1, 1.2, "dash")]
-    title = "<br>".join(text.plotly(line) for line in textwrap.wrap(x, TITLE_LETTERS))
-    styled(figure, title, height, keep=f"against {x} {keep}", marks=marks)
-    figure.update_layout(showlegend=False)
-    figure.update_yaxes(rangemode="tozero", title_text="weight")
-    return figure
+        hover = f"{text.plotly(x)} %{{x:.4g}}<br>{name} %{{y:.3g}}<extra></extra>"
+        mode = "lines+markers" if name == "mean weight" else "lines"
+        more = {"dash": dash, "name": name, "mode": mode, "marker": {"size": 4}}
+        figure.add_trace(line(groups.x, values, colour, width, hover, **more))
+    return styled(
+        figure,
+        "<br>".join(text.plotly(part) for part in textwrap.wrap(x, TITLE_LETTERS)),
+        height,
+        keep=f"against {x} {keep}",
+        marks=[across(1, 1.2, "dash")],
+        y="weight",
+        y_axis={"rangemode": "tozero"},
+        showlegend=False,
+    )
 
 
 def factor_in_words(factor: float) -> str:
@@ -199,6 +191,7 @@ def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
             np.array([of(r) if len(r) else np.nan for r in measured])
             for of in (np.mean, np.min, np.max)
         )
+        ends = {"array": most - means, "arrayminus": means - least}
         figure.add_trace(
             go.Bar(
                 x=[NAMES[name] for name in regions],
@@ -206,22 +199,17 @@ def error_bars(brushed: Brushed, height: int, mode: Mode) -> go.Figure:
                 base=1,
                 name=f"weight {factor_in_words(factor)}",
                 marker={"color": colour},
-                error_y={
-                    "array": most - means,
-                    "arrayminus": means - least,
-                    "thickness": 1.4,
-                    "width": 4,
-                },
+                error_y={**ends, "thickness": 1.4, "width": 4},
                 customdata=np.stack([means, least, most], -1),
                 hovertemplate="%{x}<br>error x %{customdata[0]:.3f} "
                 "(%{customdata[1]:.3f} to %{customdata[2]:.3f})<extra>%{fullData.name}</extra>",
             )
         )
-    styled(figure, "", height, keep=f"brush {brushed.name}", marks=[across(1, 1.5, "dash")])
-    figure.update_yaxes(title_text="one-step error, times that of the weights as they are")
-    figure.update_layout(barmode="group", bargap=0.25)
+    marks, y = [across(1, 1.5, "dash")], "one-step error, times that of the weights as they are"
+    bars = {"barmode": "group", "bargap": 0.25}
+    styled(figure, "", height, keep=f"brush {brushed.name}", marks=marks, y=y, **bars)
     seeds = len(next(iter(brushed.errors[regions[0]].values())))
-    return note(figure, f"mean and range of {seeds} seeds")
+    return note(figure, [f"mean and range of {seeds} seeds"])
 
 
 def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
@@ -253,10 +241,9 @@ def waterfall(parts: Sum, learner: str, height: int) -> go.Figure:
             hovertemplate="%{x}: %{text}<br>%{customdata}<extra></extra>",
         )
     )
-    styled(figure, "", height, keep=f"why {parts}")
-    figure.update_layout(showlegend=False, margin={"t": 30, "b": 8})
-    figure.update_yaxes(zeroline=True, zerolinecolor=NEUTRAL)
-    return figure
+    layout = {"showlegend": False, "margin": {"t": 30, "b": 8}}
+    zero = {"zeroline": True, "zerolinecolor": NEUTRAL}
+    return styled(figure, "", height, keep=f"why {parts}", y_axis=zero, **layout)
 
 
 def rollout_lines(
@@ -264,33 +251,18 @@ def rollout_lines(
 ) -> go.Figure:
     """One dimension of rollouts (K, T + 1) and of the record from the same state on."""
     figure = go.Figure()
-    colour = learner_colour(learner)
-    steps = np.arange(paths.shape[1])
+    hover = "step %{x}<br>%{y:.3g}<extra>"
     # All rollouts are one trace with gaps, so that there is only one legend entry.
-    gap = np.full((len(paths), 1), np.nan)
-    figure.add_trace(
-        go.Scatter(
-            x=np.tile(np.append(steps, np.nan), len(paths)),
-            y=np.concatenate([paths, gap], 1).ravel(),
-            mode="lines",
-            name="rollouts of the policy in the model",
-            opacity=0.45,
-            line={"color": colour, "width": 1.2},
-            hovertemplate="step %{x}<br>%{y:.3g}<extra>model</extra>",
-        )
-    )
-    figure.add_trace(
-        go.Scatter(
-            x=np.arange(len(recorded)),
-            y=recorded,
-            mode="lines+markers",
-            name="recorded, by the policy of its time",
-            line={"color": NEUTRAL, "width": 2.5},
-            marker={"size": 5},
-            hovertemplate="step %{x}<br>%{y:.3g}<extra>recorded</extra>",
-        )
-    )
-    styled(figure, "steps", height, keep=f"rollouts {name} from {recorded[0]}")
-    figure.update_yaxes(title_text=text.plotly(name))
+    gaps = np.full((len(paths), 1), np.nan)
+    x = np.tile(np.append(np.arange(paths.shape[1]), np.nan), len(paths))
+    y = np.concatenate([paths, gaps], 1).ravel()
+    named = {"name": "rollouts of the policy in the model", "opacity": 0.45}
+    figure.add_trace(line(x, y, learner_colour(learner), 1.2, f"{hover}model</extra>", **named))
+    named = {"name": "recorded, by the policy of its time", "mode": "lines+markers"}
+    marked = {**named, "marker": {"size": 5}}
+    steps = np.arange(len(recorded))
+    figure.add_trace(line(steps, recorded, NEUTRAL, 2.5, f"{hover}recorded</extra>", **marked))
+    kept = f"rollouts {name} from {recorded[0]}"
+    styled(figure, "steps", height, keep=kept, y=text.plotly(name))
     ended = int(np.isnan(paths[:, -1]).sum())
-    return note(figure, f"{ended} of {len(paths)} rollouts ended before") if ended else figure
+    return note(figure, [f"{ended} of {len(paths)} rollouts ended before"] if ended else [])

@@ -10,7 +10,17 @@ from plotly.subplots import make_subplots
 from app import text
 from app.data.buffer import WINDOW
 from app.data.replays import Replay
-from app.figures.base import LAYOUT, X_AXIS, Y_AXIS, decimate, note, steps_in_words, styled, upright
+from app.figures.base import (
+    LAYOUT,
+    X_AXIS,
+    Y_AXIS,
+    decimate,
+    line,
+    note,
+    steps_in_words,
+    styled,
+    upright,
+)
 from app.theme import NEUTRAL, learner_colour, learner_label, learner_symbol
 from tom.analysis.curves import Curve
 
@@ -27,14 +37,15 @@ def return_curve(
     colour = learner_colour(curve.learner)
     steps, values, thinned = decimate(curve.step, curve.value, POINTS)
     figure = go.Figure(
-        go.Scatter(
-            x=steps,
-            y=values,
+        line(
+            steps,
+            values,
+            colour,
+            2,
+            "step %{x:,}<br>mean return %{y:,.5~g}<extra></extra>",
             name="mean of the evaluation",
             mode="lines+markers" if len(steps) < 60 else "lines",
-            line={"color": colour, "width": 2},
             marker={"size": 7, "symbol": learner_symbol(curve.learner)},
-            hovertemplate="step %{x:,}<br>mean return %{y:,.5~g}<extra></extra>",
         )
     )
     at_rest = {"size": 9, "symbol": "line-ew", "line": {"width": 2, "color": NEUTRAL}}
@@ -56,11 +67,10 @@ def return_curve(
                 hovertemplate="episode %{customdata}<br>return %{y:,.5~g}<extra></extra>",
             )
         )
-    styled(figure, steps_in_words([curve.env]), height, keep=f"returns {curve.run_id}")
-    figure.update_yaxes(title_text="return")
-    if len(steps) < 2:
-        figure.update_xaxes(range=[0, 2 * step], tickvals=[step])
-    return note(figure, f"thinned to {POINTS} points") if thinned else figure
+    lone = {"range": [0, 2 * step], "tickvals": [step]} if len(steps) < 2 else {}
+    x, kept = steps_in_words([curve.env]), f"returns {curve.run_id}"
+    styled(figure, x, height, keep=kept, y="return", x_axis=lone)
+    return note(figure, [f"thinned to {POINTS} points"] if thinned else [])
 
 
 def reward_curve(replay: Replay, frame: int, height: int) -> go.Figure:
@@ -72,57 +82,36 @@ def reward_curve(replay: Replay, frame: int, height: int) -> go.Figure:
         name = f"imagined by {text.plotly(learner_label(replay.learner))}'s model"
         lines.append((name, replay.imagined.reward, learner_colour(replay.learner), 1.5))
     for name, values, colour, width in lines:
-        figure.add_trace(_line(seconds, values, name, colour, width, "reward"))
-    return _timeline(figure, replay, frame, "reward a step", height, "replay-reward")
+        hover = f"{name}<br>%{{x:.2f}} s<br>reward %{{y:.3g}}<extra></extra>"
+        figure.add_trace(line(seconds, values, colour, width, hover, name=name))
+    marks, kept = [upright(frame * replay.dt, 1.5, "dot")], f"replay-reward {replay.name}"
+    return styled(figure, "seconds", height, keep=kept, y="reward a step", marks=marks)
 
 
 def error_curve(replay: Replay, frame: int, height: int) -> go.Figure:
     """The distance of the predicted state from the real one at each step; needs a ghost."""
     seconds = replay.dt * np.arange(1, replay.episode.length + 1)
-    colour = learner_colour(replay.learner)
-    figure = go.Figure(_line(seconds, replay.error, "distance", colour, 1.5, "distance"))
-    figure.update_traces(showlegend=False)
-    _timeline(figure, replay, frame, "distance (std)", height, "replay-error")
-    if np.isfinite(replay.error).any():
-        return figure
-    return note(figure, "no distance: one step, or states that change alike, have no scale")
-
-
-def _line(
-    x: NDArray, y: NDArray, name: str, colour: str, width: float, quantity: str
-) -> go.Scatter:
-    return go.Scatter(
-        x=x,
-        y=y,
-        name=name,
-        mode="lines",
-        line={"color": colour, "width": width},
-        hovertemplate=f"{name}<br>%{{x:.2f}} s<br>{quantity} %{{y:.3g}}<extra></extra>",
+    colour, hover = learner_colour(replay.learner), "%{x:.2f} s<br>distance %{y:.3g}<extra></extra>"
+    more = {"name": "distance", "showlegend": False}
+    figure = go.Figure(line(seconds, replay.error, colour, 1.5, f"distance<br>{hover}", **more))
+    marks, kept = [upright(frame * replay.dt, 1.5, "dot")], f"replay-error {replay.name}"
+    styled(figure, "seconds", height, keep=kept, y="distance (std)", marks=marks)
+    nothing = not np.isfinite(replay.error).any()
+    return note(
+        figure, ["no distance: one step, or states that change alike, have no scale"] * nothing
     )
-
-
-def _timeline(
-    figure: go.Figure, replay: Replay, frame: int, title: str, height: int, keep: str
-) -> go.Figure:
-    marks = [upright(frame * replay.dt, 1.5, "dot")]
-    styled(figure, "seconds", height, keep=f"{keep} {replay.name}", marks=marks)
-    figure.update_yaxes(title_text=title)
-    return figure
 
 
 def observed_curves(replay: Replay, frame: int, height: int) -> go.Figure:
     """Each dimension of an episode against seconds, `height` pixels each, with the model's."""
     obs = np.asarray(replay.episode.obs)
-    seconds = replay.dt * np.arange(len(obs))
-    figure = _rows(replay.names, obs.shape[1], height)
-    for i in range(min(obs.shape[1], MOST)):
-        figure.add_trace(_observed_line(seconds, obs[:, i], NEUTRAL, "real"), i + 1, 1)
-        if replay.imagined is not None:
-            colour = learner_colour(replay.learner)
-            line = _observed_line(seconds, replay.imagined.obs[:, i], colour, "imagined")
-            figure.add_trace(line, i + 1, 1)
-    figure.add_vline(x=frame * replay.dt, line={"color": NEUTRAL, "width": 1.5, "dash": "dot"})
-    return _finished(figure, "seconds", obs.shape[1], f"observations {replay.name}")
+    lines = [("real", NEUTRAL, obs)]
+    if replay.imagined is not None:
+        lines.append(("imagined", learner_colour(replay.learner), replay.imagined.obs))
+    seconds, kept = replay.dt * np.arange(len(obs)), f"observations {replay.name}"
+    figure = _dimensions(seconds, "seconds", lines, replay.names, height, kept)
+    mark = {"color": NEUTRAL, "width": 1.5, "dash": "dot"}
+    return figure.add_vline(x=frame * replay.dt, line=mark)
 
 
 def moments_figure(
@@ -132,43 +121,34 @@ def moments_figure(
 
     A zoom lasts while `keep`, the run's id, is the same.
     """
-    dims = (heavy if len(heavy) else light).shape[-1]
-    figure = _rows(names, dims, height)
+    lines = [("light", LIGHT, moment) for moment in light]
+    lines += [("heavy", HEAVY, moment) for moment in heavy]
     steps = np.arange(-WINDOW, WINDOW + 1)
-    for i in range(min(dims, MOST)):
-        for group, colour, name in ((light, LIGHT, "light"), (heavy, HEAVY, "heavy")):
-            for moment in group:
-                figure.add_trace(_observed_line(steps, moment[:, i], colour, name), i + 1, 1)
-    return _finished(figure, "steps around", dims, f"moments {keep}")
+    return _dimensions(steps, "steps around", lines, names, height, f"moments {keep}")
 
 
-def _rows(names: Sequence[str], dims: int, height: int) -> go.Figure:
+def _dimensions(
+    x: NDArray,
+    title: str,
+    lines: Sequence[tuple[str, str, NDArray]],
+    names: Sequence[str],
+    height: int,
+    keep: str,
+) -> go.Figure:
+    """A row of `height` pixels for each dimension of the lines: (name, colour, (T, O))."""
+    dims = lines[0][2].shape[-1]
     shown = min(dims, MOST)
-    titles = [names[i] if i < len(names) else f"observation {i + 1}" for i in range(shown)]
     spacing = min(0.05, 0.5 / max(shown - 1, 1))
     figure = make_subplots(shown, 1, shared_xaxes=True, vertical_spacing=spacing)
-    for i, title in enumerate(titles):
-        figure.update_yaxes(title_text=text.plotly(title[:24]), row=i + 1, col=1)
-    figure.update_layout(height=height * shown)
-    return figure
-
-
-def _observed_line(x: NDArray, y: NDArray, colour: str, name: str) -> go.Scatter:
-    return go.Scatter(
-        x=x,
-        y=y,
-        name=name,
-        mode="lines",
-        showlegend=False,
-        line={"color": colour, "width": 1.4},
-        hovertemplate=f"{name}<br>%{{y:.3g}}<extra></extra>",
-    )
-
-
-def _finished(figure: go.Figure, x: str, dims: int, keep: str) -> go.Figure:
-    figure.update_layout(**LAYOUT, uirevision=keep)
+    figure.update_layout(**LAYOUT, height=height * shown, uirevision=keep)
     figure.update_xaxes(**X_AXIS)
     figure.update_yaxes(**Y_AXIS)
-    words = x if dims <= MOST else f"{x}; the first {MOST} of {dims} dimensions"
-    figure.update_xaxes(title_text=words, row=min(dims, MOST), col=1)
-    return figure
+    for i in range(shown):
+        for name, colour, values in lines:
+            hover = f"{name}<br>%{{y:.3g}}<extra></extra>"
+            trace = line(x, values[:, i], colour, 1.4, hover, name=name, showlegend=False)
+            figure.add_trace(trace, i + 1, 1)
+        words = names[i] if i < len(names) else f"observation {i + 1}"
+        figure.update_yaxes(title_text=text.plotly(words[:24]), row=i + 1, col=1)
+    words = title if dims <= MOST else f"{title}; the first {MOST} of {dims} dimensions"
+    return figure.update_xaxes(title_text=words, row=shown, col=1)

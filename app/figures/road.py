@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app import text
 from app.data.pictures import Picture
 from app.data.roadmap import cell_centres, circle, outline
-from app.figures.base import OCTAVES, octaves, relative_scale, styled
+from app.figures.base import OCTAVES, line, octaves, relative_scale, styled
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 
 NO_DATA: dict[Mode, str] = {"light": "#c4c9d3", "dark": "#414858"}
@@ -49,12 +49,18 @@ def road_map(picture: Picture, mode: Mode, height: int) -> go.Figure:
     ):
         trace = _lines(_darts(picture.points[keep], moves[keep]), label, tint, 1.4)
         figure.add_trace(trace.update(visible="legendonly"))
-    styled(figure, "", height, keep="road map")
-    figure.update_layout(plot_bgcolor=NO_DATA[mode], margin={"r": 4})
     square = {"range": [0, 1], "showgrid": False, "showticklabels": False, "ticks": ""}
-    figure.update_xaxes(**square, constrain="domain")
-    figure.update_yaxes(**square, scaleanchor="x", constrain="domain", constraintoward="top")
-    return figure
+    square |= {"constrain": "domain"}
+    return styled(
+        figure,
+        "",
+        height,
+        keep="road map",
+        x_axis=square,
+        y_axis={**square, "scaleanchor": "x", "constraintoward": "top"},
+        plot_bgcolor=NO_DATA[mode],
+        margin={"r": 4},
+    )
 
 
 def _lines(
@@ -62,17 +68,10 @@ def _lines(
 ) -> go.Scatter:
     """Several polylines as one trace, so that the legend has one entry."""
     gap = np.full((1, 2), np.nan)
-    points = np.concatenate([part for line in lines for part in (line, gap)] or [gap])
-    return go.Scatter(
-        x=points[:, 0],
-        y=points[:, 1],
-        mode="lines",
-        name=name,
-        line={"color": colour, "width": width},
-        opacity=opacity,
-        hoverinfo="skip",
-        showlegend=bool(name) and len(lines) > 0,
-    )
+    points = np.concatenate([part for each in lines for part in (each, gap)] or [gap])
+    shown = bool(name) and len(lines) > 0
+    more = {"name": name, "opacity": opacity, "hoverinfo": "skip", "showlegend": shown}
+    return line(points[:, 0], points[:, 1], colour, width, None, **more)
 
 
 def _darts(points: NDArray, moves: NDArray) -> list[NDArray]:

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.figures.base import band, styled, upright
+from app.figures.base import band, line, styled, upright
 from app.figures.curves import Look
 from app.theme import NEUTRAL
 from tom.analysis.statistics import Interval
@@ -41,24 +41,17 @@ def profiles(
     """
     figure, x = go.Figure(), np.repeat(thresholds, 2)[1:]
     for one in groups:
+        title, colour = text.plotly(one.look.title), one.look.colour
         if np.isfinite(one.low).any():
-            ends = _stairs(one.low), _stairs(one.high)
-            figure.add_trace(band(x, *ends, one.look.colour, text.plotly(one.look.title)))
+            figure.add_trace(band(x, _stairs(one.low), _stairs(one.high), colour, title))
+        hover = f"{title}: %{{y:.0%}} of the runs above %{{x:.4g}}<extra></extra>"
+        stairs = _stairs(one.share)
         figure.add_trace(
-            go.Scatter(
-                x=x,
-                y=_stairs(one.share),
-                name=text.plotly(one.look.title),
-                mode="lines",
-                line={"color": one.look.colour, "dash": one.look.dash, "width": 2.4},
-                legendgroup=text.plotly(one.look.title),
-                hovertemplate=f"{text.plotly(one.look.title)}: %{{y:.0%}} of the runs "
-                "above %{x:.4g}<extra></extra>",
-            )
+            line(x, stairs, colour, 2.4, hover, dash=one.look.dash, name=title, legendgroup=title)
         )
-    styled(figure, f"{score} above", height, keep=f"profile {score} {keep}")
-    figure.update_yaxes(range=[-0.02, 1.02], tickformat=".0%", title_text="share of runs")
-    return figure
+    shares = {"range": [-0.02, 1.02], "tickformat": ".0%"}
+    kept = f"profile {score} {keep}"
+    return styled(figure, f"{score} above", height, keep=kept, y="share of runs", y_axis=shares)
 
 
 @dataclass(frozen=True)
@@ -83,9 +76,8 @@ def improvement(
     A zoom lasts while `keep`, which names the runs, is the same.
     """
     names = [f"{text.plotly(pair.first)} > {text.plotly(pair.second)}" for pair in pairs]
-    value = np.array([pair.probability.value for pair in pairs])
-    low = np.array([pair.probability.low for pair in pairs])
-    high = np.array([pair.probability.high for pair in pairs])
+    found = [pair.probability for pair in pairs]
+    value, low, high = np.array([(one.value, one.low, one.high) for one in found]).reshape(-1, 3).T
     chance = [f"p {pair.p:.2g}, corrected {pair.corrected:.2g}" for pair in pairs]
     if len(pairs) == 1:
         chance = [f"p {pairs[0].p:.2g}"]
@@ -112,11 +104,15 @@ def improvement(
     figure.add_scatter(
         x=np.full(len(pairs), LAST), y=names, mode="text", text=chance, cliponaxis=False, **column
     )
-    marks = [upright(0.5, 1.5, "dash")]
-    styled(figure, "probability of improvement", height, keep=f"improvement {keep}", marks=marks)
     ticks = [0, 0.2, 0.4, 0.6, 0.8, 1]
-    figure.update_xaxes(range=[-0.03, LAST], tickvals=ticks, showgrid=True)
-    # Pixels for the column of p: a share of the axis would shrink beside long names.
-    figure.update_layout(margin_r=14 + 7 * max(map(len, chance), default=0))
-    figure.update_yaxes(autorange="reversed", showgrid=False)
-    return figure
+    return styled(
+        figure,
+        "probability of improvement",
+        height,
+        keep=f"improvement {keep}",
+        marks=[upright(0.5, 1.5, "dash")],
+        x_axis={"range": [-0.03, LAST], "tickvals": ticks, "showgrid": True},
+        y_axis={"autorange": "reversed", "showgrid": False},
+        # Pixels for the column of p: a share of the axis would shrink beside long names.
+        margin={"r": 14 + 7 * max(map(len, chance), default=0)},
+    )

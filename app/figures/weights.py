@@ -17,6 +17,7 @@ from app.figures.base import (
     across,
     dashes,
     decimate,
+    line,
     linear_scale,
     note,
     octaves,
@@ -41,6 +42,9 @@ HALF_A_WORD = 26
 """pixels of half a label such as "oldest", with some room"""
 AGES = {"range": [0, 100.2], "tickvals": [0, 50, 100], "ticktext": ["oldest", "middle", "newest"]}
 """the axis of positions in the buffer"""
+PLACE = "position in the buffer"
+AT_AGE = "at %{x:.0f} % of the buffer (0: oldest)"
+WEIGHT_AT = f"{AT_AGE}<br>weight %{{customdata:.3g}}<extra></extra>"
 Part = tuple[str, Curve, Profiles]
 """a column: name, curve and weight profiles of a run"""
 
@@ -61,34 +65,30 @@ def weight_map(
     `chosen` is marked. A zoom lasts while `keep`, the run's id, is the same, here and below.
     """
     fits = shown_fits(len(profiles.env_step), chosen)
-    bins = profiles.bins[fits].T  # (bins, F)
-    centres = bin_centres(bins.shape[0])
-    steps = profiles.env_step[fits]
-    figure = go.Figure(
-        go.Heatmap(
-            x=steps if len(steps) > 1 else lone(int(steps[0])),
-            y=centres,
-            z=octaves(bins) if relative else bins,
-            customdata=bins,
-            hovertemplate=(
-                "step %{x:,}<br>at %{y:.0f} % of the buffer (0: oldest)<br>"
-                "weight %{customdata:.3g}<extra></extra>"
-            ),
-            **(relative_scale(bins, mode) if relative else linear_scale(bins, mode)),
-        )
-    )
+    steps, bins = profiles.env_step[fits], profiles.bins[fits].T
+    scale = relative_scale(bins, mode) if relative else linear_scale(bins, mode)
+    figure = go.Figure(_heatmap(steps, bins, octaves(bins) if relative else bins, scale))
     marks = [upright(int(profiles.env_step[chosen]), 2)]
-    styled(figure, x, height, keep=f"weight-map {keep}", marks=marks)
-    figure.update_yaxes(**AGES)
-    if len(fits) < len(profiles.env_step):
-        note(figure, f"{len(fits)} of {len(profiles.env_step)} fits")
-    return figure
+    styled(figure, x, height, keep=f"weight-map {keep}", marks=marks, y_axis=AGES)
+    thinned = len(fits) < len(profiles.env_step)
+    return note(figure, [f"{len(fits)} of {len(profiles.env_step)} fits"] if thinned else [])
 
 
-def lone(step: int) -> tuple[float, float]:
-    """The two edges of the only column, which would else be a step wide beside the returns."""
-    half = max(LONE_WIDTH * step / 2, 0.5)
-    return step - half, step + half
+def _heatmap(steps: NDArray, bins: NDArray, z: NDArray, scale: Mapping[str, Any]) -> go.Heatmap:
+    """Weights (bins, F) at the steps of fits (F,), coloured by `z`."""
+    edges = steps
+    if len(steps) == 1:  # else the only column would be a step wide beside the returns
+        half = max(LONE_WIDTH * int(steps[0]) / 2, 0.5)
+        edges = (int(steps[0]) - half, int(steps[0]) + half)
+    hover = "step %{x:,}<br>at %{y:.0f} % of the buffer (0: oldest)<br>"
+    return go.Heatmap(
+        x=edges,
+        y=bin_centres(len(bins)),
+        z=z,
+        customdata=bins,
+        hovertemplate=f"{hover}weight %{{customdata:.3g}}<extra></extra>",
+        **scale,
+    )
 
 
 def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:
@@ -96,25 +96,20 @@ def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:
 
     The step `chosen` is marked in both.
     """
-    figure.add_trace(
-        go.Scatter(
-            x=curve.step,
-            y=curve.value,
-            yaxis="y2",
-            name="return",
-            mode="lines+markers" if len(curve.step) < 60 else "lines",
-            line={"color": learner_colour(curve.learner), "width": 1.8},
-            marker={"size": 5},
-            showlegend=False,
-            hovertemplate="step %{x:,}<br>return %{y:,.5~g}<extra></extra>",
-        )
-    )
+    hover = "step %{x:,}<br>return %{y:,.5~g}<extra></extra>"
+    mode = "lines+markers" if len(curve.step) < 60 else "lines"
+    more = {"name": "return", "mode": mode, "marker": {"size": 5}, "showlegend": False}
+    colour = learner_colour(curve.learner)
+    figure.add_trace(line(curve.step, curve.value, colour, 1.8, hover, yaxis="y2", **more))
     below = {**Y_AXIS, "domain": [0, 0.24], "title": {"text": "return"}, "anchor": "x"}
-    figure.update_layout(yaxis={"domain": [0.3, 1]}, yaxis2=below, xaxis={"anchor": "y2"})
-    figure.update_layout(uirevision=f"weight-map and returns {curve.run_id}")
     figure.update_traces(selector={"type": "heatmap"}, colorbar={"len": 0.72, "y": 0.65})
-    figure.layout.shapes = [upright(chosen, 2) | {"yref": "paper"}]  # type: ignore[attr-defined]
-    return figure
+    return figure.update_layout(
+        xaxis={"anchor": "y2"},
+        yaxis={"domain": [0.3, 1]},
+        yaxis2=below,
+        uirevision=f"weight-map and returns {curve.run_id}",
+        shapes=[upright(chosen, 2) | {"yref": "paper"}],
+    )
 
 
 def weight_profile(
@@ -136,8 +131,7 @@ def weight_profile(
             width=100 / len(bins),
             marker={"color": learner_colour(learner), "line": {"width": 0}},
             name=text.plotly(learner_label(learner)),
-            hovertemplate="at %{x:.0f} % of the buffer (0: oldest)"
-            "<br>weight %{y:.3g}<extra></extra>",
+            hovertemplate=f"{AT_AGE}<br>weight %{{y:.3g}}<extra></extra>",
         )
     )
     _finish_profile(figure, height, keep)
@@ -157,27 +151,29 @@ def profile_lines(
     figure = go.Figure()
     usual = dashes([learner for _, learner, _ in profiles])
     for (name, learner, bins), dash in zip(profiles, usual, strict=True):
-        if not len(bins):
-            continue  # it counts, so that a run has the same dash as in other figures
-        figure.add_trace(
-            go.Scatter(
-                x=bin_centres(len(bins)),
-                y=bins,
-                customdata=bins,
-                name=text.plotly(name),
-                mode="lines",
-                line={
-                    "color": learner_colour(learner),
-                    "width": 1.8,
-                    "shape": "hvh",
-                    "dash": dash,
-                },
-                hovertemplate=f"{text.plotly(name)}<br>at %{{x:.0f}} % of the buffer (0: oldest)"
-                "<br>weight %{customdata:.3g}<extra></extra>",
+        if len(bins):  # without, it counts all the same: a run has its dash of other figures
+            x, colour, shown = bin_centres(len(bins)), learner_colour(learner), text.plotly(name)
+            style = {"dash": dash, "shape": "hvh"}
+            hover = f"{shown}<br>{WEIGHT_AT}"
+            figure.add_trace(
+                line(x, bins, colour, 1.8, hover, **style, name=shown, customdata=bins)
             )
-        )
     _finish_profile(figure, height, keep)
     return on_log_axis(figure) if log else figure
+
+
+def _finish_profile(figure: go.Figure, height: int, keep: str) -> None:
+    styled(
+        figure,
+        PLACE,
+        height,
+        keep=f"profile {keep}",
+        marks=[across(1, 1.5, "dash")],
+        x_axis=AGES,
+        y_axis={"type": "linear", "rangemode": "tozero"},
+        # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.
+        margin={"l": HALF_A_WORD},
+    )
 
 
 def on_log_axis(figure: go.Figure) -> go.Figure:
@@ -189,14 +185,13 @@ def on_log_axis(figure: go.Figure) -> go.Figure:
     for trace in traces:
         trace.update(y=np.maximum(np.asarray(trace.y, np.float64), FLOOR))
     top = max((float(np.max(trace.y)) for trace in traces), default=1.0)
-    figure.update_yaxes(
+    return figure.update_yaxes(
         type="log",
         rangemode="normal",
         range=[np.log10(FLOOR) - 0.1, np.log10(max(top, 1.0)) + 0.15],
         tickvals=[FLOOR, 0.1, 1, 10, 100, 1000],
         ticktext=[f"≤ {FLOOR:g}", "0.1", "1", "10", "100", "1,000"],
     )
-    return figure
 
 
 def effective_sample(
@@ -209,26 +204,20 @@ def effective_sample(
     keep: str = "",
 ) -> go.Figure:
     """Effective sample size and share of zero weights over training, in % of the buffer."""
-    figure = go.Figure()
+    figure, colour = go.Figure(), learner_colour(learner)
+    marked = {"mode": "lines+markers", "marker": {"size": 5}}
     for values, name, dash in (
         (profiles.ess, "effective sample size", "solid"),
         (profiles.zeros, "share of zero weights", "dot"),
     ):
+        hover = f"{name}: %{{y:.1f}} %<br>step %{{x:,}}<extra></extra>"
+        shown = 100 * values
         figure.add_trace(
-            go.Scatter(
-                x=profiles.env_step,
-                y=100 * values,
-                name=name,
-                mode="lines+markers",
-                line={"color": learner_colour(learner), "width": 2, "dash": dash},
-                marker={"size": 5},
-                hovertemplate=f"{name}: %{{y:.1f}} %<br>step %{{x:,}}<extra></extra>",
-            )
+            line(profiles.env_step, shown, colour, 2, hover, dash=dash, name=name, **marked)
         )
     marks = [upright(int(profiles.env_step[chosen]), 2)]
-    styled(figure, x, height, keep=f"effective-sample {keep}", marks=marks)
-    figure.update_yaxes(range=[-3, 103], ticksuffix=" %")
-    return figure
+    percent = {"range": [-3, 103], "ticksuffix": " %"}
+    return styled(figure, x, height, keep=f"effective-sample {keep}", marks=marks, y_axis=percent)
 
 
 def bin_centres(bins: int) -> NDArray[np.float64]:
@@ -241,119 +230,65 @@ def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
     return np.union1d(spread(count, MAP_COLUMNS - 1), [chosen])
 
 
-def _finish_profile(figure: go.Figure, height: int, keep: str) -> go.Figure:
-    marks = [across(1, 1.5, "dash")]
-    styled(figure, "position in the buffer", height, keep=f"profile {keep}", marks=marks)
-    figure.update_xaxes(**AGES)
-    # Plotly leaves out a label that does not fit: "oldest", left of an axis with short labels.
-    figure.update_layout(margin={"l": HALF_A_WORD})
-    figure.update_yaxes(type="linear", rangemode="tozero")
-    return figure
-
-
 def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
     """The return above and the weights of every fit below, for each (name, curve, profiles).
 
-    Long curves and many fits are thinned, and the figure says so.
+    The axes of all columns are linked. Long curves and many fits are thinned, and the figure says
+    so.
     """
+    columns = len(parts)
     figure = make_subplots(
         rows=2,
-        cols=len(parts),
+        cols=columns,
         column_titles=[text.plotly(name) for name, *_ in parts],
         horizontal_spacing=0.02,
         vertical_spacing=0.06,
     )
-    bins = [profiles.bins for *_, profiles in parts if len(profiles.bins)]
-    flat = np.concatenate([part.ravel() for part in bins]) if bins else np.ones(1)
-    scale = relative_scale(flat, mode)
-    last = max((i for i, (*_, held) in enumerate(parts, 1) if len(held.env_step)), default=0)
-    for column, (_, curve, profiles) in enumerate(parts, 1):
-        figure.add_trace(_line(curve), 1, column)
-        if len(profiles.env_step):
-            figure.add_trace(_map(profiles, scale, bar=column == last), 2, column)
-        else:
-            _say_empty(figure, len(parts), column)
+    every = [profiles.bins.ravel() for *_, profiles in parts if len(profiles.bins)]
+    scale = relative_scale(np.concatenate(every or [np.ones(1)]), mode)
+    scale["colorbar"] |= {"len": 0.48, "y": 0, "yanchor": "bottom"}
+    last = max((i for i, (*_, of) in enumerate(parts, 1) if len(of.env_step)), default=0)
+    words = [f"returns thinned to {POINTS} points a line"]
+    words = words if any(len(curve.step) > POINTS for _, curve, _ in parts) else []
+    for column, (name, curve, profiles) in enumerate(parts, 1):
+        figure.add_trace(_return_line(curve), 1, column)
+        count = len(profiles.env_step)
+        if not count:
+            _say_empty(figure, columns, column)
+            continue
+        fits = shown_fits(count, count - 1)
+        bins = profiles.bins[fits].T
+        shown = scale | {"showscale": column == last}
+        figure.add_trace(_heatmap(profiles.env_step[fits], bins, octaves(bins), shown), 2, column)
+        if len(fits) < count:
+            words.append(f"{text.plotly(name)}: {len(fits)} of {count} fits")
     runs = " ".join(curve.run_id for _, curve, _ in parts)
-    figure.update_layout(**LAYOUT, height=height, uirevision=f"side by side {runs}")
-    figure.update_layout(margin={"t": 34})
-    _link_axes(figure, len(parts), steps_in_words(curve.env for _, curve, _ in parts))
-    figure.update_traces(
-        selector={"type": "heatmap"},
-        colorbar={"len": 0.48, "y": 0, "yanchor": "bottom"},
-    )
-    words = _left_out(parts)
-    return note(figure, "<br>".join(words)) if words else figure
-
-
-def _left_out(parts: Sequence[Part]) -> list[str]:
-    """In words, what the figure leaves out."""
-    thinned = any(len(curve.step) > POINTS for _, curve, _ in parts)
-    words = [f"returns thinned to {POINTS} points a line"] if thinned else []
-    for name, _, profiles in parts:
-        fits = len(profiles.env_step)
-        shown = len(shown_fits(fits, fits - 1)) if fits else 0
-        if shown < fits:
-            words.append(f"{text.plotly(name)}: {shown} of {fits} fits")
-    return words
-
-
-def _map(profiles: Profiles, scale: Mapping[str, Any], *, bar: bool) -> go.Heatmap:
-    """The weights of the shown fits, with a colour bar if `bar`."""
-    shown = shown_fits(len(profiles.env_step), len(profiles.env_step) - 1)
-    steps, weights = profiles.env_step[shown], profiles.bins[shown].T
-    return go.Heatmap(
-        x=steps if len(steps) > 1 else lone(int(steps[0])),
-        y=bin_centres(len(weights)),
-        z=octaves(weights),
-        customdata=weights,
-        hovertemplate="step %{x:,}<br>at %{y:.0f} % of the buffer (0: oldest)<br>"
-        "weight %{customdata:.3g}<extra></extra>",
-        showscale=bar,
-        **scale,
-    )
-
-
-def _link_axes(figure: go.Figure, columns: int, x: str) -> None:
-    """Link the zoom of all columns; only the left and bottom axes have labels."""
+    layout = LAYOUT | {"margin": LAYOUT["margin"] | {"t": 34}, "height": height}
+    figure.update_layout(**layout, uirevision=f"side by side {runs}")
     figure.update_xaxes(matches="x", title_text="", **X_AXIS)
     figure.update_yaxes(**Y_AXIS)
     for row, first in ((1, "y"), (2, f"y{columns + 1}")):
         figure.update_yaxes(matches=first, showticklabels=False, row=row)
         figure.update_yaxes(showticklabels=True, row=row, col=1)
-    figure.update_xaxes(title_text=x, row=2)
+    figure.update_xaxes(title_text=steps_in_words(curve.env for _, curve, _ in parts), row=2)
     figure.update_xaxes(ticks="", showticklabels=False, row=1)
     figure.update_yaxes(title_text="return", row=1, col=1)
-    figure.update_yaxes(
-        **AGES,
-        ticks="",  # else Plotly draws ticks without labels beside a map
-        row=2,
-    )
+    figure.update_yaxes(**AGES, ticks="", row=2)  # else Plotly draws ticks without labels at a map
+    return note(figure, words)
+
+
+def _return_line(curve: Curve) -> go.Scatter:
+    step, value, _ = decimate(curve.step, curve.value, POINTS)
+    hover = f"{text.plotly(curve.run_id)}<br>%{{x:,}} steps: %{{y:.4g}}<extra></extra>"
+    marker = {"size": 5, "symbol": learner_symbol(curve.learner)}
+    more = {"meta": curve.run_id, "mode": "lines+markers", "marker": marker, "showlegend": False}
+    return line(step, value, learner_colour(curve.learner), 2, hover, **more)
 
 
 def _say_empty(figure: go.Figure, columns: int, column: int) -> None:
     # Without a trace Plotly makes no axes there, and draws the words on the first ones.
     figure.add_trace(go.Scatter(x=[None], y=[None], showlegend=False), 2, column)
+    middle = {"x": 0.5, "y": 0.5, "showarrow": False, "opacity": 0.75}
     axis = columns + column
-    figure.add_annotation(
-        text="no weights recorded",
-        xref=f"x{axis} domain",
-        yref=f"y{axis} domain",
-        x=0.5,
-        y=0.5,
-        showarrow=False,
-        opacity=0.75,
-    )
-
-
-def _line(curve: Curve) -> go.Scatter:
-    step, value, _ = decimate(curve.step, curve.value, POINTS)
-    return go.Scatter(
-        x=step,
-        y=value,
-        meta=curve.run_id,
-        mode="lines+markers",
-        line={"color": learner_colour(curve.learner), "width": 2},
-        marker={"size": 5, "symbol": learner_symbol(curve.learner)},
-        hovertemplate=f"{text.plotly(curve.run_id)}<br>%{{x:,}} steps: %{{y:.4g}}<extra></extra>",
-        showlegend=False,
-    )
+    place = {"xref": f"x{axis} domain", "yref": f"y{axis} domain"}
+    figure.add_annotation(text="no weights recorded", **place, **middle)
