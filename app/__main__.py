@@ -27,7 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise UserError("--run is that of --cinema DIR: add it, or choose the run on a page")
         _check_free(args.screenshots, args.cinema)
         if args.screenshots:
-            from app.servers.screenshots import (
+            from app.servers.browser import (
                 take,  # needs playwright, which only the test extra has
             )
 

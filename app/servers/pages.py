@@ -2,6 +2,7 @@
 
 import logging
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from threading import Thread
 
@@ -17,7 +18,7 @@ from starlette.responses import (
     Response,
 )
 from starlette.routing import Route
-from streamlit import config
+from streamlit import config, file_util
 
 from app.data import readers, studies
 from app.guard import Guard
@@ -25,7 +26,6 @@ from app.links import Links
 from app.parts import shortlinks
 from app.parts.plot import LIBRARY, LIBRARY_PATH
 from app.router import views
-from app.servers.shell import page_routes
 from app.theme import streamlit_options
 from tom import plugins
 from tom.errors import UserError
@@ -37,6 +37,41 @@ EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """a single evaluation episode: step, number from 0, steps after which the ghost restarts"""
 
 ENTRY = Path(__file__).with_name("main.py")
+# Streamlit's own page first looks for its server below the opened address
+# (`/compare/_stcore/health`) before it tries the root, which gives two errors in the console at
+# each visit. And it makes an entry of the browser's history when the server changes the address.
+_HEAD = """<head>
+    <script>
+      {
+        const origin = location.origin;
+        window.__streamlit = { BACKEND_BASE_URL: origin, MAIN_PAGE_BASE_URL: origin };
+        // The key stands behind the # of the address that the terminal printed. It is kept where
+        // this port's pages alone read it: a browser gives a cookie to every port of a host.
+        const given = /^#key=([\\w-]+)$/.exec(location.hash);
+        if (given) {
+          localStorage.setItem("tom-studio-key", given[1]);
+          history.replaceState(null, "", location.pathname + location.search);
+        }
+        const key = localStorage.getItem("tom-studio-key");
+        window.WebSocket = class extends window.WebSocket {
+          constructor(address, offered) {
+            super(address, key ? [...offered, `tom-studio-key.${key}`] : offered);
+          }
+        };
+        // One entry of the history for each act of the visitor: where the page corrects its
+        // address by itself, Back would lead to what it corrects again.
+        const push = history.pushState.bind(history);
+        let acted = false;
+        for (const act of ["pointerdown", "keydown"]) {
+          addEventListener(act, () => { acted = true; }, { capture: true });
+        }
+        history.pushState = (...entry) => {
+          if (acted) push(...entry);
+          else history.replaceState(...entry);
+          acted = false;
+        };
+      }
+    </script>"""
 
 
 def routes(links: Links) -> list[Route]:
@@ -90,6 +125,21 @@ def routes(links: Links) -> list[Route]:
         Route(LIBRARY_PATH, library),
         *page_routes([view.PATH for view in views()]),
     ]
+
+
+def page_routes(paths: Sequence[str]) -> list[Route]:
+    """The shell at the address of every page."""
+    content = html()
+
+    def page(_: Request) -> Response:
+        return HTMLResponse(content, headers={"Cache-Control": "no-cache"})
+
+    return [Route(f"/{path}", page) for path in paths]
+
+
+def html() -> str:
+    """Streamlit's page with the studio's script in its head."""
+    return Path(file_util.get_static_dir(), "index.html").read_text().replace("<head>", _HEAD, 1)
 
 
 def app(links: Links) -> st.App:

@@ -2,7 +2,7 @@
 
 from app.parts import plot
 from app.parts.plot import Point, Region
-from app.servers import shell
+from app.servers import pages
 
 
 def test_a_point_of_a_curve_knows_its_run() -> None:
@@ -26,6 +26,6 @@ def test_plotly_is_served_from_this_machine() -> None:
 
 
 def test_the_shell_says_where_streamlit_is_before_its_scripts() -> None:
-    page = shell.html()
+    page = pages.html()
     assert 0 < page.index("BACKEND_BASE_URL") < page.index('<script type="module"')
-    assert [route.path for route in shell.page_routes(["", "compare"])] == ["/", "/compare"]
+    assert [route.path for route in pages.page_routes(["", "compare"])] == ["/", "/compare"]

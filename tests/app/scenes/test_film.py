@@ -14,8 +14,7 @@ from app.data import readers
 from app.links import Links
 from app.scenes.film import cinema, ghosts
 from app.scenes.film.story import body, may_be_told, story
-from app.servers.cinema import opened, video
-from app.servers.mp4 import Sample, mp4
+from app.servers.cinema import Sample, mp4, opened, video
 from tom.envs import task
 from tom.envs.scene import model
 from tom.errors import UserError

@@ -7,16 +7,16 @@ import pytest
 from PIL import Image
 from studio_runs import ROAD_TOM
 
-from app.servers import screen_capture
+from app.servers import browser
 from tom.errors import UserError
 from tom.record.reader import RunReader
 
 
 def test_a_story_goes_through_a_runs_fits(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    views = [story.view for story in screen_capture.stories(store)]
+    views = [story.view for story in browser.stories(store)]
     assert views == ["road"]  # the others have two fits
-    monkeypatch.setattr(screen_capture, "FEWEST", 2)
-    weights, road = screen_capture.stories(store)
+    monkeypatch.setattr(browser, "FEWEST", 2)
+    weights, road = browser.stories(store)
     assert weights.view == "weights"
     assert weights.steps == tuple(RunReader(store / weights.run_id).profiles().env_step)
     assert RunReader(store / weights.run_id).learner == "tom"
@@ -25,9 +25,9 @@ def test_a_story_goes_through_a_runs_fits(store: Path, monkeypatch: pytest.Monke
 
 
 def test_of_many_fits_some_are_shown_evenly() -> None:
-    assert screen_capture.spread([5, 7]) == (5, 7)
-    steps = screen_capture.spread(range(0, 3100, 100))
-    assert len(steps) == screen_capture.FRAMES
+    assert browser.spread([5, 7]) == (5, 7)
+    steps = browser.spread(range(0, 3100, 100))
+    assert len(steps) == browser.FRAMES
     assert (steps[0], steps[-1]) == (0, 3000)
     assert set(np.diff(steps)) == {200}
 
@@ -38,8 +38,8 @@ def test_a_moving_picture_is_small(noise: int, tmp_path: Path) -> None:
     frames = [
         Image.fromarray((draws.random((400, 640, 3)) * noise).astype(np.uint8)) for _ in range(3)
     ]
-    screen_capture.write(frames, tmp_path / "moving.webp")
-    assert (tmp_path / "moving.webp").stat().st_size <= screen_capture.LIMIT_BYTES
+    browser.write(frames, tmp_path / "moving.webp")
+    assert (tmp_path / "moving.webp").stat().st_size <= browser.LIMIT_BYTES
     with Image.open(tmp_path / "moving.webp") as made:
         assert made.size == (960, 600)
         assert getattr(made, "n_frames", 1) == (3 if noise else 1)
@@ -49,14 +49,14 @@ def test_one_that_stays_too_large_is_made_smaller_or_refused(tmp_path: Path) -> 
     draws = np.random.default_rng(0)
     frames = [Image.fromarray(draws.integers(0, 255, (100, 160, 3), np.uint8)) for _ in range(2)]
     target = tmp_path / "moving.webp"
-    coarse = screen_capture.write(frames, target, limit=target_size(frames, target) // 2)
-    assert coarse < (screen_capture.SHOWN_WIDTHS[0], screen_capture.QUALITIES[0])
+    coarse = browser.write(frames, target, limit=target_size(frames, target) // 2)
+    assert coarse < (browser.SHOWN_WIDTHS[0], browser.QUALITIES[0])
     target.unlink()
     with pytest.raises(UserError, match=r"moving.webp would take .* MB at 480 pixels"):
-        screen_capture.write(frames, target, limit=1000)
+        browser.write(frames, target, limit=1000)
     assert list(tmp_path.iterdir()) == []
 
 
 def target_size(frames: list[Image.Image], target: Path) -> int:
-    screen_capture.write(frames, target)
+    browser.write(frames, target)
     return target.stat().st_size
