@@ -5,13 +5,11 @@ import shutil
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 from urllib.parse import urlencode
 
-import numpy as np
 from PIL import Image
 
 from app.data import readers
@@ -21,9 +19,10 @@ from app.servers.launcher import Studio, servers
 from app.theme import Mode
 from tom.envs import ROAD
 from tom.errors import UserError
+from tom.spread import spread
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Page, ViewportSize
 
 SETTLE_S = 45.0
 """time limit until a page's picture is stable (3D is rendered in software)"""
@@ -47,8 +46,9 @@ CHROMIUM_FLAGS = (
 )
 FEWEST, FRAMES = 3, 16
 """minimum and maximum number of fits in an animation"""
-FRAME_MS, LAST_MS = 600, 2400
-WIDTH, HEIGHT = 1280, 800
+DURATIONS_MS = 600, 2400
+"""of a frame, and of the last one"""
+ANIMATED: "ViewportSize" = {"width": 1280, "height": 800}
 SHOWN_WIDTHS = (960, 720, 480)
 """tried from the first on"""
 LIMIT_BYTES = 2_000_000
@@ -106,88 +106,52 @@ def _grow(page: "Page") -> None:
     page.set_viewport_size({"width": size["width"], "height": max(int(height), 600)})
 
 
-@dataclass(frozen=True)
-class Capture:
-    """A page that shows the fits of a run one after another."""
-
-    view: str
-    run_id: str
-    steps: tuple[int, ...]
-
-    def addresses(self) -> Iterator[str]:
-        """The page's path for every fit."""
-        for step in self.steps:
-            yield f"{self.view}?{urlencode({'run': self.run_id, 'step': step})}"
-
-
-def stories(store: Path) -> list[Capture]:
-    """The weights of the run with the most fits, and the road-and-rocks run with the most."""
+def stories(store: Path) -> list[tuple[str, str, list[int]]]:
+    """The run with the most fits and the road-and-rocks run with the most: page, run id, steps."""
     runs = [run for run in readers.listing(str(store)).runs if widgets.differs(run)]
-    captures = []
+    found = []
     for view, steps in (
-        ("weights", {r.run_id: readers.profiles(r).env_step for r in runs if r.env != ROAD}),
+        ("weights", {r.run_id: list(readers.profiles(r).env_step) for r in runs if r.env != ROAD}),
         ("road", {r.run_id: readers.road_steps(r) for r in runs if r.env == ROAD}),
     ):
         run_id = max(steps, key=lambda name: len(steps[name]), default=None)
         if run_id is not None and len(steps[run_id]) >= FEWEST:
-            captures.append(Capture(view, run_id, spread(steps[run_id])))
-    return captures
+            shown = spread(len(steps[run_id]), FRAMES)
+            found.append((view, run_id, [int(steps[run_id][i]) for i in shown]))
+    return found
 
 
-def spread(steps: Sequence[int] | np.ndarray) -> tuple[int, ...]:
-    """At most FRAMES evenly spread steps, including the first and the last."""
-    index = np.unique(np.linspace(0, len(steps) - 1, FRAMES).round().astype(int))
-    return tuple(int(steps[i]) for i in index)
+def animation(
+    frames: Sequence[Image.Image],
+    widths: Sequence[int],
+    qualities: Sequence[int],
+    durations: tuple[int, int],
+    limit: int = LIMIT_BYTES,
+) -> bytes:
+    """The frames as a WebP of at most `limit` bytes; `durations`: of a frame and of the last, ms.
 
-
-def film(browser: "Browser", address: str, story: Capture, target: Path) -> None:
-    """Open the page at every fit and write an animated WebP.
-
-    Raises UserError if it would be too large.
+    If they take more, the next lower quality is tried, then the next smaller width. Raises
+    UserError if that is not enough.
     """
-    page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT}, color_scheme="light")
-    frames = []
-    for path in story.addresses():
-        page.goto(f"{address}/{path}")
-        frames.append(Image.open(io.BytesIO(settled_picture(page, whole=False))))
-    page.close()
-    width, _ = write(frames, target)
-    smaller = "" if width == SHOWN_WIDTHS[0] else f": only {width} pixels wide, to stay small"
-    print(f"{target}{smaller}", flush=True)
-
-
-def write(frames: Sequence[Image.Image], target: Path, limit: int = LIMIT_BYTES) -> tuple[int, int]:
-    """Write the frames, the last one longer; returns the width and the quality.
-
-    If they take more than `limit` bytes, the quality is reduced, then the size. Raises UserError,
-    and writes nothing, if that is not enough.
-    """
-    size = 0
-    for width in SHOWN_WIDTHS:
-        small = [_scaled(frame, width) for frame in frames]
-        for quality in QUALITIES:
-            content = _webp(small, quality)
-            if len(content) <= limit:
-                target.write_bytes(content)
-                return width, quality
-            size = len(content)
+    each, last = durations
+    content = io.BytesIO()
+    for width in widths:
+        small = [scaled(frame, width) for frame in frames]
+        for quality in qualities:
+            content = io.BytesIO()
+            small[0].save(
+                content, "WEBP", save_all=True, append_images=small[1:], loop=0, quality=quality,
+                duration=[each] * (len(frames) - 1) + [last], method=4,
+            )  # fmt: skip
+            if content.tell() <= limit:
+                return content.getvalue()
     raise UserError(
-        f"{target.name} would take {size / 1e6:.1f} MB at {SHOWN_WIDTHS[-1]} pixels, and "
-        f"{limit / 1e6:.1f} are the most: not written; name a store of other runs (--store)"
+        f"the animation would take {content.tell() / 1e6:.1f} MB, and {limit / 1e6:g} are the most:"
+        " not written; name another run, or a store of other runs (--store)"
     )
 
 
-def _webp(frames: Sequence[Image.Image], quality: int) -> bytes:
-    durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
-    content = io.BytesIO()
-    frames[0].save(
-        content, "WEBP", save_all=True, append_images=list(frames[1:]), duration=durations,
-        loop=0, quality=quality, method=4,
-    )  # fmt: skip
-    return content.getvalue()
-
-
-def _scaled(frame: Image.Image, width: int) -> Image.Image:
+def scaled(frame: Image.Image, width: int) -> Image.Image:
     height = round(frame.height * width / frame.width)
     return frame.convert("RGB").resize((width, height), Image.Resampling.LANCZOS)
 
@@ -217,8 +181,16 @@ def take(store: Path, folder: Path) -> int:
                     print(target, flush=True)
                     page.close()
                 context.close()
-        for story in stories(store):
-            film(browser, links.address, story, folder / f"{story.view}.webp")
+        for view, run_id, steps in stories(store):
+            page = browser.new_page(viewport=ANIMATED, color_scheme="light")
+            frames = []
+            for step in steps:
+                page.goto(f"{links.address}/{view}?{urlencode({'run': run_id, 'step': step})}")
+                frames.append(Image.open(io.BytesIO(settled_picture(page, whole=False))))
+            page.close()
+            target = folder / f"{view}.webp"
+            target.write_bytes(animation(frames, SHOWN_WIDTHS, QUALITIES, DURATIONS_MS))
+            print(target, flush=True)
     return 0
 
 

@@ -17,7 +17,7 @@ from app.data import readers
 from app.parts import widgets
 from app.scenes.film import HEIGHT, SECONDS, WIDTH, cinema
 from app.scenes.film.story import may_be_told, story
-from app.servers.browser import LIMIT_BYTES, chromium
+from app.servers.browser import animation, chromium, scaled
 from app.theme import Mode
 from tom.cli.progress import CountReport
 from tom.errors import UserError
@@ -142,27 +142,13 @@ def video(
 
 
 def moving_picture(tab: "Page", seconds: float) -> bytes:
-    """The film in SHORT_S seconds as a WebP. Raises UserError if it exceeds LIMIT_BYTES."""
+    """The film in SHORT_S seconds as a WebP. Raises UserError if it would be too large."""
     count = SHORT_S * SHORT_RATE
-    height = round(SHORT_WIDTH * HEIGHT / WIDTH)
     frames = []
     for i in range(count):
         content = base64.b64decode(tab.evaluate(_PICTURE, seconds * i / (count - 1)))
-        picture = Image.open(io.BytesIO(content)).convert("RGB")
-        frames.append(picture.resize((SHORT_WIDTH, height), Image.Resampling.LANCZOS))
-    size = 0
-    for quality in QUALITIES:
-        content = io.BytesIO()
-        frames[0].save(
-            content, "WEBP", save_all=True, append_images=frames[1:], loop=0, quality=quality,
-            duration=[1000 // SHORT_RATE] * (count - 1) + [2500], method=4,
-        )  # fmt: skip
-        size = len(content.getvalue())
-        if size <= LIMIT_BYTES:
-            return content.getvalue()
-    raise UserError(
-        f"the moving picture would take {size / 1e6:.1f} MB, more than {LIMIT_BYTES / 1e6:g}"
-    )
+        frames.append(scaled(Image.open(io.BytesIO(content)), SHORT_WIDTH))
+    return animation(frames, [SHORT_WIDTH], QUALITIES, (1000 // SHORT_RATE, 2500))
 
 
 def most_telling(store: Path) -> str:

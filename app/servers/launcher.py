@@ -7,7 +7,7 @@ import sys
 import tempfile
 import time
 import webbrowser
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,10 +23,8 @@ DEFAULT_PORT = 8600
 START_TIMEOUT_S = 60.0
 ATTEMPTS = 3
 """launches, each on newly found ports, before the studio gives up"""
-RESTARTS = 3
-"""maximum number of restarts of a dead viewer"""
-QUIET_S = 3600.0
-"""seconds without a death after which the restarts are counted anew"""
+LIFE_S = 10.0
+"""a viewer that dies younger than this is not started again"""
 OPEN = (
     "tom studio: reachable from other machines, without a password: runs can be read by everybody "
     "who reaches this host"
@@ -60,7 +58,7 @@ def run(studio: Studio, *, browser: bool) -> int:
             print(f"            over SSH: ssh {links.tunnels} THIS-MACHINE", flush=True)
         if browser and _has_display():
             webbrowser.open(_leading_to(links).as_uri())
-        return watch(running, stopping, time.monotonic)
+        return watch(running, stopping)
 
 
 def in_words(store: Path) -> str:
@@ -102,13 +100,10 @@ def plan(studio: Studio, folder: Path) -> Links:
     """The ports of all servers. Raises UserError if a requested one is not free."""
     try:
         port = _studio_port(studio.host, studio.port)
-        taken = {port}
-        others = []
+        others: set[int] = set()
         while len(others) < 2:
-            candidate = free_port(studio.host)
-            if candidate not in taken:
-                taken.add(candidate)
-                others.append(candidate)
+            others |= {free_port(studio.host)} - {port}
+        rerun_port, viser_port = others
     except (OSError, OverflowError) as error:
         raise UserError(
             f"cannot listen on --host {studio.host}: {error}; use 127.0.0.1 or an address of "
@@ -118,8 +113,8 @@ def plan(studio: Studio, folder: Path) -> Links:
         store=str(studio.store),
         host=studio.host,
         port=port,
-        rerun_port=others[0],
-        viser_port=others[1],
+        rerun_port=rerun_port,
+        viser_port=viser_port,
         control=str(folder / "control"),
         theme=studio.theme,
         key=secrets.token_urlsafe(),
@@ -135,17 +130,12 @@ def build(links: Links, folder: Path) -> list[Server]:
         log = folder / f"{name}.log"
         return Server(name, command, environment, links.local_host, port, health, log, mark)
 
-    hub_command = hub.command(links.host, links.rerun_port, links.store, links.port)
+    rerun = hub.command(links.host, links.rerun_port, links.store, links.port)
+    pages = [*python, "app.servers.pages"]
     return [
-        server("rerun", hub_command, links.rerun_port, "/"),
+        server("rerun", rerun, links.rerun_port, "/"),
         server("viser", [*python, "app.scenes.server"], links.viser_port, "/"),
-        server(
-            "streamlit",
-            [*python, "app.servers.pages"],
-            links.port,
-            "/api/health",
-            mark=links.launch,
-        ),
+        server("streamlit", pages, links.port, "/api/health", mark=links.launch),
     ]
 
 
@@ -170,39 +160,24 @@ def _start(servers: Sequence[Server], stopping: Event) -> Server | None:
     return None
 
 
-class Restarts:
-    """Decides which dead viewers restart: RESTARTS times each, counted anew after a quiet time."""
+def watch(running: Sequence[Server], stopping: Event) -> int:
+    """Wait for the end (0), or until Streamlit ends (1). Dead viewers are started again.
 
-    def __init__(self) -> None:
-        self._deaths: dict[str, list[float]] = {}
-
-    def allow(self, name: str, now: float) -> bool:
-        """Whether a viewer that died at `now` (seconds) is to be restarted."""
-        deaths = self._deaths.setdefault(name, [])
-        if deaths and now - deaths[-1] >= QUIET_S:
-            deaths.clear()
-        deaths.append(now)
-        return len(deaths) <= RESTARTS
-
-
-def watch(running: Sequence[Server], stopping: Event, clock: Callable[[], float]) -> int:
-    """Wait for the end (0), or until Streamlit ends (1). Dead viewers are restarted.
-
-    A viewer that keeps dying is not restarted; the pages work without it.
+    A viewer that dies soon after its start is not; the pages work without it.
     """
-    restarts, watched = Restarts(), list(running)
+    watched = list(running)
     while not stopping.wait(0.5):
         for server in [server for server in watched if not server.running]:
             if server.name == "streamlit":
                 print(f"tom studio: {server.name} ended:\n{server.tail()}", file=sys.stderr)
                 return 1
-            if restarts.allow(server.name, clock()):
+            if time.monotonic() - server.started >= LIFE_S:
                 server.start()
                 continue
             watched.remove(server)
             print(
-                f"tom studio: {server.name} keeps ending, so the pages go on without it; start the "
-                f"studio again to have it back:\n{server.tail()}",
+                f"tom studio: {server.name} ended, so the pages go on without it; start the studio "
+                f"again to have it back:\n{server.tail()}",
                 file=sys.stderr,
             )
     return 0

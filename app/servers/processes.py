@@ -3,12 +3,12 @@
 import errno
 import http.client
 import os
-import re
 import signal
 import socket
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,9 +18,6 @@ from tom.machine import address, processes
 STOP_GRACE_S = 3.0
 LOG_TAIL = 12
 HEALTH_BYTES = 65536
-
-TAKEN = re.compile(r"address already in use|port \d+ is (taken|not available)", re.IGNORECASE)
-"""how the hub and Rerun, the viser server and Streamlit say that another program has their port"""
 
 
 @dataclass
@@ -38,9 +35,12 @@ class Server:
     mark: str = ""
     """text of the answer that proves the server to be this one, not another on its port"""
     process: processes.Process | None = field(default=None, init=False)
+    started: float = field(default=0.0, init=False)
+    """on the monotonic clock"""
 
     def start(self) -> None:
         """Start it in a new process group, which ends with this process."""
+        self.started = time.monotonic()
         with self.log.open("ab") as log:
             self.process = processes.start(self.command, log, {**os.environ, **self.environment})
 
@@ -50,10 +50,8 @@ class Server:
 
     @property
     def port_was_taken(self) -> bool:
-        """Whether it ended because another program has its port, or had it when this one began."""
-        if self.running:
-            return False
-        return TAKEN.search(self.tail()) is not None or not is_free(self.host, self.port)
+        """Whether it has ended and another program has its port."""
+        return not self.running and not is_free(self.host, self.port)
 
     def healthy(self) -> bool:
         """Whether it answers, and with its mark."""
@@ -83,27 +81,17 @@ class Server:
 
 def stop(servers: Sequence[Server]) -> None:
     """End every server with its children: SIGTERM, and after a grace period SIGKILL."""
-    _signal(servers, signal.SIGTERM)
+    started = [server.process for server in servers if server.process is not None]
     deadline = time.monotonic() + STOP_GRACE_S
-    for server in servers:
-        if server.process is not None:
-            try:
-                server.process.wait(max(deadline - time.monotonic(), 0.0))
-            except subprocess.TimeoutExpired:
-                continue
-    _signal(servers, signal.SIGKILL)
-    for server in servers:
-        if server.process is not None:
-            server.process.wait()
-
-
-def _signal(servers: Sequence[Server], number: signal.Signals) -> None:
-    for server in servers:
-        if server.process is not None:
-            try:
-                os.killpg(server.process.pid, number)
-            except ProcessLookupError:
-                continue  # the whole group has ended
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        for process in started:
+            with suppress(ProcessLookupError):  # the whole group has ended
+                os.killpg(process.pid, number)
+        for process in started:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(max(deadline - time.monotonic(), 0.0))
+    for process in started:
+        process.wait()
 
 
 def free_port(host: str, preferred: int = 0) -> int:
