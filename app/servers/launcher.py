@@ -51,19 +51,14 @@ def run(studio: Studio, *, browser: bool) -> int:
             return 0
         if running is None:
             return 1
-        print(
-            f"tom studio: {links.opened()}  ({in_words(studio.store)}; Ctrl-C stops it)", flush=True
-        )
+        missing = "" if studio.store.exists() else ", which is not there yet"
+        store = f"store {studio.store}{missing}"
+        print(f"tom studio: {links.opened()}  ({store}; Ctrl-C stops it)", flush=True)
         if links.local_only:
             print(f"            over SSH: ssh {links.tunnels} THIS-MACHINE", flush=True)
         if browser and _has_display():
             webbrowser.open(_leading_to(links).as_uri())
         return watch(running, stopping)
-
-
-def in_words(store: Path) -> str:
-    """The store as the first line of the studio names it."""
-    return f"store {store}" + ("" if store.exists() else ", which is not there yet")
 
 
 @contextmanager
