@@ -83,7 +83,8 @@ class RoadScene:
 
         `called` is the title above the map, by default the learner's name.
         """
-        self._scene, self._name, self._mode = scene, f"/road{number}", mode
+        self._scene, self._name = scene, f"/road{number}"
+        self._mode: Mode = mode
         scene.add_frame(self._name, show_axes=False, position=(place(number), 0.0, 0.0))
         self._called = called or learner_label(picture.learner)
         draw_map(scene, picture.road, mode, self._name)
@@ -109,8 +110,15 @@ class RoadScene:
 
         def arrows(kind: str, moves: NDArray, tint: Colour) -> viser.SceneNodeHandle:
             ends = segments(np.stack([picture.points, picture.points + moves], 1), 2 * LIFT)
-            size = {"shaft_radius": 0.0014, "head_radius": 0.0042, "head_length": 0.012}
-            return scene.add_arrows(f"{name}/{kind}", ends, tint, **size, visible=False)
+            return scene.add_arrows(
+                f"{name}/{kind}",
+                ends,
+                tint,
+                shaft_radius=0.0014,
+                head_radius=0.0042,
+                head_length=0.012,
+                visible=False,
+            )
 
         self.cars = [
             Fleet(scene, f"{name}/expert cars", picture.expert[:EXPERTS], grey),

@@ -5,17 +5,13 @@ import json
 import re
 import shutil
 import signal
-import socket
-import subprocess
-import sys
-import time
 from importlib import import_module
 from pathlib import Path
 from threading import Event
 
 import pytest
 import streamlit as st
-from faults import config, ended, one_line, wait_until
+from faults import config, wait_until
 from kernel import LOOPBACK, alive, descendants, listening
 from servers import (
     answers,
@@ -31,7 +27,6 @@ from app.guard import KEY
 from app.links import Links
 from app.router import VIEWS
 from app.servers import launcher
-from app.servers.launcher import DEFAULT_PORT
 from app.servers.pages import recording_path
 from tom.errors import UserError
 from tom.record import Store, manage
@@ -189,36 +184,6 @@ def test_a_studio_killed_with_sigkill__leaves_no_orphan(made: Path):
         process.wait()
         wait_until(lambda: not any(map(alive, children)), timeout_s=20)
         assert not is_taken(port)
-
-
-def held(port: int, timeout_s: float = 300) -> socket.socket:
-    """The port, taken by this test: a studio that has it now may end before the test does."""
-    deadline = time.monotonic() + timeout_s
-    while True:
-        try:
-            return socket.create_server(("127.0.0.1", port))
-        except OSError:
-            assert time.monotonic() < deadline, f"another program keeps port {port}"
-            time.sleep(0.2)
-
-
-def test_a_taken_port__is_refused_in_one_line_when_asked_for_and_passed_over_when_not(made: Path):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        command = [sys.executable, "-m", "app", "--store", str(made), "--no-browser"]
-        process = subprocess.Popen(
-            [*command, "--port", str(port)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        code, _, error = ended(process)
-        assert code == 2
-        assert f"port {port} is taken" in one_line(error)
-    with held(DEFAULT_PORT), studio(made) as (_, found):
-        assert found != DEFAULT_PORT
 
 
 def test_servers_of_a_studio__listen_on_three_ports_of_the_loopback_and_send_no_statistics(

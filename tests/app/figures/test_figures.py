@@ -8,13 +8,21 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import pictures, readers
-from app.figures.base import ROW, linear_scale, octaves, relative_scale, span, steps_in_words
+from app.figures.base import (
+    ROW,
+    decimate,
+    linear_scale,
+    octaves,
+    relative_scale,
+    span,
+)
 from app.figures.curves import POINTS, Axes, group_curves, run_curves
 from app.figures.probe import RunErrors, errors_by_age, focus, probe_profiles
-from app.figures.regions import waterfall
 from app.figures.replay import moments_figure
 from app.figures.road import road_map
 from app.figures.statistics import Improvement, improvement
@@ -33,7 +41,6 @@ from app.parts import widgets
 from app.theme import learner_colour
 from tom.analysis.curves import GRID, Curve, Group, aggregate
 from tom.analysis.statistics import Interval
-from tom.analysis.why import Sum
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
 
@@ -106,17 +113,6 @@ def test_a_single_evaluation_is_seen_where_it_lies_in_the_run() -> None:
     assert "autorangeoptions" not in more.to_dict()["layout"]["xaxis"]
 
 
-def test_the_mean_of_two_steps_is_dotted_where_a_run_is_missing() -> None:
-    step = np.array([100, 200])
-    whole = Curve("a", "ant", "tom", "paper", 0, step, np.array([1.0, 2.0]))
-    short = Curve("b", "ant", "tom", "paper", 1, step[:1], np.array([3.0]))
-    lines = traces(group_curves([aggregate([whole, short])], "eval/return", 300, singles=False))
-    solid, dotted = lines[-2:]
-    assert solid.y.tolist() == [2]
-    assert dotted.y.tolist() == [2, 2]
-    assert dotted.line.dash == "dot"
-
-
 def test_seeds_of_one_learner_share_its_colour_but_not_their_dash() -> None:
     figure = run_curves([long_curve(50, s) for s in (0, 1)], "x", 300, legend=True)
     assert len({line.line.color for line in traces(figure)}) == 1
@@ -149,11 +145,6 @@ def test_the_rows_of_a_long_legend_do_not_take_the_lines_room() -> None:
     assert height(many, width=0) == 300
 
 
-def test_one_seed_is_said_to_be_one() -> None:
-    figure = group_curves([aggregate([long_curve(5)])], "x", 300, singles=True)
-    assert [line.name for line in traces(figure)] == ["TOM (1 seed, no band)"]
-
-
 def test_a_log_axis_says_what_it_leaves_out_and_keeps_bands_above_zero() -> None:
     step = np.arange(3)
     values = ([-1.0, 1.0, 4.0], [-3.0, 2.0, 8.0], [-2.0, -5.0, 9.0])
@@ -179,12 +170,6 @@ def test_profiles_on_a_log_axis_end_at_a_hundredth_of_uniform() -> None:
     assert line.customdata.tolist() == [0, 0.5, 3, 1]
     band, _ = traces(probe_profiles({"tom": values}, 0, 300, log=False))
     assert band.y.min() == 0
-
-
-def test_the_line_of_one_model_has_its_name() -> None:
-    figure = errors_by_age([("TOM, mended s0", "tom", np.ones(10))], 5, 300)
-    assert figure.layout.showlegend  # pyright: ignore[reportAttributeAccessIssue]
-    assert traces(figure)[0].name == "TOM, mended s0"
 
 
 def test_where_runs_are_missing_the_mean_is_dotted() -> None:
@@ -213,12 +198,6 @@ def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: 
     assert np.asarray(heat.z).shape == (one.bins.shape[1], 1)
 
 
-def test_steps_of_several_kinds_share_an_axis_of_steps() -> None:
-    assert steps_in_words(["hopper", "ant"]) == "env steps"
-    assert steps_in_words(["road-and-rocks"]) == "steps of policy optimisation"
-    assert steps_in_words(["hopper", "road-and-rocks"]) == "steps"
-
-
 def test_relative_colours_are_octaves_of_the_weight(profiles: Profiles) -> None:
     heat = traces(weight_map(profiles, 0, "dark", 300, relative=True))[0]
     assert heat.z == pytest.approx(np.log2(profiles.bins.T).clip(-4, 4))
@@ -232,18 +211,29 @@ def test_octaves_clip_and_keep_gaps() -> None:
     assert span(np.array([0.01, 50.0])) == 4
 
 
-def test_a_colour_bar_says_where_its_ends_hold_more() -> None:
-    def ends(weight: list[float]) -> tuple[str, ...]:
-        words = relative_scale(np.array(weight), "light")["colorbar"]["ticktext"]
-        return words[0], words[-1]
+@pytest.mark.parametrize(
+    ("weight", "ends"),
+    [
+        ([0.5, 1, 2, np.nan], ("1/2", "2")),
+        ([1.0] * 99 + [16.0], ("1/2", "≥ 2")),
+        ([0.25] * 5 + [4.0] * 94 + [0], ("≤ 1/4", "4")),
+    ],
+)
+def test_a_colour_bar_says_where_its_ends_hold_more(
+    weight: list[float], ends: tuple[str, str]
+) -> None:
+    words = relative_scale(np.array(weight), "light")["colorbar"]["ticktext"]
+    assert (words[0], words[-1]) == ends
 
-    assert ends([0.5, 1, 2, np.nan]) == ("1/2", "2")
-    assert ends([1.0] * 99 + [16.0]) == ("1/2", "≥ 2")
-    assert ends([0.25] * 5 + [4.0] * 94 + [0]) == ("≤ 1/4", "4")
-    scale = linear_scale(np.array([0.0] * 999 + [3.0]), "light")
-    assert (scale["zmax"], scale["colorbar"]["ticktext"][-1]) == (1, "≥ 1")
-    scale = linear_scale(np.array([0.5, 3.0] * 100), "light")
-    assert (scale["zmax"], scale["colorbar"]["ticktext"][-1]) == (3, "3")
+
+@pytest.mark.parametrize(
+    ("weight", "top", "end"), [([0.0] * 999 + [3.0], 1, "≥ 1"), ([0.5, 3.0] * 100, 3, "3")]
+)
+def test_a_linear_colour_bar_says_where_its_end_holds_more(
+    weight: list[float], top: float, end: str
+) -> None:
+    scale = linear_scale(np.array(weight), "light")
+    assert (scale["zmax"], scale["colorbar"]["ticktext"][-1]) == (top, end)
 
 
 def test_side_by_side_is_thinned_and_says_so(profiles: Profiles) -> None:
@@ -355,15 +345,6 @@ def test_every_run_stands_at_the_tick_of_its_group(runs: int) -> None:
         assert len(np.unique(at.mean(1))) == runs
 
 
-def test_p_has_room_beside_the_axis_whatever_the_names_are() -> None:
-    wins = [Improvement("TOM" * 20, "MLE", Interval(0.9, 0.7, 1.0), p, 1.0) for p in (0.00023, 0.4)]
-    figure = improvement(wins, ["red", "red"], 200, "a")
-    column = traces(figure)[1]
-    longest = max(map(len, column.text))
-    assert column.cliponaxis is False
-    assert figure.to_dict()["layout"]["margin"]["r"] >= 6 * longest  # pixels of a letter of size 12
-
-
 def test_a_p_among_several_is_shown_with_its_correction() -> None:
     wins = [
         Improvement(first, "MLE", Interval(0.9, 0.7, 1.0), p, corrected)
@@ -384,20 +365,6 @@ def test_a_zoom_lasts_while_its_run_grows_and_is_none_of_another_run(profiles: P
     assert len(younger.env_step) < len(profiles.env_step)
     assert zooms("a", younger) == zooms("a", profiles)
     assert not set(zooms("a", profiles)) & set(zooms("b", profiles))
-
-
-def test_a_zoom_on_one_transition_s_sum_is_none_of_another() -> None:
-    one = Sum(0.1, 0.2, 0.0, 0.3, 0.0, 1.0, 1.0, 1.0)
-    kept = [
-        waterfall(each, "tom", 300).to_dict()["layout"]["uirevision"]
-        for each in (one, replace(one), replace(one, now=40.0))
-    ]
-    assert kept[0] == kept[1] != kept[2]
-
-
-def test_names_of_dimensions_from_a_file_are_words() -> None:
-    figure = moments_figure(np.ones((1, 25, 1)), np.ones((1, 25, 1)), ["<img src=x>"], 100, "a")
-    assert figure.to_dict()["layout"]["yaxis"]["title"]["text"] == "&lt;img src=x&gt;"
 
 
 def test_the_first_label_under_a_profile_has_room() -> None:
@@ -421,3 +388,16 @@ def test_curves_of_many_dimensions_say_that_they_are_the_first() -> None:
     assert "the first 12 of 30 dimensions" in str(wide.layout)
     few = moments_figure(np.zeros((1, 25, 3)), np.zeros((1, 25, 3)), [], 100, "run")
     assert "the first" not in str(few.layout)
+
+
+@settings(deadline=None)
+@given(st.integers(10, 3000), st.integers(4, 200))
+def test_thinning_keeps_the_extremes(count: int, limit: int) -> None:
+    value = np.random.default_rng(count).normal(size=count)
+    step, kept, cut = decimate(np.arange(count), value, limit)
+    assert cut == (count > limit)
+    assert len(step) <= limit or not cut
+    assert kept.max() == value.max()
+    assert kept.min() == value.min()
+    assert np.array_equal(value[step], kept)
+    assert (np.diff(step) > 0).all()
