@@ -157,7 +157,7 @@ def test_an_export_that_is_refused_leaves_nothing_behind(store: Path, capsys, tm
             ["export", "one", "--small", "--keep", "buffer", "--without", "buffer"],
             "both name buffer",
         ),
-        (["prune", "--keep", "-1"], "--keep -1"),
+        (["prune", "--keep", "-1"], "--keep"),
         (["rename", "one", "x" * 100], "80 at most"),
         (["list", "--env", "inverted-pendulm"], "did you mean 'inverted-pendulum'"),
         (["list", "--learner", "tomm"], "did you mean 'tom'"),

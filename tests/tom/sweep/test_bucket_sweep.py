@@ -24,8 +24,7 @@ from tom.record.files import replace_json
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 from tom.sweep import worker
-from tom.sweep.backend import FolderBackend
-from tom.sweep.bucket_backend import LEASE_S, LOOK_S, BucketBackend
+from tom.sweep.backend import LEASE_S, LOOK_S, BucketBackend, FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
 from tom.training.plan import Trial
@@ -195,7 +194,7 @@ def test_what_was_seen_of_a_run_when_the_sweep_began_counts(
     Elsewhere(bucket, trial, tmp_path).put("running", time.time())
     with BucketBackend(bucket, [trial], lambda: now) as backend:
         now += LEASE_S
-        backend.look(trial.run_id, now=True)
+        backend.update(trial.run_id, now=True)
         assert not backend.writer(backend.store.run(trial.run_id))
 
 
@@ -223,7 +222,7 @@ def test_a_run_that_another_machine_fetches_or_begins_is_left_to_it(
         now += LEASE_S
         assert not backend.writer(run)
         Attempt.claim(bucket, trial.run_id)
-        backend.look(trial.run_id, now=True)
+        backend.update(trial.run_id, now=True)
         assert backend.writer(run)
 
 
@@ -237,9 +236,9 @@ def test_time_in_which_the_store_did_not_answer_does_not_count(
         with monkeypatch.context() as away:
             away.setattr(bucket, "names", unreachable)
             with pytest.raises(OSError, match="out of reach"):
-                backend.look(trial.run_id, now=True)
+                backend.update(trial.run_id, now=True)
         now += 0.5 * LEASE_S
-        backend.look(trial.run_id, now=True)
+        backend.update(trial.run_id, now=True)
         assert backend.writer(backend.store.run(trial.run_id))
 
 
@@ -262,7 +261,7 @@ def test_workers_killed_by_their_own_sweep__keep_nobody_waiting(
         assert not backend.writer(RunReader(backend.store.path / trial.run_id))
         Attempt.claim(bucket, trial.run_id)
         backend.ended(trial.run_id)
-        backend.look(trial.run_id, now=True)
+        backend.update(trial.run_id, now=True)
         assert backend.writer(RunReader(backend.store.path / trial.run_id)), "another's claim"
 
 
@@ -356,10 +355,10 @@ def test_the_last_puts_of_a_stopped_run_fail__it_goes_on_from_what_stayed(
 @pytest.mark.fault
 @pytest.mark.quick
 def test_a_temporary_folder_that_others_may_write__is_not_trusted_with_runs(worked: Path):
-    root = worker.place("s3://store/x", "a").parent
+    root = worker.local_store("s3://store/x", "a").parent
     root.chmod(0o777)
     with pytest.raises(UserError, match="TMPDIR"):
-        worker.place("s3://store/x", "a")
+        worker.local_store("s3://store/x", "a")
 
 
 @pytest.mark.fault

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tom.cli.arguments import Parser
+from tom.cli import Parser
 from tom.cli.parser import overrides
 from tom.cli.train import add_parser
 from tom.errors import UserError
