@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.servers.launcher import Studio, run
 from tom import plugins
-from tom.cli.arguments import Parser
+from tom.cli import Parser
 from tom.cli.parser import folder
 from tom.errors import UserError
 from tom.harmless import terminal

@@ -4,6 +4,10 @@ import errno
 import os
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 OF_USERS = (Exception, SystemExit)
 """What code of the user's may raise: a script that is imported may end the program."""
@@ -52,5 +56,17 @@ def reason(error: BaseException) -> str:
     return lines[0][:200]
 
 
+def invalid_value(error: "ValidationError") -> str:
+    """Pydantic's first error in one line: `sac.lr -1: must be greater than 0`."""
+    first = error.errors(include_url=False)[0]
+    path, value = ".".join(map(str, first["loc"])), first["input"]
+    shown = "" if isinstance(value, dict | list | tuple) else f" {value}"
+    return f"{path}{shown}: {first['msg'].replace('Input should be', 'must be')}"
+
+
 class DivergedError(Exception):
     """The training cannot go on; the message has the cause, the step and what to try."""
+
+
+class GoneError(Exception):
+    """The cluster is gone: no training can be started, and the running ones cannot be reached."""

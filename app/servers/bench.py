@@ -30,7 +30,7 @@ from app.data.studies import FOLDER, QUESTIONS, REPORT
 from app.links import Links
 from app.router import VIEWS
 from app.servers.pages import warm
-from tom.cli.arguments import Parser
+from tom.cli import Parser
 from tom.cli.tables import show
 from tom.envs import ROAD
 from tom.record import layout

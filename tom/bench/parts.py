@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from tom.bench.recording import CYCLES, recorded
-from tom.bench.timing import Part
+from tom.bench.recording import CYCLES, record_run
+from tom.bench.timing import EXAM, Part
 from tom.config import ModelConfig, RolloutConfig, SacConfig, TomConfig
 from tom.data.replay import ReplayBuffer
 from tom.data.sampling import WeightedSampler
@@ -30,7 +30,6 @@ WEIGHED = 100_000
 """rows that are weighed: so many that the one training step of each network is negligible"""
 EXAMINED = 250
 """rows of a fit's exam; its buffer has `WEIGHED` rows"""
-EXAM = f"exam of {EXAMINED} steps"
 
 
 def parts() -> Iterator[Part]:
@@ -212,6 +211,6 @@ def _recording() -> Part:
     folder = TemporaryDirectory()  # as long as the part is there
 
     def record() -> None:
-        recorded(Store(Path(folder.name)))
+        record_run(Store(Path(folder.name)))
 
     return Part("recording 250 steps, late in a run", record, CYCLES)

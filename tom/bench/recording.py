@@ -1,26 +1,31 @@
-"""CPU time of recording during 250 environment steps of a training.
+"""The cost of recording a training, of its checkpoints, and of listing many runs.
 
 The load is that of Hopper late in the paper's schedule: 100 000 weights at every fit, ten
 evaluation episodes of 1 000 steps every 1 000 steps, 250 new rows of the buffer, 30 metrics.
 """
 
+import os
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from time import process_time
+from time import perf_counter, process_time
+from typing import Any
 
 import numpy as np
+import torch
 
 from tom.config import OnlineConfig
-from tom.data.transitions import Transitions
+from tom.data.transitions import TensorTransitions, Transitions
 from tom.events import Collected, Episode, Evaluation, Event, Metrics, Tick, Weights
+from tom.mbpo import Mbpo
 from tom.metrics import METRICS
+from tom.record import checkpoint, layout
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import open_sink
 from tom.record.status import BEAT_S
 from tom.record.store import Store
 from tom.record.writer import RunWriter
+from tom.training.presets import resolve
 
 CYCLES = 20
 CYCLE = 250  # env steps: one model fit
@@ -29,76 +34,105 @@ WEIGHTS = 100_000
 STEPS, EPISODES = 1000, 10
 METRICS_A_ROW = 30
 OBS, ACTION, NQ = 11, 3, 6
+REPEATS = 3  # of a checkpoint
+RUNS, LISTING_TARGET_S = 1000, 2.0  # a week of sweeps
+
+Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class RecordingCost:
-    """CPU milliseconds that a part of recording takes per 250 env steps, and its share."""
-
-    part: str
-    ms: float
-    share_percent: float | None
-
-
-def cost(train_s: float | None = None) -> list[RecordingCost]:
-    """The cost of each part and of all parts, without and with Rerun.
+def recording_costs(train_s: float) -> list[Row]:
+    """CPU milliseconds for 250 env steps of each part and of all, without and with Rerun.
 
     Shares are relative to `train_s`, the CPU seconds of training for 250 env steps.
     """
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
-        ms = {name: _each(store, events) for name, events in _parts(rng).items()}
-        ms["heartbeats"] = _heartbeats(store, train_s or CYCLE / 10)
+        ms = {name: _record(store, events) for name, events in _parts(rng).items()}
+        ms["heartbeats"] = _heartbeats(store, train_s)
         files = sum(ms.values())
-        both = _all(store, rng, with_rerun=True) - _all(store, rng, with_rerun=False)
-    ms |= {"all files": files, "Rerun": both, "all files and Rerun": files + both}
-    return [RecordingCost(name, value, _share(value, train_s)) for name, value in ms.items()]
+        rerun = _record(store, _all_parts(rng), rerun=True) - _record(store, _all_parts(rng))
+    ms |= {"all files": files, "Rerun": rerun, "all files and Rerun": files + rerun}
+    return [{"part": k, "ms": v, "share_percent": v / train_s / 10} for k, v in ms.items()]
 
 
-def recorded(store: Store) -> None:
+def record_run(store: Store) -> None:
     """Record CYCLES times 250 env steps into a new run, without Rerun."""
-    _all(store, np.random.default_rng(0), with_rerun=False)
+    _record(store, _all_parts(np.random.default_rng(0)))
 
 
-def _share(ms: float, train_s: float | None) -> float | None:
-    return None if train_s is None else ms / train_s / 10
+def checkpoint_costs(train_s: float) -> list[Row]:
+    """A checkpoint of Hopper and of Humanoid with full buffers.
+
+    `train_s` is the time of 250 training steps of Hopper. At most three checkpoints are on the disk
+    at a time.
+    """
+    return [_checkpoint_cost("hopper", train_s), _checkpoint_cost("humanoid", None)]
 
 
-def _parts(rng: np.random.Generator) -> dict[str, Callable[[int], Iterable[Event]]]:
-    """The events of the 250 steps that end with env step `step`."""
+def listing_cost(list_runs: Callable[[Path], object]) -> Row:
+    """CPU and wall-clock seconds of `list_runs` on a store of RUNS runs; the target is for the CPU.
+
+    The second call is timed, because the first one loads code.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        store = make_store(Path(folder))
+        list_runs(store)
+        wall, cpu = perf_counter(), process_time()
+        list_runs(store)
+        wall_s, cpu_s = perf_counter() - wall, process_time() - cpu
+    row = {"runs": RUNS, "cpu_s": cpu_s, "wall_s": wall_s, "target_s": LISTING_TARGET_S}
+    return {**row, "met": cpu_s <= LISTING_TARGET_S}
+
+
+def make_store(folder: Path, runs: int = RUNS) -> Path:
+    """Make a store of `runs` run folders in `folder`: copies of one recorded run."""
+    one, many = Store(folder / "one"), folder / "many"
+    record_run(one)
+    (run,) = one.runs()
+    for number in range(runs):
+        copy = many / f"run-{number:04d}"
+        copy.mkdir(parents=True)
+        for name in (layout.CONFIG, layout.STATUS, layout.METRICS):
+            os.link(run.path / name, copy / name)
+    return many
+
+
+# Recording
+
+Events = Callable[[int], Iterable[Event]]
+"""the events of the 250 steps that end with an env step"""
+
+
+def _parts(rng: np.random.Generator) -> dict[str, Events]:
     weight = rng.random(WEIGHTS, np.float32)
     values = {name: float(rng.random()) for name in list(METRICS)[:METRICS_A_ROW]}
     rows, version = _transitions(rng), np.zeros(CYCLE, np.int64)
     episodes = [_episode(rng) for _ in range(EPISODES)]
-
-    def evaluation(step: int) -> Sequence[Event]:
-        return [Evaluation(step, episodes)] if step % EVERY == 0 else []
-
     return {
         "250 steps' ticks": lambda step: [Tick(s, "optimise") for s in range(step - CYCLE, step)],
         "a row of 30 metrics": lambda step: [Metrics(step, values), Tick(step, "optimise")],
         "profile and snapshot of 100k weights": lambda step: [Weights(step, weight)],
         "250 rows of the buffer": lambda step: [Collected(step, rows, version)],
-        "10 episodes of 1000 steps / 4": evaluation,
+        "10 episodes of 1000 steps / 4": lambda step: (
+            [Evaluation(step, episodes)] if step % EVERY == 0 else []
+        ),
     }
 
 
-def _all(store: Store, rng: np.random.Generator, *, with_rerun: bool) -> float:
+def _all_parts(rng: np.random.Generator) -> Events:
     parts = _parts(rng).values()
-    return _each(store, lambda s: [e for part in parts for e in part(s)], with_rerun=with_rerun)
+    return lambda step: [event for part in parts for event in part(step)]
 
 
-def _each(
-    store: Store, events: Callable[[int], Iterable[Event]], *, with_rerun: bool = False
-) -> float:
+def _record(store: Store, events: Events, *, rerun: bool = False) -> float:
     """Mean CPU milliseconds for 250 steps of `events`."""
     config = OnlineConfig(env="hopper", learner="tom", steps=CYCLE * CYCLES)
     writer = RunWriter.create(store, store.new_run_id("bench", "tom", 0), config)
-    given = [list(events(CYCLE * cycle)) for cycle in range(1, CYCLES + 1)]
-    recorder = Recorder(writer, open_sink(writer) if with_rerun else None)
+    given = [event for n in range(1, CYCLES + 1) for event in events(CYCLE * n)]
+    recorder = Recorder(writer, open_sink(writer) if rerun else None)
     begun = process_time()
-    for event in (event for cycle in given for event in cycle):
+    for event in given:
         recorder.consume(event)
     recorder.finish("finished")
     return (process_time() - begun) * 1e3 / CYCLES
@@ -132,3 +166,35 @@ def _episode(rng: np.random.Generator) -> Episode:
         qpos=qpos,
         qvel=qvel,
     )
+
+
+# Checkpoints
+
+
+def _checkpoint_cost(env: str, train_s: float | None) -> Row:
+    config = resolve(env, "tom", "paper")
+    assert isinstance(config, OnlineConfig)
+    training = Mbpo(config)
+    for _ in training.step_environment(explore=True):
+        pass
+    obs, action = training.task.obs_dim, training.task.action_dim
+    n = training.model_buffer.capacity
+    flat, wide = torch.rand(n), torch.rand(n, obs)
+    rows = TensorTransitions(wide, torch.rand(n, action), flat, wide, flat.round(), flat.round())
+    training.model_buffer.extend(rows)
+    with tempfile.TemporaryDirectory() as folder:
+        times, megabytes = [], 0.0
+        for step in range(REPEATS):
+            begun = perf_counter()
+            path = checkpoint.save(Path(folder), step, {"training": training.state_dict()})
+            times.append(perf_counter() - begun)
+            megabytes = (path / checkpoint.STATE).stat().st_size / 1e6
+    seconds = sorted(times)[REPEATS // 2]
+    between_s = None if train_s is None else train_s * config.checkpoint_every / CYCLE
+    return {
+        "run": f"{env} tom {config.preset}",
+        "megabytes": megabytes,
+        "megabytes_at_most": megabytes * (checkpoint.KEPT + 1),
+        "ms": 1e3 * seconds,
+        "share_percent": None if between_s is None else 100 * seconds / between_s,
+    }

@@ -1,4 +1,7 @@
-"""Fair timing on a shared machine: CPU time, interleaved repeats, medians and their spread."""
+"""Fair timing on a shared machine: CPU time, interleaved repeats, medians and their spread.
+
+Target costs of the parts are ratios or shares in one run, or ms on the reference machine.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,6 +11,18 @@ from time import process_time
 import torch
 
 from tom.machine.matmul import Backend, use
+
+TIMES_FLOOR = {"SAC update": 1.7}
+TIMES_OURS = {
+    "plain torch.distributions MDN step": 1.7,
+    "stable-baselines3 SAC update": 2.5,
+    "mbrl-lib SAC update": 2.5,
+}
+MILLISECONDS = {"weights, 1000 transitions": 4.0, "rollout, 1000 states": 3.0}
+"""4 s for 1e6 transitions, 0.3 s for 100 000 states"""
+EXAM = "exam of 250 steps"
+PERCENT = {EXAM: 1.0}
+"""of the time from one fit of a training to the next, this part included"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +72,7 @@ def measure(parts: Sequence[Part], repeats: int, backend: Backend) -> tuple[list
     use(backend)
     flops_per_s = 2 * 256**3 / median(seconds[product.name])
     ours = {p.name: median(seconds[p.name]) for p in parts}
-    rows = [_timing(p, seconds[p.name], ours, flops_per_s) for p in parts]
+    rows = [_timing(part, seconds[part.name], ours, flops_per_s) for part in parts]
     return rows, flops_per_s / 1e9
 
 
@@ -75,3 +90,22 @@ def _timing(
         times_floor=None if floor is None else middle / floor,
         times_ours=None if part.peer_of is None else middle / medians[part.peer_of],
     )
+
+
+def target(row: Timing, between_ms: float) -> tuple[str, bool] | None:
+    """A part's target as text and whether it is met; None if it has no target.
+
+    `between_ms` is the time of a training from one fit to the next (`projection.between_fits_ms`).
+    """
+    if (bound := TIMES_FLOOR.get(row.part)) and row.times_floor is not None:
+        return f"<= {bound} x floor", row.times_floor <= bound
+    if (bound := TIMES_OURS.get(row.part)) and row.times_ours is not None:
+        return f">= {bound} x ours", row.times_ours >= bound
+    if bound := MILLISECONDS.get(row.part):
+        beyond = row.floor_ms is not None and row.floor_ms > bound
+        here = f", under this machine's floor of {row.floor_ms:.2g}" if beyond else ""
+        return f"<= {bound} ms{here}", row.ms <= bound
+    if bound := PERCENT.get(row.part):
+        percent = 100 * row.ms / (row.ms + between_ms)
+        return f"<= {bound:.0f} % of training, here {percent:.2g} %", percent <= bound
+    return None

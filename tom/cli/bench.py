@@ -1,4 +1,7 @@
-"""`tom bench`: measurements on this machine, as tables."""
+"""`tom bench`: measurements on this machine, as tables.
+
+Each function below measures one thing and returns its result for JSON and the tables that show it.
+"""
 
 import argparse
 import io
@@ -13,22 +16,29 @@ from typing import Any
 import numpy as np
 import torch
 
-from tom import readable
-from tom.cli import studio
-from tom.cli.parser import folder, seed_number
+from tom.cli import hand_over
+from tom.cli.parser import add_json, folder, whole
 from tom.cli.runs import list_runs
-from tom.cli.signals import on_stopping
-from tom.cli.tables import show
+from tom.cli.tables import show_rows
 from tom.errors import UserError, unknown
 from tom.learners import LEARNERS
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
+from tom.machine.processes import on_stopping
 from tom.record import RunReader, Store
-from tom.sweep import train_all
+from tom.sweep.engine import train_all
 
 LEARN_ENV = "inverted-pendulum"
 LEARN_STEPS = 6000
 LEARN_RETURN = 950.0
+NOT_MEASURED = (
+    "GPU: nothing here runs on one; see docs/speed.md",
+    "projected hours leave out evaluation and recording, and count every round of a fit",
+)
+
+Rows = list[dict[str, Any]]
+Measured = tuple[object, dict[str, Rows]]
+"""the content for JSON, and tables by title"""
 
 
 def add_parser(subparsers, arguments: list[str]) -> None:
@@ -37,15 +47,17 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "what",
         nargs="?",
         default="parts",
-        choices=("parts", "step", "memory", "learn", "record", "studio"),
+        choices=(*MEASUREMENTS, "studio"),
         help="parts: what each part of a training costs, and whole trainings from that [the "
         "default]; step: a whole env step of the paper's Hopper; "
         "memory: a full Humanoid buffer; record: the cost of recording, and of "
         "listing 1000 runs; learn: does inverted pendulum reach 950 within 6000 steps; studio: how "
         "long its pages take over a store of 200 runs",
     )
-    parser.add_argument("--repeats", type=int, default=9, help="interleaved repeats (parts)")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument(
+        "--repeats", type=whole(1), default=9, help="interleaved repeats [9] (parts)"
+    )
+    add_json(parser)
     parser.add_argument(
         "--into",
         type=Path,
@@ -54,9 +66,12 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "this file (parts)",
     )
     parser.add_argument("--learner", nargs="+", default=["mle", "tom"], help="(learn)")
-    parser.add_argument("--seeds", nargs="+", type=seed_number, default=[0, 1, 2], help="(learn)")
+    parser.add_argument("--seeds", nargs="+", type=whole(0), default=[0, 1, 2], help="(learn)")
     parser.add_argument(
-        "--steps", type=int, default=LEARN_STEPS, help=f"env steps in all [{LEARN_STEPS}] (learn)"
+        "--steps",
+        type=whole(1),
+        default=LEARN_STEPS,
+        help=f"env steps in all [{LEARN_STEPS}] (learn)",
     )
     parser.add_argument("--store", type=folder, help="keep the runs here (learn)")
     parser.add_argument("--runs", type=int, help="runs in the store [200] (studio)")
@@ -66,149 +81,125 @@ def add_parser(subparsers, arguments: list[str]) -> None:
 def run(args: argparse.Namespace) -> int:
     if args.into is not None and args.what != "parts":
         raise UserError("--into is of the tables of `tom bench parts`: leave it out")
-    if args.what == "learn":
-        _check_learn(args)
-        with on_stopping(signal.default_int_handler):  # its trainings must end with it
-            rows = learn(args.learner, args.seeds, args.steps, args.store)
-        if not rows:
-            raise UserError("none of the trainings began: see above why")
-        _print(f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps", rows, args.json)
-        reached = [row for row in rows if row["reached_at"] is not None]
-        return 0 if len(reached) == len(args.learner) * len(args.seeds) else 1
     if args.what == "studio":
-        studio.hand_over(studio_words(args), "app.servers.bench")
-    if args.what == "parts":
-        return _parts(args.repeats, args.json, args.into)
-    return {"record": _record, "step": _step, "memory": _memory}[args.what](args.json)
+        runs = [] if args.runs is None else ["--runs", str(args.runs)]
+        hand_over("app.servers.bench", [*runs, *(["--json"] * args.json)])
+    content, tables = MEASUREMENTS[args.what](args)
+    if args.json:
+        print(json.dumps(content))
+    else:
+        for title, rows in tables.items():
+            show_rows(title, rows)
+        if isinstance(content, dict) and "not_measured" in content:
+            print("not measured:", *content["not_measured"], sep="\n  ")
+    if args.what != "learn":
+        return 0
+    reached = [row for table in tables.values() for row in table if row["reached_at"] is not None]
+    return 0 if len(reached) == len(args.learner) * len(args.seeds) else 1
 
 
-NOT_MEASURED = (
-    "GPU: nothing here runs on one; see docs/speed.md",
-    "projected hours leave out evaluation and recording, and count every round of a fit",
-)
+def _parts(args: argparse.Namespace) -> Measured:
+    from tom.bench import parts, peers, projection, report, timing
 
-
-def _parts(repeats: int, as_json: bool, into: Path | None) -> int:
-    from tom.bench import last, parts, peers, projection, report, targets, timing
-
-    if into is not None:
-        report.require_place(into)
-
+    if args.into is not None:
+        report.require_place(args.into)
     torch.set_num_threads(1)
     keep_freed_memory()
     backend = choose_matmul().chosen
     measured = [*parts.parts(), *peers.peers()]
-    timings, gflops = timing.measure(measured, max(repeats, 1), backend)
+    timings, gflops = timing.measure(measured, args.repeats, backend)
     ms = {timed.part: timed.ms for timed in timings}
-    last.save(ms)
+    projection.save_bench(ms)
     rows, between_ms = [], projection.between_fits_ms(ms)
     for timed in timings:
-        wanted, met = targets.target(timed, between_ms) or (None, None)
+        wanted, met = timing.target(timed, between_ms) or (None, None)
         rows.append({**asdict(timed), "target": wanted, "met": met})
     hours = projection.hours(ms)
-    missing = [*NOT_MEASURED, *peers.missing()]
-    result = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
-    result["not_measured"] = missing
-    if into is not None:
-        report.put(into, report.page(result))
-    if as_json:
-        print(json.dumps(result))
-        return 0
+    content = {"gflops": gflops, "matmul": backend, "parts": rows, "hours": hours}
+    content["not_measured"] = [*NOT_MEASURED, *peers.missing()]
+    if args.into is not None:
+        report.put(args.into, report.page(content))
     title = f"CPU ms, one thread; {gflops:.0f} GFLOP/s in 256^3 products ({backend})"
-    _table(title, rows)
-    _table("TOM on one core, hours at most", hours)
-    print("not measured:", *missing, sep="\n  ")
-    return 0
+    return content, {title: rows, "TOM on one core, hours at most": hours}
 
 
-def _step(as_json: bool) -> int:
+def _step(_: argparse.Namespace) -> Measured:
     from tom.bench import timing, training
 
     ms, gflop = training.step_ms()
-    _, gflops = timing.measure([], 5, choose_matmul().chosen)
+    gflops = timing.measure([], 5, choose_matmul().chosen)[1]
     floor = gflop / gflops * 1000
     row = {"ms": ms, "floor_ms": floor, "times_floor": ms / floor, "gflops": gflops}
     row |= {"authors_ms": training.AUTHORS_MS, "met": ms <= training.AUTHORS_MS / 2}
-    _print(
-        "an env step of the paper's Hopper, CPU ms (the authors' on their machine)", [row], as_json
-    )
-    return 0
+    title = "an env step of the paper's Hopper, CPU ms (the authors' on their machine)"
+    return [row], {title: [row]}
 
 
-def _memory(as_json: bool) -> int:
+def _memory(_: argparse.Namespace) -> Measured:
     from tom.bench.training import buffer_memory
 
     filled, fitted = buffer_memory()
     row = {"filled_gb": filled, "after_fit_gb": fitted, "target": "< 2.5 GB", "met": fitted < 2.5}
-    _print("peak memory with 1e6 Humanoid transitions", [row], as_json)
-    return 0
+    return [row], {"peak memory with 1e6 Humanoid transitions": [row]}
 
 
-def _record(as_json: bool) -> int:
-    from tom.bench import listing
-    from tom.bench.checkpoints import checkpoint_costs
-    from tom.bench.recording import cost
+def _record(_: argparse.Namespace) -> Measured:
+    from tom.bench.recording import checkpoint_costs, listing_cost, recording_costs
     from tom.bench.training import cycle_s
+
+    def list_all(store: Path) -> None:
+        everything = dict.fromkeys(("env", "learner", "tag", "state"))
+        with redirect_stdout(io.StringIO()):
+            list_runs(argparse.Namespace(store=store, json=True, **everything))
 
     torch.set_num_threads(1)
     choose_matmul()
     train_s = cycle_s()
-    title = f"recording, for each 250 env steps of Hopper ({train_s:.1f} s of CPU time)"
-    costs = [asdict(row) for row in cost(train_s)]
-    checkpoints = [asdict(row) for row in checkpoint_costs(train_s)]
-    listed = listing.measure(_list)
-    lists = [{**asdict(listed), "met": listed.met}]
-    if as_json:
-        measured = {"recording": costs, "checkpoints": checkpoints, "listing": lists}
-        print(json.dumps(measured))
-        return 0
-    _table(title, costs)
-    _table("checkpoints, one every 2000 steps", checkpoints)
-    _table("tom runs list, once tom is loaded", lists)
-    return 0
+    content = {
+        "recording": recording_costs(train_s),
+        "checkpoints": checkpoint_costs(train_s),
+        "listing": [listing_cost(list_all)],
+    }
+    titles = (
+        f"recording, for each 250 env steps of Hopper ({train_s:.1f} s of CPU time)",
+        "checkpoints, one every 2000 steps",
+        "tom runs list, once tom is loaded",
+    )
+    return content, dict(zip(titles, content.values(), strict=True))
 
 
-def _list(store: Path) -> None:
-    """`tom runs list --json` of `store`, with its output discarded."""
-    everything = dict.fromkeys(("env", "learner", "tag", "state"))
-    with redirect_stdout(io.StringIO()):
-        list_runs(argparse.Namespace(store=store, json=True, **everything))
-
-
-def _check_learn(args: argparse.Namespace) -> None:
-    """Remove duplicate learners and seeds. Raises UserError for an impossible one."""
+def _learn(args: argparse.Namespace) -> Measured:
+    """Train inverted pendulum for each learner and seed; report when each first reached 950."""
     args.learner, args.seeds = list(dict.fromkeys(args.learner)), list(dict.fromkeys(args.seeds))
     for learner in args.learner:
         if learner not in LEARNERS:
             raise unknown("learner", learner, LEARNERS)
-    if args.steps < 1:
-        raise UserError("--steps must be at least 1")
-
-
-def learn(
-    learners: list[str], seeds: list[int], steps: int, store: Path | None
-) -> list[dict[str, Any]]:
-    """Train inverted pendulum for each learner and seed; report when each first reached 950."""
     with tempfile.TemporaryDirectory() as scratch:
-        path = store or Path(scratch)
-        before = {run.run_id for run in Store(path).runs()}
-        train_all(_learn_commands(learners, seeds, steps, path))
-        rows = [_learn_row(r) for r in Store(path).runs() if r.run_id not in before]
-    return sorted(rows, key=lambda row: (row["learner"], row["seed"]))
+        store = Store(args.store or Path(scratch))
+        before = {run.run_id for run in store.runs()}
+        shared = (
+            "--env",
+            LEARN_ENV,
+            "--no-rerun",
+            f"--steps={args.steps}",
+            f"--store={store.path}",
+        )
+        commands = {
+            f"{name} {seed}": ("--learner", name, f"--seed={seed}", *shared)
+            for name in args.learner
+            for seed in args.seeds
+        }
+        with on_stopping(signal.default_int_handler):  # its trainings must end with it
+            train_all(commands)
+        rows = [learnt(run) for run in store.runs() if run.run_id not in before]
+    if not rows:
+        raise UserError("none of the trainings began: see above why")
+    rows.sort(key=lambda row: (row["learner"], row["seed"]))
+    return rows, {f"{LEARN_ENV}: {LEARN_RETURN:.0f} within {args.steps} steps": rows}
 
 
-def _learn_commands(
-    learners: list[str], seeds: list[int], steps: int, store: Path
-) -> dict[str, tuple[str, ...]]:
-    shared = ("--env", LEARN_ENV, "--store", str(store), "--no-rerun", "--steps", str(steps))
-    return {
-        f"{learner} {seed}": ("--learner", learner, "--seed", str(seed), *shared)
-        for learner in learners
-        for seed in seeds
-    }
-
-
-def _learn_row(run: RunReader) -> dict[str, Any]:
+def learnt(run: RunReader) -> dict[str, Any]:
+    """When a run first reached LEARN_RETURN, and its returns."""
     table, status = run.metrics(), run.status
     step, value, wall = (
         table[name].to_numpy(float) if name in table else np.zeros(0)
@@ -226,18 +217,10 @@ def _learn_row(run: RunReader) -> dict[str, Any]:
     }
 
 
-def studio_words(args: argparse.Namespace) -> list[str]:
-    """The arguments for the studio's own measurement."""
-    runs = [] if args.runs is None else ["--runs", str(args.runs)]
-    return runs + ["--json"] * args.json
-
-
-def _print(title: str, rows: list[dict[str, Any]], as_json: bool) -> None:
-    if as_json:
-        print(json.dumps(rows))
-    else:
-        _table(title, rows)
-
-
-def _table(title: str, rows: list[dict[str, Any]]) -> None:
-    show(title, list(rows[0]), [[readable.cell(value) for value in row.values()] for row in rows])
+MEASUREMENTS = {
+    "parts": _parts,
+    "step": _step,
+    "memory": _memory,
+    "learn": _learn,
+    "record": _record,
+}

@@ -12,23 +12,13 @@ import torch
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from tom.analysis.brush import (
-    AS_IT_IS,
-    FACTORS,
-    SMALL,
-    Brush,
-    BrushedFit,
-    check_factor,
-    fits,
-    ghosts,
-)
-from tom.analysis.ordered_data import OrderedData, find_run, of_run
+from tom.analysis import brush
+from tom.analysis.brush import FACTORS, SMALL, Brush, BrushedFit
+from tom.analysis.ordered_data import find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
-from tom.cli.parser import folder, one_line, seed_number
-from tom.cli.weigh import count
-from tom.config import ModelConfig
+from tom.cli.parser import add_json, add_store, one_line, whole
 from tom.envs import scene, task
-from tom.errors import UserError
+from tom.errors import UserError, reason
 from tom.machine.matmul import choose_matmul
 from tom.record import RunReader, Store, layout
 from tom.record.array_files import DAMAGE, read_table
@@ -51,7 +41,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     parser.add_argument("run_name", metavar="RUN", help="a run (id or folder)")
     parser.add_argument("--env", help="the run's task, if it is of a module of yours: MODULE:ID")
     parser.add_argument("--rows", type=Path, required=True, help="a text file: row numbers, from 0")
-    parser.add_argument("--step", type=count, required=True, metavar="N", help="a kept model fit")
+    parser.add_argument(
+        "--step", type=whole(1), required=True, metavar="N", help="a kept model fit"
+    )
     parser.add_argument(
         "--weighing", help="the weights are COLUMN of a weighing: FOLDER:COLUMN [the run's own]"
     )
@@ -59,17 +51,22 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         "--factors", nargs="+", type=float, default=list(FACTORS), metavar="X",
         help="the region's weights are multiplied by these [0 0.25 4]",
     )  # fmt: skip
-    parser.add_argument("--seeds", nargs="+", type=seed_number, default=[0, 1, 2], metavar="N")
-    parser.add_argument("--hidden", type=count, default=SMALL.hidden, help="[%(default)s]")
-    parser.add_argument("--layers", type=count, default=SMALL.layers, help="[%(default)s]")
+    parser.add_argument("--seeds", nargs="+", type=whole(0), default=[0, 1, 2], metavar="N")
+    parser.add_argument("--hidden", type=whole(1), default=SMALL.hidden, help="[%(default)s]")
+    parser.add_argument("--layers", type=whole(1), default=SMALL.layers, help="[%(default)s]")
     parser.add_argument("--out", type=Path, help="new folder [STORE/weighings/RUN-brushed-TIME]")
-    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
-    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    add_store(parser)
+    add_json(parser, "print the report as JSON")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    config = _settings(args)
+    for factor in args.factors:
+        brush.check_factor(factor)
+    try:
+        config = SMALL.but(hidden=args.hidden, layers=args.layers)
+    except ValidationError as error:
+        raise one_line(error) from None
     torch.set_num_threads(1)
     choose_matmul("default")
     store = Store(args.store)
@@ -77,17 +74,29 @@ def run(args: argparse.Namespace) -> int:
     if reader is None:
         raise UserError(f"no run '{args.run_name}' in {store.path}/: name one of `tom runs list`")
     data = of_run(reader, args.step)
-    region = _region(args.rows, reader, data, args.step)
-    brush = _brush(args, reader, store, data, region)
+    region = _region(args.rows, reader, args.step, len(data))
+    weights = _weights(args.weighing, reader, store, args.step)
+    if len(weights) != len(data):
+        raise UserError(
+            f"these are weights of {len(weights)} transitions, and the buffer at step {args.step} "
+            f"holds {len(data)}: name weights of that step"
+        )
+    fresh = None
+    if args.step in reader.policy_steps():
+        known = task(reader.env)
+        policy = load_policy(str(reader.path), store, known, args.step)
+        episodes = made_anew(known, policy, FRESH, min(args.seeds), "fresh episodes")
+        fresh = episodes.transitions.torch()
+    work = Brush(data.transitions, torch.tensor(weights), torch.from_numpy(region), fresh)
     name = f"{reader.run_id}-brushed"
     weighing_files.check_free(args.out or store.new_weighing(name))
     begun, models = perf_counter(), list[BrushedFit]()
     seeds = list(dict.fromkeys(args.seeds))
-    total = len(dict.fromkeys((AS_IT_IS, *args.factors))) * len(seeds)
-    for one in fits(brush, config, args.factors, seeds):
+    total = len(dict.fromkeys((brush.AS_IT_IS, *args.factors))) * len(seeds)
+    for one in brush.fits(work, config, args.factors, seeds):
         models.append(one)
-        words = f"model {len(models)} of {total}: region x {one.factor:g}, seed {one.seed}"
-        print(words, file=sys.stderr, flush=True)
+        text = f"model {len(models)} of {total}: region x {one.factor:g}, seed {one.seed}"
+        print(text, file=sys.stderr, flush=True)
     report = {
         "data": data.name,
         "env": data.env,
@@ -99,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         weighing_files.BRUSH: {
             "of": args.weighing or "own",
             "model": config.model_dump(include={"kind", "hidden", "layers", "rounds"}),
-            "fresh": 0 if brush.fresh is None else len(brush.fresh),
+            "fresh": 0 if fresh is None else len(fresh),
         },
         "made": {
             "command": shlex.join(["tom", *sys.argv[1:]]),
@@ -108,79 +117,51 @@ def run(args: argparse.Namespace) -> int:
             "hours": (perf_counter() - begun) / 3600,
         },
     }
-    made = _ghosts(reader, models, args.step)
+    ghosts = _ghosts(reader, models, args.step)
     with weighing_files.place(args.out, store, name) as out:
-        brush_files.write(out, region, models, report, made)
+        brush_files.write(out, region, models, report, ghosts)
     print(json.dumps({"out": str(out)}) if args.json else out)
     return 0
 
 
-def _settings(args: argparse.Namespace) -> ModelConfig:
-    """The model's. Raises UserError for an impossible one, or for an impossible factor."""
-    for factor in args.factors:
-        check_factor(factor)
-    try:
-        return SMALL.but(hidden=args.hidden, layers=args.layers)
-    except ValidationError as error:
-        raise one_line(error) from None
-
-
-def _region(path: Path, reader: RunReader, data: OrderedData, step: int) -> NDArray[np.bool_]:
-    """The rows listed in the file, by their numbers in the run's record, as a mask (N,)."""
+def _region(path: Path, reader: RunReader, step: int, count: int) -> NDArray[np.bool_]:
+    """The rows listed in the file, by their numbers in the run's record, as a mask (count,)."""
     try:
         numbers = np.array(path.read_text().split(), np.int64)
     except (OSError, ValueError, OverflowError) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise UserError(f"--rows {path}: {why}; write row numbers into it, one a line") from None
-    first = step - len(data)
+        raise UserError(
+            f"--rows {path}: {reason(error)}; write row numbers into it, one a line"
+        ) from None
+    first = step - count
     if not len(numbers) or numbers.min() < first or numbers.max() >= step:
         raise UserError(
             f"--rows {path}: the buffer of run {reader.run_id} at step {step} holds the rows "
             f"{first} to {step - 1}: name some of these"
         )
-    region = np.zeros(len(data), bool)
+    region = np.zeros(count, bool)
     region[numbers - first] = True
     return region
 
 
-def _brush(
-    args: argparse.Namespace,
-    reader: RunReader,
-    store: Store,
-    data: OrderedData,
-    region: NDArray[np.bool_],
-) -> Brush:
-    weights = _own(reader, args.step) if args.weighing is None else _of(args.weighing, store)
-    if len(weights) != len(data):
-        raise UserError(
-            f"these are weights of {len(weights)} transitions, and the buffer at step {args.step} "
-            f"holds {len(data)}: name weights of that step"
-        )
-    fresh = None
-    if args.step in reader.policy_steps():
-        known = task(reader.env)
-        policy = load_policy(str(reader.path), store, known, args.step)
-        made = made_anew(known, policy, FRESH, min(args.seeds), "fresh episodes")
-        fresh = made.transitions.torch()
-    return Brush(data.transitions, torch.tensor(weights), torch.from_numpy(region), fresh)
-
-
-def _own(reader: RunReader, step: int) -> NDArray[np.float32]:
-    kept = reader.snapshot_steps()
-    if step not in kept:
-        advice = ", ".join(map(str, kept)) or "none"
-        raise UserError(f"run {reader.run_id} kept no weights of step {step}; it kept: {advice}")
-    return reader.snapshot(step)["weight"].to_numpy(np.float32)
-
-
-def _of(name: str, store: Store) -> NDArray[np.float32]:
-    where, _, column = name.rpartition(":")
-    path = Path(where) if "/" in where else store.beside(layout.WEIGHINGS) / where
+def _weights(
+    weighing: str | None, reader: RunReader, store: Store, step: int
+) -> NDArray[np.float32]:
+    """The weights in a column of a weighing, or those of the run at `step`."""
+    if weighing is None:
+        steps = reader.snapshot_steps()
+        if step not in steps:
+            advice = ", ".join(map(str, steps)) or "none"
+            raise UserError(
+                f"run {reader.run_id} kept no weights of step {step}; it kept: {advice}"
+            )
+        return reader.snapshot(step)["weight"].to_numpy(np.float32)
+    place, _, column = weighing.rpartition(":")
+    path = Path(place) if "/" in place else store.beside(layout.WEIGHINGS) / place
     try:
         return read_table(path / weighing_files.WEIGHTS)[column].to_numpy(np.float32)
     except (KeyError, *DAMAGE) as error:
         raise UserError(
-            f"--weighing {name}: no such weights ({error}): name FOLDER:COLUMN"
+            f"--weighing {weighing}: no such weights ({error}): name FOLDER:COLUMN"
         ) from None
 
 
@@ -190,16 +171,15 @@ def _ghosts(reader: RunReader, fitted: list[BrushedFit], step: int) -> dict[str,
     The models are the first seed's; the episode is from the last evaluation at or before `step`.
     Empty if no episode was recorded, or observations do not hold the joints.
     """
-    known, kept = task(reader.env), reader.evaluation_steps()
-    if not kept or known.root_dims is None:
+    known, evaluated = task(reader.env), reader.evaluation_steps()
+    if not evaluated or known.root_dims is None:
         return {}
-    episodes = reader.episodes(at_or_before(kept, step))
+    episodes = reader.episodes(at_or_before(evaluated, step))
     longest = max(episodes, key=lambda e: e.length, default=None)
     if longest is None or longest.qpos is None or not longest.length:
         return {}
-    first = fitted[0].seed
-    models = {f.factor: f.model for f in fitted if f.seed == first}
+    models = {one.factor: one.model for one in fitted if one.seed == fitted[0].seed}
     dt = scene.model(reader.env).dt
-    made = ghosts(known, longest, models, dt, HORIZON)
-    named = {f"x{factor:g}": qpos for factor, qpos in made.items()}
+    predicted = brush.ghosts(known, longest, models, dt, HORIZON)
+    named = {f"x{factor:g}": qpos for factor, qpos in predicted.items()}
     return {"real": np.asarray(longest.qpos, np.float32), "dt": np.array(dt), **named}

@@ -1,7 +1,9 @@
-"""Options that commands share: those of a run, and those made from a configuration."""
+"""Options that commands share: those of every command, of a training, and of a configuration."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import takewhile
+from math import inf
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
@@ -9,36 +11,40 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from tom.errors import UserError
+from tom.errors import UserError, invalid_value
 
 DEST = "config:"  # marks arguments that belong to the configuration
+TERMINATION = "model.termination"
 
 
-def folder(word: str) -> Path:
+def folder(text: str) -> Path:
     """The type of a folder argument, for argparse."""
-    if "://" in word:
+    if "://" in text:
         raise argparse.ArgumentTypeError(
-            f"{word} is no folder; runs in an object store are fetched first: "
+            f"{text} is no folder; runs in an object store are fetched first: "
             "tom runs fetch s3://BUCKET/PREFIX --store runs"
         )
-    return Path(word)
+    return Path(text)
 
 
-def seed_number(word: str) -> int:
-    """The type of a seed, for argparse."""
-    if not word.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{word}' is no seed: a whole number, 0 or more")
-    return int(word)
+def whole(least: int, most: float = inf) -> Callable[[str], int]:
+    """The type of a whole number from `least` to `most`, for argparse."""
+
+    def parse(text: str) -> int:
+        if text.isdecimal() and least <= int(text) <= most:
+            return int(text)
+        bounds = f"{least} or more" if most == inf else f"{least} to {most}"
+        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number, {bounds}")
+
+    return parse
 
 
-def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that all training commands share."""
-    group = parser.add_argument_group("where and how")
-    group.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
-    add_accept_versions(group)
-    group.add_argument("--no-rerun", action="store_true", help="write files only, no recording")
-    group.add_argument("--headless", action="store_true", help="no server, no browser")
-    group.add_argument("--json", action="store_true", help="print the result as JSON")
+def add_store(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
+
+
+def add_json(parser: argparse._ActionsContainer, text: str = "print JSON") -> None:
+    parser.add_argument("--json", action="store_true", help=text)
 
 
 def add_accept_versions(parser: argparse._ActionsContainer) -> None:
@@ -50,18 +56,91 @@ def add_accept_versions(parser: argparse._ActionsContainer) -> None:
     )
 
 
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the commands that train one run."""
+    group = parser.add_argument_group("where and how")
+    add_store(group)
+    add_accept_versions(group)
+    group.add_argument("--no-rerun", action="store_true", help="write files only, no recording")
+    group.add_argument("--headless", action="store_true", help="no server, no browser")
+    add_json(group, "print the result as JSON")
+
+
+def add_training_options(
+    parser: argparse.ArgumentParser, arguments: list[str], leave_out: set[str]
+) -> None:
+    """Add the options of `tom train` and `tom sweep`: preset, short forms, all settings.
+
+    The settings are those of the environment that `arguments` name.
+    """
+    # Imported here because `tom runs` needs none of them.
+    from tom.envs import ROAD
+    from tom.learners import LEARNERS
+    from tom.training.presets import PRESETS, config_type
+
+    env = ROAD if named(arguments, "--env") == {ROAD} else ""
+    parser.add_argument(
+        "--preset", metavar="PRESET", help=f"{', '.join(PRESETS)} [mended for TOM, else paper]"
+    )
+    parser.add_argument(
+        "--model", dest=DEST + "model.kind", metavar="KIND", help="short for --model.kind"
+    )
+    if env != ROAD:
+        add_termination(parser)
+    add_config_options(parser, config_type(env, *LEARNERS), leave_out)
+
+
+def add_termination(parser: argparse._ActionsContainer) -> None:
+    """Add `--termination`, a short form of the setting `model.termination`."""
+    parser.add_argument(
+        "--termination",
+        dest=DEST + TERMINATION,
+        metavar="module:function",
+        help="what ends an episode in the model: next observations (B, O) in the task's units -> "
+        "bool (B,); or never; or learnt, by a head of the model (short for --model.termination)",
+    )
+
+
+def named(arguments: list[str], option: str) -> set[str]:
+    """The words that a command line gives to an option, before it is parsed."""
+    found: set[str] = set()
+    for index, argument in enumerate(arguments):
+        if argument.startswith(option + "="):
+            found.add(argument.split("=", 1)[1])
+        elif argument == option:
+            found |= set(takewhile(lambda word: word[:1] != "-", arguments[index + 1 :]))
+    return found
+
+
+def import_named(args: argparse.Namespace) -> None:
+    """Import the modules of the tasks and the termination rule that the command line names.
+
+    Raises UserError if there is no such module.
+    """
+    env, rule = getattr(args, "env", None), getattr(args, DEST + TERMINATION, None)
+    if env is None and rule is None:
+        return
+    from tom.envs import bring  # a simulator takes a second to import
+    from tom.envs.ends import bring_rule
+
+    for name in env if isinstance(env, list) else [env]:
+        bring(name)
+    bring_rule(rule)
+
+
 def add_config_options(
     parser: argparse.ArgumentParser, config: type[BaseModel], leave_out: set[str]
 ) -> None:
     """One option for each value of a configuration; nested groups are dotted (`--sac.lr`)."""
     group = parser.add_argument_group("settings (each overrides the preset)")
     for path, info in leaf_fields(config):
-        if path in leave_out:
-            continue
-        option = "--" + path.replace("_", "-")
-        group.add_argument(
-            option, dest=DEST + path, metavar=_metavar(info), help=_help(info), default=None
-        )
+        if path not in leave_out:
+            option = "--" + path.replace("_", "-")
+            text = (info.description or "").replace("%", "%%")
+            default = info.get_default(call_default_factory=True)
+            group.add_argument(
+                option, dest=DEST + path, metavar=_metavar(info), help=f"{text} [{default}]".strip()
+            )
 
 
 def leaf_fields(config: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
@@ -72,6 +151,16 @@ def leaf_fields(config: type[BaseModel], prefix: str = "") -> Iterator[tuple[str
             yield from leaf_fields(kind, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", info
+
+
+def _metavar(info: FieldInfo) -> str:
+    kind = info.annotation
+    if get_origin(kind) is Literal:
+        return "|".join(map(str, get_args(kind)))
+    if get_origin(kind) in (Union, UnionType):
+        kind = next(k for k in get_args(kind) if k is not type(None))
+    name = getattr(kind, "__name__", str(kind))
+    return {"int": "N", "float": "X", "bool": "true|false", "str": "NAME"}.get(name, name.upper())
 
 
 def overrides(args: argparse.Namespace) -> dict[str, Any]:
@@ -90,23 +179,5 @@ def overrides(args: argparse.Namespace) -> dict[str, Any]:
 
 def one_line(error: ValidationError) -> UserError:
     """Pydantic's first error as one line that names the option."""
-    first = error.errors(include_url=False)[0]
-    option = "--" + ".".join(str(part) for part in first["loc"]).replace("_", "-")
-    message = first["msg"].replace("Input should be", "must be")
-    return UserError(f"{option} {first['input']}: {message}")
-
-
-def _metavar(info: FieldInfo) -> str:
-    kind = info.annotation
-    if get_origin(kind) is Literal:
-        return "|".join(str(choice) for choice in get_args(kind))
-    if get_origin(kind) in (Union, UnionType):
-        kind = next(k for k in get_args(kind) if k is not type(None))
-    name = getattr(kind, "__name__", str(kind))
-    return {"int": "N", "float": "X", "bool": "true|false", "str": "NAME"}.get(name, name.upper())
-
-
-def _help(info: FieldInfo) -> str:
-    text = (info.description or "").replace("%", "%%")
-    default = info.get_default(call_default_factory=True)
-    return f"{text} [{default}]".strip()
+    path, space, problem = invalid_value(error).partition(" ")
+    return UserError(f"--{path.replace('_', '-')}{space}{problem}")

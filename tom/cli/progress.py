@@ -1,114 +1,135 @@
-"""Progress of a run on a terminal (a bar) or elsewhere (plain lines, at least one each 30 s)."""
+"""Progress of a long command: a picture that is redrawn on a terminal, plain lines elsewhere."""
 
-from collections import deque
+from abc import ABC, abstractmethod
 from time import monotonic
-from typing import TextIO
+from typing import Self, TextIO
 
+from rich.console import Console, RenderableType
+from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from tom.cli.screen import Screen, Shown
 from tom.events import Evaluation, Event, Notice, Tick
 from tom.readable import duration, score
 
-LINE_EVERY_S = 20.0
+PICTURE_EVERY_S = 1.0
+RATE_OVER_S = 300.0
+"""the rate of steps is a mean over the last 1000 samples, and at most over this time"""
 
 
-class Pace:
-    """Recent env steps per second, whatever step a run began at."""
-
-    def __init__(self) -> None:
-        self.step = 0
-        self._recent: deque[tuple[float, int]] = deque(maxlen=200)  # (when, step)
-
-    def reach(self, step: int, now: float) -> None:
-        self.step = max(self.step, step)
-        if not self._recent or now - self._recent[-1][0] > 0.2:
-            self._recent.append((now, self.step))
-
-    def rate(self) -> float:
-        """Steps per second; 0 if not known yet."""
-        if not self._recent:
-            return 0.0
-        (t0, s0), (t1, s1) = self._recent[0], self._recent[-1]
-        return (s1 - s0) / (t1 - t0) if t1 > t0 else 0.0
-
-    def rate_text(self) -> str:
-        return f"{self.rate():.0f} steps/s" if self.rate() else ""
-
-    def eta_text(self, total: int) -> str:
-        left, rate = total - self.step, self.rate()
-        return f"eta {duration(left / rate)}" if rate > 0 and left > 0 else ""
+class StoppableConsole(Console):
+    def on_broken_pipe(self) -> None:
+        """Rich would end the process here; the training decides instead."""
+        raise BrokenPipeError
 
 
-class ProgressReport(Shown):
-    """Shows phase, env steps/s, last and best return and the remaining time."""
+class Display(ABC):
+    """A `picture` on a terminal, or every `line_every_s` seconds a `line` elsewhere.
+
+    It is shown inside a `with` block. `refresh` may be called at any rate.
+    """
+
+    line_every_s = 20.0
+
+    def __init__(self, stream: TextIO) -> None:
+        self.console = StoppableConsole(file=stream)
+        terminal = self.console.is_terminal
+        self.live = Live(console=self.console, auto_refresh=False) if terminal else None
+        self._shown = monotonic()
+
+    @abstractmethod
+    def picture(self) -> RenderableType:
+        """What a terminal shows now."""
+
+    @abstractmethod
+    def line(self) -> str:
+        """The same in a line."""
+
+    def __enter__(self) -> Self:
+        if self.live:
+            self.live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.live:
+            self.live.update(self.picture(), refresh=True)
+            self.live.stop()
+
+    def refresh(self, *, now: bool = False) -> None:
+        """Show the progress, unless it was shown a moment ago and `now` is false."""
+        at, every_s = monotonic(), PICTURE_EVERY_S if self.live else self.line_every_s
+        if not now and at - self._shown < every_s:
+            return
+        self._shown = at
+        if self.live:
+            self.live.update(self.picture(), refresh=True)
+        else:
+            self.print(self.line())
+
+    def print(self, line: str) -> None:
+        """Print a line that stays, above the picture."""
+        self.console.print(line, markup=False, emoji=False, highlight=False, soft_wrap=True)
+
+
+class BarDisplay(Display):
+    """A bar of `total` steps."""
 
     def __init__(self, label: str, total: int, stream: TextIO) -> None:
-        self._label, self._total = label, total
-        self._bar = _bar()
-        self._task = self._bar.add_task(label, total=total, text="")
-        self._screen = Screen(stream, lambda: self._bar, self._line, LINE_EVERY_S, monotonic())
-        self._pace = Pace()
-        self._phase = ""
-        self._last: float | None = None
-        self._best: float | None = None
+        super().__init__(stream)
+        self.label, self.total = label, total
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[text]}"),
+            TimeRemainingColumn(),
+            get_time=lambda: monotonic(),
+            speed_estimate_period=RATE_OVER_S,
+        )
+        self._bar.add_task(label, total=total, text="")
+        self.task = self._bar.tasks[0]
+
+    def picture(self) -> Progress:
+        return self._bar
+
+
+class ProgressReport(BarDisplay):
+    """A training's phase, env steps/s, last and best return and remaining time."""
+
+    def __init__(self, label: str, total: int, stream: TextIO) -> None:
+        super().__init__(label, total, stream)
+        self._phase, self._returns = "", list[float]()
 
     def consume(self, event: Event) -> None:
         if isinstance(event, Evaluation):
-            self._last = event.mean_return
-            self._best = self._last if self._best is None else max(self._best, self._last)
+            self._returns.append(event.mean_return)
         elif isinstance(event, Notice):
-            self._screen.say(f"{self._label} step {event.env_step}: {event.message}")
+            self.print(f"{self.label} step {event.env_step}: {event.message}")
         elif isinstance(event, Tick):
-            self._tick(event)
+            self._phase = event.phase
+            self._bar.update(self.task.id, completed=event.env_step, text=self._text())
+            self.refresh(now=event.env_step == self.total)
 
-    def _tick(self, event: Tick) -> None:
-        at = monotonic()
-        self._pace.reach(event.env_step, at)
-        self._phase = event.phase
-        self._bar.update(self._task, completed=event.env_step, text=self._text())
-        self._screen.look(at, now=event.env_step == self._total)
-
-    def _line(self) -> str:
-        at = f"{self._label} {self._pace.step}/{self._total}"
-        return joined(at, self._text(), self._pace.eta_text(self._total))
+    def line(self) -> str:
+        left = self.task.time_remaining
+        eta = f" eta {duration(left)}" if left else ""
+        return f"{self.label} {self.task.completed:.0f}/{self.total} {self._text()}{eta}"
 
     def _text(self) -> str:
-        returns = (
-            "" if self._last is None else f"return {score(self._last)} best {score(self._best)}"
-        )
-        return joined(self._phase, self._pace.rate_text(), returns)
+        parts = [self._phase]
+        if self.task.speed:
+            parts.append(f"{self.task.speed:.0f} steps/s")
+        if self._returns:
+            parts.append(f"return {score(self._returns[-1])} best {score(max(self._returns))}")
+        return " ".join(filter(None, parts))
 
 
-class CountReport(Shown):
-    """Shows how many of `total` steps are done: a bar on a terminal, else a line every 20 s."""
-
-    def __init__(self, label: str, total: int, stream: TextIO) -> None:
-        self._label, self._total, self._done = label, total, 0
-        self._bar = _bar()
-        self._task = self._bar.add_task(label, total=total, text="")
-        self._screen = Screen(stream, lambda: self._bar, self._line, LINE_EVERY_S, monotonic())
+class CountReport(BarDisplay):
+    """How many of `total` steps are done."""
 
     def step(self) -> None:
         """Count one more step."""
-        self._done += 1
-        self._bar.update(self._task, completed=self._done)
-        self._screen.look(monotonic())
+        self._bar.advance(self.task.id)
+        self.refresh()
 
-    def _line(self) -> str:
-        return f"{self._label}: {self._done} of {self._total} steps"
-
-
-def joined(*parts: str) -> str:
-    """The non-empty parts as one line."""
-    return " ".join(part for part in parts if part)
-
-
-def _bar() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[text]}"),
-        TimeRemainingColumn(),
-    )
+    def line(self) -> str:
+        return f"{self.label}: {self.task.completed:.0f} of {self.total} steps"

@@ -5,11 +5,10 @@ import argparse
 from pydantic import ValidationError
 
 from tom.cli.parser import add_config_options, add_run_options, leaf_fields, one_line, overrides
-from tom.cli.train import begin
+from tom.cli.train import OWN_OPTIONS, begin
 from tom.config import SacRecordingConfig
 from tom.envs import ANY, ENVS, task
 
-OWN_OPTIONS = ("env", "learner", "preset")
 WITHOUT_MEANING = ("tom.", "pmac.", "vagram.", "bins", "device")
 
 
@@ -29,9 +28,9 @@ def add_parser(subparsers, arguments: list[str]) -> None:
     )
     parser.add_argument("--run-id", help="name of the run folder [env-sac-seed-time]")
     add_run_options(parser)
-    paths = {path for path, _ in leaf_fields(SacRecordingConfig)}
-    left_out = {path for path in paths if path.startswith((*OWN_OPTIONS, *WITHOUT_MEANING))}
-    add_config_options(parser, SacRecordingConfig, leave_out=left_out)
+    left_out = (*OWN_OPTIONS, *WITHOUT_MEANING)
+    paths = {path for path, _ in leaf_fields(SacRecordingConfig) if path.startswith(left_out)}
+    add_config_options(parser, SacRecordingConfig, leave_out=paths)
     parser.set_defaults(run=run)
 
 

@@ -10,22 +10,19 @@ import signal
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from matplotlib import rc_context
 from pydantic import ValidationError
 
-from tom.cli.parser import folder, one_line, seed_number
+from tom.cli.parser import add_json, folder, one_line, whole
 from tom.cli.progress import ProgressReport
-from tom.cli.signals import on_stopping
-from tom.cli.tables import show
+from tom.cli.tables import show_rows
 from tom.config import SacRecordingConfig
 from tom.errors import DivergedError
-from tom.readable import cell
+from tom.machine.processes import on_stopping
 from tom.record import RunReader, Store
 from tom.record.files import plain
 from tom.reports.files import write_csv
@@ -48,8 +45,6 @@ from tom.training.resume import resume, unfinished
 from tom.training.run import Stop, train
 
 _BEGUN = time.monotonic()  # a study is a separate process
-
-
 STUDIES = (road, progression, focus, footprint, capacity, improvement, online, returns, tabular)
 
 
@@ -64,11 +59,11 @@ def add_parser(subparsers, arguments: list[str]) -> None:
         question = (study.doc or "").partition("\n")[0]
         own = studies.add_parser(study.name, help=question, description=study.doc)
         own.register("type", "folder", folder)
-        own.register("type", "seed", seed_number)
+        own.register("type", "seed", whole(0))
         study.options(own)
         out = Path("reports") / study.name
         own.add_argument("--out", type=Path, default=out, help="[%(default)s]")
-        own.add_argument("--json", action="store_true", help="print the result as JSON")
+        add_json(own, "print the result as JSON")
         own.set_defaults(run=partial(run, study))
 
 
@@ -101,12 +96,19 @@ def _run(study: Study, args: Namespace) -> int:
     lab = Lab(args.out, getattr(args, "jobs", 1), partial(record, args))
     found = study.find(args, lab)
     make_folder(args.out)
-    failed = [str(row["name"]) for row in found.checks if row["met"] is False]
-    said = [*found.said, *_judgement(found.checks, failed)]
-    tables = [
-        *([Table("Acceptance", _judged(found.checks))] if found.checks else []),
-        *found.tables,
-    ]
+    judged = [row for row in found.checks if row["met"] is not None]
+    failed = [str(row["name"]) for row in judged if not row["met"]]
+    verdict = list(found.said)
+    if judged:
+        met = len(judged) - len(failed)
+        verdict.append(f"{met} of {len(judged)} figures of our acceptance are met.")
+    if failed:
+        verdict.append(f"Not met: {'; '.join(failed)}.")
+    tables = list(found.tables)
+    if found.checks:
+        answers = {True: "yes", False: "NO", None: ""}
+        rows = [{**row, "met": answers[row["met"]]} for row in found.checks]
+        tables.insert(0, Table("Acceptance", rows))
     for name, rows in found.files.items():
         write_csv(args.out / f"{name}.csv", rows)
     pictures = []
@@ -117,42 +119,21 @@ def _run(study: Study, args: Namespace) -> int:
         f"{(time.monotonic() - _BEGUN) / 3600:.2f} (cases kept from an earlier call not counted)"
     )
     made = origin() | {"hours": hours} | dict(found.origin)
-    rows = [(table.title, table.rows) for table in tables]
-    write_report(Report(study.title, study.claim, said, pictures, rows, made), args.out)
+    sections = [(table.title, table.rows) for table in tables]
+    write_report(Report(study.title, study.claim, verdict, pictures, sections, made), args.out)
     if args.json:
         content = {"checks": found.checks} if found.checks else {}
-        content |= {**found.json, "verdict": said, "out": str(args.out)}
+        content |= {**found.json, "verdict": verdict, "out": str(args.out)}
         print(json.dumps(plain(content), allow_nan=False))
-    else:
-        _print(tables, [*said, str(args.out)])
-    return 1 if failed else 0
-
-
-def _judgement(checks: Sequence[Mapping[str, Any]], failed: Sequence[str]) -> list[str]:
-    """How much of the acceptance is met, in sentences."""
-    judged = [row for row in checks if row["met"] is not None]
-    if not judged:
-        return []
-    said = [f"{len(judged) - len(failed)} of {len(judged)} figures of our acceptance are met."]
-    return said + ([f"Not met: {'; '.join(failed)}."] if failed else [])
-
-
-def _judged(checks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    return [{**row, "met": {True: "yes", False: "NO", None: ""}[row["met"]]} for row in checks]
-
-
-def _print(tables: Sequence[Table], said: Sequence[str]) -> None:
+        return 1 if failed else 0
     for table in tables:
         rows = table.rows if table.brief is None else table.brief
         if rows:
-            show(
-                table.title,
-                tuple(rows[0]),
-                [tuple(map(cell, row.values())) for row in rows],
-            )
+            show_rows(table.title, rows)
         elif table.rows:
             print(f"{table.title}: in the report")
-    print("\n".join(said))
+    print("\n".join([*verdict, str(args.out)]))
+    return 1 if failed else 0
 
 
 def record(args: Namespace, store: Store, config: SacRecordingConfig) -> RunReader:

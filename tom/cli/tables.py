@@ -1,7 +1,7 @@
-"""Tables as wide as the terminal, or in full width elsewhere, and what a table says of a run."""
+"""Tables as wide as the terminal, or in full width elsewhere, and the summary of a run."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -31,27 +31,32 @@ def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> N
     console.print(table)
 
 
+def show_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print a table whose columns are the keys of its rows, all with the same keys."""
+    show(title, list(rows[0]), [list(map(readable.cell, row.values())) for row in rows])
+
+
 def _is_number(shown: str) -> bool:
     return shown == readable.UNKNOWN or is_number(shown.replace(",", ""))
 
 
-def name_problems(store: Store) -> None:
-    """Print what `store.runs()` left out, apart from the output that a script reads."""
+def print_problems(store: Store) -> None:
+    """Print on stderr what `store.runs()` left out."""
     for problem in store.problems:
         print(terminal(problem), file=sys.stderr)
 
 
-def summary(done: RunReader, status: Status | None = None) -> dict[str, Any]:
+def summary(run: RunReader, status: Status | None = None) -> dict[str, Any]:
     """A run's last and best return and its folder; `status` is read if None."""
-    status = status or done.status
+    status = status or run.status
     return {
-        "run_id": done.run_id,
-        "env": done.env,
-        "learner": done.learner,
-        "seed": done.seed,
+        "run_id": run.run_id,
+        "env": run.env,
+        "learner": run.learner,
+        "seed": run.seed,
         "state": status.state,
         "env_step": status.env_step,
         "last_return": status.last_return,
         "best_return": status.best_return,
-        "path": str(done.path),
+        "path": str(run.path),
     }

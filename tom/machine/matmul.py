@@ -15,7 +15,6 @@ import json
 import os
 import platform
 import tempfile
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -23,11 +22,10 @@ from time import process_time
 from typing import Any, Literal
 
 import torch
-from torch import Tensor
 
 MAX_ERROR = 2e-4  # of a 256-term product of unit normals, against float64; fp32 gives 2e-5 to 4e-5
 MIN_GAIN = 1.15  # below this the default is used: a tie must not flip between runs
-REPEATS = 7
+REPEATS, PRODUCTS = 7, 20
 X86_LINES = ("vendor_id", "cpu family", "model", "stepping", "flags")
 ARM_LINES = ("CPU implementer", "CPU variant", "CPU part", "CPU revision", "Features")
 CPU_LINES = X86_LINES + ARM_LINES  # of /proc/cpuinfo
@@ -62,13 +60,6 @@ def current() -> Backend:
     return "onednn" if _ONEDNN.matmul.fp32_precision == "bf16" else "default"
 
 
-def _milliseconds(product: Callable[[], Tensor]) -> float:
-    start = process_time()
-    for _ in range(20):
-        product()
-    return (process_time() - start) * 1000 / 20
-
-
 def choose_matmul(wanted: Literal["auto", "default", "onednn"] = "auto") -> MatmulReport:
     """Set this process's backend and report the result of this machine's probe.
 
@@ -93,7 +84,10 @@ def probe() -> MatmulReport:
     for _ in range(REPEATS):
         for backend in ("default", "onednn"):
             use(backend)
-            times[backend].append(_milliseconds(lambda: a @ b))
+            start = process_time()
+            for _ in range(PRODUCTS):
+                a @ b
+            times[backend].append((process_time() - start) * 1000 / PRODUCTS)
             if backend == "onednn":
                 error = float(((a @ b).double() - exact).abs().max())
     use(before)
@@ -123,16 +117,28 @@ def kind_of(cpuinfo: str) -> str:
 
 
 def _of_this_machine(path: Path) -> MatmulReport:
-    """The result stored in `path`, else that of a probe, which is then stored if possible."""
-    kept = _read(path)
-    if kept is not None:
-        return kept
+    """The result stored in `path`, else that of a probe, which is then stored if possible.
+
+    If another process was first to store one, its result counts.
+    """
+    stored = _read(path)
+    if stored is not None:
+        return stored
     report = probe()
-    try:
+    with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        return _keep(report, path)
-    except OSError:
-        return report
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp") as file:
+            json.dump(report.record(), file)
+            file.flush()
+            try:
+                os.link(file.name, path)
+            except FileExistsError:
+                first = _read(path)
+                if first is not None:
+                    return first
+                path.unlink(missing_ok=True)  # it is damaged
+                os.link(file.name, path)
+    return report
 
 
 def _read(path: Path) -> MatmulReport | None:
@@ -141,19 +147,3 @@ def _read(path: Path) -> MatmulReport | None:
     except (OSError, ValueError, TypeError):
         return None
     return report if report.chosen in ("default", "onednn") else None
-
-
-def _keep(report: MatmulReport, path: Path) -> MatmulReport:
-    """Store `report`; if another process was first, return its result."""
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp") as file:
-        json.dump(report.record(), file)
-        file.flush()
-        try:
-            os.link(file.name, path)
-        except FileExistsError:
-            first = _read(path)
-            if first is not None:
-                return first
-            path.unlink(missing_ok=True)  # it is damaged
-            os.link(file.name, path)
-    return report

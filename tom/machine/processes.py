@@ -1,16 +1,19 @@
-"""Child processes: they end with their parent, unless they are meant to outlive it."""
+"""Child processes, which end with their parent unless they are meant to outlive it, and signals."""
 
 import ctypes
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from types import FrameType
 from typing import IO
 
 Process = subprocess.Popen[bytes]
+Handler = Callable[[int, FrameType | None], object]
 
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PR_SET_PDEATHSIG = 1
 
 
@@ -41,6 +44,12 @@ def start(
     )
 
 
+def start_module(arguments: Sequence[str], out: IO[bytes] | int | None) -> Process:
+    """Start `python -m` followed by `arguments`, with one thread for torch and BLAS."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return start([sys.executable, "-m", *arguments], out, environment)
+
+
 def stop(processes: Sequence[Process], grace_s: float) -> None:
     """Ask all processes to stop; kill each that has not stopped after `grace_s` seconds."""
     for process in processes:
@@ -53,14 +62,39 @@ def stop(processes: Sequence[Process], grace_s: float) -> None:
         process.wait()
 
 
-def single_threaded(**more: str) -> dict[str, str]:
-    """This process's environment variables, with one thread for torch and BLAS, and `more`."""
-    return {**os.environ, "OMP_NUM_THREADS": "1", **more}
-
-
 def end_with_parent() -> None:
     """Let the kernel send this process SIGTERM when its parent dies, also by kill -9 (Linux).
 
     The parent is the thread that started it.
     """
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+@contextmanager
+def on_stopping(stop: Handler, numbers: Sequence[signal.Signals] = STOPPING) -> Iterator[None]:
+    """Inside the block, call `stop` on Ctrl-C (also if a shell started us in the background),
+    SIGTERM and SIGHUP; afterwards their handlers are what they were.
+
+    `stop` is called for the first signal and then only for Ctrl-C, since only a person asks twice
+    on purpose: a closed terminal often sends SIGHUP twice, and whoever ends a session or job sends
+    SIGTERM to a sweep and to its trainings, which the sweep also asks. A command started with nohup
+    ignores SIGHUP.
+    """
+    received: list[int] = []
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if len(received) == 1 or number == signal.SIGINT:
+            stop(number, frame)
+
+    before = {number: signal.getsignal(number) for number in numbers}
+    try:
+        for number, previous in before.items():
+            under_nohup = number is signal.SIGHUP and previous is signal.SIG_IGN
+            if not under_nohup:
+                signal.signal(number, handler)
+        yield
+    finally:
+        for number, previous in before.items():
+            if previous is not None:  # None: it was not Python's
+                signal.signal(number, previous)

@@ -32,7 +32,6 @@ BACK_OFF_S = 5.0  # wait before the second attempt; it doubles with each further
 LOW_BYTES = 200e6  # with less free disk space nothing is started and no failure is counted
 STOP_S = 300.0  # a training writes its checkpoint within this time after a request
 KILL_S = 10.0  # a killed process has ended within this time
-ELSEWHERE = "another process is writing it, or was a moment ago"
 
 
 @dataclass
@@ -69,7 +68,8 @@ class Driver:
         self.engine = engine
         self.low_bytes = low_bytes
         self.back_off_s = back_off_s
-        self._accepted = [ACCEPT] if accept_versions else []
+        plugged = [f"{plugins.OPTION}={name}" for name in plugins.wanted_here()]
+        self._options = ["--resume=auto", *plugged, *([ACCEPT] if accept_versions else [])]
         runs = self.store.runs()
         logs = self.store.beside(layout.LOGS)
         self.jobs: list[Job] = []
@@ -133,16 +133,25 @@ class Driver:
                 continue
             job.process = None
             with suppress(OSError):  # out of reach: its last known state counts
-                self.backend.look(job.run_id, now=True)
+                self.backend.update(job.run_id, now=True)
             job.state = "finished" if self._is_done(job) else "stopped"
+
+    def run_of(self, job: Job) -> RunReader:
+        """The run of a training; it may not be there yet."""
+        return RunReader(self.store.path / job.run_id)
 
     def _advance(self, job: Job, slots: int) -> None:
         if job.state in ("running", "elsewhere"):
-            self.backend.look(job.run_id)
+            self.backend.update(job.run_id)
         if job.process and (code := job.process.poll()) is not None:
             self._ended(job, code)
         elif job.state == "elsewhere":
-            self._watch(job)
+            if self._is_done(job):
+                job.state, job.note = "finished", "by another process"
+            elif not self._is_written(job):
+                job.state = "waiting"
+                if job.attempts:  # it is ours that was the last to write it
+                    self._again(job)
         if job.state != "waiting" or self.full or time.monotonic() < job.not_before:
             return
         written = [one for one in self.jobs if one.state in ("running", "elsewhere")]
@@ -150,27 +159,26 @@ class Driver:
             self._start(job)
 
     def _start(self, job: Job) -> None:
-        self.backend.look(job.run_id, now=True)
+        self.backend.update(job.run_id, now=True)
         if self._is_done(job):
             job.state, job.note = "finished", "by another process"
             return
         if self._is_written(job):
-            job.note = ELSEWHERE
+            job.note = "another process is writing it, or was a moment ago"
             return
-        at = self._saved(job)
-        if at < 0 and job.run_id != job.trial.run_id:
+        saved = self._saved(job)
+        if saved < 0 and job.run_id != job.trial.run_id:
             job.run_id = job.trial.run_id  # it cannot go on; what has the own name perhaps can
             self._start(job)
             return
-        job.step, job.attempts = at, job.attempts + 1
-        plugged = [f"{plugins.OPTION}={word}" for word in plugins.wanted_here()]
-        own = [f"--run-id={job.run_id}", "--resume=auto", *plugged, *self._accepted]
-        words = self.backend.words(job.run_id, [*job.trial.options(), *own])
+        job.step, job.attempts = saved, job.attempts + 1
+        options = [*job.trial.options(), f"--run-id={job.run_id}", *self._options]
+        command = self.backend.command(job.run_id, options)
         try:
             job.log.parent.mkdir(parents=True, exist_ok=True)
             with job.log.open("a", errors="backslashreplace") as out:  # a path may be no text
-                out.write(f"$ {' '.join(words)}\n")
-            job.process = self.engine.start(words, job.log)
+                out.write(f"$ {' '.join(command)}\n")
+            job.process = self.engine.start(command, job.log)
             job.state, job.away = "running", False
         except OSError as error:
             job.note = str(error)
@@ -178,7 +186,7 @@ class Driver:
 
     def _ended(self, job: Job, code: int) -> None:
         self.backend.ended(job.run_id)
-        self.backend.look(job.run_id, now=True)
+        self.backend.update(job.run_id, now=True)
         job.process = None
         how = f"exit code {code}" if code >= 0 else f"killed by signal {-code}"
         job.note = ": ".join(filter(None, [how, _last_line(job.log)]))
@@ -189,14 +197,6 @@ class Driver:
         elif not self._is_written(job):
             self._again(job)
 
-    def _watch(self, job: Job) -> None:
-        if self._is_done(job):
-            job.state, job.note = "finished", "by another process"
-        elif not self._is_written(job):
-            job.state = "waiting"
-            if job.attempts:  # it is ours that was the last to write it
-                self._again(job)
-
     def _again(self, job: Job) -> None:
         """Try a training again later, or give it up if that has not helped."""
         if self._is_full() or self._saved(job) > job.step:
@@ -206,14 +206,14 @@ class Driver:
 
     def _is_written(self, job: Job) -> bool:
         """Whether a process that is not ours has the run; then the job is left to it."""
-        writer = self.backend.writer(self._run(job))
+        writer = self.backend.writer(self.run_of(job))
         if writer is None:
             return False
         job.state, job.away = "elsewhere", writer == "away"
         return True
 
     def _is_done(self, job: Job) -> bool:
-        return is_done(job.trial.config, self._run(job))
+        return is_done(job.trial.config, self.run_of(job))
 
     def _is_full(self) -> bool:
         try:
@@ -225,9 +225,6 @@ class Driver:
         """The step of its newest checkpoint; -1 if it has none."""
         at = checkpoint.newest(self.store.path / job.run_id / checkpoint.FOLDER)
         return -1 if at is None else at
-
-    def _run(self, job: Job) -> RunReader:
-        return RunReader(self.store.path / job.run_id)
 
 
 def _wait(processes: Sequence[Process], wait_s: float) -> None:

@@ -1,12 +1,21 @@
-"""The processes of a sweep's trainings, on this machine or on a cluster (`ray_engine`)."""
+"""The processes of many trainings, on this machine or on a cluster (`ray_engine`)."""
 
-import sys
-from collections.abc import Sequence
+import os
+import secrets
+import socket
+import time
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
+from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, Protocol
+from typing import Protocol
 
+from tom.errors import UserError
 from tom.machine import processes
+
+ANSWER_S = 5.0  # a cluster's head answers within this
+POLL_S = 0.1
+GRACE_S = 20.0  # a training stops within this time after a request
 
 
 class Process(Protocol):
@@ -25,10 +34,6 @@ class Process(Protocol):
         ...
 
 
-class GoneError(Exception):
-    """The cluster is gone: no training can be started, and the running ones cannot be reached."""
-
-
 class Engine(AbstractContextManager["Engine", None], Protocol):
     """Starts processes, `slots` at a time."""
 
@@ -37,8 +42,8 @@ class Engine(AbstractContextManager["Engine", None], Protocol):
         """How many may run at a time. Raises GoneError."""
         ...
 
-    def start(self, words: Sequence[str], log: Path) -> Process:
-        """Start `python -m` followed by `words`, with its output appended to `log`.
+    def start(self, arguments: Sequence[str], log: Path) -> Process:
+        """Start `python -m` followed by `arguments`, with its output appended to `log`.
 
         Raises OSError if it cannot be started.
         """
@@ -51,17 +56,67 @@ class LocalEngine(AbstractContextManager["LocalEngine", None]):
     def __init__(self, slots: int) -> None:
         self.slots = slots
 
-    def start(self, words: Sequence[str], log: Path) -> processes.Process:
+    def start(self, arguments: Sequence[str], log: Path) -> processes.Process:
         with log.open("ab") as out:
-            return spawn(words, out)
+            return processes.start_module(arguments, out)
 
     def __exit__(self, *_: object) -> None:
         """There is nothing to close: the driver ends the processes that it started."""
 
 
-def spawn(words: Sequence[str], out: IO[bytes]) -> processes.Process:
-    """Start `python -m` followed by `words` with one thread, with its output to `out`.
+def open_engine(name: str, address: str | None, jobs: int | None) -> Engine:
+    """The engine `local` or `ray`, for `jobs` trainings at a time (default: one per core).
 
-    It gets SIGTERM when the caller's thread ends, on which a training stops cleanly.
+    Ray's is of the cluster at `address`, or of one here that ends with the sweep. Every client of
+    a cluster needs its token, because Ray listens on all interfaces and runs what it receives.
+    Raises UserError if Ray is not installed or the cluster cannot be joined.
     """
-    return processes.start([sys.executable, "-m", *words], out, processes.single_threaded())
+    if name == "local":
+        return LocalEngine(jobs or len(os.sched_getaffinity(0)))
+    if find_spec("ray") is None:
+        raise UserError('--engine ray needs Ray: pip install -e ".[cluster]"')
+    # Ray reads these variables when it is imported.
+    os.environ.setdefault("RAY_AUTH_MODE", "token")
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    if address is None:
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
+    else:
+        _reach(address)
+    from tom.sweep.ray_engine import RayEngine
+
+    return RayEngine(address, jobs)
+
+
+def _reach(address: str) -> None:
+    """Raises UserError if nothing listens at HOST:PORT, because Ray would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        raise UserError(f"--address {address}: must be HOST:PORT, as `ray start --head` prints it")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(f"--address {address}: no Ray cluster answers there ({error})") from None
+
+
+def train_all(commands: Mapping[str, Sequence[str]], workers: int | None = None) -> dict[str, int]:
+    """Run `tom train` with the arguments of every name once; the exit codes by name.
+
+    `workers` run at a time (default: one per core). On Ctrl-C or an error all running trainings are
+    asked to stop, so that they end as `stopped` with whole folders; then the error is raised again.
+    """
+    workers = workers or len(os.sched_getaffinity(0))
+    waiting, codes = list(commands.items()), dict[str, int]()
+    running: dict[str, processes.Process] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                name, arguments = waiting.pop(0)
+                running[name] = processes.start_module(["tom", "train", *arguments], None)
+            for name, process in list(running.items()):
+                if (code := process.poll()) is not None:
+                    codes[name] = code
+                    del running[name]
+            time.sleep(POLL_S)
+    finally:
+        processes.stop(list(running.values()), GRACE_S)
+    return codes

@@ -19,16 +19,11 @@ from typing import Any
 import ray
 from ray.exceptions import RayError
 
-from tom.errors import UserError
-from tom.sweep.engine import GoneError, spawn
+from tom.errors import GoneError, UserError
+from tom.machine import processes
 
 CONNECT_S, GONE_S = 2.0, 20.0  # Ray takes 60 s, and then ends the process with a message of its own
 OBJECT_STORE_BYTES = 80_000_000  # the minimum that Ray accepts: it only carries log lines
-_JOIN = (
-    "cannot join the Ray cluster at {address} ({reason}): has it another token (RAY_AUTH_TOKEN or "
-    "~/.ray/auth_token), and is this machine one of its nodes?"
-)
-_BEGIN = "cannot start Ray ({reason}): `ray start --head` may say more"
 
 
 class Training:
@@ -37,12 +32,12 @@ class Training:
     It is an actor: of a task Ray does not report that its machine is silent.
     """
 
-    def __init__(self, words: Sequence[str], folder: str) -> None:
+    def __init__(self, arguments: Sequence[str], folder: str) -> None:
         """It starts in `folder` if this machine has it, because the user's modules may be there."""
         if Path(folder).is_dir():
             os.chdir(folder)
         self._out = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as this object exists
-        self._process = spawn(words, self._out)
+        self._process = processes.start_module(arguments, self._out)
 
     def wait(self) -> tuple[int, bytes]:
         """The exit code and the output."""
@@ -70,26 +65,26 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
                 with _without_stderr():
                     ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
             else:
-                self._begin()
+                ray.init(
+                    "local",
+                    num_cpus=jobs,
+                    include_dashboard=False,
+                    object_store_memory=OBJECT_STORE_BYTES,
+                    log_to_driver=False,
+                    logging_level=logging.ERROR,
+                    _temp_dir=str(self._folder),
+                )
             host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
             self._head = (host.strip("[]"), int(port))
             self._node = ray.get_runtime_context().get_node_id()
         except (RayError, OSError, RuntimeError, ValueError, AssertionError) as error:
             self.__exit__()
-            what = _JOIN if address else _BEGIN
-            raise UserError(what.format(address=address, reason=_one_line(error))) from error
-        self._heard = time.monotonic()
-
-    def _begin(self) -> None:
-        ray.init(
-            "local",
-            num_cpus=self._jobs,
-            include_dashboard=False,
-            object_store_memory=OBJECT_STORE_BYTES,
-            log_to_driver=False,
-            logging_level=logging.ERROR,
-            _temp_dir=str(self._folder),
-        )
+            hint = "`ray start --head` may say more"
+            if address:
+                hint = "is its token RAY_AUTH_TOKEN, and is this machine one of its nodes?"
+            where = f"join the Ray cluster at {address}" if address else "start Ray"
+            raise UserError(f"cannot {where} ({_one_line(error)}): {hint}") from error
+        self._answered = time.monotonic()
 
     @property
     def slots(self) -> int:
@@ -98,13 +93,13 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
         Raises GoneError after GONE_S of silence.
         """
         if silent := self._silent():
-            if time.monotonic() - self._heard < GONE_S:
+            if time.monotonic() - self._answered < GONE_S:
                 return 0
             raise GoneError(
                 f"{silent} has not answered for {GONE_S:.0f} s: trainings stop with a checkpoint "
                 "once they notice"
             )
-        self._heard = time.monotonic()
+        self._answered = time.monotonic()
         cores = int(ray.cluster_resources().get("CPU", 0))
         return cores if self._jobs is None else min(cores, self._jobs)
 
@@ -117,8 +112,8 @@ class RayEngine(AbstractContextManager["RayEngine", None]):
         alive = {node["NodeID"] for node in ray.nodes() if node["Alive"]}
         return "" if self._node in alive else "the Ray node of this machine"
 
-    def start(self, words: Sequence[str], log: Path) -> "RayProcess":
-        return RayProcess(_Training.remote(list(words), str(Path.cwd())), log)
+    def start(self, arguments: Sequence[str], log: Path) -> "RayProcess":
+        return RayProcess(_Training.remote(list(arguments), str(Path.cwd())), log)
 
     def __exit__(self, *_: object) -> None:
         ray.shutdown()

@@ -43,15 +43,18 @@ wait "$task"
 """
 
 
-def script(trials: Sequence[Trial], store: Path, words: Sequence[str], hours: float | None) -> str:
-    """The script of an array with one task for each trial; `words` are those of `tom sweep`."""
-    wanted = DEFAULT_HOURS if hours is None else max(ceil(hours * MARGIN), 1)
-    logs = Store(store.resolve()).beside(layout.LOGS)
+def script(
+    trials: Sequence[Trial], store: Path, arguments: Sequence[str], hours: float | None
+) -> str:
+    """The script of an array with one task for each trial.
+
+    `arguments` are those of the `tom sweep` to run, `hours` what its longest training will take.
+    """
     return SCRIPT.format(
         count=len(trials),
         last=len(trials) - 1,
-        hours=wanted,
-        logs=shlex.quote(str(logs)),
+        hours=DEFAULT_HOURS if hours is None else max(ceil(hours * MARGIN), 1),
+        logs=shlex.quote(str(Store(store.resolve()).beside(layout.LOGS))),
         folder=shlex.quote(str(Path.cwd())),
-        command=shlex.join([sys.executable, "-m", "tom", *words]),
+        command=shlex.join([sys.executable, "-m", "tom", *arguments]),
     ).rstrip()

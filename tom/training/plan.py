@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 from ruamel.yaml import YAML, YAMLError
 
 from tom.config import Config, OnlineConfig, RoadConfig, RunConfig, completed, flat
-from tom.errors import UserError
+from tom.errors import UserError, invalid_value, reason
 from tom.record import RunReader
 from tom.record.layout import run_name
 from tom.training.presets import default_preset, resolve
@@ -62,8 +62,12 @@ class Trial:
     def options(self) -> tuple[str, ...]:
         """The options of `tom train` for this training."""
         given = {"env": self.env, "learner": self.learner, "preset": self.preset}
-        words = given | {"seed": self.seed} | flat(self.overrides)
-        return tuple(f"--{name.replace('_', '-')}={_word(value)}" for name, value in words.items())
+        values = given | {"seed": self.seed} | flat(self.overrides)
+        texts = {
+            name: str(value).lower() if value is None or isinstance(value, bool) else str(value)
+            for name, value in values.items()
+        }
+        return tuple(f"--{name.replace('_', '-')}={text}" for name, text in texts.items())
 
 
 def trials(plan: Plan) -> list[Trial]:
@@ -85,22 +89,19 @@ def trials(plan: Plan) -> list[Trial]:
         try:
             _ = trial.config
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"]))
-            raise UserError(f"{trial.env} {trial.learner}: {where}: {first['msg']}") from None
+            raise UserError(f"{trial.env} {trial.learner}: {invalid_value(error)}") from None
     return every
 
 
 def read_plan(path: Path) -> dict[str, Any]:
     """The unchecked mapping in a YAML file. Raises UserError if it is not such a file."""
     try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from None
-    try:
-        content = YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, ValueError) as error:
-        raise UserError(f"{path}: {_first_line(error)}") from None
+        content = YAML(typ="safe", pure=True).load(path.read_bytes())
+    except (OSError, YAMLError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or reason(error)
+        raise UserError(f"cannot read {path}{line}: {problem}") from None
     if not isinstance(content, dict):
         raise UserError(f"{path} is no mapping: write `env: [hopper]` and so on")
     return content
@@ -108,17 +109,13 @@ def read_plan(path: Path) -> dict[str, Any]:
 
 def checked(content: dict[str, Any]) -> Plan:
     """The plan in a mapping. Raises UserError that names the first error."""
-    listed = {**content}
-    for name in ("env", "learner", "seeds"):
-        if isinstance(listed.get(name), str | int):
-            listed[name] = [listed[name]]
+    lists = ("env", "learner", "seeds")
+    single = {name: [content[name]] for name in lists if isinstance(content.get(name), str | int)}
     try:
-        return Plan.model_validate(listed)
+        return Plan.model_validate({**content, **single})
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"][:2])
         known = ", ".join(Plan.model_fields)
-        raise UserError(f"sweep: {where}: {first['msg']} (a plan has {known})") from None
+        raise UserError(f"sweep: {invalid_value(error)} (a plan has {known})") from None
 
 
 def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
@@ -127,14 +124,17 @@ def same_run(trial: Trial, runs: Sequence[RunReader]) -> RunReader | None:
     A small copy is used only if there is no whole run of that kind, and its own run that was given
     other steps only if there is none of just these steps.
     """
-    settings = completed(trial.settings)
-    mine = [run for run in runs if run.config.get("config") == settings]
-    mine.sort(key=lambda run: run.small_copy)
-    done = [run for run in mine if run.status.state == "finished"]
-    own = [run for run in mine if run.run_id == trial.run_id]
-    other_steps = [run for run in runs if run.run_id == trial.run_id]
-    other_steps = [run for run in other_steps if steps_beyond(trial.config, run)]
-    return next(iter([*done, *own, *mine, *other_steps]), None)
+    beyond = {run.path: steps_beyond(trial.config, run) for run in runs}
+    mine = [run for run in runs if beyond[run.path] == 0]
+    mine.sort(
+        key=lambda run: (
+            run.status.state != "finished",
+            run.small_copy,
+            run.run_id != trial.run_id,
+        )
+    )
+    other_steps = [run for run in runs if run.run_id == trial.run_id and beyond[run.path]]
+    return next(iter([*mine, *other_steps]), None)
 
 
 def is_done(config: RunConfig, run: RunReader) -> bool:
@@ -152,17 +152,7 @@ def steps_beyond(config: RunConfig, run: RunReader) -> int | None:
     The halves of a recording of SAC depend on its steps.
     """
     given, planned = run.config.get("config"), completed(config.model_dump(mode="json"))
-    if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
+    if not isinstance(given, dict) or "steps" not in given:
         return None  # damaged
     same = {**given, "steps": planned["steps"]} == planned if run.fits_model else given == planned
     return given["steps"] - planned["steps"] if same else None
-
-
-def _word(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) or value is None else str(value)
-
-
-def _first_line(error: Exception) -> str:
-    mark = getattr(error, "problem_mark", None)
-    where = f"line {mark.line + 1}: " if mark else ""
-    return where + str(getattr(error, "problem", None) or error).splitlines()[0]

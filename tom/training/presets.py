@@ -14,8 +14,7 @@ from pydantic import ValidationError
 from tom.config import OnlineConfig, RoadConfig
 from tom.envs import ENV_NAMES, ROAD, is_known, task, unknown_task
 from tom.envs.ends import rule
-from tom.envs.task import Task
-from tom.errors import UserError, unknown
+from tom.errors import UserError, invalid_value, unknown
 from tom.learners import LEARNERS, SUBJECT, with_own_settings
 from tom.road.baselines import BASELINES
 
@@ -118,9 +117,14 @@ def resolve(
     preset = preset or default_preset(env, learner)
     if preset not in PRESETS:
         raise unknown("preset", preset, PRESETS)
-    config = _road(preset) if env == ROAD else _online(env, learner, preset)
+    if env == ROAD:
+        config = RoadConfig(learner=learner).but(**OF_ROAD[preset])
+    else:
+        config = _online(env, learner, preset)
     config = config_type(env, learner).model_validate(config.model_dump())
-    given = _without_others(learner, overrides or {})
+    # A plug-in's settings are only in the runs of its learner.
+    others = {entry.group for name, entry in LEARNERS.items() if entry.own and name != learner}
+    given = {name: value for name, value in (overrides or {}).items() if name not in others}
     config = config.but(env=env, learner=learner, preset=preset, **given)
     if isinstance(config, OnlineConfig) and config.model.termination is not None:
         rule(task(env), config.model.termination)
@@ -145,31 +149,15 @@ def _online(env: str, learner: str, preset: str) -> OnlineConfig:
     steps = 600 if preset == "smoke" else known.steps
     config = OnlineConfig(env=env, learner=learner, steps=steps).but(**PRESETS[preset])
     if preset != "smoke":
-        config = _of_task(known, config.but(**BY_ENV[preset].get(env, {})))
+        config = config.but(**BY_ENV[preset].get(env, {}))
+        try:
+            config = config.but(**known.settings)
+        except ValidationError as error:
+            raise UserError(f"task {env}: its setting {invalid_value(error)}") from None
     return config.but(**LEARNERS[learner].settings)
-
-
-def _of_task(known: Task, config: OnlineConfig) -> OnlineConfig:
-    """The preset with the task's own settings. Raises UserError for a wrong one."""
-    try:
-        return config.but(**known.settings)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise UserError(f"task {known.name}: its setting {where}: {first['msg']}") from None
-
-
-def _road(preset: str) -> RoadConfig:
-    return RoadConfig(learner="mle").but(**OF_ROAD[preset])
 
 
 def config_type(env: str, *learners: str) -> type[OnlineConfig | RoadConfig]:
     """The configuration class of an environment's runs, with these learners' own settings."""
     base = RoadConfig if env == ROAD else OnlineConfig
     return with_own_settings(base, learners)
-
-
-def _without_others(learner: str, overrides: dict[str, Any]) -> dict[str, Any]:
-    """`overrides` without plug-in settings of other learners, which this learner's runs lack."""
-    others = {entry.group for name, entry in LEARNERS.items() if entry.own and name != learner}
-    return {name: value for name, value in overrides.items() if name not in others}

@@ -1,5 +1,6 @@
 """Resume a training from its newest undamaged checkpoint."""
 
+from collections.abc import Mapping
 from typing import Any, Unpack
 
 import numpy as np
@@ -7,11 +8,10 @@ import torch
 from pydantic import ValidationError
 
 from tom import plugins
-from tom.config import SacRecordingConfig, completed
+from tom.config import SacRecordingConfig, flat
 from tom.data.transitions import Transitions
-from tom.errors import StartAgainError, TryLaterError, UserError, reason
+from tom.errors import StartAgainError, TryLaterError, UserError, invalid_value, reason
 from tom.events import Notice
-from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store, checkpoint, lock
@@ -20,10 +20,18 @@ from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import open_sink
 from tom.record.status import BEAT_S
+from tom.record.versions import ACCEPT, decides, versions
 from tom.record.writer import RunWriter
+from tom.training.plan import steps_beyond
 from tom.training.presets import config_type
-from tom.training.resume_checks import check_training, check_versions
-from tom.training.run import AnyConfig, RecordingOptions, Training, make_training, record
+from tom.training.run import (
+    AnyConfig,
+    RecordingOptions,
+    Training,
+    make_training,
+    record,
+    require_device,
+)
 from tom.training.watch import Watch
 
 UNFIT = (LookupError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError)
@@ -52,60 +60,55 @@ def resume(
             "start it again under another name"
         )
     config = recorded_config(reader)
-    if steps is not None:
-        config = _with_steps(config, steps)
-    _require_own_device(reader, config)
-    said = [("versions", check_versions(reader, accept_versions))]
+    if steps not in (None, config.steps):
+        if isinstance(config, SacRecordingConfig):
+            raise UserError(
+                "a SAC recording cannot be given other --steps: its halves depend on them; record "
+                "anew"
+            )
+        config = config.but(steps=steps)
+    require_device(config.device)
+    notices = [("versions", _changed_versions(reader, accept_versions))]
     if reader.status.state == "running":  # alive or not: its machine's clock may be another
         lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
-        held = _checkpoint(reader, config)
-        _refuse_lost_rows(reader, held)
+        saved = _checkpoint(reader, config)
         torch.set_num_threads(config.threads)
         choose_matmul(reader.config.get("matmul", {}).get("chosen", config.matmul))
+        notices.append(("settings", _changed_settings(reader, saved, config)))
         training, watch = make_training(config), Watch(config)
-        said.append(("settings", check_training(reader, held, config, training)))
-        mark = _go_on(reader, held, training, watch)
-        held.set_unusable_aside(reader.path)
+        mark = _restore(reader, saved, training, watch)
+        saved.set_unusable_aside(reader.path)
     except BaseException:
         writer.close()
         raise
     sink = open_sink(writer) if options.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
         writer.resumed(config, options.get("command", ""))
-        said += [("checkpoint", text) for text in held.problems]
-        before = [Notice(held.env_step, kind, text) for kind, text in said if text]
+        notices += [("checkpoint", text) for text in saved.problems]
+        before = [Notice(saved.env_step, kind, text) for kind, text in notices if text]
         record(training, watch, recorder, writer, options, before)
     return RunReader(writer.path)
 
 
-def unfinished(
-    store: Store, config: AnyConfig, *, shorter: bool = True, run_id: str | None = None
-) -> str | None:
-    """The newest resumable run with these settings, or if `shorter` with fewer steps.
+def unfinished(store: Store, config: AnyConfig, *, run_id: str | None = None) -> str | None:
+    """The newest resumable run with these settings, or with fewer steps.
 
     Runs that are being written, and those without an undamaged checkpoint, are skipped. A `run_id`
     leaves out all others, and may be of more steps. Raises TryLaterError for a run whose
     checkpoints cannot be read for now.
     """
-    wanted = completed(config.model_dump(mode="json"))
     for reader in store.runs():
-        if run_id not in (None, reader.run_id):
+        beyond = steps_beyond(config, reader)
+        if beyond is None or run_id not in (None, reader.run_id) or lock.held(reader.path):
             continue
-        given = reader.config.get("config")
-        if not isinstance(given, dict) or not isinstance(given.get("steps"), int):
-            continue  # damaged
-        if given["steps"] > config.steps and run_id is None:
+        if beyond > 0 and run_id is None:
             continue
-        if given["steps"] != config.steps and not (shorter and reader.fits_model):
-            continue  # the halves of a recording depend on its steps
-        if given["steps"] == config.steps and reader.status.state == "finished":
+        if beyond == 0 and reader.status.state == "finished":
             continue  # although its last checkpoint may be of an earlier step, if the disk was full
-        if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
-            continue
-        held = _newest(reader)
-        if held is not None and not _complete(reader, held, config):
+        saved = _newest(reader)
+        if saved is not None and not _complete(reader, saved, config):
             return reader.run_id
     return None
 
@@ -122,94 +125,123 @@ def recorded_config(reader: RunReader, otherwise: str = "start it again") -> Any
         return kind.model_validate(reader.config["config"])  # pyright: ignore[reportReturnType]
     except (KeyError, ValidationError) as error:
         made_by = reader.config.get("versions", {}).get("tom-studio", "an unknown version")
-        first = error.errors()[0] if isinstance(error, ValidationError) else {"loc": error.args}
-        where = ".".join(str(part) for part in first["loc"])
+        unknown = invalid_value(error) if isinstance(error, ValidationError) else "no settings"
         raise UserError(
-            f"run '{reader.run_id}' was made by another version ({made_by}; its setting {where} "
-            f"is not known): {otherwise}"
+            f"run '{reader.run_id}' was made by another version ({made_by}; {unknown}): {otherwise}"
         ) from None
 
 
-def _with_steps(config: AnyConfig, steps: int) -> AnyConfig:
-    if isinstance(config, SacRecordingConfig) and steps != config.steps:
+def _changed_versions(reader: RunReader, accepted: bool) -> str:
+    """A warning about versions that differ from those of the run's last training, or "".
+
+    Raises UserError if its results would change, unless `accepted`.
+    """
+    now = versions()
+    resumes = reader.config.get("resumes")
+    entries = [reader.config, *(resumes if isinstance(resumes, list) else [])]
+    recorded = [entry.get("versions") for entry in entries if isinstance(entry, dict)]
+    before = next((each for each in reversed(recorded) if isinstance(each, dict)), {})
+    changed = {
+        name: f"{name} {before[name]} then, {now[name]} now"
+        for name in now
+        if before.get(name, now[name]) != now[name]
+    }
+    decisive = [changed[name] for name in changed if decides(name, str(before[name]), now[name])]
+    if decisive and not accepted:
         raise UserError(
-            "a SAC recording cannot be given other --steps: its halves depend on them; record anew"
+            f"run '{reader.run_id}' was trained with other versions ({', '.join(decisive)}), and "
+            f"its results would change: {ACCEPT} goes on with these, or start it again"
         )
-    return config.but(steps=steps)
+    return (
+        f"trained with other versions until here: {', '.join(changed.values())}" if changed else ""
+    )
 
 
-def _require_own_device(reader: RunReader, config: AnyConfig) -> None:
-    """Raises UserError for another device than the run's, because its random streams differ."""
-    try:
-        require_device(config.device)
-    except UserError:
-        raise UserError(
-            f"run '{reader.run_id}' trains on {config.device}, which torch does not find here: go "
-            "on where it is, or start the run again with --device cpu"
-        ) from None
+def _changed_settings(reader: RunReader, saved: Checkpoint, config: AnyConfig) -> str:
+    """A warning about settings other than the steps that changed since the checkpoint, or "".
+
+    Raises StartAgainError for a checkpoint of another learner or environment.
+    """
+    before, now = saved.state.get("config"), config.model_dump(mode="json")
+    if not isinstance(before, Mapping):  # from an earlier version
+        return ""
+    for name in ("learner", "env"):
+        if before.get(name) != now[name]:
+            raise StartAgainError(
+                f"the checkpoint of run '{reader.run_id}' at step {saved.env_step} is of {name} "
+                f"{before.get(name)}, not {now[name]}: put back its config.json, or start it again"
+            )
+    old, new = flat(before), flat(now)
+    changed = [name for name in new if name != "steps" and old.get(name, new[name]) != new[name]]
+    listed = ", ".join(f"{name} ({old[name]}, now {new[name]})" for name in changed)
+    return (
+        f"settings were changed since the checkpoint: {listed}; results may differ"
+        if listed
+        else ""
+    )
 
 
 def _newest(reader: RunReader) -> Checkpoint | None:
-    """The run's newest undamaged checkpoint. Raises UserError if it may have one, unread."""
-    held, unread = checkpoint.look_for(reader.path / checkpoint.FOLDER)
-    if held is None and unread:
+    """The run's newest undamaged checkpoint. Raises TryLaterError if it may have one, unread."""
+    saved, unread = checkpoint.look_for(reader.path / checkpoint.FOLDER)
+    if saved is None and unread:
         raise _not_now(reader, unread)
-    return held
+    return saved
 
 
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
-    held = _newest(reader)
-    if held is None:
+    """The checkpoint to go on from. Raises UserError if there is none or nothing is left to do."""
+    saved = _newest(reader)
+    if saved is None:
         raise StartAgainError(
             f"run '{reader.run_id}' has no checkpoint that is whole: start it again"
         )
-    if _complete(reader, held, config):
+    if _complete(reader, saved, config):
         raise UserError(
-            f"run '{reader.run_id}' is complete at step {held.env_step}: give it more with --steps"
+            f"run '{reader.run_id}' is complete at step {saved.env_step}: give it more with --steps"
         )
-    return held
-
-
-def _refuse_lost_rows(reader: RunReader, held: Checkpoint) -> None:
-    """Raises UserError for rows that a resume would lose for good."""
-    if lost := unlike(reader.path, held):
+    if lost := unlike(reader.path, saved):
         raise UserError(
             f"run '{reader.run_id}' has lost rows ({'; '.join(lost)}): `tom runs repair "
             f"{reader.run_id}` puts back what it can, then resume"
         )
+    return saved
 
 
-def _complete(reader: RunReader, held: Checkpoint, config: AnyConfig) -> bool:
+def _complete(reader: RunReader, saved: Checkpoint, config: AnyConfig) -> bool:
     """Whether nothing of the run is left to do.
 
     A run that ended after its last checkpoint, but before it had finished, lacks its last rows,
     exam and policy.
     """
-    if held.env_step < config.total_steps:
+    if saved.env_step < config.total_steps:
         return False
-    planned = held.state.get("config")
+    planned = saved.state.get("config")
     same_end = isinstance(planned, dict) and planned.get("steps") == config.steps
-    at_end = held.env_step == config.total_steps and same_end
+    at_end = saved.env_step == config.total_steps and same_end
     return not at_end or reader.status.state == "finished"
 
 
-def _go_on(reader: RunReader, held: Checkpoint, training: Training, watch: Watch) -> dict[str, Any]:
+def _restore(
+    reader: RunReader, saved: Checkpoint, training: Training, watch: Watch
+) -> dict[str, Any]:
     """Restore `training` from the checkpoint; returns the mark of its record."""
     try:
-        state = held.state["training"]
+        state = saved.state["training"]
         training.load_state_dict(state, *_collected(reader, state["collected"]))
-        if "watch" in held.state:
-            watch.load_state_dict(held.state["watch"])
-        return held.state["record"]
+        if "watch" in saved.state:
+            watch.load_state_dict(saved.state["watch"])
+        return saved.state["record"]
     except UNFIT as error:
         raise StartAgainError(
-            f"the checkpoint of run '{reader.run_id}' at step {held.env_step} is another "
+            f"the checkpoint of run '{reader.run_id}' at step {saved.env_step} is another "
             f"version's ({type(error).__name__}: {reason(error)}): start it again"
         ) from error
 
 
 def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
-    rows, versions = reader.buffer()
+    """The first `n` rows of the buffer, with their policy versions."""
+    rows, policy_versions = reader.buffer()
     if len(rows) < n:
         if reader.unread:
             raise _not_now(reader, reader.unread[0])
@@ -217,7 +249,7 @@ def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
             f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start it "
             "again"
         )
-    return rows[:n], versions[:n]
+    return rows[:n], policy_versions[:n]
 
 
 def _not_now(reader: RunReader, problem: str) -> TryLaterError:

@@ -10,8 +10,8 @@ import torch
 
 from tom.config import OnlineConfig, RoadConfig, SacRecordingConfig
 from tom.data.transitions import Transitions
+from tom.errors import UserError, reason
 from tom.events import Event, Notice, Tick
-from tom.machine.device import require_device
 from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.mbpo import Mbpo
@@ -61,6 +61,18 @@ class Stop:
         if self.asked:
             raise KeyboardInterrupt
         self.asked = True
+
+
+def require_device(device: str) -> None:
+    """Raises UserError unless torch can use `device`, cpu or cuda, here."""
+    if device.partition(":")[0] not in ("cpu", "cuda"):
+        raise UserError(f"--device {device}: must be cpu or cuda")
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(
+            f"--device {device} cannot be used here ({reason(error)}): train with --device cpu"
+        ) from None
 
 
 def make_training(config: AnyConfig) -> Training:
@@ -116,13 +128,17 @@ def record(
 ) -> None:
     """Run a training to its end, or until `stop`, and record every event.
 
-    `before` are events that come first.
+    `before` are events that come first. A watcher whose terminal or pipe is closed is dropped.
     """
     every, total = writer.config.checkpoint_every, writer.config.total_steps
-    listening, stop = list(options.get("watchers", ())), options.get("stop")
+    watchers, stop = list(options.get("watchers", ())), options.get("stop")
     for event in chain(before, watch.over(training.events())):
         recorder.consume(event)
-        _tell(listening, event)
+        for watcher in tuple(watchers):
+            try:
+                watcher(event)
+            except OSError:
+                watchers.remove(watcher)
         if not (isinstance(event, Tick) and event.ends_step):
             continue
         at = event.env_step
@@ -136,15 +152,6 @@ def record(
             return
 
 
-def _tell(watchers: list[Consumer], event: Event) -> None:
-    """Pass an event to the watchers; one whose terminal or pipe is closed is dropped."""
-    for watcher in tuple(watchers):
-        try:
-            watcher(event)
-        except OSError:
-            watchers.remove(watcher)
-
-
 def _save(
     training: Training, watch: Watch, recorder: Recorder, writer: RunWriter, env_step: int
 ) -> None:
@@ -152,7 +159,7 @@ def _save(
 
     Raises LostError if another writer has taken the run over.
     """
-    begun = perf_counter()
+    begun, folder = perf_counter(), writer.path / checkpoint.FOLDER
     try:
         state = {
             "training": training.state_dict(),
@@ -160,11 +167,11 @@ def _save(
             "record": recorder.mark(),
             "config": writer.config.model_dump(mode="json"),
         }
-        checkpoint.save(writer.path / checkpoint.FOLDER, env_step, state, writer.check)
+        checkpoint.save(folder, env_step, state, writer.check)
     except LostError:
         raise
     except OSError as error:
-        before = checkpoint.newest(writer.path / checkpoint.FOLDER)
+        before = checkpoint.newest(folder)
         stays = "there is none yet" if before is None else f"that of step {before} stays"
         message = f"no checkpoint could be written ({error}): {stays}; free some space"
         recorder.consume(Notice(env_step, "checkpoint", message))

@@ -79,7 +79,9 @@ class SacRecording:
         self._add(step, 0 if explores else self.policy_version)
         self.replay.add(*step[:6])
         if step.ended:
-            yield Metrics(self.env_step, _episode(step))
+            length = float(step.episode_length)
+            values = {"train/return": step.episode_return, "train/length": length}
+            yield Metrics(self.env_step, values)
         if taken >= config.exploration_steps:
             self.optimise()
         if config.snapshots and taken % max(config.steps // config.snapshots, 1) == 0:
@@ -177,7 +179,3 @@ def _plain(step: Step) -> list[Any]:
 def _step(parts: list[Any]) -> Step:
     arrays: list[Any] = [x.numpy() if isinstance(x, Tensor) else x for x in parts]
     return Step(*arrays)
-
-
-def _episode(step: Step) -> dict[str, float]:
-    return {"train/return": step.episode_return, "train/length": float(step.episode_length)}

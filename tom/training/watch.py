@@ -28,7 +28,7 @@ class Watch:
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
-        self._said: set[str] = set()
+        self._given: set[str] = set()
         self._short = 0  # episodes of one step in a row
         self._low: Tensor | None = None  # (O,) smallest obs so far
         self._high: Tensor | None = None
@@ -37,13 +37,16 @@ class Watch:
         """The events, each followed by its notices. Raises DivergedError."""
         for event in events:
             yield event  # recorded first, then checked
-            yield from self.look(event)
+            yield from self.check(event)
 
-    def look(self, event: Event) -> Iterator[Notice]:
+    def check(self, event: Event) -> Iterator[Notice]:
         """The notices for `event`."""
         match event:
             case Collected():
-                self._widen(torch.as_tensor(event.transitions.obs))
+                obs = torch.as_tensor(event.transitions.obs)
+                low, high = obs.amin(0), obs.amax(0)
+                self._low = low if self._low is None else torch.minimum(self._low, low)
+                self._high = high if self._high is None else torch.maximum(self._high, high)
             case Weights():
                 yield from self._once(event.env_step, "constant-dimension", self._constant())
                 yield from self._once(event.env_step, "small-buffer", self._small())
@@ -58,20 +61,16 @@ class Watch:
             yield from self._once(env_step, "small-buffer", self._small())
         if "train/length" in values:
             self._short = self._short + 1 if values["train/length"] == 1 else 0
-            yield from self._once(env_step, "short-episodes", self._short_episodes())
+            if self._short >= SHORT_EPISODES:
+                yield from self._once(env_step, "short-episodes", SHORT)
         if values.get("discriminator/accuracy", 0.0) >= 1.0:
             yield from self._once(env_step, "perfect-discriminator", PERFECT)
         yield from _rollouts(env_step, values)
 
     def _once(self, env_step: int, kind: str, message: str) -> Iterator[Notice]:
-        if message and kind not in self._said:
-            self._said.add(kind)
+        if message and kind not in self._given:
+            self._given.add(kind)
             yield Notice(env_step, kind, message)
-
-    def _widen(self, obs: Tensor) -> None:
-        low, high = obs.amin(0), obs.amax(0)
-        self._low = low if self._low is None else torch.minimum(self._low, low)
-        self._high = high if self._high is None else torch.maximum(self._high, high)
 
     def _constant(self) -> str:
         if self._low is None or self._high is None:
@@ -79,9 +78,9 @@ class Watch:
         still = torch.nonzero(self._low == self._high).flatten().tolist()
         if not still or len(still) == len(self._low):
             return ""
-        named = ", ".join(map(str, still[:NAMED])) + (", ..." if len(still) > NAMED else "")
+        shown = ", ".join(map(str, still[:NAMED])) + (", ..." if len(still) > NAMED else "")
         return (
-            f"{len(still)} of {len(self._low)} observation dimensions ({named}) have never "
+            f"{len(still)} of {len(self._low)} observation dimensions ({shown}) have never "
             "changed: nothing can be learnt of them; leave them out of the observation if they "
             "carry nothing"
         )
@@ -95,29 +94,25 @@ class Watch:
             f"drawn with replacement; try --exploration-steps {batch} or more"
         )
 
-    def _short_episodes(self) -> str:
-        if self._short < SHORT_EPISODES:
-            return ""
-        return (
-            f"the last {SHORT_EPISODES} episodes ended after one step: nothing can be learnt of "
-            "what comes later; look at the task's termination and its start states"
-        )
-
     # State
 
     def state_dict(self) -> dict[str, Any]:
         return {
-            "said": sorted(self._said),
+            "said": sorted(self._given),
             "short": self._short,
             "low": self._low,
             "high": self._high,
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        self._said, self._short = set(state["said"]), state["short"]
+        self._given, self._short = set(state["said"]), state["short"]
         self._low, self._high = state["low"], state["high"]
 
 
+SHORT = (
+    f"the last {SHORT_EPISODES} episodes ended after one step: nothing can be learnt of what comes "
+    "later; look at the task's termination and its start states"
+)
 PERFECT = (
     "the discriminator tells the policy's transitions from all others without a mistake: its "
     "log ratio has no scale and the weights follow it; try a larger policy buffer, or "

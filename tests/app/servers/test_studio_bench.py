@@ -1,6 +1,5 @@
 """The store that `tom bench studio` measures with, and what its rows say."""
 
-import argparse
 import os
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from app.servers.bench import (
     measure,
 )
 from tom.cli import bench
+from tom.cli import main as tom
 
 
 @pytest.mark.slow
@@ -67,11 +67,11 @@ def test_opening_is_the_reading_of_the_store_and_the_first_page(
     assert all(row.cpu_s > 0 for row in rows)
 
 
-def test_the_number_of_runs_reaches_the_measurement(capsys: pytest.CaptureFixture[str]) -> None:
-    parser = argparse.ArgumentParser()
-    bench.add_parser(parser.add_subparsers(), [])
-    words = bench.studio_words(parser.parse_args(["bench", "studio", "--runs", "2", "--json"]))
+def test_the_number_of_runs_reaches_the_measurement(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench, "hand_over", lambda _, words: main(words))
     with pytest.raises(SystemExit) as ended:
-        main(words)
+        tom(["bench", "studio", "--runs", "2", "--json"])
     assert ended.value.code == 2
     assert f"--runs 2: at least {len(KINDS)}" in capsys.readouterr().err

@@ -46,18 +46,7 @@ def test_a_file_without_the_marks_is_refused_before_anything_is_measured(tmp_pat
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert main(["bench", "--into", str(tmp_path / "none")]) == 2
     assert file.read_text() == "no marks\n"
-    file.write_bytes(b"\xff\xfe")
-    capsys.readouterr()
-    assert main(["bench", "--into", str(file)]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
-def test_only_the_parts_have_tables_to_put_somewhere(tmp_path: Path, capsys):
-    assert main(["bench", "learn", "--into", str(tmp_path / "page.md")]) == 2
-    assert (
-        capsys.readouterr().err
-        == "tom: --into is of the tables of `tom bench parts`: leave it out\n"
-    )
+    assert main(["bench", "learn", "--into", str(file)]) == 2
 
 
 def test_a_page_that_cannot_be_written_stays_as_it_was(

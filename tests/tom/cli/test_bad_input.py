@@ -21,43 +21,44 @@ def outcome(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
     ("arguments", "named"),
     [
         (["train", "--env", "hoper", "--learner", "mle"], "did you mean 'hopper'?"),
-        (["train", "--env", "hoper", "--learner", "mle"], "or any Gymnasium task: gymnasium:"),
-        (
-            ["train", "--env", "Pendulum-v1", "--learner", "mle"],
-            "a task of Gymnasium is gymnasium:Pendulum-v1",
-        ),
+        (["train", "--env", "hoper", "--learner", "mle"], "gymnasium:"),
+        (["train", "--env", "Pendulum-v1", "--learner", "mle"], "gymnasium:Pendulum-v1"),
         (["train", "--env", "hopper", "--learner", "pmacs"], "did you mean 'pmac'?"),
         ([*TRAIN[:-1], "smok"], "did you mean 'smoke'?"),
-        ([*TRAIN, "--sac.batch-size", "-1"], "--sac.batch-size -1: must be greater than"),
-        ([*TRAIN, "--sac.discount", "2"], "--sac.discount 2: must be less than 1"),
-        (
-            [*TRAIN, "--seed", "9223372036854775808"],
-            "--seed 9223372036854775808: must be less than",
-        ),
-        ([*TRAIN, "--seeds", "1", "9223372036854775808"], "--seed 9223372036854775808: must be"),
-        ([*TRAIN, "--sac.target-entropy", "nan"], "--sac.target-entropy nan: must be a finite"),
-        ([*TRAIN, "--sac.lr", "inf"], "--sac.lr inf: must be a finite number"),
-        ([*TRAIN, "--steps", "99999999999999999999"], "must be less than"),
-        ([*TRAIN, "--replay-capacity", str(2**62)], f"--replay-capacity {2**62}: must be less"),
-        ([*TRAIN, "--rollout.starts", str(2**63 - 1)], f"--rollout.starts {2**63 - 1}: must be"),
-        ([*TRAIN, "--threads", "100000"], "--threads 100000: must be less than or equal to 256"),
-        ([*TRAIN, "--sac.tau", "fast"], "--sac.tau fast: must be a valid number"),
+        ([*TRAIN, "--sac.batch-size", "-1"], "--sac.batch-size -1"),
+        ([*TRAIN, "--sac.discount", "2"], "--sac.discount 2"),
+        ([*TRAIN, "--seed", "9223372036854775808"], "--seed 9223372036854775808"),
+        ([*TRAIN, "--seeds", "1", "9223372036854775808"], "seed 9223372036854775808"),
+        ([*TRAIN, "--sac.target-entropy", "nan"], "--sac.target-entropy nan"),
+        ([*TRAIN, "--sac.lr", "inf"], "--sac.lr inf"),
+        ([*TRAIN, "--replay-capacity", str(2**62)], f"--replay-capacity {2**62}"),
+        ([*TRAIN, "--rollout.starts", str(2**63 - 1)], f"--rollout.starts {2**63 - 1}"),
+        ([*TRAIN, "--threads", "100000"], "--threads 100000"),
+        ([*TRAIN, "--sac.tau", "fast"], "--sac.tau fast"),
         ([*TRAIN, "--sac.discont", "0.9"], "did you mean --sac.discount?"),
-        ([*TRAIN, "--run-id", "../escape"], "is no run id"),
+        ([*TRAIN, "--run-id", "../escape"], "../escape"),
         ([*TRAIN, "--tom.divergence", "chi3"], "--tom.divergence chi3"),
-        (["train", "--learner", "mle"], "--env"),
-        (["train", "--resume", "one", "--seeds", "1"], "leave out --seeds"),
-        (["train", "--resume", "one", "--run-id", "two"], "leave out --run-id"),
-        (["bench", "learn", "--learner", "tomm"], "did you mean 'tom'?"),
-        (["bench", "learn", "--seeds", "-1"], "'-1' is no seed"),
-        (["demo", "--headless", "--seed", "-1"], "'-1' is no seed"),
-        (["reproduce", "progression", "--sac-seeds", "-1"], "'-1' is no seed"),
-        (["reproduce", "progression", "--steps", "9" * 20], "--steps 99999999999999999999"),
         ([*TRAIN, "--steps", str(2**60)], f"--steps {2**60}"),
-        (["reproduce", "returns", "--at", "0"], "--at must be at least 1"),
-        ([*BRUSH, "--hidden", str(2 * 10**12)], f"--hidden {2 * 10**12}: must be less"),
-        ([*BRUSH, "--layers", str(2 * 10**12)], f"--layers {2 * 10**12}: must be less"),
-        ([*BRUSH, "--factors", "4", "nan"], "factor nan: must be a finite number"),
+        ([*TRAIN, "--device", "quantum"], "--device quantum"),
+        (["train", "--learner", "mle"], "--env"),
+        (["train", "--resume", "one", "--seeds", "1"], "--seeds"),
+        (["train", "--resume", "one", "--run-id", "two"], "--run-id"),
+        ([*TRAIN, "--learner", "mle", "toom", "--seeds", "0"], "did you mean 'tom'"),
+        ([*TRAIN, "--seeds", "0", "1", "--seed", "3"], "--seed and --seeds"),
+        ([*TRAIN, "--learner", "mle", "tom", "--seed", "one"], "seeds.0 one"),
+        ([*TRAIN, "--learner", "mle", "tom", "--run-id", "mine"], "--run-id"),
+        ([*TRAIN, "--learner", "mle", "tom", "--sac.lr", "-1"], "sac.lr -1"),
+        (["bench", "learn", "--learner", "tomm"], "did you mean 'tom'?"),
+        (["bench", "learn", "--seeds", "-1"], "--seeds"),
+        (["demo", "--headless", "--seed", "-1"], "--seed"),
+        (["reproduce", "progression", "--sac-seeds", "-1"], "--sac-seeds"),
+        (["reproduce", "progression", "--steps", "9" * 20], f"--steps {'9' * 20}"),
+        (["reproduce", "returns", "--at", "0"], "--at"),
+        (["reproduce"], "STUDY"),
+        (["reproduce", "progresion"], "progresion"),
+        (["reproduce", "progression", "--env", "hoper"], "did you mean 'hopper'?"),
+        ([*BRUSH, "--hidden", str(2 * 10**12)], f"--hidden {2 * 10**12}"),
+        ([*BRUSH, "--factors", "4", "nan"], "factor nan"),
         (["trian"], "trian"),
         ([], "COMMAND"),
     ],
@@ -102,20 +103,12 @@ def test_a_run_id_that_is_taken(capsys, tmp_path: Path):
     assert (tmp_path / "mine" / "metrics.jsonl").read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("steps", "named"),
-    [
-        ("99999999999999999999", "--steps 99999999999999999999: must be less than"),
-        ("many", "--steps many: must be"),
-        ("-1", "--steps -1: must be"),
-        ("0", "--steps 0: must be"),
-    ],
-)
-def test_steps_that_a_run_cannot_go_on_to(steps: str, named: str, capsys, tmp_path: Path):
+@pytest.mark.parametrize("steps", ["99999999999999999999", "many", "-1", "0"])
+def test_steps_that_a_run_cannot_go_on_to(steps: str, capsys, tmp_path: Path):
     config = resolve("inverted-pendulum", "mle", "smoke", {})
     RunWriter.create(Store(tmp_path), "mine", config).close()
     words = ["train", "--resume", "mine", f"--steps={steps}", "--store", str(tmp_path)]
     code, message = outcome(words, capsys)
     assert code == 2
-    assert named in message
+    assert f"--steps {steps}" in message
     assert message.count("\n") == 1

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from tom.cli.bench import _learn_row
+from tom.cli.bench import learnt
 from tom.record import RunReader
 
 
@@ -20,10 +20,10 @@ def test_the_first_step_that_reached_the_return_counts(tmp_path: Path):
         {"env_step": 200, "eval/return": 950.0, "time/wall_s": 3.04},
         {"env_step": 300, "eval/return": 999.0},
     )
-    row = _learn_row(run)
+    row = learnt(run)
     assert (row["reached_at"], row["wall_s"]) == (200, 3.0)
 
 
 def test_a_run_that_was_never_evaluated_has_reached_nothing(tmp_path: Path):
-    assert _learn_row(run_with(tmp_path, {"env_step": 100}))["reached_at"] is None
-    assert _learn_row(run_with(tmp_path))["reached_at"] is None
+    assert learnt(run_with(tmp_path, {"env_step": 100}))["reached_at"] is None
+    assert learnt(run_with(tmp_path))["reached_at"] is None

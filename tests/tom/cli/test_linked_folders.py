@@ -1,14 +1,11 @@
 """The folders beside the runs of a store are followed to no other place, whatever is done."""
 
-import json
 import shutil
 from pathlib import Path
 
 import pytest
 
-import tom
 from tom.cli import main
-from tom.errors import UserError
 
 TASK = ["--env", "inverted-pendulum", "--preset", "smoke", "--steps", "250"]
 WEIGH = ["weigh", "run", "--policy", "run", "--learner", "mle", "--seeds", "0", "--footprint", "50"]
@@ -81,41 +78,3 @@ def test_nothing_is_written_through_a_link(
     assert said.err.count("\n") == 1
     assert written(tmp_path / "outside") == before
     assert (store / "run/config.json").exists()
-
-
-def test_small_copies_are_not_written_through_a_link(made: Path, tmp_path: Path, capsys):
-    out, outside = tmp_path / "out", tmp_path / "outside"
-    out.mkdir()
-    outside.mkdir()
-    (out / "weighings").symlink_to(outside)
-    words = ["runs", "export", "run", "--small", "--out", str(out), "--store", str(made)]
-    assert main(words) == 2
-    assert "weighings is a link" in capsys.readouterr().err
-    assert not list(outside.iterdir())
-    assert [path.name for path in out.iterdir()] == ["weighings"]
-
-
-def test_nothing_is_read_through_a_link_and_each_is_named(store: Path, tmp_path: Path, capsys):
-    out = tmp_path / "out"
-    words = ["export", "run", "--small", "--out", str(out), "--json"]
-    assert main(["runs", *words, "--store", str(store)]) == 0
-    assert json.loads(capsys.readouterr().out) == [str(out / "run")]
-    with pytest.raises(UserError, match="no run or weighing"):
-        tom.load("weighed", store)
-    assert main(["runs", "--store", str(store)]) == 0
-    said = capsys.readouterr()
-    assert "1 runs" in said.out
-    lines = said.err.splitlines()
-    assert len(lines) == len(BESIDE)
-    assert all(any(name in line for line in lines) for name in BESIDE)
-    assert main(["runs", "verify", "--store", str(store)]) == 1
-
-
-def test_a_linked_weighing_is_not_read(made: Path, tmp_path: Path, capsys):
-    shutil.copytree(made / "run", tmp_path / "store/run")
-    (tmp_path / "store/weighings").mkdir()
-    (tmp_path / "store/weighings/linked").symlink_to(made / "weighings/weighed")
-    out = tmp_path / "out"
-    words = ["export", "run", "--small", "--out", str(out), "--json"]
-    assert main(["runs", *words, "--store", str(tmp_path / "store")]) == 0
-    assert json.loads(capsys.readouterr().out) == [str(out / "run")]

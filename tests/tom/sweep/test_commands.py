@@ -6,7 +6,7 @@ import pytest
 from sweeping import until
 
 from tom.record import Store
-from tom.sweep import train_all
+from tom.sweep.engine import train_all
 
 SMOKE = ("--env", "inverted-pendulum", "--preset", "smoke", "--no-rerun")
 

@@ -178,23 +178,6 @@ def test_a_run_that_cannot_be_read_for_now__is_tried_again_and_kept(tmp_path: Pa
     assert third.store.run(trial.run_id).config["resumes"]
 
 
-def test_a_stopped_run_and_another_torch_now__is_reported_and_nothing_begins_anew(tmp_path: Path):
-    trial = stopped(tmp_path)
-    path = tmp_path / trial.run_id / "config.json"
-    content = json.loads(path.read_text())
-    content["versions"]["torch"] = "1.13.1"
-    path.write_text(json.dumps(content))
-    second = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), back_off_s=0.1)
-    finish(second)
-    assert (second.jobs[0].state, second.jobs[0].attempts) == ("failed", 1)
-    assert "torch 1.13.1 then" in second.jobs[0].note
-    assert "--accept-versions" in second.jobs[0].note
-    assert not (tmp_path / ".trash").exists()
-    third = Driver(FolderBackend(Store(tmp_path)), [trial], LocalEngine(1), accept_versions=True)
-    finish(third)
-    assert third.jobs[0].state == "finished"
-
-
 def fill(path: Path) -> None:
     """Write into `path` until the disk is full."""
     with path.open("wb") as file, suppress(OSError):

@@ -67,7 +67,7 @@ def test_a_sweep_runs_once_and_is_then_skipped(tmp_path: Path, capsys):
         ((), "--env and --learner"),
         (("--env", "hoper", "--learner", "mle"), "did you mean 'hopper'"),
         ((*SMOKE, "--seeds", "-1"), "--seeds"),
-        ((*SMOKE, "--jobs", "0"), "--jobs 0"),
+        ((*SMOKE, "--jobs", "0"), "--jobs"),
         ((*SMOKE, "--only", "1"), "runs 0 to 0"),
         ((*SMOKE, "--sac.lr", "-1"), "sac.lr"),
         ((*SMOKE, "--engine", "pbs"), "pbs"),
@@ -283,7 +283,7 @@ class Patchy(FolderBackend):
 
     away: str | None = None
 
-    def look(self, run_id: str, *, now: bool = False) -> None:
+    def update(self, run_id: str, *, now: bool = False) -> None:
         if run_id == self.away:
             raise OSError("this one is out of reach")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tom.bench import last
+from tom.bench import projection
 from tom.bench.projection import NEEDED, per_step_ms, written_bytes
 from tom.cli import main
 from tom.config import OnlineConfig
@@ -55,13 +55,13 @@ def test_of_a_run_that_goes_on_what_is_left_is_counted(tmp_path: Path):
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"SAC update": 1}', json.dumps({**MS, "x": 1})])
 def test_a_measurement_is_kept_whole_or_not_at_all(content: str):
-    assert last.last_bench() is None
-    last.save(MS)
-    assert last.last_bench() == MS
+    assert projection.last_bench() is None
+    projection.save_bench(MS)
+    assert projection.last_bench() == MS
     cache_file("bench").write_text(content)
-    assert last.last_bench() == (MS if "x" in content else None)
-    last.save({**MS, "SAC update": float("nan")})
-    assert last.last_bench() is None
+    assert projection.last_bench() == (MS if "x" in content else None)
+    projection.save_bench({**MS, "SAC update": float("nan")})
+    assert projection.last_bench() is None
 
 
 def test_without_runs_a_robot_is_judged_by_the_bench(tmp_path: Path, capsys):
@@ -71,7 +71,7 @@ def test_without_runs_a_robot_is_judged_by_the_bench(tmp_path: Path, capsys):
     said = capsys.readouterr().out
     assert "`tom bench` last measured here" in said
     assert "about" not in said  # 0 h would be no answer
-    last.save(MS)
+    projection.save_bench(MS)
     tom, mle = trials(checked(PLAN))
     newest = tmp_path / "store" / mle.run_id
     RunWriter.create(Store(tmp_path / "store"), mle.run_id, mle.config).close()
@@ -96,7 +96,7 @@ def test_slurms_time_is_projected_as_well(tmp_path: Path, capsys):
     sweep = ["sweep", *words, "--engine", "slurm"]
     assert main(sweep) == 0
     assert f"--time={DEFAULT_HOURS}:00:00" in capsys.readouterr().out
-    last.save(MS)
+    projection.save_bench(MS)
     (trial,) = trials(checked({"env": "humanoid", "learner": "tom"}))
     assert isinstance(trial.config, OnlineConfig)
     left = trial.config.steps - trial.config.exploration_steps

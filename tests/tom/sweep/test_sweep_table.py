@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tom.cli.sweep.table import Watcher
+from tom.cli.sweep import SweepDisplay
 from tom.events import Tick
 from tom.record import Store
 from tom.record.recorder import Recorder
@@ -38,8 +38,8 @@ def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Driver:
 
 
 def shown(driver: Driver, stream: io.StringIO) -> str:
-    with Watcher(driver, stream) as watcher:
-        watcher.look()
+    with SweepDisplay(driver, stream) as display:
+        display.update()
     return stream.getvalue()
 
 
@@ -64,11 +64,11 @@ def test_where_the_terminal_is_small_what_matters_is_shown_and_the_rest_counted(
 
 def test_in_a_log_a_line_is_a_change(driver: Driver):
     stream = io.StringIO()
-    with Watcher(driver, stream) as watcher:
-        watcher.look()
-        watcher.look()
+    with SweepDisplay(driver, stream) as display:
+        display.update()
+        display.update()
         driver.jobs[1].state = "running"
-        watcher.look()
+        display.update()
     lines = stream.getvalue().splitlines()
     assert lines[0] == f"{driver.jobs[0].run_id}: finished (was there already)"
     assert [line.split(": ")[1] for line in lines if driver.jobs[1].run_id in line] == [

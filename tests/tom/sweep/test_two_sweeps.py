@@ -50,7 +50,7 @@ def test_a_training_that_found_its_run_locked_for_a_moment_is_tried_again(
     assert manage.trashed(died_early) == []
 
 
-@pytest.mark.parametrize("off_s", [-1e4, 0.0, 1e4])
+@pytest.mark.parametrize("off_s", [-1e4, 1e4])
 def test_a_run_of_another_machine_is_watched_whatever_its_clock_says(
     off_s: float, died_early: Store, trial: Trial
 ):

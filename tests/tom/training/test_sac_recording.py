@@ -1,7 +1,6 @@
 """A recording of SAC: the halves, their order, the states and the policy that comes with it."""
 
 from pathlib import Path
-from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -134,35 +133,11 @@ def test_a_policy_in_half_precision_is_read_as_well(tmp_path: Path):
     torch.testing.assert_close(stored.mean(obs), recording.policy.mean(obs), rtol=2e-3, atol=2e-3)
 
 
-def test_the_recorded_policy_file_is_that_of_the_run(recording: RunReader):
-    stored = read_policy(recording.path / "policy.npz")
-    assert (stored.env, stored.obs_dim, stored.action_dim) == ("hopper", 11, 3)
-
-
-def test_a_policy_in_a_file_of_another_kind_is_told_what_is_read(tmp_path: Path):
-    with ZipFile(tmp_path / "model.zip", "w") as model:  # as stable-baselines3 saves one
-        model.writestr("data", "{}")
-    with pytest.raises(UserError, match=r"TorchScript \(.pt\) or ONNX \(docs/your-own.md"):
-        read_policy(tmp_path / "model.zip")
-
-
 @pytest.mark.parametrize(
     "arrays",
     [
         {"env": np.array("hopper")},
         {"weight_0": np.zeros((3, 2), np.float32), "bias_0": np.zeros(2, np.float32)},
-        {
-            "env": np.array("hopper"),
-            "weight_0": np.zeros((3, 5), np.float32),
-            "bias_0": np.zeros(5, np.float32),
-            "weight_1": np.zeros((4, 2), np.float32),
-            "bias_1": np.zeros(2, np.float32),
-        },
-        {
-            "env": np.array("hopper"),
-            "weight_0": np.full((3, 2), np.nan, np.float32),
-            "bias_0": np.zeros(2, np.float32),
-        },
         {"env": np.array({"evil": 1}, object)},
         {
             "env": np.array("hopper"),

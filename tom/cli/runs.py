@@ -1,0 +1,410 @@
+"""`tom runs`: list and manage the runs of a store."""
+
+import argparse
+import json
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from tom import readable
+from tom.cli.parser import add_json, add_store, folder, whole
+from tom.cli.tables import print_problems, show, summary
+from tom.config import flat
+from tom.errors import UserError, unknown
+from tom.harmless import terminal
+from tom.readable import score, short
+from tom.record import RunReader, Status, Store, manage, sizes, small_copy
+from tom.record.export import EXPORTERS, export, export_small
+from tom.record.labels import Labels
+from tom.record.layout import WEIGHINGS
+from tom.record.thin import OPTIONAL, SERIES
+
+STATES = ("running", "finished", "stopped", "failed", "dead", "unknown")
+MB = 1e6
+
+
+def add_parser(subparsers, arguments: list[str]) -> None:
+    parser = subparsers.add_parser(
+        "runs", description="List the runs of a store, or do something with them."
+    )
+    add_store(parser)
+    add_json(parser)
+    parser.set_defaults(run=list_runs, env=None, learner=None, tag=None, state=None)
+    verbs = parser.add_subparsers(title="what to do", metavar="VERB")
+
+    def verb(
+        name: str, run: Callable[[argparse.Namespace], int], text: str, runs: str | None = None
+    ) -> argparse.ArgumentParser:
+        """Add a verb; `runs` is "1" for one run, "*" or "+" for several."""
+        added = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        # Suppressed: the options may also stand before the verb.
+        kept: dict[str, Any] = {"default": argparse.SUPPRESS}
+        added.add_argument("--store", type=folder, help="run store (runs/)", **kept)
+        added.add_argument("--json", action="store_true", help="print JSON", **kept)
+        if runs == "1":
+            added.add_argument("run_id", metavar="RUN")
+        elif runs:
+            added.add_argument("run_ids", metavar="RUN", nargs=runs)
+        added.set_defaults(run=run)
+        return added
+
+    listed = verb("list", list_runs, "list the runs, newest first")
+    listed.add_argument("--env", help="only this environment")
+    listed.add_argument("--learner", help="only this learner")
+    listed.add_argument("--tag", help="only runs with this tag")
+    listed.add_argument("--state", choices=STATES, help="only runs in this state")
+    verb("show", show_run, "everything known about a run", "1")
+    two = verb("diff", diff, "settings, versions and results in which two runs differ")
+    two.add_argument("first", metavar="RUN")
+    two.add_argument("second", metavar="RUN")
+    named = verb("rename", rename, 'give a run a display name ("" takes it away)', "1")
+    named.add_argument("name", metavar="NAME")
+    tagged = verb("tag", tag, "add tags to a run, or remove some", "1")
+    tagged.add_argument("tags", metavar="TAG", nargs="*")
+    tagged.add_argument("--remove", metavar="TAG", nargs="+", default=[], help="take these away")
+    noted = verb("note", note, 'give a run a note ("" takes it away)', "1")
+    noted.add_argument("text", metavar="TEXT")
+    verb("trash", trash, "move runs into the store's .trash/, or list what is there", "*")
+    verb("restore", restore, "move runs back out of the trash", "+")
+    verb("verify", verify, "read every file of runs [all]; 1 if any is damaged", "*")
+    verb("repair", repair, "mend damaged runs; nothing is lost", "+")
+    exported = verb("export", export_runs, "write runs [all finished ones] in another format", "*")
+    exported.add_argument("--format", choices=tuple(EXPORTERS), help="[csv]")
+    exported.add_argument(
+        "--small", action="store_true", help="a small copy of the run folder, to show and share"
+    )
+    exported.add_argument(
+        "--keep", nargs="+", choices=tuple(OPTIONAL), default=[], metavar="PART",
+        help="what a small copy keeps whatever its size: " + ", ".join(OPTIONAL),
+    )  # fmt: skip
+    exported.add_argument(
+        "--without", nargs="+", choices=(*SERIES, *OPTIONAL), default=[], metavar="PART",
+        help=f"what a small copy leaves out: {', '.join(SERIES)}, of which it else has a few, "
+        + ", ".join(OPTIONAL),
+    )  # fmt: skip
+    exported.add_argument("--out", type=Path, default=Path("exports"), help="folder [exports/]")
+    verb("index", index, "write the store's README.md: its small copies, and how each was made")
+    verb("size", size, "what runs [all] take on the disk, in MB", "*")
+    pruned = verb("prune", prune, "delete old checkpoints of runs [all finished ones]", "*")
+    pruned.add_argument(
+        "--keep", type=whole(0), default=1, help="checkpoints to keep of each run [1]"
+    )
+    pruned.add_argument("--dry-run", action="store_true", help="say what it would free")
+    fetched = verb("fetch", fetch, "copy runs [all] from an object store into the store")
+    fetched.add_argument("url", metavar="s3://BUCKET/PREFIX", help="the --store of `tom sweep`")
+    fetched.add_argument("run_ids", metavar="RUN", nargs="*")
+
+
+def _output(args: argparse.Namespace, content: object, lines: Iterable[str]) -> int:
+    """Print `content` as JSON if that is asked for, else the lines; returns 0."""
+    if args.json:
+        print(json.dumps(content))
+    else:
+        for line in lines:
+            print(terminal(line))
+    return 0
+
+
+def _chosen(store: Store, run_ids: Sequence[str], *, finished: bool = False) -> list[RunReader]:
+    """The named runs, each once, or all, or all that are `finished`.
+
+    Raises UserError for an unknown name, before anything is done.
+    """
+    store.ensure_there()
+    if run_ids:
+        return [store.run(run_id) for run_id in dict.fromkeys(run_ids)]
+    runs = store.runs()
+    return [run for run in runs if run.status.state == "finished"] if finished else runs
+
+
+# What there is
+
+
+def list_runs(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    runs = _chosen(store, ())
+    print_problems(store)
+    _check_filters(args, runs)
+    read = [(run, run.status) for run in runs]  # each status once: there may be a thousand
+    shown = [(run, status) for run, status in read if _wanted(run, status, args)]
+    rows = [_row(run, status) for run, status in shown]
+    if args.json:
+        print(json.dumps(rows))
+        return 0
+    columns = {
+        "run": [row["run_id"] for row in rows],
+        "name": [row["name"] for row in rows],
+        "tags": [", ".join(row["tags"]) for row in rows],
+        "state": [small_copy.shown(status, run.small_copy) for run, status in shown],
+        "step": [str(row["env_step"]) for row in rows],
+        "last return": [score(row["last_return"]) for row in rows],
+        "best return": [score(row["best_return"]) for row in rows],
+        "problems": ["; ".join(row["problems"]) for row in rows],
+    }
+    filled = {name: cells for name, cells in columns.items() if any(cells) or name == "run"}
+    show(f"{len(rows)} runs in {args.store}", list(filled), zip(*filled.values(), strict=True))
+    return 0
+
+
+def show_run(args: argparse.Namespace) -> int:
+    run = Store(args.store).run(args.run_id)
+    row = _row(run, run.status)
+    if args.json:
+        print(json.dumps({**row, "note": run.labels.note, "description": run.config}))
+        return 0
+    row["state"] = run.shown
+    del row["small_copy"]  # the state says so
+    described = {**row, "note": run.labels.note, "reason": run.status.reason, **flat(run.config)}
+    texts = [(name, text) for name, value in described.items() if (text := _text(value))]
+    show(run.run_id, ("what", "value"), texts)
+    last = run.metrics().ffill().tail(1)
+    if len(last):
+        values = last.iloc[0].to_dict()
+        show("last metrics", ("metric", "value"), [(k, short(v, 6)) for k, v in values.items()])
+    for notice in run.notices():
+        print(terminal(f"step {notice.get('env_step')}: {notice.get('message')}"))
+    return 0
+
+
+def diff(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    first, second = (_comparable(store.run(run_id)) for run_id in (args.first, args.second))
+    names = [n for n in dict.fromkeys([*first, *second]) if first.get(n) != second.get(n)]
+    if args.json:
+        print(json.dumps({name: [first.get(name), second.get(name)] for name in names}))
+    else:
+        rows = [(name, _text(first.get(name)), _text(second.get(name))) for name in names]
+        show(f"{len(rows)} differences", ("what", args.first, args.second), rows)
+    return 0
+
+
+def _comparable(run: RunReader) -> dict[str, Any]:
+    """What two runs may differ in, by dotted name, without what is unique to every run."""
+    if not run.config.get("config"):
+        raise UserError(f"run '{run.run_id}' has no settings to compare")
+    own = {name: run.config.get(name) for name in ("config", "versions", "git_commit", "machine")}
+    results = ("state", "env_step", "last_return", "best_return")
+    return flat(own) | {name: getattr(run.status, name) for name in results}
+
+
+def _check_filters(args: argparse.Namespace, runs: Sequence[RunReader]) -> None:
+    """Raises UserError for an environment or learner that is unknown and that no run has."""
+    for kind, name in (("env", args.env), ("learner", args.learner)):
+        recorded = dict.fromkeys(getattr(run, kind) for run in runs)
+        if name is None or name in recorded:
+            continue
+        from tom.envs import ENV_NAMES  # they take seconds to import
+        from tom.learners import LEARNERS
+
+        ours = ENV_NAMES if kind == "env" else tuple(LEARNERS)
+        if name not in ours:
+            raise unknown(kind, name, dict.fromkeys([*ours, *recorded]))
+
+
+def _wanted(run: RunReader, status: Status, args: argparse.Namespace) -> bool:
+    values = {"env": run.env, "learner": run.learner, "state": status.shown}
+    same = all(getattr(args, name) in (None, value) for name, value in values.items())
+    return same and (args.tag is None or args.tag in run.labels.tags)
+
+
+def _row(run: RunReader, status: Status) -> dict[str, Any]:
+    return {
+        **summary(run, status),
+        "name": run.labels.name,
+        "tags": list(run.labels.tags),
+        "state": status.shown,
+        "problems": run.problems,
+        "small_copy": run.small_copy,
+        "left_out": list(run.left_out),
+    }
+
+
+def _text(value: Any) -> str:
+    if value is None or value == []:
+        return ""
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+# Labels and the trash
+
+
+def rename(args: argparse.Namespace) -> int:
+    return _labelled(args, manage.rename(Store(args.store), args.run_id, args.name))
+
+
+def tag(args: argparse.Namespace) -> int:
+    return _labelled(args, manage.tag(Store(args.store), args.run_id, args.tags, args.remove))
+
+
+def note(args: argparse.Namespace) -> int:
+    return _labelled(args, manage.note(Store(args.store), args.run_id, args.text))
+
+
+def _labelled(args: argparse.Namespace, labels: Labels) -> int:
+    tags = f" [{', '.join(labels.tags)}]" if labels.tags else ""
+    first = f"{args.run_id}: {labels.name or 'no name'}{tags}"
+    return _output(args, asdict(labels), [first, *labels.note.splitlines()])
+
+
+def trash(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    store.ensure_there()
+    if not args.run_ids:
+        trashed = manage.trashed(store)
+        return _output(args, trashed, trashed or ["nothing"])
+    run_ids = list(dict.fromkeys(args.run_ids))
+    for run_id in run_ids:  # what is refused is refused before any run is moved
+        with manage.unwritten(store.run(run_id)):
+            pass
+    places = [str(manage.trash(store, run_id)) for run_id in run_ids]
+    return _output(args, places, places)
+
+
+def restore(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    run_ids = list(dict.fromkeys(args.run_ids))
+    for run_id in run_ids:
+        manage.check_restorable(store, run_id)
+    places = [str(manage.restore(store, run_id)) for run_id in run_ids]
+    return _output(args, places, places)
+
+
+# Files
+
+
+def verify(args: argparse.Namespace) -> int:
+    from tom.record import integrity
+
+    store = Store(args.store)
+    problems = {run.run_id: integrity.verify(run) for run in _chosen(store, args.run_ids)}
+    bad = sum(map(bool, problems.values()))
+    lines = [f"{run_id}: {text}" for run_id, texts in problems.items() for text in texts]
+    lines += [*store.problems, f"{len(problems)} runs read, {bad} with problems"]
+    _output(args, {"runs": problems, "store": store.problems}, lines)
+    return 1 if bad or store.problems else 0
+
+
+def repair(args: argparse.Namespace) -> int:
+    from tom.record import integrity
+
+    runs = _chosen(Store(args.store), args.run_ids)
+    repairs = {run.run_id: integrity.repair(run) for run in runs}
+    lines = [
+        f"{name}: {line}" for name, done in repairs.items() for line in done or ["nothing to mend"]
+    ]
+    return _output(args, repairs, lines)
+
+
+def export_runs(args: argparse.Namespace) -> int:
+    if (args.keep or args.without) and not args.small:
+        raise UserError("--keep and --without are about a small copy: add --small")
+    if args.format and args.small:
+        raise UserError("--small copies run folders as they are: leave out --format")
+    if both := sorted({*args.keep} & {*args.without}):
+        raise UserError(f"--keep and --without both name {', '.join(both)}: choose one")
+    store = Store(args.store)
+    runs = _chosen(store, args.run_ids, finished=True)
+    print_problems(store)
+    if not runs:
+        raise UserError(f"{args.store}/ has no finished runs: name those to export")
+    with _all_or_none(args.out) as made:
+        for run in runs:
+            for path in _exported(run, args):
+                made.append(path)
+    paths = [str(path) for path in made]
+    return _output(args, paths, paths)
+
+
+def _exported(run: RunReader, args: argparse.Namespace) -> Iterator[Path]:
+    """Export a run; a small copy brings copies of the weighings of its buffer."""
+    if args.small:
+        from tom.reports.weighing_files import copy_small
+
+        yield export_small(run, args.out, args.keep, args.without)
+        yield from copy_small(args.store, run.run_id, args.out)
+    else:
+        yield export(run, args.format or "csv", args.out)
+
+
+@contextmanager
+def _all_or_none(folder: Path) -> Iterator[list[Path]]:
+    """Collect the paths made in `folder`; after an error all of them are removed again."""
+    made: list[Path] = []
+    new = [place for place in (folder / WEIGHINGS, folder) if not place.exists()]
+    try:
+        yield made
+    except BaseException:
+        for path in made:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        for place in new:
+            with suppress(OSError):  # not empty, or never made
+                place.rmdir()
+        raise
+
+
+def index(args: argparse.Namespace) -> int:
+    from tom.reports import index as page
+    from tom.reports.weighing_files import of_run
+
+    store = Store(args.store)
+    runs = page.small_copies(store)
+    print_problems(store)
+    if not runs:
+        raise UserError(f"{store.path}/ has no small copies: tom runs export --small makes them")
+    path = store.path / page.NAME
+    weighings = [weighing for run in runs for weighing in of_run(store.path, run.run_id)]
+    page.write(path, page.index(runs, weighings))
+    return _output(args, str(path), [str(path)])
+
+
+def size(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    parts = {run.run_id: sizes.sizes(run) for run in _chosen(store, args.run_ids)}
+    print_problems(store)
+    if args.json:
+        print(json.dumps(parts))
+        return 0
+    largest = sorted(parts.items(), key=lambda item: -sum(item[1].values()))
+    rows = [
+        (name, *(readable.number(count / MB) for count in [*of.values(), sum(of.values())]))
+        for name, of in largest
+    ]
+    total = readable.size(sum(sum(of.values()) for of in parts.values()))
+    show(f"{total} in {len(rows)} runs", ("run", *sizes.PARTS, "all"), rows)
+    return 0
+
+
+def prune(args: argparse.Namespace) -> int:
+    store = Store(args.store)
+    runs = _chosen(store, args.run_ids, finished=True)
+    print_problems(store)
+    counts = {run.run_id: sizes.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
+    freed = {name: count for name, count in counts.items() if count}
+    would = "would free" if args.dry_run else "freed"
+    lines = [f"{name}: {would} {readable.size(count)}" for name, count in freed.items()]
+    return _output(args, freed, [*lines, f"{would} {readable.size(sum(freed.values()))} in all"])
+
+
+def fetch(args: argparse.Namespace) -> int:
+    from tom.record.bucket.fetching import fetch_run, run_ids
+    from tom.record.bucket.objects import Bucket
+
+    bucket, store = Bucket.open(args.url), Store(args.store)
+    done: dict[str, str] = {}
+    try:
+        wanted = args.run_ids or run_ids(bucket)
+        if not wanted:
+            raise UserError(f"no runs in {args.url}: is it the --store of a sweep?")
+        store.ensure_writable()
+        for run_id in wanted:
+            done[run_id] = fetch_run(bucket, run_id, store)
+            if not args.json:
+                print(terminal(f"{run_id} {done[run_id]}"), flush=True)
+    except OSError as error:
+        raise UserError(f"{args.url}: {error}") from error
+    if args.json:
+        print(json.dumps(done))
+    return 0
