@@ -27,11 +27,12 @@ from tom.analysis.weighing import load_policy, made_anew
 from tom.cli.parser import folder, one_line, seed_number
 from tom.cli.weigh import count
 from tom.config import ModelConfig
+from tom.data.unpack import DAMAGE
 from tom.envs import scene, task
 from tom.errors import UserError
 from tom.machine.matmul import choose_matmul
 from tom.record import RunReader, Store, layout
-from tom.record.array_files import DAMAGE, read_table
+from tom.record.decode import read_table
 from tom.record.reader import at_or_before
 from tom.record.versions import git_commit, versions
 from tom.reports import brush_files, weighing_files

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from tom.errors import UserError
 from tom.harmless import as_csv
-from tom.record.array_files import write_table
+from tom.record.decode import write_table
 from tom.record.files import replace, replace_json, whole_folder
 from tom.record.reader import RunReader
 from tom.record.thin import thin

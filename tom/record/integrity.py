@@ -13,9 +13,10 @@ import pandas as pd
 import pyarrow as pa
 
 from tom.config import RunConfig, SacRecordingConfig
+from tom.data.unpack import DAMAGE, read_arrays
 from tom.errors import reason
 from tom.record import checkpoint, digests, layout
-from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
+from tom.record.decode import read_table, write_table
 from tom.record.files import (
     begins_with,
     copy_aside,

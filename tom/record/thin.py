@@ -17,8 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from tom.record import checkpoint, decode, digests, layout, small_copy
-from tom.record.array_files import write_table
-from tom.record.decode import Profiles
+from tom.record.decode import Profiles, write_table
 from tom.record.files import plain, replace_json, size_of, whole_folder
 from tom.record.reader import RunReader, at_or_before
 from tom.record.status import Status

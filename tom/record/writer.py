@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from tom.config import RunConfig
 from tom.data.sampling import bin_means, ess, zero_share
 from tom.data.transitions import Transitions
+from tom.data.unpack import read_arrays
 from tom.events import Episode, Weights
 from tom.record import decode, digests, layout, lock
-from tom.record.array_files import NUMBERS, read_arrays, write_table
 from tom.record.creating import make_folder
+from tom.record.decode import NUMBERS, write_table
 from tom.record.files import (
     JsonLines,
     begins_with,

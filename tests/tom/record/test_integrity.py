@@ -13,9 +13,10 @@ from killed import killed_at_rename
 from recorded import Config, events, weights
 
 from tom.config import SacRecordingConfig
+from tom.data.unpack import read_arrays
 from tom.errors import UserError
 from tom.record import RunReader, Store, checkpoint, integrity, manage, sizes
-from tom.record.array_files import read_arrays, read_table
+from tom.record.decode import read_table
 from tom.record.export import export_small
 from tom.record.integrity import repair, verify
 from tom.record.recorder import Recorder
