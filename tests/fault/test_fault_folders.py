@@ -214,7 +214,7 @@ def test_a_run_whose_checkpoints_cannot_be_read_for_now__is_not_begun_beside_its
     fail(monkeypatch, "open", run.path / checkpoint.FOLDER, errno.EIO)
     with pytest.raises(TryLaterError):
         unfinished(store, recorded_config(run))
-    assert "cannot be read: " in "\n".join(verify(run))
+    assert "cannot be read" in "\n".join(verify(run))
     assert "cannot go on" not in "\n".join(verify(run))
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection
 from contextlib import closing
 from dataclasses import asdict
 from datetime import datetime
+from functools import partial
 from math import isnan
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ def export(reader: RunReader, kind: str, folder: Path) -> Path:
     Raises UserError if the export exists already or the folder cannot be written.
     """
     suffix, write = EXPORTERS[kind]
-    return _written(folder / (reader.run_id + suffix), lambda path: write(reader, path))
+    return _written(folder / (reader.run_id + suffix), partial(write, reader))
 
 
 def export_small(
@@ -100,7 +101,7 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
 
 def _rrd(reader: RunReader, path: Path) -> None:
     # Imported here because Rerun takes half a second, which other formats do not need.
-    from tom.record.rerun.file import write
+    from tom.record.rerun.feed import write
 
     write(reader, path)
 

@@ -15,10 +15,9 @@ from tom.config import Config, Count, Positive, Whole
 from tom.envs import ENVS, ROAD, Task, scene, skeleton, task
 from tom.envs.termination import never
 from tom.errors import UserError
-from tom.record import layout, stamps
+from tom.record import layout
+from tom.record.files import modified
 from tom.record.reader import RunReader
-
-MOST_DIMS = 100_000
 
 
 class _Described(Config):
@@ -26,8 +25,8 @@ class _Described(Config):
 
     model_config = ConfigDict(extra="ignore")
 
-    obs_names: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_DIMS)]
-    action_dim: Annotated[int, Field(ge=1, le=MOST_DIMS)]
+    obs_names: Annotated[tuple[str, ...], Field(min_length=1)]
+    action_dim: Count
     max_episode_steps: Count
     nq: Whole = 0
     root_dims: Whole | None = None
@@ -55,19 +54,19 @@ def task_of(run: RunReader) -> Task:
     """
     if run.env in ENVS:
         return ENVS[run.env]
-    said = _described(run)
-    if said is None:
+    described = _described(run)
+    if described is None:
         return task(run.env)
     return Task(
         name=run.env,
         terminated=never,
         knows_ends=False,
         steps=1,
-        action_dim=said.action_dim,
-        obs_names=said.obs_names,
-        max_episode_steps=said.max_episode_steps,
-        nq=said.nq,
-        root_dims=said.root_dims,
+        action_dim=described.action_dim,
+        obs_names=described.obs_names,
+        max_episode_steps=described.max_episode_steps,
+        nq=described.nq,
+        root_dims=described.root_dims,
     )
 
 
@@ -75,23 +74,24 @@ def seconds(run: RunReader) -> float:
     """The duration in seconds of a step of the run's task on the screen."""
     if run.env in ENVS:
         return scene.model(run.env).dt
-    said = _described(run)
-    return 1 / 30 if said is None else said.dt
+    described = _described(run)
+    return 1 / 30 if described is None else described.dt
 
 
 def scene_of(run: RunReader) -> scene.Model | None:
     """The model to draw the run's robot; None for a task that is unknown or without MuJoCo."""
     if run.env in ENVS:
         return scene.model(run.env)
-    path = run.path / layout.SCENE
-    return _scene(str(run.path), stamps.stamp(path)) if path.is_file() else None
+    changed = modified(run.path / layout.SCENE)
+    return _scene(run.path, changed) if changed else None
 
 
 @lru_cache(maxsize=16)
-def _scene(path: str, stamp: stamps.Stamp) -> scene.Model | None:
-    held = RunReader(path).arrays(layout.SCENE)
+def _scene(path: Path, changed: int) -> scene.Model | None:
+    """The model in the run folder `path`, cached until its file has `changed`."""
+    arrays = RunReader(path).arrays(layout.SCENE)
     try:
-        return None if held is None else skeleton.of_arrays(held)
+        return None if arrays is None else skeleton.of_arrays(arrays)
     except (ValueError, KeyError, TypeError, IndexError):
         return None
 

@@ -16,6 +16,7 @@ from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store, checkpoint, lock
 from tom.record.checkpoint import Checkpoint
+from tom.record.files import set_aside
 from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import open_sink
@@ -67,7 +68,8 @@ def resume(
         training, watch = make_training(config), Watch(config)
         said.append(("settings", check_training(reader, held, config, training)))
         mark = _go_on(reader, held, training, watch)
-        held.set_unusable_aside(reader.path)
+        for path in held.unusable:  # or they would be among the two that are kept
+            set_aside(reader.path, path)
     except BaseException:
         writer.close()
         raise
@@ -104,7 +106,7 @@ def unfinished(
             continue  # although its last checkpoint may be of an earlier step, if the disk was full
         if {**given, "steps": config.steps} != wanted or lock.held(reader.path):
             continue
-        held = _newest(reader)
+        held = checkpoint.load(reader.path / checkpoint.FOLDER)
         if held is not None and not _complete(reader, held, config):
             return reader.run_id
     return None
@@ -149,16 +151,8 @@ def _require_own_device(reader: RunReader, config: AnyConfig) -> None:
         ) from None
 
 
-def _newest(reader: RunReader) -> Checkpoint | None:
-    """The run's newest undamaged checkpoint. Raises UserError if it may have one, unread."""
-    held, unread = checkpoint.look_for(reader.path / checkpoint.FOLDER)
-    if held is None and unread:
-        raise _not_now(reader, unread)
-    return held
-
-
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
-    held = _newest(reader)
+    held = checkpoint.load(reader.path / checkpoint.FOLDER)
     if held is None:
         raise StartAgainError(
             f"run '{reader.run_id}' has no checkpoint that is whole: start it again"
@@ -212,17 +206,12 @@ def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
     rows, versions = reader.buffer()
     if len(rows) < n:
         if reader.unread:
-            raise _not_now(reader, reader.unread[0])
+            raise TryLaterError(
+                f"run '{reader.run_id}' cannot be read for now ({reader.unread[0]}): nothing was "
+                "changed; see to its disk and try again"
+            )
         raise StartAgainError(
             f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start it "
             "again"
         )
     return rows[:n], versions[:n]
-
-
-def _not_now(reader: RunReader, problem: str) -> TryLaterError:
-    """The refusal of a run that has a file which cannot be read for now."""
-    return TryLaterError(
-        f"run '{reader.run_id}' cannot be read for now ({problem}): nothing was changed; see to "
-        "its disk and try again"
-    )

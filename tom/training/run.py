@@ -17,11 +17,10 @@ from tom.machine.memory import keep_freed_memory
 from tom.mbpo import Mbpo
 from tom.offline import Offline
 from tom.record import RunReader, Store, checkpoint
-from tom.record.creating import TakenError
 from tom.record.lock import LostError
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import open_sink
-from tom.record.writer import RunWriter
+from tom.record.writer import RunWriter, TakenError
 from tom.training.sac_recording import SacRecording
 from tom.training.watch import Watch
 

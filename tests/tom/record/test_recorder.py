@@ -21,7 +21,7 @@ from tom.config import OnlineConfig
 from tom.errors import UserError
 from tom.events import Collected, Evaluation, Metrics, Tick, Weights
 from tom.record import Store, lock
-from tom.record import heartbeat as heartbeat_module
+from tom.record import status as status_module
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
 
@@ -256,7 +256,7 @@ def test_speed_and_time_left_follow_the_clock(store: Store):
 
 
 def test_the_heart_beats_while_training_is_busy(store: Store, monkeypatch):
-    monkeypatch.setattr(heartbeat_module, "BEAT_S", 0.01)
+    monkeypatch.setattr(status_module, "BEAT_S", 0.01)
     recorder = Recorder(RunWriter.create(store, "run", Config))
     first = store.run("run").status
     assert first.alive

@@ -15,7 +15,7 @@ def add_verbs(verbs, add_verb) -> None:
 
 
 def fetch(args: argparse.Namespace) -> int:
-    from tom.record.bucket.fetching import fetch_run, run_ids
+    from tom.record.bucket.attempts import fetch_run, run_ids
     from tom.record.bucket.objects import Bucket
 
     bucket, store = Bucket.open(args.url), Store(args.store)

@@ -11,7 +11,7 @@ from tom import readable
 from tom.cli.tables import name_problems, show
 from tom.errors import UserError
 from tom.harmless import terminal
-from tom.record import RunReader, Store, sizes
+from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_small
 from tom.record.layout import WEIGHINGS
 from tom.record.thin import OPTIONAL, SERIES
@@ -150,7 +150,7 @@ def write_index(args: argparse.Namespace) -> int:
 
 def size(args: argparse.Namespace) -> int:
     store = Store(args.store)
-    bytes_of = {run.run_id: sizes.sizes(run) for run in _chosen(store, args.run_ids)}
+    bytes_of = {run.run_id: manage.sizes(run) for run in _chosen(store, args.run_ids)}
     name_problems(store)
     if args.json:
         print(json.dumps(bytes_of))
@@ -158,7 +158,7 @@ def size(args: argparse.Namespace) -> int:
     largest = sorted(bytes_of.items(), key=lambda item: -sum(item[1].values()))
     rows = [(name, *_megabytes([*parts.values(), sum(parts.values())])) for name, parts in largest]
     total = sum(sum(parts.values()) for parts in bytes_of.values())
-    show(f"{readable.size(total)} in {len(rows)} runs", ("run", *sizes.PARTS, "all"), rows)
+    show(f"{readable.size(total)} in {len(rows)} runs", ("run", *manage.PARTS, "all"), rows)
     return 0
 
 
@@ -166,7 +166,7 @@ def prune(args: argparse.Namespace) -> int:
     if args.keep < 0:
         raise UserError(f"--keep {args.keep}: must be 0 or more")
     runs = _finished(Store(args.store), args.run_ids)
-    by_run = {run.run_id: sizes.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
+    by_run = {run.run_id: manage.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
     freed = {name: count for name, count in by_run.items() if count}
     if args.json:
         print(json.dumps(freed))

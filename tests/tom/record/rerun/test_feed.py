@@ -49,9 +49,9 @@ def test_a_viewer_that_comes_late_gets_the_whole_run_and_follows_it(store: Store
     for event in given[600:]:
         recorder.consume(event)
     recorder.finish("finished")
-    assert trainings.followed == ["run"]
+    assert [*trainings.followers] == ["run"]
     parts += trainings.pieces()
-    assert trainings.followed == []
+    assert [*trainings.followers] == []
     assert list(trainings.pieces()) == []  # the run is over: it is not sent again
     want = store.run("run").metrics()
     table = rows(parts, tmp_path, "model/holdout_nll")
@@ -86,11 +86,11 @@ def test_a_run_that_cannot_be_shown_does_not_stop_the_others(store: Store, tmp_p
             recorder.consume(event)
     (store.path / "a" / "config.json").write_text("{")
     list(trainings.pieces())
-    assert trainings.followed == ["b"]
+    assert [*trainings.followers] == ["b"]
     for recorder in recorders:
         recorder.finish("finished")
     list(trainings.pieces())
-    assert trainings.followed == []
+    assert [*trainings.followers] == []
 
 
 def test_a_stream_of_all_that_trains_goes_on_when_nothing_does(store: Store):

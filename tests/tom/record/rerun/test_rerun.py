@@ -3,6 +3,7 @@
 import threading
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +20,10 @@ from tom.record import RunReader, Store, layout
 from tom.record.export import export
 from tom.record.recorder import Recorder
 from tom.record.rerun import sink
-from tom.record.rerun.episode import episode_recording
+from tom.record.rerun.drawing import heat
 from tom.record.rerun.feed import Follower
-from tom.record.rerun.road import heat
 from tom.record.rerun.sink import RerunSink, open_sink
+from tom.record.rerun.view import RerunView, episode_recording
 from tom.record.writer import RunWriter
 
 mj = scene._mj
@@ -129,8 +130,8 @@ def test_road_and_rocks_is_a_map(road: RunReader):
 
 def test_the_recording_of_a_resumed_run_has_its_places_too(road: RunReader):
     path = layout.next_rrd(road.path)
-    resumed = RerunSink(path, road.run_id, road.env, road.learner, 10)
-    resumed.weights(Weights(9, np.array([2, 1, 1, 0], np.float32)), np.ones(4))
+    resumed = RerunSink(path)
+    resumed.put(lambda view: view.weights(9, np.array([2, 1, 1, 0], np.float32)))
     assert resumed.close() is None
     assert len(logged(path, "map/data")["Points2D:colors"].iloc[-1]) == 4
     assert held(path)["/map/data"] == 2  # the places, at all times, and the weights
@@ -210,7 +211,7 @@ def test_a_second_recording_of_a_run_is_a_file_of_its_own(store: Store):
 
 def test_a_recording_that_cannot_be_written_costs_training_nothing(store: Store):
     writer = RunWriter.create(store, "run", Config)
-    nowhere = sink.RerunSink(store.path / "no" / "run.rrd", "run", "hopper", "tom", 500)
+    nowhere = sink.RerunSink(store.path / "no" / "run.rrd")
     with Recorder(writer, nowhere) as recorder:
         for event in events():
             recorder.consume(event)
@@ -222,11 +223,11 @@ def test_a_recording_that_cannot_be_written_costs_training_nothing(store: Store)
 
 
 def test_what_rerun_does_not_take_is_dropped_and_counted(tmp_path: Path):
-    stalled = sink.RerunSink(tmp_path / "run.rrd", "run", "hopper", "tom", 500)
+    stalled = sink.RerunSink(tmp_path / "run.rrd")
     release = threading.Event()
-    stalled._offer(lambda _: release.wait())
+    stalled.put(lambda _: release.wait())
     for step in range(2 * sink.CAPACITY):
-        stalled.metrics(step, {"critic/loss": 1.0})  # returns at once although nobody takes it
+        stalled.put(partial(RerunView.metrics, env_step=step, values={"critic/loss": 1.0}))
     assert stalled.dropped >= sink.CAPACITY
     release.set()
     message = stalled.close()
@@ -237,9 +238,9 @@ def test_what_rerun_does_not_take_is_dropped_and_counted(tmp_path: Path):
 
 def test_a_viewer_that_hangs_holds_the_end_of_a_run_up_for_a_moment_only(tmp_path, monkeypatch):
     monkeypatch.setattr(sink, "CLOSE_S", 0.1)
-    hanging = sink.RerunSink(tmp_path / "run.rrd", "run", "hopper", "tom", 500)
+    hanging = sink.RerunSink(tmp_path / "run.rrd")
     release = threading.Event()
-    hanging._offer(lambda _: release.wait())
+    hanging.put(lambda _: release.wait())
     message = hanging.close()
     release.set()
     assert message is not None
