@@ -17,7 +17,7 @@ from tom.data.transitions import Transitions
 from tom.events import Collected, Episode, Evaluation, Event, Metrics, Tick, Weights
 from tom.metrics import METRICS
 from tom.record.recorder import Recorder
-from tom.record.rerun.sink import open_sink
+from tom.record.rerun.sink import RerunSink
 from tom.record.status import BEAT_S
 from tom.record.store import Store
 from tom.record.writer import RunWriter
@@ -96,7 +96,7 @@ def _each(
     config = OnlineConfig(env="hopper", learner="tom", steps=CYCLE * CYCLES)
     writer = RunWriter.create(store, store.new_run_id("bench", "tom", 0), config)
     given = [list(events(CYCLE * cycle)) for cycle in range(1, CYCLES + 1)]
-    recorder = Recorder(writer, open_sink(writer) if with_rerun else None)
+    recorder = Recorder(writer, RerunSink(writer.path) if with_rerun else None)
     begun = process_time()
     for event in (event for cycle in given for event in cycle):
         recorder.consume(event)

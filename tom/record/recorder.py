@@ -5,7 +5,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from tom.record.reader import RunReader
 from tom.record.rerun.sink import RerunSink
 from tom.record.status import Heartbeat, Status
 from tom.record.writer import RunWriter
-
-if TYPE_CHECKING:
-    from tom.record.rerun.view import RerunView
 
 State = Literal["finished", "stopped", "failed"]
 
@@ -88,6 +85,8 @@ class Recorder:
             except BaseException as error:
                 self.__exit__(type(error), error, error.__traceback__)
                 raise
+        if sink:
+            sink.start(step if mark else -1)
 
     def mark(self) -> dict[str, Any]:
         """The position of the synced record; part of a checkpoint, taken right after a `Tick`."""
@@ -123,10 +122,8 @@ class Recorder:
                 self._evaluation(event)
             case Collected():
                 self._writer.rows(event.transitions, event.policy_version, event.state)
-                self._show(lambda view: view.places(np.asarray(event.transitions.obs)))
             case Field():
                 self._writer.arrays(layout.field(event.name, event.env_step), event.arrays)
-                self._show(lambda view: view.field(event))
             case Notice():
                 self._heartbeat.warn(event.kind, f"step {event.env_step}: {event.message}")
                 self._writer.notice(event.env_step, event.kind, event.message)
@@ -205,10 +202,6 @@ class Recorder:
             return f"step {step}: {out_of_memory(error)}"
         return f"step {step}: {type(error).__name__}: {error}"
 
-    def _show(self, draw: Callable[["RerunView"], object]) -> None:
-        if self._sink:
-            self._sink.put(draw)
-
     def _merge(self, env_step: int, values: Mapping[str, float]) -> None:
         self._pending_step = env_step
         self._pending.update(values)
@@ -224,7 +217,6 @@ class Recorder:
         values = self._pending | ({} if late else self._times(step))
         self._pending = {}
         self._writer.metrics({"env_step": step, **values})
-        self._show(lambda view: view.metrics(step, values))
 
     def _times(self, step: int) -> dict[str, float]:
         now, self._timed = self._timer(), step
@@ -241,13 +233,11 @@ class Recorder:
 
     def _weights(self, weights: Weights) -> None:
         step, parts, total = weights.env_step, self._config.snapshots, self._config.total_steps
-        bins = self._writer.profile(weights, self._config.bins)
+        self._writer.profile(weights, self._config.bins)
         chosen = step >= self._next_snapshot
         if chosen:  # next, the first step of the next of `snapshots` equal parts of the run
             self._next_snapshot = -(-(step * parts // total + 1) * total // parts)
         self._writer.snapshot(weights, keep=chosen)
-        self._show(lambda view: view.profile(step, bins))
-        self._show(lambda view: view.weights(step, weights.weight))
 
     def _evaluation(self, evaluation: Evaluation) -> None:
         step, episodes = evaluation.env_step, evaluation.episodes
@@ -265,4 +255,3 @@ class Recorder:
             values["eval/success"] = float(np.mean(success))
         best = self._heartbeat.evaluated(values["eval/return"])
         self._merge(step, {**values, "eval/return_max": best})
-        self._show(lambda view: view.evaluation(Evaluation(step, episodes[:1])))

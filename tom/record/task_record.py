@@ -6,31 +6,16 @@ MuJoCo, its geometry in `scene.npz`. Reading it imports nothing.
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, ValidationError
 
-from tom.config import Config, Count, Positive, Whole
 from tom.envs import ENVS, ROAD, Task, scene, skeleton, task
 from tom.envs.termination import never
-from tom.errors import UserError
+from tom.errors import UserError, reason
 from tom.record import layout
 from tom.record.files import modified
 from tom.record.reader import RunReader
-
-
-class _Described(Config):
-    """The part of a description that readers need."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    obs_names: Annotated[tuple[str, ...], Field(min_length=1)]
-    action_dim: Count
-    max_episode_steps: Count
-    nq: Whole = 0
-    root_dims: Whole | None = None
-    dt: Positive
 
 
 def description(env: str) -> dict[str, Any] | None:
@@ -54,28 +39,33 @@ def task_of(run: RunReader) -> Task:
     """
     if run.env in ENVS:
         return ENVS[run.env]
-    described = _described(run)
+    described = run.config.get("task")
     if described is None:
         return task(run.env)
-    return Task(
-        name=run.env,
-        terminated=never,
-        knows_ends=False,
-        steps=1,
-        action_dim=described.action_dim,
-        obs_names=described.obs_names,
-        max_episode_steps=described.max_episode_steps,
-        nq=described.nq,
-        root_dims=described.root_dims,
-    )
+    try:
+        return Task(
+            name=run.env,
+            terminated=never,
+            knows_ends=False,
+            steps=1,
+            action_dim=int(described["action_dim"]),
+            obs_names=tuple(described["obs_names"]),
+            max_episode_steps=int(described["max_episode_steps"]),
+            nq=described.get("nq", 0),
+            root_dims=described.get("root_dims"),
+        )
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise UserError(
+            f"run '{run.run_id}' does not say what its task {run.env} is: {layout.CONFIG} has no "
+            f"valid 'task' ({reason(error)})"
+        ) from None
 
 
 def seconds(run: RunReader) -> float:
     """The duration in seconds of a step of the run's task on the screen."""
     if run.env in ENVS:
         return scene.model(run.env).dt
-    described = _described(run)
-    return 1 / 30 if described is None else described.dt
+    return (run.config.get("task") or {}).get("dt", 1 / 30)
 
 
 def scene_of(run: RunReader) -> scene.Model | None:
@@ -94,16 +84,3 @@ def _scene(path: Path, changed: int) -> scene.Model | None:
         return None if arrays is None else skeleton.of_arrays(arrays)
     except (ValueError, KeyError, TypeError, IndexError):
         return None
-
-
-def _described(run: RunReader) -> _Described | None:
-    content = run.config.get("task")
-    try:
-        return None if content is None else _Described.model_validate(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        field = ".".join(map(str, ("task", *first["loc"])))
-        raise UserError(
-            f"run '{run.run_id}' does not say what its task {run.env} is: {field} of its "
-            f"{layout.CONFIG}: {first['msg']}"
-        ) from None

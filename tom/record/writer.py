@@ -213,18 +213,16 @@ class RunWriter:
         row = {"env_step": env_step, "kind": kind, "message": message}
         self._append(self._notices, row)
 
-    def profile(self, weights: Weights, bins: int) -> NDArray[np.float64]:
-        """Append the weight profile of a fit and return it, (bins,)."""
-        means = bin_means(weights.weight, bins).numpy()
+    def profile(self, weights: Weights, bins: int) -> None:
+        """Append the weight profile of a fit."""
         row = {
             "env_step": weights.env_step,
             "count": len(weights.weight),
-            "bins": means,
+            "bins": bin_means(weights.weight, bins).numpy(),
             "ess": ess(weights.weight),
             "zeros": zero_share(weights.weight),
         }
         self._append(self._profiles, row)
-        return means
 
     def snapshot(self, weights: Weights, *, keep: bool) -> None:
         """Write the single weights and their policy; earlier ones are deleted unless kept."""

@@ -19,7 +19,7 @@ from tom.record.checkpoint import Checkpoint
 from tom.record.files import set_aside
 from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
-from tom.record.rerun.sink import open_sink
+from tom.record.rerun.sink import RerunSink
 from tom.record.status import BEAT_S
 from tom.record.writer import RunWriter
 from tom.training.presets import config_type
@@ -73,7 +73,7 @@ def resume(
     except BaseException:
         writer.close()
         raise
-    sink = open_sink(writer) if options.get("rerun", True) else None
+    sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
         writer.resumed(config, options.get("command", ""))
         said += [("checkpoint", text) for text in held.problems]

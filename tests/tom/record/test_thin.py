@@ -193,17 +193,6 @@ def test_a_copy_without_small_parts_says_so_and_reads_well(record, tmp_path: Pat
     assert again.left_out == copy.left_out
 
 
-def test_weights_that_cannot_be_read_are_left_out_and_named(record, tmp_path: Path):
-    run = record()
-    first = run.snapshot_steps()[0]
-    path = run.path / layout.snapshot(first)
-    path.write_bytes(path.read_bytes()[:-20])
-    copy = RunReader(export_small(run, tmp_path))
-    assert first not in copy.snapshot_steps()
-    assert len(copy.snapshot_steps()) == 2
-    assert "other snapshots" in copy.left_out
-
-
 def test_policies_are_kept_of_a_run_that_weighs_nothing(record, tmp_path: Path):
     """As a recording of SAC, which `tom reproduce footprint` weighs at the policies it kept."""
     policy = {"weight_0": np.full(9, 1 / 3, np.float32)}

@@ -6,8 +6,9 @@ They read run folders like any reader: trainings do not know of them, and they m
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -36,9 +37,10 @@ _log = logging.getLogger(__name__)
 class Tail:
     """The new rows of a JSON lines file since the last call."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, offset: int = 0) -> None:
+        """Begin `offset` bytes after the beginning of the file."""
         self._path = path
-        self._offset = 0
+        self._offset = offset
 
     def blocks(self) -> Iterator[list[dict[str, Any]]]:
         """New complete rows in blocks of a megabyte, until there are no more for now.
@@ -70,11 +72,22 @@ class Tail:
 class Follower:
     """The state of one run's live recording."""
 
-    def __init__(self, run: RunReader, sink: rr.FileSink | None = None) -> None:
+    def __init__(
+        self,
+        run: RunReader,
+        sink: rr.FileSink | None = None,
+        after: int = -1,
+        offsets: Sequence[int] = (0, 0),
+    ) -> None:
+        """Begin with the files of steps after `after`, and with rows at these `offsets`.
+
+        The offsets are bytes of the metrics and of the profiles.
+        """
         self.run = run
         self._view = RerunView(run, sink)
-        self._metrics = Tail(run.path / layout.METRICS)
-        self._profiles = Tail(run.path / layout.PROFILES)
+        self._metrics = Tail(run.path / layout.METRICS, offsets[0])
+        self._profiles = Tail(run.path / layout.PROFILES, offsets[1])
+        self._after = after
         self._shown: set[str] = set()
 
     def follow(self) -> Iterator[None]:
@@ -92,8 +105,8 @@ class Follower:
             for step, bins in zip(profiles.env_step.tolist(), profiles.bins, strict=True):
                 self._view.profile(step, bins)
             yield
-        for name, draw in self._files():
-            if name not in self._shown:
+        for name, step, draw in self._files():
+            if step > self._after and name not in self._shown:
                 self._shown.add(name)
                 try:
                     draw()
@@ -101,19 +114,19 @@ class Follower:
                     _log.warning("%s of %s is left out of Rerun: %s", name, self.run.run_id, error)
                 yield
 
-    def _files(self) -> Iterator[tuple[str, Callable[[], None]]]:
-        """The files of the run that are drawn whole, and what draws each."""
+    def _files(self) -> Iterator[tuple[str, int, Callable[[], None]]]:
+        """The files of the run that are drawn whole, with their steps and what draws each."""
         run, view = self.run, self._view
         if run.env == ROAD:
             if (run.path / layout.segment(0)).exists():
-                yield layout.BUFFER, lambda: view.places(np.asarray(run.buffer()[0].obs))
+                yield layout.BUFFER, 0, lambda: view.places(np.asarray(run.buffer()[0].obs))
             for step in run.snapshot_steps():
-                yield layout.snapshot(step), partial(self._weights, step)
+                yield layout.snapshot(step), step, partial(self._weights, step)
         for name in run.field_names():
             for step in run.field_steps(name):
-                yield layout.field(name, step), partial(self._field, name, step)
+                yield layout.field(name, step), step, partial(self._field, name, step)
         for step in run.evaluation_steps():
-            yield layout.episodes(step), partial(self._evaluation, step)
+            yield layout.episodes(step), step, partial(self._evaluation, step)
 
     def _weights(self, step: int) -> None:
         self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
@@ -125,71 +138,55 @@ class Follower:
         self._view.evaluation(Evaluation(step, self.run.episodes(step)))
 
     def pieces(self) -> Iterator[bytes]:
-        """New data as bytes, if there is no sink."""
+        """New data as bytes, none of them empty, if there is no sink."""
         for _ in self.follow():
-            yield self._view.read()
-        yield self._view.read()
+            if piece := self._view.read():
+                yield piece
+        if piece := self._view.read():
+            yield piece
 
-    def close(self) -> None:
+    def close(self, within_s: float) -> None:
         """Flush the remaining data. Raises RuntimeError if this takes too long."""
-        self._view.close(WRITTEN_S)
+        self._view.close(within_s)
 
 
 def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
     """The bytes of a recording that grows and ends with the run; empty bytes between updates."""
-    follower = Follower(run)
-    while not stopping.is_set():
-        alive = run.status.alive  # read before the rows, so that later rows are not missed
-        yield from follower.pieces()
-        if not alive:
+    for piece in _growing(run):
+        yield piece
+        if not piece:
+            stopping.wait(POLL_S)
+        if stopping.is_set():
             return
-        yield b""
-        stopping.wait(POLL_S)
 
 
 def stream_all(store: Store, stopping: threading.Event) -> Iterator[bytes]:
-    """The bytes of the recordings of all running trainings, also of those that start later."""
-    trainings = Trainings(store)
+    """The bytes of the recordings of all running trainings, also of those that start later.
+
+    A run that cannot be shown is logged once and does not stop the others.
+    """
+    recordings: dict[tuple[str, float], Iterator[bytes]] = {}  # by run and when it was started
     while not stopping.is_set():
-        yield from trainings.pieces()
+        for run_id in store.recent(DEAD_AFTER_S):
+            run = RunReader(store.path / run_id)
+            recordings.setdefault((run_id, run.status.started), _growing(run))
+        for (run_id, _), pieces in recordings.items():
+            try:
+                yield from takewhile(bool, pieces)
+            except Exception as error:
+                _log.warning("cannot show %s in Rerun: %s", run_id, error)
         yield b""
         stopping.wait(POLL_S)
 
 
-class Trainings:
-    """The live recordings of the running trainings of `store` for one viewer."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self.followers: dict[str, Follower] = {}
-        self._done: dict[str, float] = {}  # run id -> start time of the finished recording
-
-    def pieces(self) -> Iterator[bytes]:
-        """The new data in the store.
-
-        A run that cannot be shown is printed once and does not stop the others.
-        """
-        for run_id in dict.fromkeys([*self._store.recent(DEAD_AFTER_S), *self.followers]):
-            try:
-                yield from self._follow(run_id)
-            except Exception as error:
-                _log.warning("cannot show %s in Rerun: %s", run_id, error)
-                self._end(run_id, RunReader(self._store.path / run_id).status.started)
-
-    def _follow(self, run_id: str) -> Iterator[bytes]:
-        run = self._store.run(run_id)
-        status = run.status  # read before the rows, so that later rows are not missed
-        if self._done.get(run_id) == status.started:
-            return
-        if run_id not in self.followers:
-            self.followers[run_id] = Follower(run)
-        yield from self.followers[run_id].pieces()
-        if not status.alive:
-            self._end(run_id, status.started)
-
-    def _end(self, run_id: str, started: float) -> None:
-        self._done[run_id] = started
-        self.followers.pop(run_id, None)
+def _growing(run: RunReader) -> Iterator[bytes]:
+    """The bytes of a recording that grows and ends with the run; empty bytes after what is new."""
+    follower = Follower(run)
+    alive = True
+    while alive:
+        alive = run.status.alive  # read before the rows, so that later rows are not missed
+        yield from follower.pieces()
+        yield b""
 
 
 def write(reader: RunReader, path: Path) -> None:
@@ -211,7 +208,7 @@ def _record(reader: RunReader, file: BinaryIO) -> None:
         for _ in follower.follow():
             if errors:
                 break
-        follower.close()
+        follower.close(WRITTEN_S)
     except RuntimeError as error:  # Rerun's error for a disk that takes too long
         raise OSError(str(error)) from error
     finally:
