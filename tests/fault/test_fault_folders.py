@@ -6,8 +6,6 @@ import io
 import json
 import os
 import shutil
-import subprocess
-import sys
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -224,38 +222,3 @@ def test_folders_that_are_no_runs__are_named_and_the_others_listed(store: Store,
         with pytest.raises(UserError):
             resume(store, name, rerun=False)
     assert {p.name for p in store.path.iterdir()} >= {"empty", "foreign", "list", "link", "loop"}
-
-
-COUNT_OPENED = """
-import collections, json, pathlib, sys
-from tom.cli import main
-
-opened = collections.Counter()
-
-def watch(event, words):
-    if event == "open" and "/run-" in str(words[0]):
-        opened[pathlib.Path(words[0]).name] += 1
-
-sys.addaudithook(watch)
-main(sys.argv[1:])
-print(json.dumps(opened))
-"""
-"""runs the command that its words name, and prints how often it opened which file of a run"""
-
-
-def test_a_thousand_run_folders__are_all_listed_and_each_file_of_them_read_once(
-    made: Path, tmp_path: Path
-):
-    path = tmp_path / "many"
-    for number in range(1000):
-        folder = path / f"run-{number:04d}"
-        folder.mkdir(parents=True)
-        for name in ("config.json", "status.json", "metrics.jsonl"):
-            os.link(made / "whole" / name, folder / name)
-    assert len(Store(path).runs()) == 1000
-    counting = [sys.executable, "-c", COUNT_OPENED, "runs", "list", "--json", "--store", path]
-    done = subprocess.run(counting, capture_output=True, text=True, check=True)
-    listed, opened = map(json.loads, done.stdout.splitlines())
-    assert len(listed) == 1000
-    assert set(opened) <= {"config.json", "status.json", "labels.json"}
-    assert set(opened.values()) == {1000}

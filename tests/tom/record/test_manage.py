@@ -85,22 +85,6 @@ def test_trash_and_restore_move_a_run_whole(store: Store, record):
     assert manage.trashed(store) == []
 
 
-def test_an_id_may_be_trashed_twice(store: Store, record):
-    for seed in (1, 2):
-        record("run", events()[:3])
-        manage.rename(store, "run", f"take {seed}")
-        manage.trash(store, "run")
-    assert manage.trashed(store) == ["run"]
-    manage.restore(store, "run")
-    assert store.run("run").labels.name == "take 2"
-    with pytest.raises(UserError, match="holds another run 'run'"):
-        manage.restore(store, "run")
-    manage.rename(store, "run", "kept")
-    manage.trash(store, "run")
-    manage.restore(store, "run")
-    assert store.run("run").labels.name == "kept"
-
-
 def test_a_run_that_is_written_stays(store: Store):
     with Recorder(RunWriter.create(store, "run", Config)):
         with pytest.raises(UserError, match="being written"):

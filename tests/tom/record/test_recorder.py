@@ -84,13 +84,6 @@ def test_evaluations_become_metrics_with_a_running_maximum(record):
     assert table["eval/success"].tolist() == [0.5, 0.5]
 
 
-def test_the_parquet_copy_holds_the_same_table(record):
-    run = record()
-    copied = run.metrics()
-    (run.path / "metrics.parquet").unlink()
-    assert copied.equals(run.metrics()[copied.columns])
-
-
 def test_a_profile_for_every_fit(record):
     profiles = record().profiles()
     assert profiles.env_step.tolist() == EVERY_FIT
