@@ -11,7 +11,6 @@ from datetime import datetime
 from functools import partial
 from math import isnan
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -50,20 +49,6 @@ def _written(path: Path, write: Callable[[Path], object]) -> Path:
     return path
 
 
-def description(reader: RunReader) -> dict[str, Any]:
-    """Everything of a run that is not an array: configuration, status, labels, rows, profiles."""
-    profiles = reader.profiles()
-    return {
-        "description": reader.config,
-        "status": asdict(reader.status),
-        "labels": asdict(reader.labels),
-        "metrics": reader.metrics().to_dict("records"),
-        "profiles": asdict(profiles),
-        "notices": reader.notices(),
-        "problems": reader.problems,
-    }
-
-
 def _csv(reader: RunReader, path: Path) -> None:
     text = as_csv(reader.metrics())
     replace(path, lambda file: file.write(text.encode()), sync=False)
@@ -75,7 +60,17 @@ def _parquet(reader: RunReader, path: Path) -> None:
 
 
 def _json(reader: RunReader, path: Path) -> None:
-    replace_json(path, description(reader), sync=False)
+    """Write everything that is not an array: configuration, status, labels, rows, profiles."""
+    content = {
+        "description": reader.config,
+        "status": asdict(reader.status),
+        "labels": asdict(reader.labels),
+        "metrics": reader.metrics().to_dict("records"),
+        "profiles": asdict(reader.profiles()),
+        "notices": reader.notices(),
+    }
+    # Last, because reading finds the problems.
+    replace_json(path, content | {"problems": reader.problems}, sync=False)
 
 
 def _tensorboard(reader: RunReader, folder: Path) -> None:

@@ -9,13 +9,15 @@ import fcntl
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from tom.errors import TryLaterError, UserError
 from tom.record import layout
+from tom.record.reader import RunReader
+from tom.record.status import BEAT_S
 
 TRIES, WAIT_S = 20, 0.01
 """attempts to lock a run, and seconds between them: `held` has the lock for an instant"""
@@ -135,17 +137,17 @@ def written_here(path: Path) -> bool | None:
         return None
 
 
-def refuse_if_elsewhere(path: Path, heartbeat: Callable[[], float], patience_s: float) -> None:
-    """Raises BusyError if another machine writes the run: a heartbeat within `patience_s`.
+def refuse_if_elsewhere(run: RunReader) -> None:
+    """Raises BusyError if another machine writes the run, as a new heartbeat shows.
 
     Returns at once if this machine wrote last, because then the lock is proof enough.
     """
-    if written_here(path) is not False:
+    before = run.status  # a running one, alive or not: its machine's clock may be another
+    if before.state != "running" or written_here(run.path) is not False:
         return
-    before = heartbeat()
-    time.sleep(patience_s)
-    if heartbeat() != before:
-        raise BusyError(f"run '{path.name}' is being written on another machine: stop it there")
+    time.sleep(2.5 * BEAT_S)
+    if run.status.heartbeat != before.heartbeat:
+        raise BusyError(f"run '{run.run_id}' is being written on another machine: stop it there")
 
 
 def _boot() -> bytes:

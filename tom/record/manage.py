@@ -16,7 +16,6 @@ from tom.record import checkpoint, labels, layout, lock
 from tom.record.files import files_in, read_json, replace_json, size_of
 from tom.record.labels import Labels
 from tom.record.reader import RunReader
-from tom.record.status import BEAT_S
 from tom.record.store import Store
 
 PARTS = ("buffer", "checkpoint", "episodes", "fields", "policies", "recording", "weights", "rest")
@@ -134,8 +133,7 @@ def unwritten(reader: RunReader) -> Iterator[None]:
 
     Raises UserError if one is writing it.
     """
-    if reader.status.state == "running":  # alive or not: its machine's clock may be another
-        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+    lock.refuse_if_elsewhere(reader)
     held = lock.acquire(reader.path)
     try:
         yield

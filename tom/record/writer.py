@@ -140,11 +140,11 @@ class RunWriter:
         self._rewind_buffer(mark["segment"], mark["segment_rows"])
 
     def _keep_metrics_up_to(self, env_step: int) -> None:
-        table = RunReader(self.path).metrics()
-        rows = table[table["env_step"] <= env_step].to_dict("records")
+        rows = RunReader(self.path).metrics().to_dict("records")
         text = b"".join(
-            json_line({"env_step": row["env_step"], **decode.numbers(row)})  # pyright: ignore
+            json_line({"env_step": row["env_step"], **decode.numbers(row)})
             for row in rows
+            if row["env_step"] <= env_step
         )
         replace(self._metrics.path, lambda file: file.write(text), sync=True)
         self._metrics.close()

@@ -20,7 +20,6 @@ from tom.record.files import set_aside
 from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
 from tom.record.rerun.sink import RerunSink
-from tom.record.status import BEAT_S
 from tom.record.writer import RunWriter
 from tom.training.presets import config_type
 from tom.training.resume_checks import check_training, check_versions
@@ -57,8 +56,7 @@ def resume(
         config = _with_steps(config, steps)
     _require_own_device(reader, config)
     said = [("versions", check_versions(reader, accept_versions))]
-    if reader.status.state == "running":  # alive or not: its machine's clock may be another
-        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+    lock.refuse_if_elsewhere(reader)
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
         held = _checkpoint(reader, config)
