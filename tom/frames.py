@@ -16,11 +16,12 @@ from tom.analysis.weighing import Weighed
 from tom.analysis.weighing_plan import plan_weighing
 from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions
+from tom.data.unpack import DAMAGE
 from tom.envs import bring
 from tom.errors import UserError, reason
 from tom.learners import WEIGHED_FIRST
 from tom.record import RunReader, Store
-from tom.record.array_files import DAMAGE, read_table
+from tom.record.decode import read_table
 from tom.record.files import read_json
 from tom.reports import weighing_files
 from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS

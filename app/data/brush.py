@@ -12,7 +12,8 @@ from app.data.buffer import Rows
 from app.data.readers import RunInfo
 from app.data.weighings import WeighingInfo
 from app.data.why import candidates
-from tom.record.array_files import DAMAGE, read_arrays, read_table
+from tom.data.unpack import DAMAGE, read_arrays
+from tom.record.decode import read_table
 from tom.record.files import read_json
 from tom.reports.brush_files import GHOSTS, REGION
 from tom.reports.weighing_files import BRUSH, REPORT, WEIGHTS

@@ -19,7 +19,7 @@ from tom.errors import UserError
 from tom.events import Episode
 from tom.record import stamps
 from tom.record.reader import RunReader
-from tom.record.rerun.episode import episode_recording
+from tom.record.rerun.view import episode_recording
 from tom.record.stamps import Stamp
 from tom.record.task_record import scene_of, seconds, task_of
 

@@ -12,7 +12,8 @@ from app import text
 from app.data import datasets
 from app.data.readers import RunInfo
 from tom.data.sampling import bin_means
-from tom.record.array_files import DAMAGE, read_table
+from tom.data.unpack import DAMAGE
+from tom.record.decode import read_table
 from tom.record.files import read_json
 from tom.reports import weighing_files
 from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS, is_brush, reports

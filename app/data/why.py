@@ -21,13 +21,14 @@ from tom.analysis.weighing import load_policy, made_anew
 from tom.analysis.why import Near, Sum
 from tom.config import OnlineConfig, RolloutConfig, RunConfig, TomConfig
 from tom.data.transitions import TensorTransitions, Transitions
+from tom.data.unpack import DAMAGE
 from tom.dynamics.neural import NeuralDynamics
 from tom.envs import ENVS, task
 from tom.errors import UserError
 from tom.learners import LEARNERS, WITH_TERMS
 from tom.learners.terms import Terms, of_recorded
 from tom.record import stamps
-from tom.record.array_files import DAMAGE, read_table
+from tom.record.decode import read_table
 from tom.record.files import read_json
 from tom.record.reader import RunReader
 from tom.record.store import Store

@@ -12,7 +12,7 @@ from same_records import assert_same_record
 
 from tom.errors import TRY_LATER, UserError
 from tom.events import Event, Tick
-from tom.record import RunReader, Store, checkpoint
+from tom.record import Store, checkpoint
 from tom.record.rerun.feed import stream
 from tom.record.writer import RunWriter
 from tom.training.resume import resume
@@ -159,12 +159,3 @@ def test_a_path_with_spaces_and_unicode__trains_resumes_and_is_shown_like_any_ot
     assert done.status.state == "finished"
     parts = list(stream(done, Flag()))
     assert sum(map(len, parts)) > 1000
-
-
-def test_a_path_with_spaces_and_unicode_on_the_command_line__trains_and_lists(tmp_path: Path):
-    path = tmp_path / "Läufe #1 %20 'x' 数据"
-    assert ended(tom(*train_command(path), "--run-id", "a"))[0] == 0
-    code, out, _ = ended(tom("runs", "--store", path, "--json"))
-    assert code == 0
-    assert '"a"' in out
-    assert RunReader(path / "a").status.state == "finished"

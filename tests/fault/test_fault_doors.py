@@ -25,7 +25,7 @@ from app.links import Links
 from app.servers.launcher import Studio, servers
 from tom.machine.address import free_port
 from tom.record import Store
-from tom.record.rerun import web
+from tom.record.rerun import hub
 from tom.training.run import train
 
 pytestmark = pytest.mark.fault
@@ -41,7 +41,7 @@ def no_run(run_id: str) -> Iterator[bytes]:
 @pytest.fixture
 def viewer() -> Iterator[int]:
     """The port of the Rerun viewer's page, with no run to show."""
-    server = web.ViewerServer("127.0.0.1", free_port("127.0.0.1"), {}, no_run)
+    server = hub.ViewerServer("127.0.0.1", free_port("127.0.0.1"), {}, no_run)
     server.start()
     yield server.server_port
     server.shutdown()

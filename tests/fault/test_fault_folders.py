@@ -6,11 +6,8 @@ import io
 import json
 import os
 import shutil
-import subprocess
-import sys
 from itertools import count
 from pathlib import Path
-from threading import Event as Flag
 from typing import Any
 
 import pandas as pd
@@ -22,8 +19,7 @@ from tom.cli import main
 from tom.errors import TRY_LATER, TryLaterError, UserError
 from tom.record import Store, checkpoint
 from tom.record.integrity import verify
-from tom.record.manage import restore, trash
-from tom.record.rerun.feed import stream
+from tom.record.manage import trash
 from tom.training.resume import recorded_config, resume, unfinished
 from tom.training.run import train
 
@@ -69,47 +65,12 @@ def test_half_a_json_line__is_skipped_by_readers_and_cut_off_by_resume(store: St
     assert_same_record(store.run("whole"), resume(store, "stopped", rerun=False))
 
 
-@pytest.mark.quick
-def test_a_truncated_recording__is_left_alone_and_made_again_from_the_files(store: Store):
-    run = store.run("whole")
-    [recording] = run.rrd_files()
-    size = recording.stat().st_size
-    cut(recording)
-    assert len(run.metrics()) > 3
-    assert run.problems == []
-    assert sum(map(len, stream(run, Flag()))) > size / 4
-    longer = resume(store, "whole", steps=280, rerun=True)
-    assert [path.name for path in longer.rrd_files()] == ["run.rrd", "run-2.rrd"]
-
-
-@pytest.mark.quick
-def test_a_truncated_weights_file__is_named_and_the_rest_is_read(store: Store):
-    run = store.run("whole")
-    first, *others = run.snapshot_steps()
-    cut(run.path / "weights" / f"snapshot-{first:09d}.parquet")
-    assert len(run.snapshot(first)) == 0
-    assert all(len(run.snapshot(step)) for step in others)
-    assert run.problems[0].startswith(f"weights/snapshot-{first:09d}.parquet cannot be read")
-
-
-@pytest.mark.parametrize("damage", ["truncated", "flipped", "without manifest", "newer format"])
-def test_a_damaged_checkpoint__is_named_and_the_one_before_used_to_the_same_end(
-    store: Store, damage: str
-):
+def test_a_damaged_checkpoint__is_named_and_the_one_before_used_to_the_same_end(store: Store):
     folder = store.path / "stopped" / checkpoint.FOLDER
     newest = folder / f"{checkpoint.newest(folder):09d}"
-    content = (newest / "state.pt").read_bytes()
-    match damage:
-        case "truncated":
-            cut(newest / "state.pt")
-        case "flipped":
-            middle = len(content) // 2
-            flipped = bytes([content[middle] ^ 1])
-            (newest / "state.pt").write_bytes(content[:middle] + flipped + content[middle + 1 :])
-        case "without manifest":
-            (newest / "manifest.json").unlink()
-        case _:
-            (newest / "manifest.json").write_text('{"schema": 99}')
+    content = bytearray((newest / "state.pt").read_bytes())
+    content[len(content) // 2] ^= 1
+    (newest / "state.pt").write_bytes(content)
     done = resume(store, "stopped", rerun=False)
     assert any(newest.name in text for text in done.status.warnings)
     assert (done.path / "damaged" / checkpoint.FOLDER / newest.name).is_dir()
@@ -197,16 +158,6 @@ def test_a_buffer_that_cannot_be_listed_for_now__is_not_taken_for_an_empty_one(
 
 
 @pytest.mark.quick
-def test_checkpoints_that_could_not_be_read_a_moment_ago__are_not_taken_for_lost(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-):
-    folder = store.path / "stopped" / checkpoint.FOLDER
-    fail(monkeypatch, "open", folder, errno.EIO, times=len(checkpoint.folders(folder)))
-    with pytest.raises(TryLaterError):
-        resume(store, "stopped", rerun=False)
-
-
-@pytest.mark.quick
 def test_a_run_whose_checkpoints_cannot_be_read_for_now__is_not_begun_beside_itself(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ):
@@ -214,7 +165,7 @@ def test_a_run_whose_checkpoints_cannot_be_read_for_now__is_not_begun_beside_its
     fail(monkeypatch, "open", run.path / checkpoint.FOLDER, errno.EIO)
     with pytest.raises(TryLaterError):
         unfinished(store, recorded_config(run))
-    assert "cannot be read: " in "\n".join(verify(run))
+    assert "cannot be read" in "\n".join(verify(run))
     assert "cannot go on" not in "\n".join(verify(run))
 
 
@@ -271,60 +222,3 @@ def test_folders_that_are_no_runs__are_named_and_the_others_listed(store: Store,
         with pytest.raises(UserError):
             resume(store, name, rerun=False)
     assert {p.name for p in store.path.iterdir()} >= {"empty", "foreign", "list", "link", "loop"}
-
-
-@pytest.mark.quick
-@pytest.mark.parametrize("run_id", ["..", "../store", "/etc", ".trash", "a/../whole", "whole/"])
-def test_trash_of_what_is_no_run_of_the_store__is_refused_and_nothing_moves(
-    store: Store, run_id: str
-):
-    before = sorted(store.path.rglob("*"))
-    with pytest.raises(UserError):
-        trash(store, run_id)
-    with pytest.raises(UserError):
-        restore(store, run_id)
-    assert sorted(store.path.rglob("*")) == before
-
-
-def test_trash_behind_a_link__is_refused_and_nothing_leaves_the_store(store: Store, tmp_path: Path):
-    (tmp_path / "elsewhere").mkdir()
-    (store.path / ".trash").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(UserError, match="link"):
-        trash(store, "whole")
-    assert not list((tmp_path / "elsewhere").iterdir())
-    assert store.run("whole").status.state == "finished"
-
-
-COUNT_OPENED = """
-import collections, json, pathlib, sys
-from tom.cli import main
-
-opened = collections.Counter()
-
-def watch(event, words):
-    if event == "open" and "/run-" in str(words[0]):
-        opened[pathlib.Path(words[0]).name] += 1
-
-sys.addaudithook(watch)
-main(sys.argv[1:])
-print(json.dumps(opened))
-"""
-"""runs the command that its words name, and prints how often it opened which file of a run"""
-
-
-def test_a_thousand_run_folders__are_all_listed_and_each_file_of_them_read_once(
-    made: Path, tmp_path: Path
-):
-    path = tmp_path / "many"
-    for number in range(1000):
-        folder = path / f"run-{number:04d}"
-        folder.mkdir(parents=True)
-        for name in ("config.json", "status.json", "metrics.jsonl"):
-            os.link(made / "whole" / name, folder / name)
-    assert len(Store(path).runs()) == 1000
-    counting = [sys.executable, "-c", COUNT_OPENED, "runs", "list", "--json", "--store", path]
-    done = subprocess.run(counting, capture_output=True, text=True, check=True)
-    listed, opened = map(json.loads, done.stdout.splitlines())
-    assert len(listed) == 1000
-    assert set(opened) <= {"config.json", "status.json", "labels.json"}
-    assert set(opened.values()) == {1000}

@@ -11,9 +11,8 @@ from faults import config, one_line, stopped
 from same_records import assert_same_record, untimed
 
 from tom.cli import main
-from tom.events import Event
-from tom.record import Store, checkpoint, digests
-from tom.record.integrity import repair, verify
+from tom.record import Store, checkpoint
+from tom.record.integrity import repair, verify, write_digests
 from tom.training.resume import resume
 from tom.training.run import train
 
@@ -24,11 +23,10 @@ LINES = ["metrics.jsonl", "weights/profiles.jsonl"]
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that finished, one that was stopped, and a longer one that nothing happened to."""
+    """A run that finished, and one that was stopped."""
     path = tmp_path_factory.mktemp("made") / "store"
     train(config(), Store(path), "finished", rerun=False)
     stopped(Store(path), 130, "stopped")
-    train(config(steps=300), Store(path), "whole", rerun=False)
     return path
 
 
@@ -118,34 +116,6 @@ def test_a_checkpoint_of_an_earlier_version_without_digests__goes_on(store: Stor
     assert_same_record(store.run("finished"), resume(store, "stopped", rerun=False))
 
 
-def replace_by_a_copy(path: Path) -> None:
-    shutil.copy2(path, path.with_suffix(".copy"))
-    path.with_suffix(".copy").rename(path)
-
-
-def replace_by_an_older_copy(path: Path) -> None:
-    path.with_suffix(".copy").write_bytes(halved(path.read_bytes()))
-    path.with_suffix(".copy").rename(path)
-
-
-@pytest.mark.parametrize("at", [130, 300])
-@pytest.mark.parametrize("change", [replace_by_a_copy, replace_by_an_older_copy, Path.unlink])
-@pytest.mark.parametrize("name", LINES)
-def test_rows_that_are_replaced_or_deleted_during_a_training__are_all_there(
-    store: Store, name: str, change: Callable[[Path], object], at: int
-):
-    done: list[int] = []
-
-    def changed(event: Event) -> None:
-        if event.env_step == at and not done:
-            done.append(event.env_step)
-            change(store.path / "a" / name)
-
-    run = train(config(steps=300), store, "a", rerun=False, watchers=(changed,))
-    assert_same_record(store.run("whole"), run)
-    assert verify(run) == []
-
-
 def test_a_buffer_that_was_lost__is_a_problem_of_the_checkpoint_that_counts_on_it(store: Store):
     run = store.run("stopped")
     shutil.rmtree(run.path / "buffer")
@@ -158,7 +128,7 @@ def test_a_damaged_row_with_which_copy_and_digests_agree__is_found(store: Store)
     path = run.path / "metrics.jsonl"
     path.write_bytes(path.read_bytes().replace(b'{"env_step"', b"{nothing", 1))
     (run.path / "metrics.parquet").touch()
-    digests.write(run.path)
+    write_digests(run.path)
     assert any("metrics.jsonl" in problem for problem in verify(run))
     repair(run)
     assert verify(run) == []

@@ -21,7 +21,7 @@ from tom.mbpo import Mbpo
 from tom.metrics import METRICS
 from tom.record import checkpoint, layout
 from tom.record.recorder import Recorder
-from tom.record.rerun.sink import open_sink
+from tom.record.rerun.sink import RerunSink
 from tom.record.status import BEAT_S
 from tom.record.store import Store
 from tom.record.writer import RunWriter
@@ -130,7 +130,7 @@ def _record(store: Store, events: Events, *, rerun: bool = False) -> float:
     config = OnlineConfig(env="hopper", learner="tom", steps=CYCLE * CYCLES)
     writer = RunWriter.create(store, store.new_run_id("bench", "tom", 0), config)
     given = [event for n in range(1, CYCLES + 1) for event in events(CYCLE * n)]
-    recorder = Recorder(writer, open_sink(writer) if rerun else None)
+    recorder = Recorder(writer, RerunSink(writer.path) if rerun else None)
     begun = process_time()
     for event in given:
         recorder.consume(event)

@@ -17,11 +17,12 @@ from tom.analysis.brush import FACTORS, SMALL, Brush, BrushedFit
 from tom.analysis.ordered_data import find_run, of_run
 from tom.analysis.weighing import load_policy, made_anew
 from tom.cli.parser import add_json, add_store, one_line, whole
+from tom.data.unpack import DAMAGE
 from tom.envs import scene, task
 from tom.errors import UserError, reason
 from tom.machine.matmul import choose_matmul
 from tom.record import RunReader, Store, layout
-from tom.record.array_files import DAMAGE, read_table
+from tom.record.decode import read_table
 from tom.record.reader import at_or_before
 from tom.record.versions import git_commit, versions
 from tom.reports import brush_files, weighing_files

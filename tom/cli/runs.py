@@ -16,7 +16,7 @@ from tom.config import flat
 from tom.errors import UserError, unknown
 from tom.harmless import terminal
 from tom.readable import score, short
-from tom.record import RunReader, Status, Store, manage, sizes, small_copy
+from tom.record import RunReader, Status, Store, manage, small_copy
 from tom.record.export import EXPORTERS, export, export_small
 from tom.record.labels import Labels
 from tom.record.layout import WEIGHINGS
@@ -362,7 +362,7 @@ def index(args: argparse.Namespace) -> int:
 
 def size(args: argparse.Namespace) -> int:
     store = Store(args.store)
-    parts = {run.run_id: sizes.sizes(run) for run in _chosen(store, args.run_ids)}
+    parts = {run.run_id: manage.sizes(run) for run in _chosen(store, args.run_ids)}
     print_problems(store)
     if args.json:
         print(json.dumps(parts))
@@ -373,7 +373,7 @@ def size(args: argparse.Namespace) -> int:
         for name, of in largest
     ]
     total = readable.size(sum(sum(of.values()) for of in parts.values()))
-    show(f"{total} in {len(rows)} runs", ("run", *sizes.PARTS, "all"), rows)
+    show(f"{total} in {len(rows)} runs", ("run", *manage.PARTS, "all"), rows)
     return 0
 
 
@@ -381,7 +381,7 @@ def prune(args: argparse.Namespace) -> int:
     store = Store(args.store)
     runs = _chosen(store, args.run_ids, finished=True)
     print_problems(store)
-    counts = {run.run_id: sizes.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
+    counts = {run.run_id: manage.prune(run, args.keep, dry_run=args.dry_run) for run in runs}
     freed = {name: count for name, count in counts.items() if count}
     would = "would free" if args.dry_run else "freed"
     lines = [f"{name}: {would} {readable.size(count)}" for name, count in freed.items()]
@@ -389,7 +389,7 @@ def prune(args: argparse.Namespace) -> int:
 
 
 def fetch(args: argparse.Namespace) -> int:
-    from tom.record.bucket.fetching import fetch_run, run_ids
+    from tom.record.bucket.attempts import fetch_run, run_ids
     from tom.record.bucket.objects import Bucket
 
     bucket, store = Bucket.open(args.url), Store(args.store)

@@ -29,9 +29,9 @@ from tom.machine.memory import REFUSING, out_of_memory, ran_out
 from tom.machine.processes import on_stopping
 from tom.readable import percent, score, size
 from tom.record import RunReader, Store, checkpoint, manage
-from tom.record.creating import TakenError
 from tom.record.files import size_of
 from tom.record.lock import BusyError
+from tom.record.writer import TakenError
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
@@ -138,7 +138,7 @@ def _trash(store: Store, run: RunReader, hopeless: bool) -> None:
     with manage.unwritten(run), manage.refused(f"cannot trash run '{run.run_id}'"):
         if not hopeless and checkpoint.load(run.path / checkpoint.FOLDER) is not None:
             raise BusyError(f"run '{run.run_id}' was being written by another process: try again")
-        place = manage.into_trash(store, run.run_id, run.path)
+        place = manage.into_trash(store, run.path)
     print(f"{run.run_id}: began anew; what was there is in {place}", file=sys.stderr)
 
 

@@ -7,8 +7,8 @@ byte would load as wrong numbers, so the hash is checked.
 """
 
 import hashlib
+import io
 import json
-import os
 import pickle
 import re
 import shutil
@@ -16,12 +16,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 from tom.data.unpack import cannot_read_now
-from tom.errors import reason
+from tom.errors import TryLaterError, reason
 from tom.record import layout
-from tom.record.files import beside, read_json, set_aside, sync
+from tom.record.files import read_json, replace, sync, whole_folder
 
 SCHEMA = 1
 FOLDER = "checkpoint"
@@ -44,14 +44,6 @@ class Checkpoint:
     problems: list[str] = field(default_factory=list)
     unusable: list[Path] = field(default_factory=list)
 
-    def set_unusable_aside(self, run: Path) -> None:
-        """Move the unusable checkpoints away, so that they are not among the two that are kept.
-
-        They may be whole: of a newer version, or on a disk that failed for a moment.
-        """
-        for path in self.unusable:
-            set_aside(run, path)
-
 
 def save(
     folder: Path, env_step: int, state: dict[str, Any], check: Callable[[], None] = lambda: None
@@ -62,22 +54,23 @@ def save(
     over meanwhile may have saved the same step. Raises its LostError, and OSError if the checkpoint
     does not fit the disk; then nothing of it remains and earlier checkpoints stay.
     """
+    import torch  # takes a second to import; who lists checkpoints does without it
+
     path = folder / f"{env_step:09d}"
-    unfinished = beside(path)
-    _drop_unfinished(folder)
-    unfinished.mkdir(parents=True)
-    try:
-        manifest = {"schema": SCHEMA, "env_step": env_step, **_save_state(unfinished, state)}
-        with (unfinished / MANIFEST).open("wb") as file:
-            file.write(json.dumps(manifest, indent=1).encode())
-            _sync_file(file)
+    for left in folder.glob(".*.tmp"):  # by a killed process: we hold the run's lock
+        shutil.rmtree(left, ignore_errors=True)
+    content = io.BytesIO()  # torch would replace the errors of a full disk by its own
+    torch.save(state, content)
+    with whole_folder(path) as unfinished:
+        replace(unfinished / STATE, lambda file: file.write(content.getbuffer()), sync=True)
+        digest = hashlib.sha256(content.getbuffer()).hexdigest()
+        size = len(content.getbuffer())
+        manifest = {"schema": SCHEMA, "env_step": env_step, "sha256": digest, "bytes": size}
+        text = json.dumps(manifest, indent=1).encode()
+        replace(unfinished / MANIFEST, lambda file: file.write(text), sync=True)
         check()
         if path.exists():  # a resumed run writes this step again, with the same content
             shutil.rmtree(path)
-        unfinished.rename(path)
-    except BaseException:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        raise
     sync(folder)
     for old in folders(folder)[KEPT:]:
         shutil.rmtree(old, ignore_errors=True)
@@ -85,37 +78,44 @@ def save(
 
 
 def load(folder: Path) -> Checkpoint | None:
-    """The newest undamaged checkpoint, or None."""
-    return look_for(folder)[0]
+    """The newest undamaged checkpoint, or None.
 
-
-def look_for(folder: Path) -> tuple[Checkpoint | None, str]:
-    """The newest undamaged checkpoint, or None; and the problem of one that may be undamaged.
-
-    That one could not be read for now; "" if there is no such one.
+    Raises TryLaterError if there is none but one that cannot be read for now, which may be whole.
     """
+    import torch
+
     problems: list[str] = []
     unusable: list[Path] = []
     unread = ""
     try:
-        listed = _listed(folder)
+        found = _folders(folder)
     except PermissionError as error:
-        return None, f"{folder.name} cannot be read: {reason(error)}"
-    for path in listed:
+        found, unread = [], f"{folder.name}: {reason(error)}"
+    for path in found:
         try:
-            state = _load_one(path)
+            with _whole(path) as file:
+                # On the CPU, so that it can be read on a machine without GPU.
+                state = torch.load(file, map_location="cpu", weights_only=True)
         except UNUSABLE as error:
             problems.append(f"checkpoint {path.name} cannot be used: {reason(error)}")
             unusable.append(path)
             if cannot_read_now(error):
-                unread = unread or f"checkpoint {path.name} cannot be read: {reason(error)}"
-            continue
-        return Checkpoint(int(path.name), state, problems, unusable), unread
-    return None, unread
+                unread = unread or f"checkpoint {path.name}: {reason(error)}"
+        else:
+            return Checkpoint(int(path.name), state, problems, unusable)
+    if unread:
+        raise TryLaterError(
+            f"{folder.parent.name}: {unread}, so it cannot be read for now: see to the disk and "
+            "try again"
+        )
+    return None
 
 
 def load_model(run: Path) -> Checkpoint | None:
-    """The newest undamaged checkpoint that has the run's model; a small copy has it alone."""
+    """The newest undamaged checkpoint that has the run's model; a small copy has it alone.
+
+    Raises the error of `load`.
+    """
     checkpoints = (load(run / place) for place in MODEL_PLACES)
     return next((one for one in checkpoints if one is not None), None)
 
@@ -141,41 +141,19 @@ def model_step(run: Path) -> int | None:
     return next((step for step in steps if step is not None), None)
 
 
-class _Hashing:
-    """A file for writing that also computes sha256 and length."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self.digest = hashlib.sha256()
-        self.bytes = 0
-        self.error: OSError | None = None
-
-    def write(self, content: bytes) -> int:
-        try:
-            self._file.write(content)
-        except OSError as error:  # torch would replace it by an error of its own
-            self.error = error
-            raise
-        self.digest.update(content)
-        self.bytes += len(content)
-        return len(content)
-
-    def flush(self) -> None:
-        self._file.flush()
+def folders(folder: Path) -> list[Path]:
+    """The checkpoints in `folder`, newest first, damaged or not; none if it may not be entered."""
+    try:
+        return _folders(folder)
+    except PermissionError:
+        return []
 
 
-def _save_state(folder: Path, state: dict[str, Any]) -> dict[str, Any]:
-    """Write the state; returns the manifest."""
-    import torch  # takes a second to import; who lists checkpoints does without it
-
-    with (folder / STATE).open("wb") as file:
-        hashing = _Hashing(file)
-        try:
-            torch.save(state, cast(BinaryIO, hashing))
-        except RuntimeError:
-            raise hashing.error or OSError("torch could not write it") from None
-        _sync_file(file)
-    return {"sha256": hashing.digest.hexdigest(), "bytes": hashing.bytes}
+def _folders(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    found = [path for path in folder.iterdir() if _STEP.fullmatch(path.name) and path.is_dir()]
+    return sorted(found, key=lambda path: int(path.name), reverse=True)
 
 
 @contextmanager
@@ -189,38 +167,3 @@ def _whole(path: Path) -> Iterator[BinaryIO]:
             raise ValueError("its content is torn or was altered (sha256 differs)")
         file.seek(0)
         yield file
-
-
-def _load_one(path: Path) -> dict[str, Any]:
-    import torch
-
-    with _whole(path) as file:
-        # On the CPU, so that it can be read on a machine without GPU.
-        return torch.load(file, map_location="cpu", weights_only=True)
-
-
-def folders(folder: Path) -> list[Path]:
-    """The checkpoints in `folder`, newest first, damaged or not; none if it may not be entered."""
-    try:
-        return _listed(folder)
-    except PermissionError:
-        return []
-
-
-def _listed(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    named = (path for path in folder.iterdir() if _STEP.fullmatch(path.name))
-    checkpoints = [path for path in named if path.is_dir()]
-    return sorted(checkpoints, key=lambda p: int(p.name), reverse=True)
-
-
-def _drop_unfinished(folder: Path) -> None:
-    """Remove the unfinished files of a killed process (we hold the run's lock)."""
-    for path in folder.glob(".*.tmp"):
-        shutil.rmtree(path, ignore_errors=True)
-
-
-def _sync_file(file: BinaryIO) -> None:
-    file.flush()
-    os.fsync(file.fileno())

@@ -8,15 +8,15 @@ from collections.abc import Callable, Collection
 from contextlib import closing
 from dataclasses import asdict
 from datetime import datetime
+from functools import partial
 from math import isnan
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
 from tom.errors import UserError
 from tom.harmless import as_csv
-from tom.record.array_files import write_table
+from tom.record.decode import write_table
 from tom.record.files import replace, replace_json, whole_folder
 from tom.record.reader import RunReader
 from tom.record.thin import thin
@@ -28,7 +28,7 @@ def export(reader: RunReader, kind: str, folder: Path) -> Path:
     Raises UserError if the export exists already or the folder cannot be written.
     """
     suffix, write = EXPORTERS[kind]
-    return _written(folder / (reader.run_id + suffix), lambda path: write(reader, path))
+    return _written(folder / (reader.run_id + suffix), partial(write, reader))
 
 
 def export_small(
@@ -49,20 +49,6 @@ def _written(path: Path, write: Callable[[Path], object]) -> Path:
     return path
 
 
-def description(reader: RunReader) -> dict[str, Any]:
-    """Everything of a run that is not an array: configuration, status, labels, rows, profiles."""
-    profiles = reader.profiles()
-    return {
-        "description": reader.config,
-        "status": asdict(reader.status),
-        "labels": asdict(reader.labels),
-        "metrics": reader.metrics().to_dict("records"),
-        "profiles": asdict(profiles),
-        "notices": reader.notices(),
-        "problems": reader.problems,
-    }
-
-
 def _csv(reader: RunReader, path: Path) -> None:
     text = as_csv(reader.metrics())
     replace(path, lambda file: file.write(text.encode()), sync=False)
@@ -74,7 +60,17 @@ def _parquet(reader: RunReader, path: Path) -> None:
 
 
 def _json(reader: RunReader, path: Path) -> None:
-    replace_json(path, description(reader), sync=False)
+    """Write everything that is not an array: configuration, status, labels, rows, profiles."""
+    content = {
+        "description": reader.config,
+        "status": asdict(reader.status),
+        "labels": asdict(reader.labels),
+        "metrics": reader.metrics().to_dict("records"),
+        "profiles": asdict(reader.profiles()),
+        "notices": reader.notices(),
+    }
+    # Last, because reading finds the problems.
+    replace_json(path, content | {"problems": reader.problems}, sync=False)
 
 
 def _tensorboard(reader: RunReader, folder: Path) -> None:
@@ -100,7 +96,7 @@ def _tensorboard(reader: RunReader, folder: Path) -> None:
 
 def _rrd(reader: RunReader, path: Path) -> None:
     # Imported here because Rerun takes half a second, which other formats do not need.
-    from tom.record.rerun.file import write
+    from tom.record.rerun.feed import write
 
     write(reader, path)
 

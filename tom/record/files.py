@@ -8,8 +8,8 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,10 +18,10 @@ import numpy as np
 from tom.record import layout
 
 
-def beside(path: Path) -> Path:
-    """A name for what will be renamed to `path`, of nobody else.
+def temp_path(path: Path) -> Path:
+    """A new name for what will be renamed to `path`.
 
-    Threads share a process id, and so may two containers.
+    It is random, because threads share a process id, and so may two containers.
     """
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
 
@@ -32,7 +32,7 @@ def replace(path: Path, write: Callable[[BinaryIO], object], *, sync: bool) -> N
     With `sync` the file survives a power loss, at the price of waiting for the disk. A failed write
     leaves the old file and nothing else.
     """
-    temporary = beside(path)
+    temporary = temp_path(path)
     try:
         with temporary.open("wb") as file:
             write(file)
@@ -52,7 +52,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
     After an error nothing of it remains. Raises OSError if it cannot be made, or if `path` has
     content already: of two writers one wins. What a killed process left is in nobody's way.
     """
-    unfinished = beside(path)
+    unfinished = temp_path(path)
     try:
         unfinished.mkdir(parents=True)
         yield unfinished
@@ -85,7 +85,8 @@ class JsonLines:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._open()
+        self._file = path.open("a+b", buffering=0)
+        self._digest = hashlib.sha256(self._content())
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Append one row.
@@ -93,73 +94,45 @@ class JsonLines:
         Raises OSError if the disk is full; a partly written row is cut off again, so that the next
         row starts a new line.
         """
-        self.keep_name()
-        line = json_line(row)
-        size = os.fstat(self._file).st_size
+        line, size = json_line(row), self.size
         try:
-            written = os.write(self._file, line)
+            written = self._file.write(line)
         except OSError as error:
             raise OSError(error.errno, f"cannot write {self.path}: {error.strerror}") from error
         if written != len(line):
-            os.ftruncate(self._file, size)
+            self._file.truncate(size)
             raise OSError(errno.ENOSPC, f"cannot write {self.path}: is the disk full?")
         self._digest.update(line)
 
     @property
     def size(self) -> int:
         """Bytes in the file."""
-        return os.fstat(self._file).st_size
+        return os.fstat(self._file.fileno()).st_size
 
     @property
     def sha256(self) -> str:
-        """The digest of what was written."""
+        """The digest of the content."""
         return self._digest.hexdigest()
 
-    def rows(self, since: int) -> list[dict[str, Any]]:
+    def rows(self, since: int = 0) -> list[dict[str, Any]]:
         """The rows after the first `since` bytes; damaged lines are left out."""
-        read = []
-        for line in self.path.read_bytes()[since:].splitlines():
-            with suppress(ValueError):
-                read.append(json.loads(line))
-        return [row for row in read if isinstance(row, dict)]
+        rows = map(parse_json_line, self._content()[since:].splitlines())
+        return [row for row in rows if row is not None]
 
     def cut(self, size: int) -> None:
-        """Truncate the file to `size` bytes, and to whole rows: mended ones may be shorter."""
-        os.ftruncate(self._file, self._content()[:size].rfind(b"\n") + 1)
+        """Truncate the file to `size` bytes, and to whole rows."""
+        self._file.truncate(self._content()[:size].rfind(b"\n") + 1)
         self._digest = hashlib.sha256(self._content())
-
-    def rewrite(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Replace the whole file by `rows`."""
-        self._replace(b"".join(map(json_line, rows)))
-
-    def keep_name(self) -> None:
-        """Put the file back if it was deleted, or replaced by a copy as synchronisers do."""
-        with suppress(FileNotFoundError):
-            if os.path.samestat(self.path.lstat(), os.fstat(self._file)):
-                return
-        self._replace(self._content())
 
     def sync(self) -> None:
         """Wait until the rows are on the disk."""
-        self.keep_name()
-        os.fsync(self._file)
+        os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
-
-    def _open(self) -> None:
-        self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-        self._digest = hashlib.sha256(self._content())
+        self._file.close()
 
     def _content(self) -> bytes:
-        return os.pread(self._file, self.size, 0)
-
-    def _replace(self, content: bytes) -> None:
-        replace(self.path, lambda file: file.write(content), sync=True)
-        self.close()
-        self._open()
+        return os.pread(self._file.fileno(), self.size, 0)
 
 
 def json_line(row: Mapping[str, Any]) -> bytes:
@@ -243,30 +216,20 @@ def parse_json_line(line: bytes) -> dict[str, Any] | None:
     return row if isinstance(row, dict) else None
 
 
-def set_aside(run: Path, path: Path) -> Path:
-    """Move a file or folder of the run folder `run` into its `damaged/`; returns the new place."""
-    place = _place(run, path)
-    path.rename(place)
-    return place
+def set_aside(run: Path, path: Path, *, copy: bool = False) -> Path:
+    """Move a file or folder of the run folder `run` into its `damaged/`; returns the new place.
 
-
-def copy_aside(run: Path, path: Path) -> Path:
-    """`set_aside` for a file that is replaced next, so that no kill finds the run without it."""
-    place = _place(run, path)
-    try:
-        shutil.copy2(path, place)
-    except BaseException:
-        place.unlink(missing_ok=True)
-        raise
-    return place
-
-
-def _place(run: Path, path: Path) -> Path:
-    """A free place for it."""
+    With `copy` the file stays where it is: it is replaced next, and no kill may find the run
+    without it.
+    """
     place = run / layout.DAMAGED / path.relative_to(run)
     place.parent.mkdir(parents=True, exist_ok=True)
     number = 1
     while os.path.lexists(place):
         number += 1
         place = place.with_name(f"{path.name}~{number}")
+    if copy:
+        replace(place, lambda file: file.write(path.read_bytes()), sync=True)
+    else:
+        path.rename(place)
     return place

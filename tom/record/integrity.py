@@ -1,108 +1,117 @@
 """Integrity of a run: `verify` reads every file; `repair` fixes what it can without loss.
 
-Damaged files are moved into the run's `damaged/` folder, never deleted.
+A finished run has `digests.json`: the sha256 of every file, by which any changed bit is found.
+Left out are files that may change or be removed afterwards: the status and the labels, recordings,
+which can be made again from the files, and checkpoints, whose manifests have their own digests.
+A repair moves damaged files into the run's `damaged/` folder and never deletes one.
 """
 
+import hashlib
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 
-import pandas as pd
 import pyarrow as pa
 
 from tom.config import RunConfig, SacRecordingConfig
-from tom.errors import reason
-from tom.record import checkpoint, digests, layout
-from tom.record.array_files import DAMAGE, read_arrays, read_table, write_table
+from tom.data.unpack import DAMAGE, read_arrays
+from tom.errors import TryLaterError, reason
+from tom.record import checkpoint, layout
+from tom.record.decode import numbers, read_table, write_table
 from tom.record.files import (
     begins_with,
-    copy_aside,
-    modified,
-    read_json_lines,
+    files_in,
+    json_line,
+    parse_json_line,
+    read_json,
     replace_json,
     set_aside,
 )
 from tom.record.files import replace as replace_file
 from tom.record.manage import refused, unwritten
-from tom.record.mend import mend_lines
 from tom.record.reader import RunReader
-from tom.record.status import Status
 
-PASSING = ("weights", layout.POLICIES)
-"""folders from which a training deletes files as it goes (`RunWriter.snapshot`)"""
-ENDED = "its process ended without a word: "
-GOES_ON = "tom train --resume {run} goes on from a checkpoint"
-NO_WAY_ON = "the run cannot go on"
-NO_CHECKPOINT = "it has no checkpoint to go on from"
+SCHEMA = 1
+LEFT_OUT = (
+    layout.STATUS, layout.LABELS, layout.DIGESTS, checkpoint.FOLDER, layout.DAMAGED,
+)  # fmt: skip
+"""files and folders without digests"""
+
+
+def write_digests(path: Path) -> None:
+    """Write the digests of the run folder `path`. Raises OSError."""
+    digests = {name: _sha256(path / name) for name in _with_digest(path)}
+    replace_json(path / layout.DIGESTS, {"schema": SCHEMA, "sha256": digests}, sync=True)
 
 
 def verify(reader: RunReader) -> list[str]:
     """All defects of a run, one line each."""
-    fresh = RunReader(reader.path)
-    _ = fresh.config, fresh.labels
-    status = fresh.status
-    folder = fresh.path / checkpoint.FOLDER
-    held, unread = checkpoint.look_for(folder)  # before the rows, which a training may add to
-    fresh.metrics()
-    fresh.metric_rows()
-    fresh.profiles()
-    fresh.notices()
-    rows, _ = fresh.buffer()
-    fresh.list_folders()
-    problems = list(fresh.problems)
-    for path in _arrays(fresh.path):
-        error = _unreadable(path)
-        name = str(path.relative_to(fresh.path))
-        if error and path.parent.name in PASSING and path not in path.parent.iterdir():
-            continue  # the training has replaced it since it was listed
-        if error and not any(name in problem for problem in problems):
-            problems.append(f"{name} cannot be read: {error}")
-    if status.shown == "dead":
-        problems.append(f"says it is running, without a heartbeat since {_when(status.heartbeat)}")
-    for name, what in _altered(fresh.path).items():
-        if not any(name in problem for problem in problems):
-            problems.append(f"{name} {what}")
+    run = RunReader(reader.path)
+    held, unread = None, ""  # the checkpoint first: a training may add to the rows
+    try:
+        held = checkpoint.load(run.path / checkpoint.FOLDER)
+    except TryLaterError as error:
+        unread = str(error)
+    _ = run.config, run.labels, run.status
+    for read in (run.metrics, run.metric_rows, run.profiles, run.notices, run.list_folders):
+        read()
+    rows, _ = run.buffer()
+    unreadable = {
+        f"{_name(run, path)} cannot be read: {error}"
+        for path in _arrays(run.path)
+        if (error := _unreadable(path)) and path.exists()  # a training deletes weights as it goes
+    }
+    problems = list(run.problems)
+    for found in (sorted(unreadable), (f"{n} {what}" for n, what in _altered(run.path).items())):
+        named = "\n".join(problems)
+        problems += [problem for problem in found if problem.split()[0] not in named]
+    if run.status.shown == "dead":
+        last = datetime.fromtimestamp(max(run.status.heartbeat, 0))
+        problems.append(f"says it is running, without a heartbeat since {last:%Y-%m-%d %H:%M:%S}")
     if held is not None:
-        problems += [*held.problems, *([] if fresh.unread else unlike(fresh.path, held))]
+        problems += [*held.problems, *([] if run.unread else unlike(run.path, held))]
         if len(rows) < (collected := held.state.get("training", {}).get("collected", 0)):
-            problems.append(f"{layout.BUFFER} has {len(rows)} of {collected} rows: {NO_WAY_ON}")
-    elif unread or checkpoint.newest(folder) is not None:
-        problems.append(unread or f"no checkpoint is whole: {NO_WAY_ON}")
-    if (fresh.path / layout.MODEL).is_dir() and checkpoint.load(fresh.path / layout.MODEL) is None:
+            problems.append(
+                f"{layout.BUFFER} has {len(rows)} of {collected} rows: the run cannot go on"
+            )
+    elif unread or checkpoint.newest(run.path / checkpoint.FOLDER) is not None:
+        problems.append(unread or "no checkpoint is whole: the run cannot go on")
+    if any(not checkpoint.is_whole(p) for p in checkpoint.folders(run.path / layout.MODEL)):
         problems.append(f"{layout.MODEL} is damaged: ghosts and model errors are missing")
-    if not status.alive:
-        problems += [f"{_name(fresh, p)} is left from an interrupted write" for p in _left(fresh)]
+    if not run.status.alive:
+        problems += [f"{_name(run, p)} is left from an interrupted write" for p in _left(run)]
     return problems
 
 
 def repair(reader: RunReader) -> list[str]:
     """Repair a run; returns what was done, one line each.
 
-    Raises UserError while the run is being written, or if the disk is full: what is mended by then
-    stays mended.
-
-    Damaged lines become blank, rows of metrics come back from the Parquet copy if that is whole,
-    else the copy is made again. Damaged arrays are set aside, the state of a dead run becomes
-    `stopped`, a lost status is made again, and temporary files of an interrupted write are removed.
+    Damaged lines become blank, and rows of metrics come back from the Parquet copy if that is
+    whole. Damaged arrays are set aside, the state of a dead run
+    becomes `stopped`, a lost status is made again, and temporary files of an interrupted write are
+    removed. Raises UserError while the run is being written, or if the disk is full: what is
+    repaired by then stays repaired.
     """
     done: list[str] = []
     with unwritten(reader), refused(f"cannot repair run '{reader.run_id}'"):
+        altered = _altered(reader.path)
         for path in _left(reader):
             path.unlink()
             done.append(f"{_name(reader, path)}: removed, it was never whole")
-        altered = _altered(reader.path)
-        mended = [
-            _mend_metrics(reader, altered),
-            *(_mend_lines(reader, name) for name in layout.LINES[1:]),
-        ]
-        done += [text for text in mended if text]
+        done += _repair_metrics(reader, altered)
+        for name in layout.LINES:
+            done += _blank_damaged_lines(reader, name)
         for path in _arrays(reader.path):
             if _name(reader, path) in altered or _unreadable(path):
                 done.append(f"{_name(reader, path)}: {_set_aside(reader, path)}")
-        done += [text for text in (_mend_status(reader, altered), _mend_table(reader)) if text]
-        done += _accept(reader, [name for name in altered if name not in "\n".join(done)])
+        if not (table := reader.path / layout.METRICS_TABLE).exists():
+            rows = pa.Table.from_pandas(reader.metric_rows(), preserve_index=False)
+            replace_file(table, lambda file: write_table(file, rows), sync=True)
+            done.append(f"{layout.METRICS_TABLE}: made again")
+        done += _repair_status(reader, altered)
+        done += _renew_digests(reader, altered, "\n".join(done))
     return done
 
 
@@ -127,10 +136,45 @@ def unlike(path: Path, held: checkpoint.Checkpoint) -> list[str]:
     ]
 
 
+def _with_digest(path: Path) -> list[str]:
+    """The names of the files that have a digest, sorted."""
+    recordings = layout.rrd_files(path)
+    files = [file.relative_to(path) for file, _ in files_in(path) if file not in recordings]
+    return sorted(
+        name.as_posix()
+        for name in files
+        if name.parts[0] not in LEFT_OUT and not any(part.startswith(".") for part in name.parts)
+    )
+
+
+def _altered(path: Path) -> dict[str, str]:
+    """The files that differ from what a finished run wrote, with the reason for each."""
+    if not (path / layout.DIGESTS).exists():  # not finished, or of an earlier version
+        return {}
+    try:
+        content = read_json(path / layout.DIGESTS)
+        if content["schema"] != SCHEMA:
+            raise ValueError(f"schema {content['schema']} is not {SCHEMA}")
+        written, there = content["sha256"], {*_with_digest(path)}
+        gone = dict.fromkeys({*written} - there, "is missing since the run finished")
+        return gone | {
+            name: "is not what the run wrote (sha256 differs)"
+            for name in sorted(there & {*written})
+            if _sha256(path / name) != written[name]
+        }
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        return {layout.DIGESTS: f"cannot be read: {reason(error)}"}
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def _arrays(path: Path) -> Iterator[Path]:
     for folder in ("", *layout.FOLDERS):
-        for file in sorted((path / folder).glob("*")):
-            if file.suffix in (".npz", ".parquet") and not file.name.startswith("."):
+        for file in sorted((path / folder).glob("[!.]*")):
+            if file.suffix in (".npz", ".parquet"):
                 yield file
 
 
@@ -146,149 +190,109 @@ def _unreadable(path: Path) -> str | None:
     return None
 
 
-def _altered(path: Path) -> dict[str, str]:
-    """The files that differ from what a finished run wrote, with the reason for each."""
-    try:
-        return digests.changed(path)
-    except (OSError, ValueError) as error:
-        return {layout.DIGESTS: f"cannot be read: {reason(error)}"}
-
-
-def _accept(reader: RunReader, altered: Sequence[str]) -> list[str]:
-    """Write new digests of a repaired run; returns lines on `altered` files that stay."""
-    held = checkpoint.load(reader.path / checkpoint.FOLDER)
-    lost = unlike(reader.path, held) if held is not None else []
-    if not lost and not _altered(reader.path):
-        return []
-    digests.write(reader.path)
-    kept = [name for name in altered if (reader.path / name).is_file()]
-    return [f"{text}: kept as it is now" for text in lost if text.split()[0] not in altered] + [
-        f"{name}: made again"
-        if name == layout.DIGESTS
-        else f"{name}: reads well, and nothing tells what it was: kept"
-        for name in kept
-    ]
-
-
 def _left(reader: RunReader) -> list[Path]:
     """Temporary files of an interrupted write."""
     return sorted(p for p in reader.path.rglob(".*.tmp") if p.is_file())
 
 
-def _mend_metrics(reader: RunReader, altered: Collection[str]) -> str | None:
-    """Mend the rows of metrics; a Parquet copy that is whole says what damaged ones were."""
-    path = reader.path / layout.METRICS
-    rows, problems = read_json_lines(path) if path.is_file() else ([], [])
-    whole = layout.METRICS not in altered and rows and not problems
-    known = None if whole or layout.METRICS_TABLE in altered else _table(reader)
-    return _mend_lines(reader, layout.METRICS, known)
+def _repair_metrics(reader: RunReader, altered: dict[str, str]) -> list[str]:
+    """Write damaged rows of metrics anew from their Parquet copy, if that is whole.
+
+    Rows after the last of the copy stay.
+    """
+    path, copy = reader.path / layout.METRICS, reader.path / layout.METRICS_TABLE
+    content = path.read_bytes() if path.is_file() else b""
+    rows = [parse_json_line(line) for line in content.split(b"\n") if line.strip()]
+    whole = rows and None not in rows and content.endswith(b"\n") and layout.METRICS not in altered
+    if whole or layout.METRICS_TABLE in altered or _unreadable(copy):
+        return []
+    copied = read_table(copy).to_dict("records")
+    last = copied[-1]["env_step"] if copied else -1
+    later = (row for row in rows if row is not None and row.get("env_step", 0) > last)
+    back = ({"env_step": int(row["env_step"]), **numbers(row)} for row in copied)
+    text = b"".join(map(json_line, (*back, *later)))
+    return [_replace_rows(reader, path, text, f"{len(copied)} rows of {layout.METRICS_TABLE}")]
 
 
-def _mend_lines(reader: RunReader, name: str, table: pd.DataFrame | None = None) -> str | None:
+def _blank_damaged_lines(reader: RunReader, name: str) -> list[str]:
+    """Make the damaged lines of a file blank, and cut off half a last one.
+
+    Every other line stays where it is, because checkpoints hold the length of the file.
+    """
     path = reader.path / name
-    there = path.is_file()
-    content = path.read_bytes() if there else b""
-    mended = mend_lines(content, table)
-    if mended.content == content:
-        return None
-    aside = f"; {_kept(reader, copy_aside(reader.path, path))}" if there else ""
-    replace_file(path, lambda file: file.write(mended.content), sync=True)
-    back = f", {mended.put_back} rows put back from {layout.METRICS_TABLE}"
-    return (
-        f"{name}: {mended.damaged} damaged lines blanked out of {mended.lines}"
-        f"{back if mended.put_back else ''}{aside}"
-    )
+    content = path.read_bytes() if path.is_file() else b""
+    *lines, half = content.split(b"\n")
+    mended = [b" " * len(line) if parse_json_line(line) is None else line for line in lines]
+    text = b"".join(line + b"\n" for line in mended)
+    if text == content:
+        return []
+    damaged = sum(a != b for a, b in zip(lines, mended, strict=True)) + bool(half)
+    return [_replace_rows(reader, path, text, f"{damaged} damaged lines of {len(lines)} blanked")]
 
 
-def _table(reader: RunReader) -> pd.DataFrame | None:
-    """The Parquet copy of the metrics; None if it is not whole."""
-    path = reader.path / layout.METRICS_TABLE
-    if _unreadable(path):
-        return None
-    table = read_table(path)
-    return table if "env_step" in table else None
+def _replace_rows(reader: RunReader, path: Path, text: bytes, what: str) -> str:
+    kept = f"; {_set_aside(reader, path, copy=True)}" if path.is_file() else ""
+    replace_file(path, lambda file: file.write(text), sync=True)
+    return f"{_name(reader, path)}: {what}{kept}"
 
 
-def _set_aside(reader: RunReader, path: Path) -> str:
-    """Move a file into the run's `damaged/` folder; returns a line that says where."""
-    return _kept(reader, set_aside(reader.path, path))
-
-
-def _kept(reader: RunReader, place: Path) -> str:
-    return f"what was there is kept as {_name(reader, place)}"
-
-
-def _mend_status(reader: RunReader, altered: Collection[str]) -> str | None:
+def _repair_status(reader: RunReader, altered: dict[str, str]) -> list[str]:
     """Give a final state to a run that is dead or has a damaged status."""
     file, status = reader.path / layout.STATUS, reader.status
     if status.state not in ("running", "unknown"):
-        return None
-    if status.state == "unknown" and os.path.lexists(file):
-        _set_aside(reader, file)
-    ended = _ended(reader, status, altered)
-    replace_json(file, asdict(ended), sync=True)
-    return f"{layout.STATUS}: {status.state} became {ended.state} at step {ended.env_step}"
-
-
-def _ended(reader: RunReader, status: Status, altered: Collection[str]) -> Status:
-    """The final status of a run that says it is running, or of which nothing is known.
-
-    Digests are written when a run has finished, and for a small copy of any run.
-    """
-    table = reader.metrics()
-    held = checkpoint.newest(reader.path / checkpoint.FOLDER)
-    reached = max(status.env_step, int(table["env_step"].to_numpy().max(initial=0)))
-    total = status.total or _total(reader)
-    ended = replace(status, phase="", env_step=reached, total=total, eta_s=None)
-    if status.state == "unknown":
-        last, best = _last(table, "eval/return"), _last(table, "eval/return_max")
-        ended = replace(ended, last_return=last, best_return=best)
-        attested = layout.DIGESTS not in altered and (reader.path / layout.DIGESTS).is_file()
-        if attested and 0 < total <= max(reached, held or 0):
-            return replace(ended, state="finished", env_step=max(reached, total))
-    why = NO_CHECKPOINT if held is None else GOES_ON.format(run=reader.run_id)
-    return replace(ended, state="stopped", reason=ENDED + why)
-
-
-def _total(reader: RunReader) -> int:
-    """The last step of the run's events; 0 if its settings are damaged."""
+        return []
+    table, newest = reader.metrics(), checkpoint.newest(reader.path / checkpoint.FOLDER)
+    last = table.ffill().iloc[-1].to_dict() if len(table) else {}
     settings = reader.config.get("config")
     steps = settings.get("steps") if isinstance(settings, dict) else None
     kind = RunConfig if reader.fits_model else SacRecordingConfig
-    return kind.model_construct(steps=steps).total_steps if isinstance(steps, int) else 0
+    planned = kind.model_construct(steps=steps).total_steps if isinstance(steps, int) else 0
+    reached, total = max(status.env_step, int(last.get("env_step", 0))), status.total or planned
+    goes_on = f"tom train --resume {reader.run_id} goes on from a checkpoint"
+    why = "it has no checkpoint to go on from" if newest is None else goes_on
+    ended = replace(
+        status,
+        state="stopped",
+        phase="",
+        env_step=reached,
+        total=total,
+        eta_s=None,
+        reason=f"its process ended without a word: {why}",
+    )
+    if status.state == "unknown":
+        ended = replace(
+            ended, last_return=last.get("eval/return"), best_return=last.get("eval/return_max")
+        )
+        # A run has digests once it has finished; its last row may be of an earlier step.
+        attested = (reader.path / layout.DIGESTS).is_file() and layout.DIGESTS not in altered
+        if attested and 0 < total <= max(reached, newest or 0):
+            ended = replace(ended, state="finished", env_step=max(reached, total), reason="")
+        if os.path.lexists(file):
+            _set_aside(reader, file)
+    replace_json(file, asdict(ended), sync=True)
+    return [f"{layout.STATUS}: {status.state} became {ended.state} at step {ended.env_step}"]
 
 
-def _last(table: pd.DataFrame, name: str) -> float | None:
-    """The last value of a metric; None if it has none."""
-    values = table[name].dropna().tolist() if name in table else []
-    return values[-1] if values else None
+def _renew_digests(reader: RunReader, altered: dict[str, str], done: str) -> list[str]:
+    """Write new digests of a repaired run; returns lines on files that stay as they are now."""
+    held = checkpoint.load(reader.path / checkpoint.FOLDER)
+    lost = [] if held is None else [text.split()[0] for text in unlike(reader.path, held)]
+    if not lost and not _altered(reader.path):
+        return []
+    write_digests(reader.path)
+    stay = dict.fromkeys(name for name in (*altered, *lost) if (reader.path / name).is_file())
+    return [
+        f"{layout.DIGESTS}: made again" if name == layout.DIGESTS else f"{name}: kept as it is now"
+        for name in stay
+        if name not in done
+    ]
 
 
-def _mend_table(reader: RunReader) -> str | None:
-    """Make the Parquet copy of the metrics again, unless it is that of the rows."""
-    rows, table = reader.path / layout.METRICS, reader.path / layout.METRICS_TABLE
-    if modified(table) >= modified(rows):
-        return None
-    held, now = _table(reader), reader.metrics()
-    if held is not None and _plain(held).equals(_plain(now)):
-        os.utime(table)  # readers take the newer one
-        return None
-    aside = f"; {_set_aside(reader, table)}" if os.path.lexists(table) else ""
-    content = pa.Table.from_pandas(now, preserve_index=False)
-    replace_file(table, lambda file: write_table(file, content), sync=True)
-    return f"{layout.METRICS_TABLE}: made again{aside}"
-
-
-def _plain(table: pd.DataFrame) -> pd.DataFrame:
-    """The values of a table, whatever the order of its columns."""
-    return table.dropna(axis=1, how="all").sort_index(axis=1)
+def _set_aside(reader: RunReader, path: Path, *, copy: bool = False) -> str:
+    """Move or copy a file into the run's `damaged/` folder; returns a phrase that says where."""
+    place = set_aside(reader.path, path, copy=copy)
+    return f"what was there is kept as {_name(reader, place)}"
 
 
 def _name(reader: RunReader, path: Path) -> str:
-    return str(path.relative_to(reader.path))
-
-
-def _when(unix: float) -> str:
-    if unix <= 0:
-        return "ever"
-    return datetime.fromtimestamp(unix).isoformat(" ", "seconds")
+    return path.relative_to(reader.path).as_posix()

@@ -1,6 +1,6 @@
 """A user's labels of a run: `labels.json`, the only file that the training does not write."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from tom.errors import UserError
@@ -20,10 +20,6 @@ class Labels:
     tags: tuple[str, ...] = ()
     note: str = ""
 
-    def record(self) -> dict[str, Any]:
-        """The content of `labels.json`."""
-        return {"schema": SCHEMA, **asdict(self)}
-
 
 def parse(content: dict[str, Any]) -> Labels:
     """The labels in a JSON object."""
@@ -32,27 +28,21 @@ def parse(content: dict[str, Any]) -> Labels:
 
 def checked(labels: Labels) -> Labels:
     """`labels` in normal form. Raises UserError if a text is too long or not plain."""
-    tags = dict.fromkeys(_line("tag", tag, TAG_LENGTH) for tag in labels.tags)
+    tags = dict.fromkeys(_plain("tag", tag, TAG_LENGTH) for tag in labels.tags)
     if "" in tags:
         raise UserError("a tag cannot be empty")
     if len(tags) > MOST_TAGS:
         raise UserError(f"{len(tags)} tags are too many: {MOST_TAGS} at most")
-    return Labels(_line("name", labels.name, NAME_LENGTH), tuple(tags), _text(labels.note))
+    name = _plain("name", labels.name, NAME_LENGTH)
+    return Labels(name, tuple(tags), _plain("note", labels.note, NOTE_LENGTH, lines=True))
 
 
-def _line(kind: str, text: str, length: int) -> str:
-    if not text.isprintable():
-        raise UserError(f"a {kind} is one line of plain text, not {text!r:.60}")
-    return _short(kind, text.strip(), length)
-
-
-def _text(text: str) -> str:
-    if not all(line.isprintable() for line in text.split("\n")):
-        raise UserError("a note is plain text, without control characters")
-    return _short("note", text.strip(), NOTE_LENGTH)
-
-
-def _short(kind: str, text: str, length: int) -> str:
-    if len(text) > length:
+def _plain(kind: str, text: str, length: int, *, lines: bool = False) -> str:
+    """The text without white space around it."""
+    if not (text.replace("\n", "") if lines else text).isprintable():
+        raise UserError(
+            f"a {kind} is plain text{'' if lines else ' of one line'}, not {text!r:.60}"
+        )
+    if len(text.strip()) > length:
         raise UserError(f"a {kind} of {len(text)} characters is too long: {length} at most")
-    return text
+    return text.strip()

@@ -83,19 +83,18 @@ def field(name: str, step: int) -> str:
 
 def numbers(folder: Path, suffix: str, name: str | None = None) -> list[int]:
     """The numbers of the files `<name>-<number><suffix>` in `folder`, ascending."""
-    matches = [_NUMBERED.fullmatch(p.stem) for p in _files(folder) if p.suffix == suffix]
-    return sorted(int(match["number"]) for match in matches if match and match["name"] == name)
+    found = _numbered(folder, suffix)
+    return sorted(int(match["number"]) for match in found if match["name"] == name)
 
 
 def names(folder: Path, suffix: str) -> list[str]:
     """The names of the files `<name>-<number><suffix>` in `folder`."""
-    matches = [_NUMBERED.fullmatch(p.stem) for p in _files(folder) if p.suffix == suffix]
-    return sorted({match["name"] for match in matches if match and match["name"]})
+    return sorted({match["name"] for match in _numbered(folder, suffix) if match["name"]})
 
 
 def rrd_files(folder: Path) -> list[Path]:
     """`run.rrd`, `run-2.rrd`, ... in the order they were written."""
-    return [path for _, path in _rrds(folder)]
+    return [folder / name for _, name in _rrds(folder)]
 
 
 def next_rrd(folder: Path) -> Path:
@@ -104,13 +103,18 @@ def next_rrd(folder: Path) -> Path:
     return folder / (f"run-{recordings[-1][0] + 1}.rrd" if recordings else "run.rrd")
 
 
-def _rrds(folder: Path) -> list[tuple[int, Path]]:
-    matches = [(_RRD.fullmatch(path.name), path) for path in _files(folder)]
-    return sorted((int(match[1] or 1), path) for match, path in matches if match)
+def _numbered(folder: Path, suffix: str) -> list[re.Match[str]]:
+    stems = (name.removesuffix(suffix) for name in _files(folder) if name.endswith(suffix))
+    return [match for stem in stems if (match := _NUMBERED.fullmatch(stem))]
 
 
-def _files(folder: Path) -> list[Path]:
+def _rrds(folder: Path) -> list[tuple[int, str]]:
+    matches = [match for name in _files(folder) if (match := _RRD.fullmatch(name))]
+    return sorted((int(match[1] or 1), match[0]) for match in matches)
+
+
+def _files(folder: Path) -> list[str]:
     try:
-        return list(folder.iterdir())
+        return [path.name for path in folder.iterdir()]
     except OSError:
         return []

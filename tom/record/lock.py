@@ -9,15 +9,18 @@ import fcntl
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from tom.errors import TryLaterError, UserError
 from tom.record import layout
+from tom.record.reader import RunReader
+from tom.record.status import BEAT_S
 
-LOOKS, LOOK_S = 100, 0.01  # number of tries and seconds between them, while others look at it
+TRIES, WAIT_S = 20, 0.01
+"""attempts to lock a run, and seconds between them: `held` has the lock for an instant"""
 
 
 class BusyError(TryLaterError):
@@ -33,22 +36,19 @@ class RunLock:
     """A writer's lock on the run folder `path`, until it is closed or taken over."""
 
     path: Path
-    name: bytes
+    writer: bytes
+    """the content of the lock file as long as no other writer has taken over"""
     _file: int
-
-    @property
-    def lost(self) -> bool:
-        """Whether another writer has taken over the folder, or it is gone."""
-        try:
-            return (self.path / layout.LOCK).read_bytes() != self.name
-        except OSError:
-            return True
 
     def check(self) -> None:
         """Raises LostError if the folder was taken over or is gone; nothing may be written then."""
+        try:
+            writer = (self.path / layout.LOCK).read_bytes()
+        except OSError:
+            writer = b""
         if not self.path.exists():
             raise LostError(f"the folder of run '{self.path.name}' was moved or removed")
-        if self.lost:
+        if writer != self.writer:
             raise LostError(f"run '{self.path.name}' was taken over by another writer")
 
     def close(self) -> None:
@@ -64,52 +64,41 @@ def acquire(path: Path) -> RunLock:
     Raises BusyError if another process holds the lock, UserError if the folder cannot be written.
     """
     try:
-        lock = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        file = os.open(path / layout.LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
         raise UserError(
             f"cannot write into run '{path.name}' ({error.strerror}): make its folder writable"
         ) from error
-    try:
-        _lock(lock)
-    except OSError as error:
-        os.close(lock)
+    for _ in range(TRIES):
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            break
+        except OSError:
+            time.sleep(WAIT_S)
+    else:
+        os.close(file)
         raise BusyError(
             f"run '{path.name}' is being written by another process: wait for it, or stop it"
-        ) from error
-    name = _boot() + secrets.token_hex(8).encode()
+        )
+    writer = _boot() + secrets.token_hex(8).encode()
     with suppress(OSError):  # a full disk; the lock holds anyway
-        os.pwrite(lock, name, 0)
-        os.ftruncate(lock, len(name))
-    return RunLock(path, os.pread(lock, 4096, 0), lock)
-
-
-def _lock(file: int) -> None:
-    """Lock `file` for one writer. Raises OSError if another writer has it.
-
-    `held` takes a shared lock for an instant, so this retries.
-    """
-    for _ in range(LOOKS):
-        with suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # fails if a writer has the lock
-        fcntl.flock(file, fcntl.LOCK_UN)
-        time.sleep(LOOK_S)
-    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.pwrite(file, writer, 0)
+        os.ftruncate(file, len(writer))
+    return RunLock(path, os.pread(file, 4096, 0), file)
 
 
 def held(path: Path) -> bool:
     """Whether a process on this machine holds the lock of the run folder `path`."""
     try:
-        lock = os.open(path / layout.LOCK, os.O_RDONLY)
+        file = os.open(path / layout.LOCK, os.O_RDONLY)
     except OSError:
         return False
     try:
-        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:
         return True
     finally:
-        os.close(lock)
+        os.close(file)
     return False
 
 
@@ -120,12 +109,9 @@ def opened_by(pid: int, path: Path) -> bool:
     """
     own = (path / layout.LOCK).stat()
     for link in Path(f"/proc/{pid}/fd").iterdir():
-        try:
-            file = link.stat()
-        except OSError:
-            continue  # closed meanwhile
-        if (file.st_dev, file.st_ino) == (own.st_dev, own.st_ino):
-            return True
+        with suppress(OSError):  # closed meanwhile
+            if os.path.samestat(link.stat(), own):
+                return True
     return False
 
 
@@ -151,17 +137,17 @@ def written_here(path: Path) -> bool | None:
         return None
 
 
-def refuse_if_elsewhere(path: Path, heartbeat: Callable[[], float], patience_s: float) -> None:
-    """Raises BusyError if another machine writes the run: a heartbeat within `patience_s`.
+def refuse_if_elsewhere(run: RunReader) -> None:
+    """Raises BusyError if another machine writes the run, as a new heartbeat shows.
 
     Returns at once if this machine wrote last, because then the lock is proof enough.
     """
-    if written_here(path) is not False:
+    before = run.status  # a running one, alive or not: its machine's clock may be another
+    if before.state != "running" or written_here(run.path) is not False:
         return
-    before = heartbeat()
-    time.sleep(patience_s)
-    if heartbeat() != before:
-        raise BusyError(f"run '{path.name}' is being written on another machine: stop it there")
+    time.sleep(2.5 * BEAT_S)
+    if run.status.heartbeat != before.heartbeat:
+        raise BusyError(f"run '{run.run_id}' is being written on another machine: stop it there")
 
 
 def _boot() -> bytes:

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from tom.config import SAC_ALONE, Settings, completed, in_words
 from tom.data.transitions import Transitions
-from tom.data.unpack import cannot_read_now
+from tom.data.unpack import DAMAGE, cannot_read_now, read_arrays
 from tom.errors import reason
 from tom.events import Episode
 from tom.record import decode, labels, layout, small_copy, status
-from tom.record.array_files import DAMAGE, read_arrays, read_table
-from tom.record.decode import Arrays, Profiles
+from tom.record.decode import Arrays, Profiles, read_table
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
 from tom.record.status import Status

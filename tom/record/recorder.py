@@ -1,6 +1,7 @@
 """Records a training's events in a run folder and a live view, in under 2 % of its time."""
 
 import logging
+import os
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
@@ -22,10 +23,10 @@ from tom.events import (
     Weights,
 )
 from tom.machine.memory import out_of_memory, ran_out
-from tom.record import checkpoint
-from tom.record.heartbeat import Begun, Heartbeat
+from tom.record import checkpoint, decode, layout
 from tom.record.reader import RunReader
-from tom.record.rerun.sink import Sink
+from tom.record.rerun.sink import RerunSink
+from tom.record.status import Heartbeat, Status
 from tom.record.writer import RunWriter
 
 State = Literal["finished", "stopped", "failed"]
@@ -44,59 +45,62 @@ class Recorder:
     def __init__(
         self,
         writer: RunWriter,
-        sink: Sink | None = None,
+        sink: RerunSink | None = None,
         clock: Callable[[], float] = time.time,
         timer: Callable[[], float] = time.monotonic,
         mark: Mapping[str, Any] | None = None,
     ) -> None:
         """`mark` is the result of `Recorder.mark` at the checkpoint from which the run resumes."""
-        config = writer.config
+        resumed: Mapping[str, Any] = mark or {}
+        config, step = writer.config, resumed.get("env_step", 0)
         self._writer = writer
         self.run_id = writer.run_id
         self._config = config
         self._sink = sink
         self._timer = timer
-        self._started = timer()
-        self._last_row = (self._started, 0)
+        self._started = timer() - resumed.get("wall_s", 0.0)
+        self._last_row = (timer(), step)
         self._timed = -1  # the step of the last row with times
         self._pending: dict[str, float] = {}
         self._pending_step = 0
-        self._record_s = 0.0
-        self._checkpoint_s = 0.0
-        self._next_snapshot = 0.0 if config.snapshots else np.inf
+        self._record_s = resumed.get("record_s", 0.0)
+        self._checkpoint_s = resumed.get("checkpoint_s", 0.0)
+        self._next_snapshot = resumed.get("next_snapshot", 0.0 if config.snapshots else np.inf)
         self._finished = False
-        begun = _begun(mark) if mark else Begun()
-        self._heartbeat = Heartbeat(writer, config.total_steps, clock, timer, begun)
+        last, best = resumed.get("returns", (None, None))
+        status = Status(
+            state="running",
+            phase="start",
+            env_step=step,
+            total=config.total_steps,
+            started=clock(),
+            pid=os.getpid(),
+            last_return=last,
+            best_return=best,
+        )
+        self._heartbeat = Heartbeat(writer.status, status, clock, timer)
         if mark:
             try:
-                self._go_on(mark)
+                self._rewind(mark)
             except BaseException as error:
                 self.__exit__(type(error), error, error.__traceback__)
                 raise
+        if sink:
+            sink.start(step if mark else -1)
 
     def mark(self) -> dict[str, Any]:
         """The position of the synced record; part of a checkpoint, taken right after a `Tick`."""
         self._writer.sync()
+        status = self._heartbeat.status
         return {
-            "env_step": self._heartbeat.status.env_step,
+            "env_step": status.env_step,
             "wall_s": self._timer() - self._started,
             "record_s": self._record_s,
             "checkpoint_s": self._checkpoint_s,
             "next_snapshot": self._next_snapshot,
-            "returns": self._heartbeat.returns,
+            "returns": (status.last_return, status.best_return),
             "files": self._writer.mark(),
         }
-
-    def _go_on(self, mark: Mapping[str, Any]) -> None:
-        self._writer.rewind(mark["files"], mark["env_step"])
-        self._started -= mark["wall_s"]
-        self._last_row = (self._timer(), mark["env_step"])
-        self._record_s = mark["record_s"]
-        self._checkpoint_s = mark.get("checkpoint_s", 0.0)
-        self._next_snapshot = mark["next_snapshot"]
-        for notice in RunReader(self._writer.path).notices():
-            step, kind, message = (notice.get(name) for name in ("env_step", "kind", "message"))
-            self._heartbeat.warn(str(kind), f"step {step}: {message}")
 
     def checkpoint_took(self, seconds: float) -> None:
         """Add a checkpoint's duration to `time/checkpoint_s`."""
@@ -106,7 +110,7 @@ class Recorder:
         """Record one event."""
         begun = time.perf_counter()
         if event.env_step != self._pending_step or isinstance(event, Tick):
-            self._flush()
+            self._write_row()
         match event:
             case Tick():
                 self._heartbeat.tick(event.env_step, event.phase)
@@ -118,19 +122,15 @@ class Recorder:
                 self._evaluation(event)
             case Collected():
                 self._writer.rows(event.transitions, event.policy_version, event.state)
-                if self._sink:
-                    self._sink.rows(event.transitions)
             case Field():
-                self._writer.field(event.name, event.env_step, event.arrays)
-                if self._sink:
-                    self._sink.field(event)
+                self._writer.arrays(layout.field(event.name, event.env_step), event.arrays)
             case Notice():
                 self._heartbeat.warn(event.kind, f"step {event.env_step}: {event.message}")
                 self._writer.notice(event.env_step, event.kind, event.message)
             case KeptPolicy():
-                self._writer.kept_policy(event.env_step, event.arrays)
+                self._writer.arrays(layout.policy(event.env_step), event.arrays)
             case TrainedPolicy():
-                self._writer.policy(event.arrays)
+                self._writer.arrays(layout.POLICY, event.arrays)
         self._record_s += time.perf_counter() - begun
 
     def beat(self) -> None:
@@ -147,47 +147,21 @@ class Recorder:
         self._finished = True
         self._heartbeat.stop()
         try:
-            self._conclude()
+            self._write_row()
+            if lost := self._sink.close() if self._sink else None:
+                self._writer.notice(self._heartbeat.status.env_step, "rerun", lost)
+            self._writer.metrics_table()
             if state == "finished":
                 self._writer.digests()
         except OSError as error:
             if state == "finished":
                 state, reason = "failed", self._why(error)
         finally:
-            self._end(state, reason)
+            try:
+                self._heartbeat.end(state, reason, self._timer() - self._started)
+            except OSError as error:  # not even the status fits: readers will show the run as dead
+                _log.error("%s %s (%s), and no status can be written", self.run_id, state, error)
             self._writer.close()
-
-    def _conclude(self) -> None:
-        self._flush()
-        lost = self._sink.close() if self._sink else None
-        if lost:
-            self._writer.notice(self._heartbeat.status.env_step, "rerun", lost)
-        self._writer.metrics_table()
-
-    def _end(self, state: State, reason: str) -> None:
-        try:
-            self._heartbeat.end(state, reason)
-        except OSError as error:  # not even the status fits: readers will show the run as dead
-            _log.error("%s %s (%s), and no status can be written", self.run_id, state, error)
-
-    def _why(self, error: BaseException) -> str:
-        """The cause of the run's end, the step, and the fix."""
-        step = self._heartbeat.status.env_step
-        if isinstance(error, DivergedError):
-            return str(error)
-        if isinstance(error, OwnCodeError):
-            return f"step {step}: {error}"
-        if isinstance(error, OSError) and error.errno in DISK_FULL:
-            return f"step {step}: {error}: free some space, then {self._again()}"
-        if ran_out(error):
-            return f"step {step}: {out_of_memory(error)}"
-        return f"step {step}: {type(error).__name__}: {error}"
-
-    def _again(self) -> str:
-        """The command that resumes the training."""
-        if checkpoint.newest(self._writer.path / checkpoint.FOLDER) is not None:
-            return f"tom train --resume {self.run_id}"
-        return "start it again: it has no checkpoint yet"
 
     def __enter__(self) -> Self:
         return self
@@ -205,22 +179,44 @@ class Recorder:
         else:
             self.finish("failed", self._why(error))
 
+    def _rewind(self, mark: Mapping[str, Any]) -> None:
+        """Go back to `mark`; the warnings of notices before it count again."""
+        self._writer.rewind(mark["files"], mark["env_step"])
+        for notice in RunReader(self._writer.path).notices():
+            step, kind, message = (notice.get(name) for name in ("env_step", "kind", "message"))
+            self._heartbeat.warn(str(kind), f"step {step}: {message}")
+
+    def _why(self, error: BaseException) -> str:
+        """The cause of the run's end, the step, and the fix."""
+        step = self._heartbeat.status.env_step
+        if isinstance(error, DivergedError):
+            return str(error)
+        if isinstance(error, OwnCodeError):
+            return f"step {step}: {error}"
+        if isinstance(error, OSError) and error.errno in DISK_FULL:
+            saved = checkpoint.newest(self._writer.path / checkpoint.FOLDER)
+            resume = f"tom train --resume {self.run_id}"
+            again = "start it again: it has no checkpoint yet" if saved is None else resume
+            return f"step {step}: {error}: free some space, then {again}"
+        if ran_out(error):
+            return f"step {step}: {out_of_memory(error)}"
+        return f"step {step}: {type(error).__name__}: {error}"
+
     def _merge(self, env_step: int, values: Mapping[str, float]) -> None:
         self._pending_step = env_step
         self._pending.update(values)
 
-    def _flush(self) -> None:
+    def _write_row(self) -> None:
+        """Write the metrics of the step that is over."""
         if not self._pending:
             return
         step = self._pending_step
-        # Metrics of an earlier step (a fit's exam) have no time of their own, and of a step that is
-        # told in two rows the first counts: an evaluation is not as late as the fit that follows.
+        # Metrics of an earlier step (a fit's exam) have no time of their own, and of a step with
+        # two rows the first counts: an evaluation is not as late as the fit that follows.
         late = step < self._heartbeat.status.env_step or step == self._timed
         values = self._pending | ({} if late else self._times(step))
         self._pending = {}
         self._writer.metrics({"env_step": step, **values})
-        if self._sink:
-            self._sink.metrics(step, values)
 
     def _times(self, step: int) -> dict[str, float]:
         now, self._timed = self._timer(), step
@@ -236,46 +232,26 @@ class Recorder:
         return times
 
     def _weights(self, weights: Weights) -> None:
-        bins = self._writer.profile(weights, self._config.bins)
-        chosen = weights.env_step >= self._next_snapshot
-        if chosen:
-            self._next_snapshot = self._after(weights.env_step)
+        step, parts, total = weights.env_step, self._config.snapshots, self._config.total_steps
+        self._writer.profile(weights, self._config.bins)
+        chosen = step >= self._next_snapshot
+        if chosen:  # next, the first step of the next of `snapshots` equal parts of the run
+            self._next_snapshot = -(-(step * parts // total + 1) * total // parts)
         self._writer.snapshot(weights, keep=chosen)
-        if self._sink:
-            self._sink.weights(weights, bins)
-
-    def _after(self, env_step: int) -> int:
-        """The first step of the next of `snapshots` equal parts of the run."""
-        parts, total = self._config.snapshots, self._config.total_steps
-        part = env_step * parts // total + 1
-        return -(-part * total // parts)
 
     def _evaluation(self, evaluation: Evaluation) -> None:
-        self._writer.episodes(evaluation.env_step, evaluation.episodes)
-        if evaluation.episodes:
-            values = evaluation_metrics(evaluation)
-            best = self._heartbeat.returned(values["eval/return"])
-            self._merge(evaluation.env_step, {**values, "eval/return_max": best})
-        if self._sink:
-            self._sink.evaluation(evaluation)
-
-
-def _begun(mark: Mapping[str, Any]) -> Begun:
-    """The progress in `mark`; `rewind` rejects a mark that lacks it."""
-    last, best = mark.get("returns", (None, None))
-    return Begun(mark.get("env_step", 0), last, best, mark.get("wall_s", 0.0))
-
-
-def evaluation_metrics(evaluation: Evaluation) -> dict[str, float]:
-    """Mean and standard deviation of the return, mean length, and share of success if known."""
-    episodes = evaluation.episodes
-    returns = np.array([episode.undiscounted_return for episode in episodes])
-    values = {
-        "eval/return": float(returns.mean()),
-        "eval/return_std": float(returns.std()),
-        "eval/length": float(np.mean([episode.length for episode in episodes])),
-    }
-    success = [episode.info["success"] for episode in episodes if "success" in episode.info]
-    if success:
-        values["eval/success"] = float(np.mean(success))
-    return values
+        step, episodes = evaluation.env_step, evaluation.episodes
+        self._writer.arrays(layout.episodes(step), decode.episode_arrays(episodes))
+        if not episodes:
+            return
+        returns = np.array([episode.undiscounted_return for episode in episodes])
+        values = {
+            "eval/return": float(returns.mean()),
+            "eval/return_std": float(returns.std()),
+            "eval/length": float(np.mean([episode.length for episode in episodes])),
+        }
+        success = [episode.info["success"] for episode in episodes if "success" in episode.info]
+        if success:
+            values["eval/success"] = float(np.mean(success))
+        best = self._heartbeat.evaluated(values["eval/return"])
+        self._merge(step, {**values, "eval/return_max": best})

@@ -6,32 +6,16 @@ MuJoCo, its geometry in `scene.npz`. Reading it imports nothing.
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, ValidationError
 
-from tom.config import Config, Count, Positive, Whole
 from tom.envs import ENVS, ROAD, Task, scene, skeleton, task
 from tom.envs.termination import never
-from tom.errors import UserError
-from tom.record import layout, stamps
+from tom.errors import UserError, reason
+from tom.record import layout
+from tom.record.files import modified
 from tom.record.reader import RunReader
-
-MOST_DIMS = 100_000
-
-
-class _Described(Config):
-    """The part of a description that readers need."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    obs_names: Annotated[tuple[str, ...], Field(min_length=1, max_length=MOST_DIMS)]
-    action_dim: Annotated[int, Field(ge=1, le=MOST_DIMS)]
-    max_episode_steps: Count
-    nq: Whole = 0
-    root_dims: Whole | None = None
-    dt: Positive
 
 
 def description(env: str) -> dict[str, Any] | None:
@@ -55,55 +39,48 @@ def task_of(run: RunReader) -> Task:
     """
     if run.env in ENVS:
         return ENVS[run.env]
-    said = _described(run)
-    if said is None:
+    described = run.config.get("task")
+    if described is None:
         return task(run.env)
-    return Task(
-        name=run.env,
-        terminated=never,
-        knows_ends=False,
-        steps=1,
-        action_dim=said.action_dim,
-        obs_names=said.obs_names,
-        max_episode_steps=said.max_episode_steps,
-        nq=said.nq,
-        root_dims=said.root_dims,
-    )
+    try:
+        return Task(
+            name=run.env,
+            terminated=never,
+            knows_ends=False,
+            steps=1,
+            action_dim=int(described["action_dim"]),
+            obs_names=tuple(described["obs_names"]),
+            max_episode_steps=int(described["max_episode_steps"]),
+            nq=described.get("nq", 0),
+            root_dims=described.get("root_dims"),
+        )
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise UserError(
+            f"run '{run.run_id}' does not say what its task {run.env} is: {layout.CONFIG} has no "
+            f"valid 'task' ({reason(error)})"
+        ) from None
 
 
 def seconds(run: RunReader) -> float:
     """The duration in seconds of a step of the run's task on the screen."""
     if run.env in ENVS:
         return scene.model(run.env).dt
-    said = _described(run)
-    return 1 / 30 if said is None else said.dt
+    return (run.config.get("task") or {}).get("dt", 1 / 30)
 
 
 def scene_of(run: RunReader) -> scene.Model | None:
     """The model to draw the run's robot; None for a task that is unknown or without MuJoCo."""
     if run.env in ENVS:
         return scene.model(run.env)
-    path = run.path / layout.SCENE
-    return _scene(str(run.path), stamps.stamp(path)) if path.is_file() else None
+    changed = modified(run.path / layout.SCENE)
+    return _scene(run.path, changed) if changed else None
 
 
 @lru_cache(maxsize=16)
-def _scene(path: str, stamp: stamps.Stamp) -> scene.Model | None:
-    held = RunReader(path).arrays(layout.SCENE)
+def _scene(path: Path, changed: int) -> scene.Model | None:
+    """The model in the run folder `path`, cached until its file has `changed`."""
+    arrays = RunReader(path).arrays(layout.SCENE)
     try:
-        return None if held is None else skeleton.of_arrays(held)
+        return None if arrays is None else skeleton.of_arrays(arrays)
     except (ValueError, KeyError, TypeError, IndexError):
         return None
-
-
-def _described(run: RunReader) -> _Described | None:
-    content = run.config.get("task")
-    try:
-        return None if content is None else _Described.model_validate(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        field = ".".join(map(str, ("task", *first["loc"])))
-        raise UserError(
-            f"run '{run.run_id}' does not say what its task {run.env} is: {field} of its "
-            f"{layout.CONFIG}: {first['msg']}"
-        ) from None

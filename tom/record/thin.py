@@ -5,10 +5,10 @@ parts of OPTIONAL unless requested, and what is not wanted of OPTIONAL and SERIE
 `config.json` lists the missing parts under `thinned`.
 """
 
-import json
+import shlex
 import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from tom.record import checkpoint, decode, digests, layout, small_copy
-from tom.record.array_files import write_table
-from tom.record.decode import Profiles
-from tom.record.files import plain, replace_json, size_of, whole_folder
+from tom.record import checkpoint, decode, layout, small_copy
+from tom.record.decode import Profiles, write_table
+from tom.record.files import json_line, plain, replace_json, size_of, whole_folder
+from tom.record.integrity import write_digests
 from tom.record.reader import RunReader, at_or_before
 from tom.record.status import Status
+from tom.spread import spread
 
 ROWS = 250  # of metrics; rows of evaluations, and EXAMS rows with exams, are kept in addition
 EXAMS = 120
@@ -36,12 +37,13 @@ DIGITS = 5
 MANTISSA_BITS = 10  # of float32's 23; float16 has as many: the error is at most 0.05 %
 SHRINKS = 20
 """smallest share to which a part can shrink; larger parts are not even tried"""
-
-
-Rounded = Callable[[NDArray], NDArray]
+PLACES = ("--store", "--out")
+"""options whose values are folders of the machine that made the run"""
 
 SERIES = ("snapshots", "evaluations")
 """parts that are thinned to a few steps, or left out whole: single weights, and episodes"""
+
+Rounded = Callable[[NDArray], NDArray]
 
 
 def thin(
@@ -61,61 +63,76 @@ def thin(
         if "buffer" not in lacks:  # else no page has the row whose weight the terms explain
             for step in RunReader(unfinished).snapshot_steps():
                 _snapshot(reader, step, unfinished, terms=True)
-        lost_parts = _lost(reader, RunReader(unfinished))
-        lacks += [part for part, lost in lost_parts.items() if lost]
+        lacks += _lost(reader, RunReader(unfinished))
         before = [part for part in reader.left_out if part.removeprefix("other ") not in lacks]
-        left_out = dict.fromkeys([*before, *lacks])
-        replace_json(unfinished / layout.CONFIG, _description(reader, left_out), sync=False)
+        description = _description(reader, dict.fromkeys([*before, *lacks]))
+        replace_json(unfinished / layout.CONFIG, description, sync=False)
         if status.state in ("running", "stopped") and not reader.small_copy:
-            _settle(status, unfinished)
-        digests.write(unfinished)
+            ended = _ended(status, RunReader(unfinished))
+            replace_json(unfinished / layout.STATUS, asdict(ended), sync=False)
+        write_digests(unfinished)
 
 
-def _settle(status: Status, copy: Path) -> None:
-    """Write the copy's status, for a run that had not ended with `status`."""
-    rows = RunReader(copy).metrics()["env_step"].to_numpy()  # may be later than the status
-    settled = small_copy.status_of(status, int(rows.max(initial=status.env_step)))
-    replace_json(copy / layout.STATUS, asdict(settled), sync=False)
+def _ended(status: Status, copy: RunReader) -> Status:
+    """The status of the copy of a run that had not finished: the copy cannot go on."""
+    rows = copy.metrics()["env_step"].to_numpy()
+    step = int(rows.max(initial=status.env_step))  # the rows may be later than the status
+    if status.state == "stopped":
+        why = "where it was stopped"
+    else:
+        why = "while it was training" if status.alive else "after its process ended without a word"
+    reason = f"copied at step {step} {why}"
+    return replace(status, state="stopped", phase="", env_step=step, reason=reason, eta_s=None)
 
 
 def _copy(reader: RunReader, to: Path, without: Collection[str]) -> None:
     for name in (layout.STATUS, layout.LABELS, layout.NOTICES, layout.SCENE):
         if (reader.path / name).is_file():
             shutil.copyfile(reader.path / name, to / name)
-    _lines(to / layout.METRICS, _chosen_rows(reader))
-    _lines(to / layout.PROFILES, _profile_rows(reader.profiles()))
+    (to / layout.METRICS).write_bytes(b"".join(map(json_line, _chosen_rows(reader))))
+    profiles = b"".join(map(json_line, _profile_rows(reader.profiles())))
+    (to / layout.PROFILES).write_bytes(profiles)
     snapshots = [] if "snapshots" in without else _spread(reader.snapshot_steps(), SNAPSHOTS)
     evaluations = [] if "evaluations" in without else reader.evaluation_steps()
     for step in snapshots:
         _snapshot(reader, step, to, terms=False)
     for step in _spread(evaluations, EVALUATIONS):
-        _arrays(reader, to, layout.episodes(step), coarse, first_episode=True)
+        _arrays(reader, to, layout.episodes(step), coarse, _of_first_episode)
     for name in reader.field_names():
-        for step in _beside(reader.field_steps(name), snapshots):
+        recorded = reader.field_steps(name)
+        for step in {at_or_before(recorded, step) for step in snapshots} | {recorded[0]}:
             _arrays(reader, to, layout.field(name, step), coarse)
 
 
-def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
-    """The parts besides OPTIONAL that the copy lacks; `other`: it has some of them."""
+def _lost(run: RunReader, copy: RunReader) -> list[str]:
+    """The parts besides OPTIONAL that the copy lacks; of `other ...` it has some."""
     snapshots, evaluations = copy.snapshot_steps(), copy.evaluation_steps()
-    fields, other_snapshots = run.field_names(), run.snapshot_steps() != snapshots
-    other_evaluations = run.evaluation_steps() != evaluations
-    return {
+    lost = {
         "checkpoint": checkpoint.newest(run.path / checkpoint.FOLDER) is not None,
         "recording": bool(run.rrd_files()),
         "simulator states": len(copy.buffer()[0]) > 0 and bool(run.buffer_state()),
-        "snapshots": other_snapshots and not snapshots,
-        "other snapshots": other_snapshots and bool(snapshots),
-        "other policies": 0 < len(copy.policy_steps()) < len(run.policy_steps()),
-        "per-dimension weights": any("dim_0" in run.snapshot(step) for step in snapshots),
-        "evaluations": other_evaluations and not evaluations,
-        "other evaluations": other_evaluations and bool(evaluations),
-        "other episodes": any(len(run.episodes(step)) > 1 for step in evaluations),
-        "other pictures": any(run.field_steps(name) != copy.field_steps(name) for name in fields),
     }
+    for part, recorded, kept in (
+        ("snapshots", run.snapshot_steps(), snapshots),
+        ("policies", run.policy_steps(), copy.policy_steps()),
+        ("evaluations", run.evaluation_steps(), evaluations),
+    ):
+        lost[f"other {part}" if kept else part] = recorded != kept
+    lost |= {
+        "per-dimension weights": any("dim_0" in run.snapshot(step) for step in snapshots),
+        "other episodes": any(len(run.episodes(step)) > 1 for step in evaluations),
+        "other pictures": any(
+            run.field_steps(name) != copy.field_steps(name) for name in run.field_names()
+        ),
+    }
+    return [part for part, is_lost in lost.items() if is_lost]
 
 
 def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]:
+    """The run's `config.json` without the folders of its machine: a copy is made to share."""
+    config = _without_places(reader.config)
+    if config.get("resumes"):
+        config["resumes"] = [_without_places(resume) for resume in config["resumes"]]
     note = {
         "rows_of_metrics": ROWS,
         "profiles": FITS,
@@ -124,7 +141,20 @@ def _description(reader: RunReader, left_out: Collection[str]) -> dict[str, Any]
         "episodes_of_an_evaluation": 1,
         "left_out": list(left_out),
     }
-    return {**small_copy.described(reader.config), small_copy.KEY: note}
+    return {**config, small_copy.KEY: note}
+
+
+def _without_places(made: Mapping[str, Any]) -> dict[str, Any]:
+    """A record of how a run was made, whose `command` lacks the options of PLACES."""
+    kept: list[str] = []
+    words = iter(shlex.split(str(made.get("command", ""))))
+    for word in words:
+        name, separator, _ = word.partition("=")
+        if name not in PLACES:
+            kept.append(word)
+        elif not separator:  # the value is the next word
+            next(words, None)
+    return {**made, **({"command": shlex.join(kept)} if "command" in made else {})}
 
 
 def _chosen_rows(reader: RunReader) -> Iterator[dict[str, Any]]:
@@ -206,14 +236,14 @@ def _policies(reader: RunReader, to: Path) -> None:
     All where none are kept: of a run without weights, as a recording of SAC, which is weighed at
     its policies, and in a copy without snapshots.
     """
-    beside = RunReader(to).snapshot_steps()
+    snapshots = RunReader(to).snapshot_steps()
     for step in reader.policy_steps():
-        if not beside or step in beside:
+        if not snapshots or step in snapshots:
             _arrays(reader, to, layout.policy(step), half)
 
 
 OPTIONAL: dict[str, tuple[str, Callable[[RunReader, Path], None]]] = {
-    "buffer": ("buffer", _buffer),
+    "buffer": (layout.BUFFER, _buffer),
     "model": (layout.MODEL, _model),
     "policy": (layout.POLICY, _policy),
     "policies": (layout.POLICIES, _policies),
@@ -229,12 +259,12 @@ def _leave_out(
     That is, if it is in `without`, or if it is not small and not in `keep`.
     """
     name, write = OPTIONAL[part]
+    size = _bytes(reader.path / name)
     if part in without:
-        in_checkpoint = part == "model" and reader.fits_model
-        kept = in_checkpoint and checkpoint.model_step(reader.path) is not None
-        return kept or _bytes(reader.path / name) > 0
-    hopeless = _bytes(reader.path / name) > SHRINKS * SMALL
-    if hopeless and part not in keep:
+        if part == "model" and reader.fits_model and checkpoint.model_step(reader.path) is not None:
+            return True  # in a checkpoint
+        return size > 0
+    if part not in keep and size > SHRINKS * SMALL:
         return True
     write(reader, to)
     if part in keep or _bytes(to / name) <= SMALL:
@@ -248,16 +278,20 @@ def _bytes(path: Path) -> int:
 
 
 def _arrays(
-    reader: RunReader, to: Path, name: str, rounded: Rounded, *, first_episode: bool = False
+    reader: RunReader,
+    to: Path,
+    name: str,
+    rounded: Rounded,
+    wanted: Callable[[str], bool] = lambda name: True,
 ) -> None:
-    """Copy the arrays of a file, rounded, or only those of its first episode."""
-
-    def wanted(array: str) -> bool:
-        return not first_episode or array.partition(".")[0].endswith("_0")  # info_0.success: info_0
-
+    """Copy the `wanted` arrays of a file, rounded."""
     arrays = reader.arrays(name, wanted)
     if arrays is not None:  # else missing or damaged, which `tom runs verify` reports
         _save(to / name, arrays, rounded)
+
+
+def _of_first_episode(name: str) -> bool:
+    return name.partition(".")[0].endswith("_0")  # `info_0.success` is in `info_0`
 
 
 def _save(path: Path, arrays: Mapping[str, NDArray], rounded: Rounded) -> None:
@@ -267,19 +301,7 @@ def _save(path: Path, arrays: Mapping[str, NDArray], rounded: Rounded) -> None:
 
 def _spread(items: Sequence[int], most: int) -> list[int]:
     """At most `most` of `items`, evenly, with the first and the last."""
-    if len(items) <= most:
-        return list(items)
-    return [items[i] for i in np.linspace(0, len(items) - 1, most).round().astype(int)]
-
-
-def _beside(recorded: Sequence[int], snapshots: Sequence[int]) -> list[int]:
-    """The steps of `recorded` that belong to a snapshot: the last not after it, else the first."""
-    return sorted({at_or_before(recorded, step) for step in snapshots} | {recorded[0]})
-
-
-def _lines(path: Path, rows: Iterable[dict[str, Any]]) -> None:
-    text = "".join(json.dumps(plain(row), separators=(",", ":")) + "\n" for row in rows)
-    path.write_text(text)
+    return [items[i] for i in spread(len(items), most)]
 
 
 def short(value: Any) -> Any:

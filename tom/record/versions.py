@@ -19,7 +19,13 @@ PACKAGES = ("torch", "numpy", "gymnasium", "mujoco", "tom-studio")
 
 def versions() -> dict[str, str]:
     """The versions that results depend on; `missing` if a package is not installed."""
-    return {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "missing"
+    return found
 
 
 def decides(name: str, before: str, now: str) -> bool:
@@ -46,13 +52,6 @@ def machine() -> dict[str, Any]:
         "cpu": _cpu(),
         "cores": os.cpu_count(),
     }
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "missing"
 
 
 def _git(*arguments: str) -> str | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tom.analysis.brush import AS_IT_IS, BrushedFit
 from tom.analysis.progression import progression
-from tom.record.array_files import write_table
+from tom.record.decode import write_table
 from tom.record.files import replace_json
 from tom.reports.weighing_files import REPORT, WEIGHTS, whole_weighing
 

@@ -21,10 +21,11 @@ from tom.analysis.progression import medians, progression
 from tom.analysis.weighing import Weighed
 from tom.analysis.weighing_plan import WeighingPlan, setting_groups
 from tom.data.sampling import bin_means
+from tom.data.unpack import DAMAGE
 from tom.errors import UserError
 from tom.learners import LEARNERS
 from tom.record import decode, layout
-from tom.record.array_files import DAMAGE, NUMBERS, read_table, write_table
+from tom.record.decode import NUMBERS, read_table, write_table
 from tom.record.files import read_json, replace_json, whole_folder
 from tom.record.store import Store
 from tom.record.task_record import description, save_scene

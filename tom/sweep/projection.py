@@ -6,7 +6,7 @@ from heapq import heapreplace
 from statistics import median
 
 from tom.record import RunReader
-from tom.record.sizes import sizes
+from tom.record.manage import sizes
 from tom.training.plan import Trial
 
 SAMPLES = 5  # maximum number of finished runs per environment and learner

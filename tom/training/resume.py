@@ -16,10 +16,10 @@ from tom.machine.matmul import choose_matmul
 from tom.machine.memory import keep_freed_memory
 from tom.record import RunReader, Store, checkpoint, lock
 from tom.record.checkpoint import Checkpoint
+from tom.record.files import set_aside
 from tom.record.integrity import unlike
 from tom.record.recorder import Recorder
-from tom.record.rerun.sink import open_sink
-from tom.record.status import BEAT_S
+from tom.record.rerun.sink import RerunSink
 from tom.record.versions import ACCEPT, decides, versions
 from tom.record.writer import RunWriter
 from tom.training.plan import steps_beyond
@@ -69,8 +69,7 @@ def resume(
         config = config.but(steps=steps)
     require_device(config.device)
     notices = [("versions", _changed_versions(reader, accept_versions))]
-    if reader.status.state == "running":  # alive or not: its machine's clock may be another
-        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+    lock.refuse_if_elsewhere(reader)
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
         saved = _checkpoint(reader, config)
@@ -79,11 +78,12 @@ def resume(
         notices.append(("settings", _changed_settings(reader, saved, config)))
         training, watch = make_training(config), Watch(config)
         mark = _restore(reader, saved, training, watch)
-        saved.set_unusable_aside(reader.path)
+        for path in saved.unusable:  # or they would be among the two that are kept
+            set_aside(reader.path, path)
     except BaseException:
         writer.close()
         raise
-    sink = open_sink(writer) if options.get("rerun", True) else None
+    sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink, mark=mark) as recorder:
         writer.resumed(config, options.get("command", ""))
         notices += [("checkpoint", text) for text in saved.problems]
@@ -107,7 +107,7 @@ def unfinished(store: Store, config: AnyConfig, *, run_id: str | None = None) ->
             continue
         if beyond == 0 and reader.status.state == "finished":
             continue  # although its last checkpoint may be of an earlier step, if the disk was full
-        saved = _newest(reader)
+        saved = checkpoint.load(reader.path / checkpoint.FOLDER)
         if saved is not None and not _complete(reader, saved, config):
             return reader.run_id
     return None
@@ -181,17 +181,9 @@ def _changed_settings(reader: RunReader, saved: Checkpoint, config: AnyConfig) -
     )
 
 
-def _newest(reader: RunReader) -> Checkpoint | None:
-    """The run's newest undamaged checkpoint. Raises TryLaterError if it may have one, unread."""
-    saved, unread = checkpoint.look_for(reader.path / checkpoint.FOLDER)
-    if saved is None and unread:
-        raise _not_now(reader, unread)
-    return saved
-
-
 def _checkpoint(reader: RunReader, config: AnyConfig) -> Checkpoint:
     """The checkpoint to go on from. Raises UserError if there is none or nothing is left to do."""
-    saved = _newest(reader)
+    saved = checkpoint.load(reader.path / checkpoint.FOLDER)
     if saved is None:
         raise StartAgainError(
             f"run '{reader.run_id}' has no checkpoint that is whole: start it again"
@@ -244,17 +236,12 @@ def _collected(reader: RunReader, n: int) -> tuple[Transitions, np.ndarray]:
     rows, policy_versions = reader.buffer()
     if len(rows) < n:
         if reader.unread:
-            raise _not_now(reader, reader.unread[0])
+            raise TryLaterError(
+                f"run '{reader.run_id}' cannot be read for now ({reader.unread[0]}): nothing was "
+                "changed; see to its disk and try again"
+            )
         raise StartAgainError(
             f"run '{reader.run_id}' has lost rows of its buffer ({len(rows)} of {n}): start it "
             "again"
         )
     return rows[:n], policy_versions[:n]
-
-
-def _not_now(reader: RunReader, problem: str) -> TryLaterError:
-    """The refusal of a run that has a file which cannot be read for now."""
-    return TryLaterError(
-        f"run '{reader.run_id}' cannot be read for now ({problem}): nothing was changed; see to "
-        "its disk and try again"
-    )

@@ -17,11 +17,10 @@ from tom.machine.memory import keep_freed_memory
 from tom.mbpo import Mbpo
 from tom.offline import Offline
 from tom.record import RunReader, Store, checkpoint
-from tom.record.creating import TakenError
 from tom.record.lock import LostError
 from tom.record.recorder import Recorder
-from tom.record.rerun.sink import open_sink
-from tom.record.writer import RunWriter
+from tom.record.rerun.sink import RerunSink
+from tom.record.writer import RunWriter, TakenError
 from tom.training.sac_recording import SacRecording
 from tom.training.watch import Watch
 
@@ -100,7 +99,7 @@ def train(
     torch.set_num_threads(config.threads)
     matmul = choose_matmul(config.matmul).record()
     writer = _new_writer(store, run_id, config, matmul=matmul, command=options.get("command", ""))
-    sink = open_sink(writer) if options.get("rerun", True) else None
+    sink = RerunSink(writer.path) if options.get("rerun", True) else None
     with Recorder(writer, sink) as recorder:
         record(make_training(config), Watch(config), recorder, writer, options)
     return RunReader(writer.path)

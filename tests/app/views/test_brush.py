@@ -21,7 +21,7 @@ from app.theme import Mode
 from app.views.regions.brush import BEGUN, command
 from tom.analysis.brush import REGION, REST
 from tom.cli import main
-from tom.record.array_files import read_table
+from tom.record.decode import read_table
 from tom.record.reader import RunReader
 from tom.reports.weighing_files import REPORT, WEIGHTS, copy_small
 

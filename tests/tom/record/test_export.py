@@ -14,9 +14,9 @@ from recorded import STEPS
 from tensorboardX.proto import event_pb2
 
 from tom.errors import UserError
-from tom.events import Metrics, Tick
 from tom.record import RunReader, Store, manage
 from tom.record.export import EXPORTERS, export, export_small
+from tom.record.files import size_of
 from tom.record.rerun import hub
 from tom.record.thin import coarse
 
@@ -71,35 +71,22 @@ def _export_within(run: RunReader, kind: str, folder: Path, size: int) -> None:
 
 @pytest.mark.fault
 @pytest.mark.quick
-@pytest.mark.parametrize("kind", ["csv", "parquet", "json", "tensorboard"])
+@pytest.mark.parametrize(
+    ("kind", "share"),
+    [
+        *((kind, 0.5) for kind in ("csv", "parquet", "json", "tensorboard", "rrd")),
+        *(("rrd", share) for share in (0.01, 0.99)),
+    ],
+)
 def test_a_disk_that_is_full_during_an_export__is_named_and_nothing_is_left(
-    record, tmp_path: Path, kind: str
-):
-    steps = range(1, 1000)
-    run = record(given=[e for s in steps for e in (Metrics(s, {"a": 0.1 * s}), Tick(s, "explore"))])
-    out = tmp_path / "out"
-    child = get_context("fork").Process(target=_export_within, args=(run, kind, out, 9000))
-    child.start()
-    child.join(60)
-    alive = child.is_alive()
-    child.kill()
-    child.join()
-    assert not alive
-    assert child.exitcode == 0
-    assert list(out.iterdir()) == []
-
-
-@pytest.mark.fault
-@pytest.mark.quick
-@pytest.mark.parametrize("share", [0.01, 0.5, 0.99])
-def test_a_disk_that_is_full_before_a_recording_is_whole__is_named_and_nothing_is_left(
-    record, tmp_path: Path, share: float
+    record, tmp_path: Path, kind: str, share: float
 ):
     run = record()
-    size = int(share * export(run, "rrd", tmp_path).stat().st_size)
+    whole = export(run, kind, tmp_path)
+    size = int(share * (whole.stat().st_size if whole.is_file() else size_of(whole)))
     out = tmp_path / "out"
     # In a process of its own: Rerun's threads survive no fork, and one may hang.
-    child = get_context("spawn").Process(target=_export_within, args=(run, "rrd", out, size))
+    child = get_context("spawn").Process(target=_export_within, args=(run, kind, out, size))
     child.start()
     child.join(60)
     alive = child.is_alive()

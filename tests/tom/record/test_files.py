@@ -1,5 +1,4 @@
 import json
-import os
 import resource
 import shutil
 import signal
@@ -18,7 +17,6 @@ from tom.record.files import (
     replace,
     replace_json,
     size_of,
-    whole_folder,
 )
 
 
@@ -112,15 +110,6 @@ def test_a_row_that_does_not_fit_the_disk_leaves_no_part_of_itself(tmp_path: Pat
     writer.join()
     assert writer.exitcode == 0
     assert read_json_lines(tmp_path / "m") == ([{"env_step": 1}, {"env_step": 3}], [])
-
-
-def test_what_a_killed_process_of_the_same_id_left_is_in_nobodys_way(tmp_path: Path):
-    left = tmp_path / f".made.{os.getpid()}.tmp"  # in a container every process may be the first
-    left.mkdir()
-    with whole_folder(tmp_path / "made") as unfinished:
-        (unfinished / "a").touch()
-    assert (tmp_path / "made" / "a").exists()
-    assert left.is_dir()
 
 
 def test_files_are_counted_while_others_come_and_go(tmp_path: Path):

@@ -1,4 +1,4 @@
-"""Runs that were recorded for real, damaged by hand, found out and mended."""
+"""Runs that were recorded for real, damaged by hand, found out and repaired."""
 
 import json
 import os
@@ -14,8 +14,8 @@ from recorded import Config, events, weights
 
 from tom.config import SacRecordingConfig
 from tom.errors import UserError
-from tom.record import RunReader, Store, checkpoint, integrity, manage, sizes
-from tom.record.array_files import read_arrays, read_table
+from tom.record import RunReader, Store, checkpoint, integrity, manage
+from tom.record.decode import read_table
 from tom.record.export import export_small
 from tom.record.integrity import repair, verify
 from tom.record.recorder import Recorder
@@ -26,22 +26,17 @@ def truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-20])
 
 
-def die(run: RunReader) -> None:
-    """Make the run look killed an hour ago."""
-    path = run.path / "status.json"
-    status = json.loads(path.read_text())
-    status |= {"state": "running", "heartbeat": status["heartbeat"] - 3600}
-    path.write_text(json.dumps(status))
-
-
 def contents(run: Path) -> dict[Path, bytes]:
     """Every file but the one that names the last writer, which a repair is."""
     files = (path for path in run.rglob("*") if path.is_file() and path.name != ".writer")
     return {path: path.read_bytes() for path in files}
 
 
-def test_a_whole_run_has_no_problems_and_nothing_to_mend(record):
+@pytest.mark.parametrize("copied", [False, True])
+def test_a_whole_run_has_no_problems_and_nothing_to_repair(record, copied: bool):
     run = record()
+    if copied:  # its files in any order
+        os.utime(run.path / "metrics.jsonl")
     assert verify(run) == []
     before = contents(run.path)
     assert repair(run) == []
@@ -63,23 +58,25 @@ def test_a_damaged_array_is_named_and_set_aside(record, name: str):
     assert verify(run) == []
 
 
-def test_damaged_lines_are_blanked_out_and_kept_aside(record):
+def test_damaged_lines_become_blank_where_they_are_and_are_kept_aside(record):
     run = record()
-    table = run.metrics()
-    path = run.path / "metrics.jsonl"
+    before, path = run.notices(), run.path / "notices.jsonl"
     whole = path.read_bytes()
     torn = whole.replace(b"\n", b"\n{torn\n", 1) + b'{"env_step": 10'
     path.write_bytes(torn)
     assert len(verify(run)) == 2
-    done = repair(run)
-    assert "2 damaged lines blanked out" in done[0]
+    repair(run)
     assert path.read_bytes() == whole.replace(b"\n", b"\n     \n", 1)
-    assert (run.path / "damaged/metrics.jsonl").read_bytes() == torn
-    pd.testing.assert_frame_equal(run.metrics(), table)
+    assert (run.path / "damaged/notices.jsonl").read_bytes() == torn
+    assert run.notices() == before
     assert verify(run) == []
+    path.write_bytes(torn)
+    repair(run)
+    names = {p.name for p in (run.path / "damaged").iterdir()}
+    assert names == {"notices.jsonl", "notices.jsonl~2"}
 
 
-def test_a_run_that_was_mended_goes_on_where_its_checkpoint_was(store: Store):
+def test_a_run_that_was_repaired_goes_on_where_its_checkpoint_was(store: Store):
     writer = RunWriter.create(store, "a", Config)
     for step in (1, 2):
         writer.metrics({"env_step": step, "x": step})
@@ -97,12 +94,6 @@ def test_a_run_that_was_mended_goes_on_where_its_checkpoint_was(store: Store):
     run = store.run("a")
     assert run.metrics()["x"].tolist() == [2, 3, 4]
     assert run.problems == []
-
-
-def blanked(content: bytes) -> bytes:
-    """The second row overwritten with NULs."""
-    lines = content.split(b"\n")
-    return b"\n".join([lines[0], bytes(len(lines[1])), *lines[2:]])
 
 
 def zeroed(content: bytes) -> bytes:
@@ -128,10 +119,10 @@ def changed_by_hand(content: bytes) -> bytes:
 
 @pytest.mark.parametrize(
     ("damage", "attested"),
-    [(how, True) for how in (blanked, zeroed, cut_off, emptied, changed_by_hand)]
-    + [(how, False) for how in (blanked, zeroed, cut_off, emptied)],
+    [(how, True) for how in (zeroed, cut_off, emptied, changed_by_hand)]
+    + [(how, False) for how in (zeroed, cut_off, emptied)],
 )
-def test_rows_that_are_whole_in_the_table_are_put_back(
+def test_rows_of_metrics_come_back_from_their_table(
     record, damage: Callable[[bytes], bytes], attested: bool
 ):
     run = record()
@@ -141,12 +132,9 @@ def test_rows_that_are_whole_in_the_table_are_put_back(
     table, true = run.metrics(), copy.read_bytes()
     damaged = damage(rows.read_bytes())
     rows.write_bytes(damaged)
-    (done,) = repair(run)
-    assert "rows put back from metrics.parquet" in done
-    assert "damaged/metrics.jsonl" in done
+    repair(run)
     assert (run.path / "damaged/metrics.jsonl").read_bytes() == damaged
     assert copy.read_bytes() == true
-    pd.testing.assert_frame_equal(run.metrics(), table)
     assert verify(run) == []
     assert repair(run) == []
     copy.unlink()  # as does a training that goes on
@@ -154,129 +142,31 @@ def test_rows_that_are_whole_in_the_table_are_put_back(
     pd.testing.assert_frame_equal(run.metrics()[held.columns], held)
 
 
-def test_rows_that_are_put_back_lie_where_checkpoints_look_for_them(record):
+def test_rows_after_the_last_of_the_table_stay(record):
     run = record()
-    path = run.path / "metrics.jsonl"
-    whole = path.read_bytes()
-    for damage in (blanked, zeroed):
-        path.write_bytes(damage(whole))
-        repair(run)
-        mended = path.read_bytes()
-        assert len(mended) == len(whole)
-        assert mended.splitlines()[6:] == whole.splitlines()[6:]
-        assert b"\n\n" not in mended
-
-
-def test_a_training_that_goes_on_cuts_a_file_that_was_mended_shorter_to_whole_rows(store: Store):
-    writer = RunWriter.create(store, "a", Config)
-    for step in (1, 2, 3):
-        writer.metrics({"env_step": step, "x": step})
-    mark = writer.mark()
-    mark["lines"][0] -= 5  # within the last row, if the file was as much longer
-    writer.rewind(mark, 2)
-    writer.metrics({"env_step": 3, "x": 4})
-    writer.close()
-    run = store.run("a")
-    assert run.metrics()["x"].tolist() == [1, 2, 4]
-    assert run.problems == []
-
-
-def test_a_row_that_a_hand_made_longer_or_shorter_gets_its_length_back(record):
-    run = record()
-    path = run.path / "metrics.jsonl"
-    path.write_bytes(path.read_bytes().replace(b"null", b"-1.0"))
-    repair(run)  # rows without null, which a table of numbers cannot give back
-    whole, table = path.read_bytes(), run.metrics()
-    assert b"null" not in whole
-    for changed in (b"-9", b"-9.125"):
-        path.write_bytes(whole.replace(b"-10.0", changed))
-        repair(run)
-        assert path.read_bytes() == whole
-        pd.testing.assert_frame_equal(run.metrics(), table)
-
-
-def test_a_step_in_two_lines_keeps_what_only_one_of_them_says(store: Store):
-    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
-        for name in ("a", "b", "c"):
-            recorder._writer.metrics({"env_step": 5, name: 1.0, "time/wall_s": ord(name) + 0.5})
-        recorder._writer.metrics({"env_step": 6, "a": 2.0})
-    run = store.run("run")
-    path, table = run.path / "metrics.jsonl", run.metrics()
-    whole = path.read_bytes().splitlines()
-    for damaged in range(4):
-        lines = [bytes(len(line)) if i == damaged else line for i, line in enumerate(whole)]
-        path.write_bytes(b"\n".join(lines) + b"\n")
-        assert "put back" in repair(run)[0]
-        mended = path.read_bytes().splitlines()
-        assert [len(line) for line in mended] == [len(line) for line in whole]
-        assert sum(a != b for a, b in zip(mended, whole, strict=True)) <= 1
-        os.utime(path)  # so that the rows are read and not the table
-        pd.testing.assert_frame_equal(run.metrics(), table, check_like=True)
-
-
-def test_a_table_that_is_made_again_is_kept_aside(record):
-    run = record()
-    (run.path / "digests.json").unlink()  # without them, nothing tells which of the two is true
-    rows, copy = run.path / "metrics.jsonl", run.path / "metrics.parquet"
-    true = copy.read_bytes()
-    rows.write_bytes(rows.read_bytes().replace(b"-10.0", b"-99.0"))
-    (done,) = repair(run)
-    assert "damaged/metrics.parquet" in done
-    assert (run.path / "damaged/metrics.parquet").read_bytes() == true
-    assert run.metrics()["model/holdout_nll"][0] == -99.0
-
-
-def test_a_whole_run_whose_files_were_copied_in_any_order_has_nothing_to_mend(record):
-    run = record()
-    os.utime(run.path / "metrics.jsonl")
-    before = contents(run.path)
-    assert repair(run) == []
-    assert contents(run.path) == before
-
-
-def test_damage_twice_keeps_both(record):
-    run = record()
-    for _ in range(2):
-        with (run.path / "notices.jsonl").open("ab") as file:
-            file.write(b"{half")
-        repair(run)
-    names = {p.name for p in (run.path / "damaged").iterdir()}
-    assert names == {"notices.jsonl", "notices.jsonl~2"}
-
-
-def test_a_run_that_died_is_said_to_have_stopped(record):
-    run = record()
-    die(run)
-    (run.path / "metrics.parquet").unlink()
-    (run.path / "weights/.snapshot-000000001.parquet.123.tmp").write_bytes(b"half")
-    assert any("says it is running" in problem for problem in verify(run))
-    done = repair(run)
-    assert any("running became stopped at step 1000" in line for line in done)
-    assert (run.path / "metrics.parquet").exists()
-    assert run.status.state == "stopped"
-    assert "it has no checkpoint to go on from" in run.status.reason
-    assert "--resume" not in run.status.reason
-    assert verify(run) == []
-
-
-def test_a_run_that_died_with_a_checkpoint_is_said_to_go_on_from_it(record):
-    run = record()
-    die(run)
-    (run.path / "checkpoint" / "000000900").mkdir(parents=True)
+    with (run.path / "metrics.jsonl").open("ab") as file:
+        file.write(b'damaged\n{"env_step":1100,"critic/q":1.0}\n')
+    (run.path / "digests.json").unlink()
     repair(run)
-    assert "tom train --resume run goes on" in run.status.reason
+    assert run.metrics()["env_step"].tolist()[-2:] == [1000, 1100]
 
 
-@pytest.mark.parametrize("content", [None, "{"])
-def test_a_status_that_is_lost_is_made_again(record, content: str | None):
+@pytest.mark.parametrize("checkpoints", [0, 1])
+def test_a_run_that_died_becomes_stopped(record, checkpoints: int):
     run = record()
     path = run.path / "status.json"
-    path.unlink()
-    if content is not None:
-        path.write_text(content)
-    assert verify(run)
+    status = json.loads(path.read_text())
+    status |= {"state": "running", "heartbeat": status["heartbeat"] - 3600}
+    path.write_text(json.dumps(status))
+    (run.path / "metrics.parquet").unlink()
+    (run.path / "weights/.snapshot-000000001.parquet.123.tmp").write_bytes(b"half")
+    if checkpoints:
+        checkpoint.save(run.path / checkpoint.FOLDER, 900, {})
+    assert any("heartbeat" in problem for problem in verify(run))
     repair(run)
-    assert progress(run) == ("finished", 1000, 1000, -5000.0, 2500.0, "")
+    assert (run.path / "metrics.parquet").exists()
+    assert (run.status.state, run.status.env_step) == ("stopped", 1000)
+    assert ("tom train --resume run" in run.status.reason) == bool(checkpoints)
     assert verify(run) == []
 
 
@@ -285,46 +175,34 @@ def progress(run: RunReader) -> tuple[str, int, int, float | None, float | None,
     return now.state, now.env_step, now.total, now.last_return, now.best_return, now.reason
 
 
-def lose_status(run: RunReader) -> None:
-    (run.path / "status.json").write_text('{"state": "finis')
-
-
-def test_a_small_copy_whose_status_is_lost_is_that_of_a_finished_run(record, tmp_path: Path):
-    copy = RunReader(export_small(record(), tmp_path / "copies"))
-    before = progress(copy)
-    lose_status(copy)
-    repair(copy)
-    assert progress(copy) == before
-    assert copy.shown == "finished (a small copy)"
-    assert verify(copy) == []
-
-
-def test_a_recording_whose_status_is_lost_has_all_its_steps(store: Store):
-    config = SacRecordingConfig(env="hopper", steps=500)  # as many random ones come before them
+@pytest.mark.parametrize("content", [None, "{"])
+@pytest.mark.parametrize("kind", ["run", "small copy", "recording of SAC", "with lost rows"])
+def test_a_lost_status_of_a_finished_run_is_made_again(
+    store: Store, tmp_path: Path, kind: str, content: str | None
+):
+    # A recording has as many random steps before its own.
+    sac = SacRecordingConfig(env="hopper", steps=500)
+    config = sac if kind == "recording of SAC" else Config
     with Recorder(RunWriter.create(store, "run", config)) as recorder:
         for event in events():
             recorder.consume(event)
     run = store.run("run")
+    if kind == "small copy":
+        run = RunReader(export_small(run, tmp_path / "copies"))
     before = progress(run)
-    lose_status(run)
+    if kind == "with lost rows":
+        path = run.path / "metrics.jsonl"
+        path.write_bytes(path.read_bytes()[:300])
+    (run.path / "status.json").unlink()
+    if content is not None:
+        (run.path / "status.json").write_text(content)
+    assert verify(run)
     repair(run)
-    assert progress(run) == before
-    assert (run.status.state, run.status.total) == ("finished", 1000)
+    assert progress(run) == before == ("finished", 1000, 1000, -5000.0, 2500.0, "")
+    assert verify(run) == []
 
 
-def test_a_status_that_is_lost_with_rows_is_made_of_the_rows_that_are_put_back(record):
-    run = record()
-    before = progress(run)
-    lose_status(run)
-    path = run.path / "metrics.jsonl"
-    path.write_bytes(path.read_bytes()[:300])
-    repair(run)
-    assert progress(run) == before
-
-
-def test_a_run_that_had_not_finished_has_stopped_when_its_status_is_lost(
-    store: Store, tmp_path: Path
-):
+def test_a_lost_status_of_a_run_that_had_not_finished_is_stopped(store: Store, tmp_path: Path):
     for name, given in (("at-the-end", events()[:-1]), ("half", events()[:700])):
         with Recorder(RunWriter.create(store, name, Config)) as recorder:
             for event in given:
@@ -333,10 +211,10 @@ def test_a_run_that_had_not_finished_has_stopped_when_its_status_is_lost(
     copy = RunReader(export_small(store.run("half"), tmp_path / "copies"))
     for run in (store.run("at-the-end"), store.run("half"), copy):
         before = progress(run)
-        lose_status(run)
+        (run.path / "status.json").write_text('{"state": "finis')
         repair(run)
         assert run.status.state == "stopped"
-        assert "without a word" in run.status.reason
+        assert run.status.reason
         assert progress(run)[2:5] == before[2:5]
 
 
@@ -350,7 +228,7 @@ def test_a_run_that_is_written_is_not_touched(store: Store):
 @pytest.mark.fault
 @pytest.mark.quick
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_repair_killed_at_a_rename__leaves_every_row_and_the_next_one_mends_it(
+def test_a_repair_killed_at_a_rename__leaves_every_row_and_the_next_one_repairs_it(
     record, number: int
 ):
     run = record()
@@ -387,18 +265,22 @@ def test_sizes_and_pruning_checkpoints(record, tmp_path: Path):
     for step in (100, 200, 300):
         one = checkpoint.save(tmp_path / str(step), step, {"step": step})
         shutil.copytree(one, run.path / checkpoint.FOLDER / one.name)
-    each = [sum(p.stat().st_size for p in path.iterdir()) for path in sizes.checkpoints(run)]
-    assert sizes.sizes(run)["checkpoint"] == sum(each)
-    assert sum(sizes.sizes(run).values()) == sum(
+
+    def folders() -> list[Path]:
+        return checkpoint.folders(run.path / checkpoint.FOLDER)
+
+    each = [sum(p.stat().st_size for p in path.iterdir()) for path in folders()]
+    assert manage.sizes(run)["checkpoint"] == sum(each)
+    assert sum(manage.sizes(run).values()) == sum(
         p.stat().st_size for p in run.path.rglob("*") if p.is_file()
     )
-    assert sizes.prune(run, keep=1, dry_run=True) == sum(each[1:])
-    assert len(sizes.checkpoints(run)) == 3
-    truncate(sizes.checkpoints(run)[0] / checkpoint.STATE)
-    assert sizes.prune(run, keep=1) == each[2]
-    assert [p.name for p in sizes.checkpoints(run)] == ["000000300", "000000200"]
-    truncate(sizes.checkpoints(run)[1] / checkpoint.STATE)
-    assert sizes.prune(run, keep=1) == 0, "none is whole: a part of one may be saved by hand"
+    assert manage.prune(run, keep=1, dry_run=True) == sum(each[1:])
+    assert len(folders()) == 3
+    truncate(folders()[0] / checkpoint.STATE)
+    assert manage.prune(run, keep=1) == each[2]
+    assert [p.name for p in folders()] == ["000000300", "000000200"]
+    truncate(folders()[1] / checkpoint.STATE)
+    assert manage.prune(run, keep=1) == 0, "none is whole: a part of one may be saved by hand"
 
 
 def test_the_model_of_a_small_copy_is_read_too(record):
@@ -406,7 +288,8 @@ def test_the_model_of_a_small_copy_is_read_too(record):
     state = checkpoint.save(run.path / "model", 5, {}) / checkpoint.STATE
     assert verify(run) == []
     state.write_bytes(state.read_bytes()[:-1])
-    assert verify(run) == ["model is damaged: ghosts and model errors are missing"]
+    (problem,) = verify(run)
+    assert problem.startswith("model ")
 
 
 def flip(path: Path, at: int) -> None:
@@ -433,18 +316,13 @@ def test_a_bit_flipped_in_any_file_of_a_finished_run__is_found_by_its_digest(rec
 
 @pytest.mark.fault
 @pytest.mark.quick
-@pytest.mark.parametrize("name", ["weights/snapshot-000001000.parquet", "fields/map-000000500.npz"])
-def test_weights_that_read_well_and_are_not_those_of_the_run__are_named_and_set_aside(
-    record, name: str
-):
+def test_weights_that_read_well_and_are_not_those_of_the_run__are_named_and_set_aside(record):
     run = record()
-    other = run.path / (
-        "weights/snapshot-000000400.parquet" if "weights" in name else "fields/map-000001000.npz"
-    )
-    content = other.read_bytes()
+    name = "weights/snapshot-000001000.parquet"
+    content = (run.path / "weights/snapshot-000000400.parquet").read_bytes()
     (run.path / name).write_bytes(content)
     (problem,) = verify(run)
-    assert problem == f"{name} is not what the run wrote (sha256 differs)"
+    assert problem.startswith(name)
     (done,) = repair(run)
     assert f"damaged/{name}" in done
     assert (run.path / "damaged" / name).read_bytes() == content
@@ -458,19 +336,21 @@ def test_rows_that_were_changed_by_hand__are_named_and_kept(record):
     path = run.path / "notices.jsonl"
     path.write_bytes(path.read_bytes().replace(b"zero", b"well"))
     (problem,) = verify(run)
-    assert problem == "notices.jsonl is not what the run wrote (sha256 differs)"
-    assert any("nothing tells what it was" in line for line in repair(run))
+    assert problem.startswith("notices.jsonl")
+    (done,) = repair(run)
+    assert done.startswith("notices.jsonl")
     assert verify(run) == []
 
 
 def test_a_file_that_is_gone_and_digests_that_are_damaged_are_named(record):
     run = record()
     (run.path / "episodes" / "000000500.npz").unlink()
-    assert verify(run) == ["episodes/000000500.npz is missing since the run finished"]
+    (problem,) = verify(run)
+    assert problem.startswith("episodes/000000500.npz")
     truncate(run.path / "digests.json")
     (problem,) = verify(run)
-    assert problem.startswith("digests.json cannot be read")
-    assert repair(run) == ["digests.json: made again"]
+    assert problem.startswith("digests.json")
+    assert len(repair(run)) == 1
     assert verify(run) == []
 
 
@@ -480,7 +360,7 @@ def test_what_people_change_afterwards_and_old_runs_without_digests_are_no_probl
     run = record()
     manage.tag(store, "run", ["good"])
     checkpoint.save(run.path / checkpoint.FOLDER, 1000, {"a": 1})
-    sizes.prune(run, 0)
+    manage.prune(run, 0)
     assert verify(run) == []
     (run.path / "digests.json").unlink()
     assert verify(run) == []
@@ -522,19 +402,3 @@ def test_a_snapshot_that_the_training_deletes_meanwhile_is_no_damage(
         assert replaced.exists()
         assert verify(store.run("run")) == []
         assert not replaced.exists()
-
-
-def test_a_file_that_no_training_deletes_is_missed_if_it_vanishes(
-    record, monkeypatch: pytest.MonkeyPatch
-):
-    run = record(given=events()[:600])
-    gone = run.path / "episodes/000000500.npz"
-    (run.path / "digests.json").unlink()
-
-    def read(path: Path) -> object:
-        gone.unlink(missing_ok=True)
-        return read_arrays(path)
-
-    monkeypatch.setattr(integrity, "read_arrays", read)
-    (problem,) = verify(run)
-    assert problem.startswith("episodes/000000500.npz cannot be read")

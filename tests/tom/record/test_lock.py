@@ -4,20 +4,7 @@ import fcntl
 from pathlib import Path
 from threading import Timer
 
-import pytest
-
-from tom.errors import UserError
 from tom.record import lock
-
-
-def test_a_second_writer_is_refused_until_the_first_has_ended(tmp_path: Path):
-    first = lock.acquire(tmp_path)
-    with pytest.raises(UserError, match="being written by another process"):
-        lock.acquire(tmp_path)
-    assert lock.held(tmp_path)
-    first.close()
-    assert not lock.held(tmp_path)
-    lock.acquire(tmp_path).close()
 
 
 def test_who_only_looks_is_waited_for(tmp_path: Path):

@@ -1,4 +1,3 @@
-import json
 import threading
 import time
 from dataclasses import replace
@@ -19,11 +18,12 @@ from recorded import (
 
 from tom.config import OnlineConfig
 from tom.errors import UserError
-from tom.events import Collected, Evaluation, Metrics, Tick, Weights
+from tom.events import Collected, Metrics, Tick, Weights
 from tom.record import Store, lock
-from tom.record import heartbeat as heartbeat_module
+from tom.record import status as status_module
+from tom.record.lock import BusyError
 from tom.record.recorder import Recorder
-from tom.record.writer import RunWriter
+from tom.record.writer import RunWriter, TakenError
 
 EVERY_FIT = list(range(FIT, STEPS + 1, FIT))
 POLICY = {"weight_0": np.ones((2, 3), np.float32)}
@@ -84,13 +84,6 @@ def test_evaluations_become_metrics_with_a_running_maximum(record):
     assert table["eval/success"].tolist() == [0.5, 0.5]
 
 
-def test_the_parquet_copy_holds_the_same_table(record):
-    run = record()
-    copied = run.metrics()
-    (run.path / "metrics.parquet").unlink()
-    assert copied.equals(run.metrics()[copied.columns])
-
-
 def test_a_profile_for_every_fit(record):
     profiles = record().profiles()
     assert profiles.env_step.tolist() == EVERY_FIT
@@ -126,16 +119,6 @@ def test_a_run_without_chosen_snapshots_keeps_the_last(store: Store):
             recorder.consume(replace(weights(step), policy=POLICY))
     run = store.run("run")
     assert run.snapshot_steps() == run.policy_steps() == [1000]
-
-
-def test_a_run_of_an_earlier_version_keeps_its_policies_from_now_on(store: Store):
-    with Recorder(RunWriter.create(store, "run", Config)) as recorder:
-        recorder.consume(weights(100))
-    (store.path / "run" / "policies").rmdir()
-    with Recorder(RunWriter(store.path / "run", Config)) as recorder:
-        recorder.consume(replace(weights(200), policy=POLICY))
-    run = store.run("run")
-    assert (run.snapshot_steps(), run.policy_steps()) == ([100, 200], [200])
 
 
 def test_weights_of_each_dimension_are_kept(store: Store):
@@ -256,7 +239,7 @@ def test_speed_and_time_left_follow_the_clock(store: Store):
 
 
 def test_the_heart_beats_while_training_is_busy(store: Store, monkeypatch):
-    monkeypatch.setattr(heartbeat_module, "BEAT_S", 0.01)
+    monkeypatch.setattr(status_module, "BEAT_S", 0.01)
     recorder = Recorder(RunWriter.create(store, "run", Config))
     first = store.run("run").status
     assert first.alive
@@ -289,23 +272,15 @@ def test_what_ended_a_run_is_in_its_status(store: Store, error, state, reason):
     assert run.metrics()["env_step"].tolist() == [100, 200]
 
 
-def test_a_row_is_on_disk_as_soon_as_its_step_is_over(store: Store):
-    recorder = Recorder(RunWriter.create(store, "run", Config))
-    recorder.consume(Metrics(7, {"critic/loss": 1.0}))
-    recorder.consume(Evaluation(7, episodes(1)))
-    recorder.consume(Tick(7, "optimise"))
-    row = json.loads((store.path / "run" / "metrics.jsonl").read_text())
-    assert (row["env_step"], row["critic/loss"], row["eval/return"]) == (7, 1.0, 5.0)
-    recorder.finish("stopped")
-
-
 def test_two_writers_of_one_run_are_refused(store: Store):
     writer = RunWriter.create(store, "run", Config)
-    with pytest.raises(UserError, match="exists already"):
+    with pytest.raises(TakenError):
         RunWriter.create(store, "run", Config)
-    with pytest.raises(UserError, match="written by another process"):
+    with pytest.raises(BusyError):
         RunWriter(store.path / "run", Config)
+    assert lock.held(writer.path)
     writer.close()
+    assert not lock.held(writer.path)
     RunWriter(store.path / "run", Config).close()
 
 

@@ -76,17 +76,6 @@ def test_a_rewound_record_has_no_row_from_after_its_mark(tmp_path: Path, before:
     writer.close()
 
 
-def test_a_mark_in_the_middle_of_a_segment_is_gone_back_to(tmp_path: Path):
-    writer = RunWriter.create(Store(tmp_path), "a", Config)
-    write(writer, 0, 60)
-    mark = writer.mark()
-    write(writer, 60, 40)
-    writer.rewind(mark, 0)
-    write(writer, 60, 5)
-    assert held(writer.path) == list(range(65))
-    writer.close()
-
-
 def test_a_record_that_goes_back_into_a_segment_and_is_stopped_at_once_loses_no_row(tmp_path: Path):
     writer = RunWriter.create(Store(tmp_path), "a", Config)
     write(writer, 0, 60)

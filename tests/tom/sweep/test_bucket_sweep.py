@@ -17,8 +17,7 @@ from tom.errors import TRY_LATER, UserError
 from tom.events import Tick
 from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.bucket import attempts
-from tom.record.bucket.attempts import Attempt
-from tom.record.bucket.fetching import FETCHED, fetch_run
+from tom.record.bucket.attempts import FETCHED, Attempt, fetch_run
 from tom.record.bucket.objects import Bucket
 from tom.record.files import replace_json
 from tom.record.recorder import Recorder

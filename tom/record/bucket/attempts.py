@@ -10,18 +10,31 @@ import re
 import secrets
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tom.record import checkpoint, layout
+from tom.errors import UserError
+from tom.record import checkpoint, layout, lock, manage
 from tom.record.bucket.objects import Bucket
-from tom.record.files import files_in
+from tom.record.files import files_in, temp_path
 from tom.record.lock import LostError
+from tom.record.reader import RunReader
+from tom.record.store import Store
 
 NAME = re.compile(r"\d{6}-[0-9a-f]{8}")
 OWN_BYTES = 4  # of an attempt's name, which no other attempt has
 CLAIM = "claimed"  # an attempt's first object; removed when its process was seen to end
 TRIES = 3  # an object may be replaced by others while a run is fetched
+
+FETCHED, SAME, AHEAD, BUSY = "fetched", "is up to date", "is further here", "is being written here"
+FETCHED_ANEW = "fetched; another run of that name that was here is in the trash"
+FETCHED_UNKNOWN = "fetched; what was here, whose status cannot be read, is in the trash"
+
+
+def run_ids(bucket: Bucket) -> list[str]:
+    """The ids of the runs in the object store. Raises OSError if it does not answer."""
+    return [name for name in bucket.folders() if layout.RUN_ID.fullmatch(name)]
 
 
 def newest(names: Sequence[str]) -> str | None:
@@ -73,6 +86,60 @@ def fetch(bucket: Bucket, run_id: str, target: Path) -> str | None:
     return None
 
 
+def fetch_run(bucket: Bucket, run_id: str, store: Store) -> str:
+    """Bring the store's copy of a run up to date; returns what was done.
+
+    Local labels are kept, and so is a local run that is further. Raises UserError if there is no
+    such run, OSError if the object store does not answer.
+    """
+    place = store.resolve(run_id)
+    unfinished = temp_path(place)
+    try:
+        if fetch(bucket, run_id, unfinished) is None:
+            raise UserError(f"no run '{run_id}' in {bucket.url}")
+        with lock.alone_in(store.path):
+            if place.exists():
+                return _replace(store, RunReader(place), RunReader(unfinished))
+            unfinished.rename(place)
+            return FETCHED
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _replace(store: Store, held: RunReader, fetched: RunReader) -> str:
+    """Replace the store's run by the fetched one if that is further.
+
+    An older copy of it is deleted. Another run of that name goes to the trash, and so does a run
+    of which nobody can tell how far it got.
+    """
+    if lock.held(held.path):
+        return BUSY
+    status = held.status
+    if status == fetched.status:
+        return SAME
+    if status.state == "finished" or _reached(held) > _reached(fetched):
+        return AHEAD
+    same_run = held.config.get("created") == fetched.config.get("created")
+    with manage.unwritten(held):
+        if same_run and (held.path / layout.LABELS).is_file():
+            shutil.copy2(held.path / layout.LABELS, fetched.path / layout.LABELS)
+        older = manage.into_trash(store, held.path)  # where it is found if this process is killed
+        fetched.path.rename(held.path)
+    if not same_run:
+        return FETCHED_ANEW
+    if status.state == "unknown":
+        return FETCHED_UNKNOWN
+    shutil.rmtree(older)
+    with suppress(OSError):  # there are other runs in the trash
+        older.parent.rmdir()
+    return FETCHED
+
+
+def _reached(run: RunReader) -> int:
+    """How far the run got; its status may be damaged, and then its checkpoints tell."""
+    return max(run.status.env_step, checkpoint.newest(run.path / checkpoint.FOLDER) or 0)
+
+
 @dataclass
 class Attempt:
     """Copies a run folder into the store repeatedly. All methods raise OSError."""
@@ -80,7 +147,7 @@ class Attempt:
     bucket: Bucket
     run_id: str
     name: str
-    _held: dict[str, tuple[int, int]] = field(default_factory=dict)
+    _put: dict[str, tuple[int, int]] = field(default_factory=dict)
     """modification time in ns and size of each file when it was last put"""
 
     @classmethod
@@ -110,25 +177,23 @@ class Attempt:
         # Checkpoints are listed first: their data was written before them and is listed later.
         files = _files(folder, folder / checkpoint.FOLDER) | _files(folder, folder)
         for name in sorted(files, key=_rank):
-            if self._held.get(name) == files[name]:
+            if self._put.get(name) == files[name]:
                 continue
             try:
-                self._write(name, (folder / name).read_bytes())
+                content = (folder / name).read_bytes()
             except FileNotFoundError:  # the training has deleted it since
                 continue
-            self._held[name] = files[name]
-        self._write(layout.STATUS, status)
-        gone = [name for name in self._held if name not in files]
+            self.bucket.write(self._name(name), content)
+            self._put[name] = files[name]
+        self.bucket.write(self._name(layout.STATUS), status)
+        gone = [name for name in self._put if name not in files]
         self.bucket.remove(self._name(name) for name in gone)
         for name in gone:
-            del self._held[name]
+            del self._put[name]
 
     def supersede(self, earlier: str) -> None:
         """Remove an earlier attempt; this one holds all of its content."""
         self.bucket.remove(self.bucket.names(f"{self.run_id}/{earlier}"))
-
-    def _write(self, name: str, content: bytes) -> None:
-        self.bucket.write(self._name(name), content)
 
     def _name(self, name: str) -> str:
         return f"{self.run_id}/{self.name}/{name}"
@@ -148,12 +213,12 @@ def _last(bucket: Bucket, run_id: str) -> str:
 
 def _files(folder: Path, part: Path) -> dict[str, tuple[int, int]]:
     """Modification time and size of every file in `part` except the status and hidden files."""
-    stamps: dict[str, tuple[int, int]] = {}
-    for path, stat in files_in(part):
-        name = path.relative_to(folder)
-        if name.as_posix() != layout.STATUS and not any(one.startswith(".") for one in name.parts):
-            stamps[name.as_posix()] = (stat.st_mtime_ns, stat.st_size)
-    return stamps
+    found = {path.relative_to(folder): stat for path, stat in files_in(part)}
+    return {
+        name.as_posix(): (stat.st_mtime_ns, stat.st_size)
+        for name, stat in found.items()
+        if name != Path(layout.STATUS) and not any(one.startswith(".") for one in name.parts)
+    }
 
 
 def _rank(name: str) -> tuple[int, str]:

@@ -33,23 +33,18 @@ def blueprint(env: str, learner: str, *, drawn: bool = True) -> rrb.Blueprint:
     If nothing can be `drawn`, curves of the observations replace the robot.
     """
     online = env != ROAD
-    picture = _maps() if not online else _robot() if drawn else _observations()
+    observed = _plot("Observations of the first evaluation episode", (f"{OBSERVED}/**",))
+    picture = _maps() if not online else _robot() if drawn else observed
     profile = rrb.BarChartView(origin=PROFILE, name="Mean weight, oldest to newest transitions")
     own = LEARNERS[learner].charts if learner in LEARNERS else {}
     shown = {**RETURN, **MODEL, **POLICY, **own} if online else RETURN | POLICY
     plots = [_plot(name, paths) for name, paths in shown.items()]
     # Offline there is a single fit: its metrics are a table, not curves.
     text = [] if online else [rrb.TextDocumentView(origin=FIT, name="Fit")]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(picture, profile, row_shares=[3, 2]),
-            rrb.Vertical(*plots, *text),
-            column_shares=[3, 2],
-        ),
+    left = rrb.Vertical(picture, profile, row_shares=[3, 2])
+    return _without_panels(
+        rrb.Horizontal(left, rrb.Vertical(*plots, *text), column_shares=[3, 2]),
         rrb.TimePanel(state="collapsed", timeline="env_step", fps=100.0, play_state="following"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TopPanel(state="collapsed"),
     )
 
 
@@ -62,9 +57,16 @@ def episode_blueprint(env: str, drawn: bool = True, observed: int = 0) -> rrb.Bl
     picture = _map(name, ["$origin/**"]) if env == ROAD else _robot(name)
     if env != ROAD and not drawn:
         picture = _plot("Observations", tuple(f"{OBSERVED}/{i + 1}" for i in range(observed)))
-    return rrb.Blueprint(
+    return _without_panels(
         rrb.Vertical(picture, _plot("Reward of each step", (REWARD,)), row_shares=[3, 1]),
         rrb.TimePanel(state="collapsed", timeline="replay", play_state="playing", loop_mode="all"),
+    )
+
+
+def _without_panels(views: rrb.Container, time: rrb.TimePanel) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        views,
+        time,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TopPanel(state="collapsed"),
@@ -79,10 +81,6 @@ def _robot(name: str = "First evaluation episode") -> rrb.Spatial3DView:
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=(0.4, -2.6, 1.1), look_target=(0.0, 0.0, 0.65)),
     )
-
-
-def _observations() -> rrb.TimeSeriesView:
-    return _plot("Observations of the first evaluation episode", (f"{OBSERVED}/**",))
 
 
 def _maps() -> rrb.Horizontal:

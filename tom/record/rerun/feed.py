@@ -1,15 +1,16 @@
-"""Live Rerun recordings for each viewer, of one run or of all running ones, from run folders.
+"""Rerun recordings made from run folders: live for each viewer, or one file of a whole run.
 
-It reads run folders like any reader: trainings do not know of it, and it may start late.
+They read run folders like any reader: trainings do not know of them, and they may start late.
 """
 
 import logging
 import os
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import rerun as rr
@@ -19,14 +20,15 @@ from tom.errors import UserError
 from tom.events import Evaluation, Field
 from tom.record import layout
 from tom.record.decode import numbers, profiles_of
-from tom.record.files import parse_json_line
+from tom.record.files import parse_json_line, replace
 from tom.record.reader import RunReader
 from tom.record.rerun.view import RerunView
 from tom.record.status import DEAD_AFTER_S
 from tom.record.store import Store
 
 POLL_S = 1.0
-FLUSH_S = 2.0
+WRITTEN_S = 600.0
+"""seconds in which Rerun must write the rest of a recording"""
 BLOCK_BYTES = 1_000_000
 
 _log = logging.getLogger(__name__)
@@ -35,9 +37,10 @@ _log = logging.getLogger(__name__)
 class Tail:
     """The new rows of a JSON lines file since the last call."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, offset: int = 0) -> None:
+        """Begin `offset` bytes after the beginning of the file."""
         self._path = path
-        self._offset = 0
+        self._offset = offset
 
     def blocks(self) -> Iterator[list[dict[str, Any]]]:
         """New complete rows in blocks of a megabyte, until there are no more for now.
@@ -69,16 +72,29 @@ class Tail:
 class Follower:
     """The state of one run's live recording."""
 
-    def __init__(self, run: RunReader, sink: rr.FileSink | None = None) -> None:
+    def __init__(
+        self,
+        run: RunReader,
+        sink: rr.FileSink | None = None,
+        after: int = -1,
+        offsets: Sequence[int] = (0, 0),
+    ) -> None:
+        """Begin with the files of steps after `after`, and with rows at these `offsets`.
+
+        The offsets are bytes of the metrics and of the profiles.
+        """
         self.run = run
-        self._view = RerunView(run.run_id, run.env, run.learner, _every(run), sink, run=run)
-        self._metrics = Tail(run.path / layout.METRICS)
-        self._profiles = Tail(run.path / layout.PROFILES)
-        self._placed = False
-        self._shown: set[tuple[str, int]] = set()
+        self._view = RerunView(run, sink)
+        self._metrics = Tail(run.path / layout.METRICS, offsets[0])
+        self._profiles = Tail(run.path / layout.PROFILES, offsets[1])
+        self._after = after
+        self._shown: set[str] = set()
 
     def follow(self) -> Iterator[None]:
-        """Send new data piece by piece, because a long run would be gigabytes at once."""
+        """Send new data piece by piece, because a long run would be gigabytes at once.
+
+        If a file of the run cannot be shown, its name is logged, and the others follow.
+        """
         for rows in self._metrics.blocks():
             for row in rows:
                 self._view.metrics(row["env_step"], numbers(row))
@@ -89,120 +105,125 @@ class Follower:
             for step, bins in zip(profiles.env_step.tolist(), profiles.bins, strict=True):
                 self._view.profile(step, bins)
             yield
-        if self.run.env == ROAD:
-            yield from self._follow_weights()
-        for name in self.run.field_names():
-            for step in self._new(name, self.run.field_steps(name)):
-                with self._passing_over(layout.field(name, step)):
-                    self._view.field(Field(step, name, self.run.field(name, step)))
+        for name, step, draw in self._files():
+            if step > self._after and name not in self._shown:
+                self._shown.add(name)
+                try:
+                    draw()
+                except (UserError, LookupError, TypeError, ValueError, OverflowError) as error:
+                    _log.warning("%s of %s is left out of Rerun: %s", name, self.run.run_id, error)
                 yield
-        for step in self._new("", self.run.evaluation_steps()):
-            with self._passing_over(layout.episodes(step)):
-                self._view.evaluation(Evaluation(step, self.run.episodes(step)))
-            yield
 
-    def _follow_weights(self) -> Iterator[None]:
-        if not self._placed:
-            rows, _ = self.run.buffer()
-            if not len(rows):
-                return
-            self._placed = True
-            with self._passing_over("buffer"):
-                self._view.places(np.asarray(rows.obs))
-        for step in self._new("weights", self.run.snapshot_steps()):
-            with self._passing_over(layout.snapshot(step)):
-                self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
-            yield
+    def _files(self) -> Iterator[tuple[str, int, Callable[[], None]]]:
+        """The files of the run that are drawn whole, with their steps and what draws each."""
+        run, view = self.run, self._view
+        if run.env == ROAD:
+            if (run.path / layout.segment(0)).exists():
+                yield layout.BUFFER, 0, lambda: view.places(np.asarray(run.buffer()[0].obs))
+            for step in run.snapshot_steps():
+                yield layout.snapshot(step), step, partial(self._weights, step)
+        for name in run.field_names():
+            for step in run.field_steps(name):
+                yield layout.field(name, step), step, partial(self._field, name, step)
+        for step in run.evaluation_steps():
+            yield layout.episodes(step), step, partial(self._evaluation, step)
 
-    @contextmanager
-    def _passing_over(self, name: str) -> Iterator[None]:
-        """If a file of the run cannot be shown, print its name and go on with the others."""
-        try:
-            yield
-        except (UserError, LookupError, TypeError, ValueError, OverflowError) as error:
-            _log.warning("%s of %s is left out of Rerun: %s", name, self.run.run_id, error)
+    def _weights(self, step: int) -> None:
+        self._view.weights(step, self.run.snapshot(step)["weight"].to_numpy())
+
+    def _field(self, name: str, step: int) -> None:
+        self._view.field(Field(step, name, self.run.field(name, step)))
+
+    def _evaluation(self, step: int) -> None:
+        self._view.evaluation(Evaluation(step, self.run.episodes(step)))
 
     def pieces(self) -> Iterator[bytes]:
-        """New data as bytes, if there is no sink."""
+        """New data as bytes, none of them empty, if there is no sink."""
         for _ in self.follow():
-            yield self._view.read()
-        yield self._view.read()
+            if piece := self._view.read():
+                yield piece
+        if piece := self._view.read():
+            yield piece
 
-    def close(self, within_s: float = FLUSH_S) -> None:
+    def close(self, within_s: float) -> None:
         """Flush the remaining data. Raises RuntimeError if this takes too long."""
         self._view.close(within_s)
-
-    def _new(self, kind: str, steps: list[int]) -> list[int]:
-        new = [step for step in steps if (kind, step) not in self._shown]
-        self._shown |= {(kind, step) for step in new}
-        return new
-
-
-def _every(run: RunReader) -> int:
-    """Env steps between two evaluations."""
-    settings = run.config.get("config")
-    evaluation = settings.get("evaluation") if isinstance(settings, dict) else None
-    every = evaluation.get("every") if isinstance(evaluation, dict) else None
-    return max(every, 1) if isinstance(every, int) else 1000
 
 
 def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
     """The bytes of a recording that grows and ends with the run; empty bytes between updates."""
-    follower = Follower(run)
-    while not stopping.is_set():
-        alive = run.status.alive  # read before the rows, so that later rows are not missed
-        yield from follower.pieces()
-        if not alive:
+    for piece in _growing(run):
+        yield piece
+        if not piece:
+            stopping.wait(POLL_S)
+        if stopping.is_set():
             return
-        yield b""
-        stopping.wait(POLL_S)
 
 
 def stream_all(store: Store, stopping: threading.Event) -> Iterator[bytes]:
-    """The bytes of the recordings of all running trainings, also of those that start later."""
-    trainings = Trainings(store)
+    """The bytes of the recordings of all running trainings, also of those that start later.
+
+    A run that cannot be shown is logged once and does not stop the others.
+    """
+    recordings: dict[tuple[str, float], Iterator[bytes]] = {}  # by run and when it was started
     while not stopping.is_set():
-        yield from trainings.pieces()
+        for run_id in store.recent(DEAD_AFTER_S):
+            run = RunReader(store.path / run_id)
+            recordings.setdefault((run_id, run.status.started), _growing(run))
+        for (run_id, _), pieces in recordings.items():
+            try:
+                yield from takewhile(bool, pieces)
+            except Exception as error:
+                _log.warning("cannot show %s in Rerun: %s", run_id, error)
         yield b""
         stopping.wait(POLL_S)
 
 
-class Trainings:
-    """The live recordings of the running trainings of `store` for one viewer."""
+def _growing(run: RunReader) -> Iterator[bytes]:
+    """The bytes of a recording that grows and ends with the run; empty bytes after what is new."""
+    follower = Follower(run)
+    alive = True
+    while alive:
+        alive = run.status.alive  # read before the rows, so that later rows are not missed
+        yield from follower.pieces()
+        yield b""
 
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._followers: dict[str, Follower] = {}
-        self._done: dict[str, float] = {}  # run id -> start time of the finished recording
 
-    @property
-    def followed(self) -> list[str]:
-        """The ids of the runs that are shown."""
-        return list(self._followers)
+def write(reader: RunReader, path: Path) -> None:
+    """Write the whole recording of a run as one file. Raises OSError if the disk is full."""
+    replace(path, partial(_record, reader), sync=False)
 
-    def pieces(self) -> Iterator[bytes]:
-        """The new data in the store.
 
-        A run that cannot be shown is printed once and does not stop the others.
-        """
-        for run_id in dict.fromkeys([*self._store.recent(DEAD_AFTER_S), *self._followers]):
+def _record(reader: RunReader, file: BinaryIO) -> None:
+    """Let Rerun write into a pipe, from which the recording goes into `file`.
+
+    On a full disk Rerun itself waits for good, or leaves the end out without a word.
+    """
+    out, into = os.pipe()
+    errors: list[OSError] = []
+    copying = threading.Thread(target=_copy, args=(out, file, errors), daemon=True)
+    copying.start()
+    try:
+        follower = Follower(reader, rr.FileSink(f"/dev/fd/{into}"))  # its pieces are a file each
+        for _ in follower.follow():
+            if errors:
+                break
+        follower.close(WRITTEN_S)
+    except RuntimeError as error:  # Rerun's error for a disk that takes too long
+        raise OSError(str(error)) from error
+    finally:
+        os.close(into)
+    copying.join()
+    if errors:
+        raise errors[0]
+
+
+def _copy(pipe: int, file: BinaryIO, errors: list[OSError]) -> None:
+    """Write what comes out of a pipe into `file`; after an error go on to empty the pipe."""
+    with os.fdopen(pipe, "rb", buffering=0) as out:
+        while block := out.read(BLOCK_BYTES):
             try:
-                yield from self._follow(run_id)
-            except Exception as error:
-                _log.warning("cannot show %s in Rerun: %s", run_id, error)
-                self._end(run_id, RunReader(self._store.path / run_id).status.started)
-
-    def _follow(self, run_id: str) -> Iterator[bytes]:
-        run = self._store.run(run_id)
-        status = run.status  # read before the rows, so that later rows are not missed
-        if self._done.get(run_id) == status.started:
-            return
-        if run_id not in self._followers:
-            self._followers[run_id] = Follower(run)
-        yield from self._followers[run_id].pieces()
-        if not status.alive:
-            self._end(run_id, status.started)
-
-    def _end(self, run_id: str, started: float) -> None:
-        self._done[run_id] = started
-        self._followers.pop(run_id, None)
+                if not errors:
+                    file.write(block)
+            except OSError as error:
+                errors.append(error)

@@ -12,13 +12,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from tom.envs import ENVS, ROAD, scene
+from tom.config import EvaluationConfig
+from tom.envs import ROAD, scene
 from tom.events import Episode, Evaluation, Field
 from tom.learners import LEARNERS
 from tom.metrics import describe
 from tom.record.reader import RunReader
-from tom.record.rerun import road as rerun_road
-from tom.record.rerun import robot as rerun_robot
+from tom.record.rerun import drawing
 from tom.record.rerun.blueprint import (
     CAR,
     FIT,
@@ -30,9 +30,11 @@ from tom.record.rerun.blueprint import (
     ROBOT,
     TRACKED,
     blueprint,
+    episode_blueprint,
 )
 from tom.record.task_record import scene_of, seconds
 
+EPISODE_FLUSH_S = 10.0
 ROWS = 256  # of metrics sent together, because a viewer takes a second for some hundred chunks
 
 NEUTRAL = "8a92a3"  # for weights of a learner without colour
@@ -45,32 +47,33 @@ class RerunView:
 
     def __init__(
         self,
-        run_id: str,
-        env: str,
-        learner: str,
-        every: int,
+        run: RunReader,
         sink: rr.FileSink | None = None,
+        *,
+        name: str = "",
+        every: int | None = None,
         layout: rrb.Blueprint | None = None,
-        run: RunReader | None = None,
     ) -> None:
-        """`every`: env steps between two evaluations. Without a sink, `read` returns the bytes.
+        """Without a sink, `read` returns the bytes.
 
-        `layout` replaces the layout of a whole run. `run` describes a task that is not ours.
+        `name` replaces the run's id, `every` its env steps between two evaluations, and `layout`
+        the layout of a whole run.
         """
-        self._env = env
         self._run = run
-        self._every = every
+        self._env = run.env
+        self._every = every or _evaluated_every(run)
         self._replay_s = 0.0
         self._floor_drawn = False
         self._places = 0
         self._scalars: dict[str, list[tuple[int, float]]] = {}
         self._rows = 0
         # Viewers store one layout per application id, so runs with other layouts get another id.
-        application = f"tom-studio {env} {learner}{' episode' if layout else ''}"
-        layout = layout or blueprint(env, learner, drawn=env in ENVS or self._model is not None)
+        application = f"tom-studio {run.env} {run.learner}{' episode' if layout else ''}"
+        layout = layout or blueprint(run.env, run.learner, drawn=self._model is not None)
         # Chunks of seconds instead of a fifth of one, because many small ones slow a viewer.
         batches = rr.ChunkBatcherConfig(flush_tick=1.0)
-        self._stream = rr.RecordingStream(application, recording_id=run_id, batcher_config=batches)
+        name = name or run.run_id
+        self._stream = rr.RecordingStream(application, recording_id=name, batcher_config=batches)
         self._stream.set_log_tick_enabled(False)
         self._stream.set_log_time_enabled(False)
         self._bytes: rr.BinaryStream | None = None
@@ -79,11 +82,11 @@ class RerunView:
             self._stream.send_blueprint(layout)
         else:
             self._stream.set_sinks(sink, default_blueprint=layout)
-        self._stream.send_recording_name(run_id)
+        self._stream.send_recording_name(name)
         # Otherwise the viewer chooses a colour, which may be another learner's.
-        entry = LEARNERS.get(learner)
-        colour = entry.colour if entry else None
-        self._colour = [*bytes.fromhex(colour.removeprefix("#") if colour else NEUTRAL)]
+        entry = LEARNERS.get(run.learner)
+        colour = (entry.colour if entry else None) or NEUTRAL
+        self._colour = [*bytes.fromhex(colour.removeprefix("#"))]
 
     def read(self) -> bytes:
         """The bytes recorded since the last call, if there is no sink."""
@@ -116,18 +119,21 @@ class RerunView:
         self._stream.log(PROFILE, rr.BarChart(np.nan_to_num(bins), color=self._colour))
 
     def places(self, places: NDArray) -> None:
-        """Draw the positions (N, 2) of the transitions on the map, once."""
-        self._places = len(places)
-        rerun_road.places(self._stream, places)
+        """Draw the positions (N, 2) of road-and-rocks' transitions on its map, once."""
+        if self._env == ROAD:
+            self._places = len(places)
+            drawing.places(self._stream, places)
 
     def weights(self, env_step: int, weight: NDArray) -> None:
-        """Colour the transitions on the map by their weights (N,)."""
-        if not self._places and self._run is not None:  # a resumed run does not collect again
+        """Colour road-and-rocks' transitions on its map by their weights (N,)."""
+        if self._env != ROAD:
+            return
+        if not self._places:  # a resumed run does not collect again
             self.places(np.asarray(self._run.buffer()[0].obs))
         if self._places != len(weight):
             return
         self._stream.set_time("env_step", sequence=env_step)
-        rerun_road.weights(self._stream, weight)
+        drawing.weights(self._stream, weight)
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Draw the first episode: its robot, or its observations if there is no robot."""
@@ -135,7 +141,7 @@ class RerunView:
             if episode.qpos is not None and self._model is not None:
                 self._replay(evaluation.env_step, episode.length, {ROBOT: episode.qpos})
             elif self._env != ROAD:
-                dt = 1 / FRAMES_PER_S if self._run is None else seconds(self._run)
+                dt = seconds(self._run)
                 self._observe(evaluation.env_step, episode, dt)
                 self._replay_s += episode.length * dt + PAUSE_S
 
@@ -157,16 +163,16 @@ class RerunView:
             return
         steps = np.arange(episode.length + 1)
         times = self._times(env_step, episode.length, steps, dt)
-        rerun_road.car(self._stream, CAR, times, episode.obs, rerun_road.LEARNT)
+        drawing.car(self._stream, CAR, times, episode.obs, drawing.LEARNT)
         if ghost is not None:
-            rerun_road.car(self._stream, GHOST_CAR, times, ghost, rerun_road.MODELLED)
+            drawing.car(self._stream, GHOST_CAR, times, ghost, drawing.MODELLED)
 
     def field(self, field: Field) -> None:
         """Draw the map, trajectories and model displacements of road-and-rocks."""
         if self._env != ROAD:
             return
         self._stream.set_time("env_step", sequence=field.env_step)
-        rerun_road.picture(self._stream, field.name, field.arrays)
+        drawing.picture(self._stream, field.name, field.arrays)
 
     def close(self, timeout_s: float) -> None:
         """Flush the remaining data. Raises an error if the sink takes too long."""
@@ -185,9 +191,9 @@ class RerunView:
         for path, qpos in robots.items():
             drawn = scene.geometry(model.mj, qpos[frames])
             if drawn.floor is not None and not self._floor_drawn:
-                rerun_robot.floor(self._stream, drawn.floor)
+                drawing.floor(self._stream, drawn.floor)
                 self._floor_drawn = True
-            rerun_robot.draw(self._stream, path, times, drawn, ghost=path == GHOST)
+            drawing.robot(self._stream, path, times, drawn, ghost=path == GHOST)
             if path == ROBOT:
                 place = drawn.root * np.array([1, 1, 0], np.float32)
                 moves = rr.Transform3D.columns(translation=place)
@@ -196,9 +202,7 @@ class RerunView:
     @cached_property
     def _model(self) -> scene.Model | None:
         """The MuJoCo model of the robot, or None."""
-        if self._env in ENVS:
-            return scene.model(self._env)
-        return None if self._run is None else scene_of(self._run)
+        return scene_of(self._run)
 
     def _observe(self, env_step: int, episode: Episode, dt: float) -> None:
         """Draw every dimension of an episode's observations as a curve."""
@@ -208,7 +212,7 @@ class RerunView:
             columns = rr.Scalars.columns(scalars=values)
             self._stream.send_columns(f"{OBSERVED}/{i + 1}", times, columns)
 
-    def _times(self, env_step: int, length: int, frames: NDArray, dt: float) -> rerun_robot.Times:
+    def _times(self, env_step: int, length: int, frames: NDArray, dt: float) -> drawing.Times:
         """Times of the frames; on `env_step` they end at the evaluation's step."""
         span = min(length, max(self._every - 1, 0), env_step)
         steps = env_step - span + frames * span // max(length, 1)
@@ -218,9 +222,39 @@ class RerunView:
         )
 
 
+def _evaluated_every(run: RunReader) -> int:
+    """Env steps between two evaluations."""
+    settings = run.config.get("config")
+    evaluation = settings.get("evaluation") if isinstance(settings, dict) else None
+    every = evaluation.get("every") if isinstance(evaluation, dict) else None
+    return max(every, 1) if isinstance(every, int) else EvaluationConfig().every
+
+
 def _table(values: Mapping[str, float]) -> str:
     """The metrics of a fit as a Markdown table."""
     groups = ("weights/", "model/", "planner/", "discriminator/", "dual/")
     rows = [(path, value) for path, value in values.items() if path.startswith(groups)]
     lines = [f"| {path} | {value:.4g} | {describe(path)} |" for path, value in sorted(rows)]
     return "\n".join(["| metric | value | meaning |", "|---|---|---|", *lines])
+
+
+def episode_recording(
+    run: RunReader, step: int, episode: Episode, dt: float, ghost: NDArray | None = None
+) -> bytes:
+    """One evaluation episode as a recording: the robot (or the car on its map), ghost, rewards.
+
+    `step` is the evaluation's, `dt` the seconds of a step, `ghost` a model's prediction: joint
+    positions (H + 1, nq), or positions (H + 1, 2) on road-and-rocks.
+    """
+    view = RerunView(
+        run,
+        name=f"{run.run_id}, step {step}",
+        every=episode.length + 1,
+        layout=episode_blueprint(run.env, episode.qpos is not None, episode.obs.shape[1]),
+    )
+    for at in run.field_steps("map")[:1]:
+        view.field(Field(step, "map", run.field("map", at)))
+    view.episode(step, episode, dt, ghost)
+    recorded = view.read()
+    view.close(EPISODE_FLUSH_S)
+    return recorded

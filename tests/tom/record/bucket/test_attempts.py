@@ -13,8 +13,7 @@ from tom.cli import main
 from tom.errors import UserError
 from tom.record import Store, checkpoint, layout, manage
 from tom.record.bucket import attempts
-from tom.record.bucket.attempts import Attempt
-from tom.record.bucket.fetching import AHEAD, FETCHED, SAME, fetch_run
+from tom.record.bucket.attempts import AHEAD, FETCHED, SAME, Attempt, fetch_run
 from tom.record.bucket.objects import Bucket
 from tom.record.lock import LostError
 

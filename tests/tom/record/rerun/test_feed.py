@@ -2,7 +2,8 @@
 
 import json
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from tom.events import Metrics
 from tom.record import RunReader, Store, layout
 from tom.record.recorder import Recorder
 from tom.record.rerun import feed
-from tom.record.rerun.feed import Follower, Tail, Trainings, stream, stream_all
+from tom.record.rerun.feed import Follower, Tail, stream, stream_all
 from tom.record.writer import RunWriter
 
 
@@ -38,21 +39,28 @@ def recordings(parts: Iterable[bytes], folder: Path) -> list[str]:
     return found
 
 
-def test_a_viewer_that_comes_late_gets_the_whole_run_and_follows_it(store: Store, tmp_path: Path):
-    trainings = Trainings(store)
-    assert list(trainings.pieces()) == []
+@pytest.fixture
+def new_pieces(store: Store, monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[bytes]]:
+    """What a viewer of all running trainings gets until there is nothing new."""
+    monkeypatch.setattr(feed, "POLL_S", 0.0)
+    pieces = stream_all(store, threading.Event())
+    return lambda: list(takewhile(bool, pieces))
+
+
+def test_a_viewer_that_comes_late_gets_the_whole_run_and_follows_it(
+    store: Store, tmp_path: Path, new_pieces
+):
+    assert new_pieces() == []
     recorder = Recorder(RunWriter.create(store, "run", Config))
     given = events()
     for event in given[:600]:
         recorder.consume(event)
-    parts = list(trainings.pieces())
+    parts = new_pieces()
     for event in given[600:]:
         recorder.consume(event)
     recorder.finish("finished")
-    assert trainings.followed == ["run"]
-    parts += trainings.pieces()
-    assert trainings.followed == []
-    assert list(trainings.pieces()) == []  # the run is over: it is not sent again
+    parts += new_pieces()
+    assert new_pieces() == []  # the run is over: it is not sent again
     want = store.run("run").metrics()
     table = rows(parts, tmp_path, "model/holdout_nll")
     assert table["env_step"].tolist() == want["env_step"].tolist()
@@ -61,36 +69,39 @@ def test_a_viewer_that_comes_late_gets_the_whole_run_and_follows_it(store: Store
     assert len(rows(parts, tmp_path, "weights/profile")) == 10
 
 
-def test_two_trainings_go_to_a_viewer_in_one_stream(store: Store, tmp_path: Path):
-    trainings = Trainings(store)
+def test_two_trainings_go_to_a_viewer_in_one_stream(store: Store, tmp_path: Path, new_pieces):
     recorders = [Recorder(RunWriter.create(store, run_id, Config)) for run_id in ("a", "b")]
     parts: list[bytes] = []
     for event in events():
         for recorder in recorders:
             recorder.consume(event)
         if event.env_step % 100 == 0:
-            parts += trainings.pieces()  # pieces of one follow those of the other
+            parts += new_pieces()  # pieces of one follow those of the other
     for recorder in recorders:
         recorder.finish("finished")
-    parts += trainings.pieces()
+    parts += new_pieces()
     whose = recordings(parts, tmp_path)
     assert set(whose) == {"a", "b"}
     assert whose != sorted(whose)
 
 
-def test_a_run_that_cannot_be_shown_does_not_stop_the_others(store: Store, tmp_path: Path):
-    trainings = Trainings(store)
-    recorders = [Recorder(RunWriter.create(store, run_id, Config)) for run_id in ("a", "b")]
-    for recorder in recorders:
-        for event in events():
-            recorder.consume(event)
-    (store.path / "a" / "config.json").write_text("{")
-    list(trainings.pieces())
-    assert trainings.followed == ["b"]
-    for recorder in recorders:
-        recorder.finish("finished")
-    list(trainings.pieces())
-    assert trainings.followed == []
+def test_a_run_that_cannot_be_shown_does_not_stop_the_others(
+    store: Store, tmp_path: Path, new_pieces, monkeypatch: pytest.MonkeyPatch
+):
+    for run_id in ("a", "b"):
+        with Recorder(RunWriter.create(store, run_id, Config)) as recorder:
+            for event in events():
+                recorder.consume(event)
+    follow = Follower.follow
+
+    def failing(self: Follower) -> Iterator[None]:
+        if self.run.run_id == "a":
+            raise RuntimeError("no view")
+        return follow(self)
+
+    monkeypatch.setattr(Follower, "follow", failing)
+    assert set(recordings(new_pieces(), tmp_path)) == {"b"}
+    assert new_pieces() == []
 
 
 def test_a_stream_of_all_that_trains_goes_on_when_nothing_does(store: Store):
@@ -182,20 +193,6 @@ def test_a_file_that_was_cut_is_read_from_its_beginning(tmp_path: Path):
     assert len(next(iter(tail.blocks()))) == 3
     path.write_text('{"env_step":1}\n{"env_step":2}\n')  # resumed from step 2
     assert list(tail.blocks()) == [[{"env_step": 1}, {"env_step": 2}]]
-
-
-ODD_ROWS = (
-    '{"env_step": 1' + "0" * 40 + ', "critic/q": 1}',
-    '{"env_step": 1001, "critic/loss": "a word", "critic/q": 7}',
-    '{"env_step": 1002, "critic/q": 1' + "0" * 400 + "}",
-    '{"env_step": 1003, "critic/q": [1], "b": {"z": 1}}',
-    '{"env_step": true, "critic/q": 1}',
-)
-ODD_PROFILES = (
-    '{"env_step": 1' + "0" * 40 + ', "bins": [1, 2], "ess": 1, "zeros": 0, "count": 1}',
-    '{"env_step": 5}',
-    '{"env_step": 5, "bins": [1' + "0" * 400 + '], "ess": 1, "zeros": 0, "count": 1}',
-)
 
 
 @pytest.mark.fault

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from kernel import descendants, listening
 
-from tom.record.rerun import hub, web
+from tom.record.rerun import hub
 
 
 def test_the_page_asks_no_other_host():
@@ -24,7 +24,7 @@ def test_the_page_asks_no_other_host():
       <link
         href="https://fonts.googleapis.com/css2?family=Inter" rel="stylesheet" />
       <link rel="icon" href="favicon.ico" /></head></html>"""
-    local = web.local_page(page)
+    local = hub.local_page(page)
     assert b"fonts." not in local
     assert b"favicon.ico" in local
     assert local.index(b"window.fetch =") < local.index(b"favicon.ico")
@@ -77,7 +77,7 @@ def test_a_hub_on_another_address_listens_there_alone(tmp_path: Path):
 
 @pytest.mark.skipif(not socket.has_ipv6, reason="no IPv6")
 def test_a_page_is_served_on_ipv6_under_its_own_names():
-    server = web.ViewerServer(
+    server = hub.ViewerServer(
         "::1", hub.free_port("::1"), {}, lambda run_id: iter([run_id.encode()])
     )
     server.start()
@@ -97,7 +97,7 @@ def test_a_run_that_cannot_be_shown__is_an_error_and_no_empty_recording():
     def no_recording(run_id: str) -> Iterator[bytes]:
         yield bytes([int(run_id)])  # raises at the first look
 
-    server = web.ViewerServer("127.0.0.1", hub.free_port("127.0.0.1"), {}, no_recording)
+    server = hub.ViewerServer("127.0.0.1", hub.free_port("127.0.0.1"), {}, no_recording)
     server.start()
     try:
         assert get(server.server_port, "/live/7.rrd")[:2] == (200, b"\x07")

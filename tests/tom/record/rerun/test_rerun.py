@@ -15,14 +15,14 @@ from tom.config import RoadConfig
 from tom.envs import scene
 from tom.events import Collected, Episode, Evaluation, Field, Metrics, Weights
 from tom.learners import LEARNERS
-from tom.record import RunReader, Store, layout
+from tom.record import RunReader, Store
 from tom.record.export import export
 from tom.record.recorder import Recorder
 from tom.record.rerun import sink
-from tom.record.rerun.episode import episode_recording
+from tom.record.rerun.drawing import heat
 from tom.record.rerun.feed import Follower
-from tom.record.rerun.road import heat
-from tom.record.rerun.sink import RerunSink, open_sink
+from tom.record.rerun.sink import RerunSink
+from tom.record.rerun.view import episode_recording
 from tom.record.writer import RunWriter
 
 mj = scene._mj
@@ -32,7 +32,7 @@ mj = scene._mj
 def hopper(store: Store) -> RunReader:
     """The small run, with real hopper positions in its episodes."""
     writer = RunWriter.create(store, "run", Config)
-    with Recorder(writer, open_sink(writer)) as recorder:
+    with Recorder(writer, RerunSink(writer.path)) as recorder:
         for event in events():
             recorder.consume(_with_real_positions(event))
     run = store.run("run")
@@ -104,7 +104,7 @@ def road(store: Store) -> RunReader:
     ground |= {"start": np.array([0.1, 0.1, 0.02]), "goal": np.array([0.9, 0.9, 0.07])}
     paths = {"expert_0": LINE, "learnt_0": LINE[::-1], "learnt_1": LINE}
     arrows = {"points": PLACES, "true": PLACES / 10, "modelled": -PLACES / 10}
-    with Recorder(writer, open_sink(writer)) as recorder:
+    with Recorder(writer, RerunSink(writer.path)) as recorder:
         recorder.consume(Field(0, "map", ground))
         recorder.consume(Collected(0, rows, np.zeros(4, np.int64)))
         recorder.consume(Weights(5, np.array([0, 1, 1, 2], np.float32)))
@@ -127,13 +127,16 @@ def test_road_and_rocks_is_a_map(road: RunReader):
     assert "| model/error_road | 0.25 |" in text
 
 
-def test_the_recording_of_a_resumed_run_has_its_places_too(road: RunReader):
-    path = layout.next_rrd(road.path)
-    resumed = RerunSink(path, road.run_id, road.env, road.learner, 10)
-    resumed.weights(Weights(9, np.array([2, 1, 1, 0], np.float32)), np.ones(4))
+def test_the_recording_of_a_resumed_run_has_what_is_new_and_the_places(road: RunReader):
+    resumed = RerunSink(road.path)
+    resumed.start(after=4)
     assert resumed.close() is None
-    assert len(logged(path, "map/data")["Points2D:colors"].iloc[-1]) == 4
-    assert held(path)["/map/data"] == 2  # the places, at all times, and the weights
+    assert resumed.path.name == "run-2.rrd"
+    assert len(logged(resumed.path, "map/data")["Points2D:colors"].iloc[-1]) == 4
+    rows = held(resumed.path)
+    assert rows["/map/data"] == 2  # the places, at all times, and the weights
+    assert "/map/road" not in rows
+    assert "/model/error_road" not in rows
 
 
 def held(path: Path) -> Counter[str]:
@@ -200,17 +203,10 @@ def test_weights_are_blue_below_the_mean_and_red_above():
     assert red[2] > blue[2]
 
 
-def test_a_second_recording_of_a_run_is_a_file_of_its_own(store: Store):
-    writer = RunWriter.create(store, "run", Config)
-    for _ in range(2):
-        assert open_sink(writer).close() is None
-    writer.close()
-    assert [path.name for path in store.run("run").rrd_files()] == ["run.rrd", "run-2.rrd"]
-
-
 def test_a_recording_that_cannot_be_written_costs_training_nothing(store: Store):
     writer = RunWriter.create(store, "run", Config)
-    nowhere = sink.RerunSink(store.path / "no" / "run.rrd", "run", "hopper", "tom", 500)
+    nowhere = RerunSink(writer.path)
+    nowhere.path = store.path / "no" / "run.rrd"
     with Recorder(writer, nowhere) as recorder:
         for event in events():
             recorder.consume(event)
@@ -218,29 +214,17 @@ def test_a_recording_that_cannot_be_written_costs_training_nothing(store: Store)
     assert run.status.state == "finished"
     assert len(run.metrics()) == 10
     assert run.notices()[-1]["kind"] == "rerun"
-    assert "run.rrd is incomplete" in run.notices()[-1]["message"]
 
 
-def test_what_rerun_does_not_take_is_dropped_and_counted(tmp_path: Path):
-    stalled = sink.RerunSink(tmp_path / "run.rrd", "run", "hopper", "tom", 500)
+def test_a_viewer_that_hangs_holds_the_end_of_a_run_up_for_a_moment_only(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+):
     release = threading.Event()
-    stalled._offer(lambda _: release.wait())
-    for step in range(2 * sink.CAPACITY):
-        stalled.metrics(step, {"critic/loss": 1.0})  # returns at once although nobody takes it
-    assert stalled.dropped >= sink.CAPACITY
-    release.set()
-    message = stalled.close()
-    assert message == f"run.rrd was too slow: {stalled.dropped} entries were left out"
-    kept = logged(tmp_path / "run.rrd", "critic/loss")
-    assert len(kept) == 2 * sink.CAPACITY - stalled.dropped
-
-
-def test_a_viewer_that_hangs_holds_the_end_of_a_run_up_for_a_moment_only(tmp_path, monkeypatch):
     monkeypatch.setattr(sink, "CLOSE_S", 0.1)
-    hanging = sink.RerunSink(tmp_path / "run.rrd", "run", "hopper", "tom", 500)
-    release = threading.Event()
-    hanging._offer(lambda _: release.wait())
-    message = hanging.close()
+    monkeypatch.setattr(Follower, "follow", lambda self: iter([release.wait()]))
+    writer = RunWriter.create(store, "run", Config)
+    with Recorder(writer, RerunSink(writer.path)):
+        pass
     release.set()
-    assert message is not None
-    assert "may be incomplete" in message
+    assert store.run("run").status.state == "finished"
+    assert store.run("run").notices()[-1]["kind"] == "rerun"

@@ -6,7 +6,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from tom.record.array_files import DAMAGE, NUMBERS, read_table, write_table
+from tom.data.unpack import DAMAGE
+from tom.record.decode import NUMBERS, read_table, write_table
 
 ROOT = Path(__file__).parents[3]
 
@@ -30,4 +31,4 @@ def test_a_changed_bit_is_found(tmp_path: Path, more: dict):
 
 def test_all_tables_are_written_there():
     writers = [p for p in (ROOT / "tom").rglob("*.py") if "pq.write_table" in p.read_text()]
-    assert [path.name for path in writers] == ["array_files.py"]
+    assert [path.name for path in writers] == ["decode.py"]
