@@ -227,7 +227,7 @@ def _blank_damaged_lines(reader: RunReader, name: str) -> list[str]:
     if text == content:
         return []
     damaged = sum(a != b for a, b in zip(lines, mended, strict=True)) + bool(half)
-    return [_replace_rows(reader, path, text, f"{damaged} damaged lines of {len(lines)} blanked")]
+    return [_replace_rows(reader, path, text, f"{damaged} damaged lines blanked out")]
 
 
 def _replace_rows(reader: RunReader, path: Path, text: bytes, what: str) -> str:
