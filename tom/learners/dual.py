@@ -8,8 +8,7 @@ from torch import Tensor
 from torch.nn.functional import relu, softplus
 
 from tom.config import TomConfig
-from tom.data.episodes import held_out_rows
-from tom.data.sampling import block_size, uniform_indices
+from tom.data.sampling import block_size, held_out_rows, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, policy_actions
