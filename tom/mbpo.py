@@ -21,8 +21,7 @@ from tom.dynamics import make_model
 from tom.dynamics.ending import EndingHead
 from tom.envs import Task, task
 from tom.envs.ends import learns_ends, rule
-from tom.envs.simulator import simulated
-from tom.envs.state import capture, restore
+from tom.envs.environment import capture, restore, simulated
 from tom.events import (
     Collected,
     Evaluation,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.envs import dm_control, termination
+from tom.envs.environment import Unit, simulated
 from tom.envs.inspection import (
     actions_of,
     bounded_dims,
@@ -26,9 +27,7 @@ from tom.envs.inspection import (
     take_a_step,
 )
 from tom.envs.mujoco import log_warnings
-from tom.envs.simulator import simulated
 from tom.envs.task import Task, Termination
-from tom.envs.unit import Unit
 from tom.envs.user_code import import_named, tried
 from tom.errors import OF_USERS, UserError, reason
 

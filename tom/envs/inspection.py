@@ -5,7 +5,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from tom.envs.simulator import Simulator
+from tom.envs.environment import Simulator
 from tom.envs.user_code import place
 from tom.errors import OF_USERS, UserError, reason
 

@@ -9,8 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from tom.data.transitions import Transitions
-from tom.envs.simulator import simulated
-from tom.envs.state import capture, restore
+from tom.envs.environment import capture, restore, simulated
 from tom.envs.task import Task
 from tom.learners.base import Policy
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tom.envs.simulator import simulated
+from tom.envs.environment import simulated
 from tom.envs.task import Task
 from tom.events import Episode
 

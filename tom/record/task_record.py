@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
 
 from tom.config import Config, Count, Positive, Whole
-from tom.envs import ENVS, ROAD, Task, scene, skeleton, task
+from tom.envs import ENVS, ROAD, Task, scene, task
 from tom.envs.termination import never
 from tom.errors import UserError
 from tom.record import layout, stamps
@@ -45,7 +45,7 @@ def save_scene(env: str, folder: Path) -> None:
         return
     model = scene.made_model(task(env))
     if model is not None:
-        np.savez_compressed(folder / layout.SCENE, allow_pickle=False, **skeleton.arrays(model))
+        np.savez_compressed(folder / layout.SCENE, allow_pickle=False, **scene.arrays(model))
 
 
 def task_of(run: RunReader) -> Task:
@@ -91,7 +91,7 @@ def scene_of(run: RunReader) -> scene.Model | None:
 def _scene(path: str, stamp: stamps.Stamp) -> scene.Model | None:
     held = RunReader(path).arrays(layout.SCENE)
     try:
-        return None if held is None else skeleton.of_arrays(held)
+        return None if held is None else scene.of_arrays(held)
     except (ValueError, KeyError, TypeError, IndexError):
         return None
 

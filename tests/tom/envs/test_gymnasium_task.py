@@ -9,10 +9,10 @@ import pytest
 import torch
 from gymnasium.envs.mujoco.swimmer_v5 import SwimmerEnv
 
-from tom.envs import ENVS, bring, scene, skeleton, task
+from tom.envs import ENVS, bring, scene, task
 from tom.envs.ends import NEVER, RULES, bring_rule, rule
+from tom.envs.environment import capture, restore
 from tom.envs.gymnasium_task import GymnasiumTask, describe
-from tom.envs.state import capture, restore
 from tom.errors import OwnCodeError, UserError
 
 MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
@@ -239,7 +239,7 @@ def test_named_arrays_of_deepmind_control_lie_side_by_side():
 def test_a_robot_is_drawn_from_what_its_run_keeps(gym_id: str):
     model = scene.made_model(named(gym_id))
     assert model is not None
-    again = skeleton.of_arrays(skeleton.arrays(model))
+    again = scene.of_arrays(scene.arrays(model))
     spread = np.random.default_rng(0).normal(size=(5, model.mj.nq))
     qpos = model.mj.qpos0 + 0.3 * spread
     own, kept = (scene.geometry(one.mj, qpos) for one in (model, again))
@@ -261,9 +261,9 @@ def test_damaged_geometry_is_refused():
         ("geom_type", np.full(10, 7)),
         ("dt", np.array(0.0)),
     ):
-        held = skeleton.arrays(model) | {name: bad}
+        held = scene.arrays(model) | {name: bad}
         with pytest.raises(ValueError, match=r".+"):
-            skeleton.of_arrays(held)
+            scene.of_arrays(held)
 
 
 def test_joints_are_found_in_observations_where_they_are():

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tom.envs import ENVS
-from tom.envs.state import capture
+from tom.envs.environment import capture
 from tom.policy.evaluate import Evaluator
 
 
