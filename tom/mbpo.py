@@ -20,8 +20,8 @@ from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics import make_model
 from tom.dynamics.ending import EndingHead
 from tom.envs import Task, task
-from tom.envs.ends import learns_ends, rule
 from tom.envs.environment import capture, restore, simulated
+from tom.envs.termination import learns_ends, rule
 from tom.events import (
     Collected,
     Evaluation,

@@ -24,7 +24,7 @@ def bring_named(args: argparse.Namespace) -> None:
     if given is None and rule is None:
         return
     from tom.envs import bring  # a simulator takes a second to import
-    from tom.envs.ends import bring_rule
+    from tom.envs.termination import bring_rule
 
     for name in given if isinstance(given, list) else [given]:
         bring(name)

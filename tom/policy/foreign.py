@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tom.envs.user_code import import_named, place
+from tom.envs.user_code import import_function, place
 from tom.errors import OF_USERS, UserError, reason
 
 TORCHSCRIPT = (".pt", ".pth", ".ts", ".torchscript")
@@ -124,10 +124,7 @@ def _is_function(name: str) -> bool:
 
 def _function(name: str) -> Callable[[Tensor], Any]:
     """A Python function of observations (B, O), a numpy array. Its module is imported and run."""
-    module, _, function = name.partition(":")
-    policy = getattr(import_named(module, f"--policy {name}"), function, None)
-    if not callable(policy):
-        raise UserError(f"--policy {name}: module '{module}' has no function '{function}'")
+    policy = import_function(name, "--policy")
     return lambda obs: policy(obs.numpy())
 
 

@@ -36,7 +36,7 @@ from tom.data.unpack import DAMAGE, read_arrays
 from tom.dynamics import DynamicsModel
 from tom.dynamics.ending import EndingHead
 from tom.envs import Termination, task
-from tom.envs.ends import learns_ends, rule
+from tom.envs.termination import learns_ends, rule
 from tom.errors import UserError, reason
 from tom.learners.base import Weighting
 from tom.policy.batches import mixed_batches

@@ -19,7 +19,7 @@ from tom.cli.sweep.table import Watcher, job_row
 from tom.cli.tables import name_problems
 from tom.config import OnlineConfig, RoadConfig, merged
 from tom.envs import ANY, ENV_NAMES, ROAD, bring
-from tom.envs.ends import bring_rule
+from tom.envs.termination import bring_rule
 from tom.errors import UserError
 from tom.learners import LEARNERS, with_own_settings
 from tom.sweep.driver import ATTEMPTS, Driver
