@@ -1,6 +1,7 @@
 """The dual problem of TOM (paper, eq. 16) for a network Q, and the weights at that Q (eq. 17)."""
 
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import torch
@@ -12,10 +13,7 @@ from tom.data.sampling import block_size, held_out_rows, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, policy_actions
-from tom.learners.divergences import divergence
-from tom.learners.flows import Flow
-from tom.learners.terms import Terms
-from tom.learners.validation import Validation
+from tom.learners.terms import Flow, Terms, divergence
 from tom.nn.averaging import Average
 from tom.nn.backprop import forward_trace, gradients
 from tom.nn.mlp import StackedMLP, rows_at_once
@@ -115,6 +113,35 @@ class QFunction(Trained):
         return loss.detach()
 
 
+class Validation:
+    """Evaluates a network's held-out loss from time to time; keeps the network with the lowest.
+
+    A training is over after `q_patience` evaluations without a new minimum.
+    """
+
+    def __init__(
+        self, net: StackedMLP, loss: Callable[[StackedMLP], float], config: TomConfig
+    ) -> None:
+        self._net, self._loss, self._config = net, loss, config
+        self.best = net  # the last one if every loss was NaN
+        self._least, self._kept_at, self._idle = float("inf"), 0, 0
+
+    def ends(self, step: int) -> bool:
+        """Evaluate the network if it is due after this step; whether its training is over."""
+        config = self._config
+        if step % config.q_check_every == 0 or step == config.q_steps:
+            loss = self._loss(self._net)
+            self._idle += 1
+            if loss < self._least:
+                self.best = deepcopy(self._net).requires_grad_(False)
+                self._least, self._kept_at, self._idle = loss, step, 0
+        return self._idle >= config.q_patience
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        return {"dual/holdout_loss": self._least, "dual/steps": float(self._kept_at)}
+
+
 @dataclass(frozen=True)
 class Minimum:
     """The outcome of minimising the dual."""
@@ -158,11 +185,11 @@ class DualProblem:
         for step, batch in enumerate(problem.batches(source), 1):
             losses.append(q.step(bias_step, batch))
             average.update()
-            if judge and judge.look(step):
+            if judge and judge.ends(step):
                 break
         loss = float(torch.stack(losses[-max(len(losses) // 10, 1) :]).mean())
         if judge:
-            return Minimum(judge.best(), loss, judge.metrics)
+            return Minimum(judge.best, loss, judge.metrics)
         return Minimum(average.net, loss, {})
 
     def split(self, generator: torch.Generator) -> "tuple[DualProblem, DualProblem]":
