@@ -12,7 +12,7 @@ from torch.distributions import Categorical, MixtureSameFamily, Normal
 from tom.bench.parts import ACTION, BATCH, OBS, transitions
 from tom.bench.timing import Part
 from tom.config import ModelConfig, SacConfig
-from tom.dynamics.mdn import Mdn
+from tom.dynamics.networks import Mdn
 from tom.nn.mlp import StackedMLP
 from tom.policy.sac import Sac, squashed_gaussian
 

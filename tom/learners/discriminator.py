@@ -20,10 +20,8 @@ from tom.config import TomConfig
 from tom.data.sampling import block_size, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.nn.averaging import Average
-from tom.nn.backprop import forward_trace, gradients
-from tom.nn.mlp import StackedMLP, rows_at_once
-from tom.nn.trained import Trained
+from tom.nn.mlp import StackedMLP, forward_trace, gradients, rows_at_once
+from tom.nn.trained import Average, Trained
 
 CHUNK = 1024  # rows evaluated at once; they stay in the processor's cache
 BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once

@@ -14,10 +14,8 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, policy_actions
 from tom.learners.terms import Flow, Terms, divergence
-from tom.nn.averaging import Average
-from tom.nn.backprop import forward_trace, gradients
-from tom.nn.mlp import StackedMLP, rows_at_once
-from tom.nn.trained import Trained
+from tom.nn.mlp import StackedMLP, forward_trace, gradients, rows_at_once
+from tom.nn.trained import Average, Trained
 from tom.rng import fork
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache

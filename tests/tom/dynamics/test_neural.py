@@ -8,10 +8,8 @@ from tom.config import ModelConfig
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
-from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
-from tom.dynamics.fitting import _Best, holdout_loss, split
-from tom.dynamics.mdn import Mdn, pick_component
-from tom.dynamics.neural import NeuralDynamics
+from tom.dynamics.networks import GaussianEnsemble, Mdn, MeanEnsemble, pick_component
+from tom.dynamics.neural import NeuralDynamics, _Best, holdout_loss, split
 
 SMALL = ModelConfig(hidden=48, layers=2, components=3, members=3, elites=2, rounds=10, lr=3e-3)
 

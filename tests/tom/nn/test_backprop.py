@@ -2,8 +2,7 @@ import pytest
 import torch
 from torch.nn.functional import relu, silu
 
-from tom.nn.backprop import forward_trace, gradients, input_gradient
-from tom.nn.mlp import StackedMLP
+from tom.nn.mlp import StackedMLP, forward_trace, gradients, input_gradient
 
 
 @pytest.mark.parametrize("activation", [relu, silu, torch.tanh])

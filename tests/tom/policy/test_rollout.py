@@ -5,7 +5,7 @@ from torch import Tensor
 
 from tom.config import ModelConfig, RolloutConfig, SacConfig
 from tom.data.replay import ReplayBuffer
-from tom.dynamics.mdn import Mdn
+from tom.dynamics.networks import Mdn
 from tom.envs import task
 from tom.policy.rollout import EXPLODED, roll_out
 from tom.policy.sac import ActorCritic, Sac

@@ -1,4 +1,4 @@
-"""Mixture density network (Bishop 1994): an independent Gaussian mixture for each dimension."""
+"""The neural dynamics models: mixture density network, Gaussian ensemble, mean-only ensemble."""
 
 from collections.abc import Sequence
 from math import log
@@ -8,14 +8,19 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from tom.config import ModelConfig
-from tom.dynamics.fitting import FittedDynamics
-from tom.dynamics.neural import soft_bound
+from tom.data.transitions import TensorTransitions
+from tom.dynamics.neural import NeuralDynamics, soft_bound
 
 LOG_VAR_MIN, LOG_VAR_MAX = -12.0, 2.0  # of z-scored targets
+WEIGHT_DECAY = (2.5e-5, 5e-5, 7.5e-5, 7.5e-5, 1e-4)  # by layer (Janner et al. 2019)
+BOUND_PENALTY = 0.01
 
 
-class Mdn(FittedDynamics):
-    """p(y_d | x) = sum_k softmax(l_d)_k N(y_d; mean_dk, exp(log_var_dk)), K components."""
+class Mdn(NeuralDynamics):
+    """Mixture density network (Bishop 1994), an independent mixture for each dimension.
+
+    p(y_d | x) = sum_k softmax(l_d)_k N(y_d; mean_dk, exp(log_var_dk)), K components.
+    """
 
     def __init__(
         self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
@@ -93,3 +98,77 @@ def pick_component(logits: Tensor, u: Tensor) -> Tensor:
 
 def _softplus_gradient(grad: Tensor, x: Tensor) -> Tensor:
     return torch.ops.aten.softplus_backward(grad, x, 1.0, 20.0)  # torch's own constants
+
+
+class _Ensemble(NeuralDynamics):
+    def weight_decay(self) -> list[float]:
+        """One coefficient per layer; the last layer takes the last value, extra parameters none."""
+        layers = len(self.net.layers)
+        decays = [*WEIGHT_DECAY[: layers - 1], WEIGHT_DECAY[-1]]
+        decays = [WEIGHT_DECAY[-2]] * (layers - len(decays)) + decays
+        return [*decays, *decays, *(0.0 for _ in self.extra_parameters())]
+
+
+class GaussianEnsemble(_Ensemble):
+    """E Gaussian networks with learnt bounds of the log variance (Janner et al. 2019)."""
+
+    def __init__(
+        self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
+    ) -> None:
+        bound = torch.ones(config.members, 1, 1 + obs_dim, device=generator.device)
+        self.max_log_var = (0.5 * bound).requires_grad_()
+        self.min_log_var = (-10.0 * bound).requires_grad_()
+        super().__init__(obs_dim, action_dim, 2, config.members, config, generator)
+
+    def extra_parameters(self) -> list[Tensor]:
+        return [self.max_log_var, self.min_log_var]
+
+    def _log_var(self, raw: Tensor) -> Tensor:
+        return soft_bound(raw, self.min_log_var, self.max_log_var)
+
+    def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
+        """Gaussian negative log-likelihood without its constant, as Janner's."""
+        mean, raw = output.chunk(2, -1)
+        log_var = self._log_var(raw)
+        return (target - mean).square() * (-log_var).exp() + log_var
+
+    def regulariser(self) -> Tensor:
+        return BOUND_PENALTY * (self.max_log_var.sum() - self.min_log_var.sum())
+
+    def mean(self, output: Tensor) -> Tensor:
+        return output.chunk(2, -1)[0]
+
+    def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
+        mean, raw = output.chunk(2, -1)
+        std = (0.5 * self._log_var(raw)).exp()
+        return mean + std * torch.randn(*mean.shape, generator=generator, device=mean.device)
+
+
+class MeanEnsemble(_Ensemble):
+    """E networks that predict the mean only, with VaGram's squared loss.
+
+    VaGram's is sum_d (dV/ds'_d)^2 (pred_d - s'_d)^2 + (pred_r - r)^2. With z-scored targets the
+    weight of dimension d is (sigma_d dV/ds'_d)^2. The learner's per-dimension weights are
+    proportional to it but scaled to mean 1, and the z-scored error of the reward has weight 1. So
+    the balance of state and reward differs from VaGram's. The first round is plain MSE.
+    """
+
+    def __init__(
+        self, obs_dim: int, action_dim: int, config: ModelConfig, generator: torch.Generator
+    ) -> None:
+        super().__init__(obs_dim, action_dim, 1, config.members, config, generator)
+
+    def loss_per_dim(self, output: Tensor, target: Tensor) -> Tensor:
+        return (output - target).square()
+
+    def nll(self, rows: TensorTransitions) -> None:
+        """None: this model predicts no distribution."""
+
+    def uses_dim_weights(self, first_round: bool) -> bool:
+        return not first_round
+
+    def mean(self, output: Tensor) -> Tensor:
+        return output
+
+    def draw(self, output: Tensor, generator: torch.Generator) -> Tensor:
+        return output
