@@ -39,9 +39,8 @@ from tom.envs import Termination, task
 from tom.envs.termination import learns_ends, rule
 from tom.errors import UserError, reason
 from tom.learners.base import Weighting
-from tom.policy.batches import mixed_batches
-from tom.policy.evaluate import Evaluator
-from tom.policy.rollout import roll_out, start_states
+from tom.policy.collect import Evaluator
+from tom.policy.rollout import mixed_batches, roll_out, start_states
 from tom.policy.sac import Sac
 from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
 from tom.record import RunReader, layout

@@ -8,7 +8,7 @@ import torch
 
 from tom.envs import ENVS
 from tom.envs.environment import capture
-from tom.policy.evaluate import Evaluator
+from tom.policy.collect import Evaluator
 
 
 def still(action_dim: int):
