@@ -1,11 +1,9 @@
 """The neural dynamics models: mixture density network, Gaussian ensemble, mean-only ensemble."""
 
-from collections.abc import Sequence
 from math import log
 
 import torch
 from torch import Tensor
-from torch.nn.functional import softplus
 
 from tom.config import ModelConfig
 from tom.data.transitions import TensorTransitions
@@ -41,35 +39,6 @@ class Mdn(NeuralDynamics):
         joint = logits - 0.5 * (square + log_var)
         return logits.logsumexp(-2) - joint.logsumexp(-2) + 0.5 * log(2 * torch.pi)
 
-    def loss_gradient(
-        self, output: Tensor, target: Tensor, scales: Sequence[Tensor]
-    ) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """`loss_per_dim` and its derivative, written out: autograd takes twice as long."""
-        logits, mean, raw = output.unflatten(-1, (3, -1, self.targets)).unbind(-3)
-        below = LOG_VAR_MAX - raw  # soft_bound, step by step
-        above = LOG_VAR_MAX - softplus(below) - LOG_VAR_MIN
-        log_var = LOG_VAR_MIN + softplus(above)
-        precision = (-log_var).exp_()
-        gap = target.unsqueeze(-2) - mean
-        square = gap.square()
-        joint = logits - 0.5 * (square * precision + log_var)
-        prior, posterior = logits.logsumexp(-2, True), joint.logsumexp(-2, True)
-        loss = (prior - posterior).squeeze(-2) + 0.5 * log(2 * torch.pi)
-        slope = loss.new_full((), 1.0 / loss[0].numel())  # of the mean over a minibatch
-        for scale in scales:
-            loss = loss * scale
-        for scale in reversed(scales):
-            slope = slope * scale
-        slope = slope.unsqueeze(-2) if slope.ndim else slope
-
-        share = (joint - posterior).exp_().mul_(slope)  # of each component in the likelihood
-        grad_logits = (logits - prior).exp_().mul_(slope).sub_(share)
-        half = share.mul_(0.5)
-        grad_mean = (half * precision).mul_(gap).mul_(-2.0)
-        grad_log_var = half - square.mul_(half).mul_(precision)
-        grad_raw = _softplus_gradient(_softplus_gradient(grad_log_var, above), below)
-        return loss.mean((1, 2)), torch.cat([grad_logits, grad_mean, grad_raw], -2).flatten(-2), []
-
     def mean(self, output: Tensor) -> Tensor:
         logits, mean, _ = self._split_output(output)
         return (logits.softmax(-2) * mean).sum(-2)
@@ -94,10 +63,6 @@ def pick_component(logits: Tensor, u: Tensor) -> Tensor:
     ahead = logits.permute(2, 3, 0, 1).contiguous()  # (K, D, E, B): whole vectors at every step
     ahead = ahead.sub_(ahead.amax(0)).exp_().cumsum(0)
     return (ahead[:-1] < u.permute(2, 0, 1) * ahead[-1]).sum(0).permute(1, 2, 0)
-
-
-def _softplus_gradient(grad: Tensor, x: Tensor) -> Tensor:
-    return torch.ops.aten.softplus_backward(grad, x, 1.0, 20.0)  # torch's own constants
 
 
 class _Ensemble(NeuralDynamics):

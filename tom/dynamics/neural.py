@@ -6,7 +6,6 @@ Subclasses define the distribution and its loss (`networks`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -18,7 +17,7 @@ from tom.data.sampling import WeightedSampler, block_size, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.dynamics.base import FitReport
-from tom.nn.mlp import StackedMLP, forward_trace, gradients
+from tom.nn.mlp import StackedMLP
 from tom.nn.trained import Adam
 
 BLOCK, GPU_BLOCK = 10, 100  # minibatches gathered at once
@@ -53,7 +52,7 @@ class NeuralDynamics:
         self.ensemble = ensemble
         hidden = [config.hidden] * config.layers
         sizes = [obs_dim + action_dim, *hidden, self.targets * outputs_per_dim]
-        self.net = StackedMLP(ensemble, sizes, silu, generator).requires_grad_(False)
+        self.net = StackedMLP(ensemble, sizes, silu, generator)
         self.input_scaling = Scaling.identity(obs_dim + action_dim, generator.device)
         self.target_scaling = Scaling.identity(self.targets, generator.device)
         self.elites = torch.arange(min(config.elites, ensemble), device=generator.device)
@@ -120,29 +119,19 @@ class NeuralDynamics:
     def device(self) -> torch.device:
         return self.elites.device
 
+    @torch.enable_grad()
     def step(self, x: Tensor, y: Tensor, *scales: Tensor) -> Tensor:
         """A gradient step on z-scored minibatches (E, B, ...); returns each network's loss, (E,).
 
         `scales` multiply the loss of each dimension, (E, B, 1 + O) or (E, B, 1), in this order.
         """
-        trace = forward_trace(self.net, x)
-        loss, grad, extra = self.loss_gradient(trace.output, y, scales)
-        self.optimiser.step([*gradients(self.net, trace, grad), *extra])
-        return loss
-
-    def loss_gradient(
-        self, output: Tensor, target: Tensor, scales: Sequence[Tensor]
-    ) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """Each network's mean loss (E,); gradients of their sum for the output and the extras."""
-        output, extra = output.requires_grad_(), self.extra_parameters()
-        with torch.enable_grad():
-            loss = self.loss_per_dim(output, target)
-            for scale in scales:
-                loss = loss * scale
-            means = loss.mean((1, 2))
-            total = means.sum() + self.regulariser()
-        grad, *extra_gradients = torch.autograd.grad(total, [output, *extra])
-        return means.detach(), grad, extra_gradients
+        loss = self.loss_per_dim(self.net(x), y)
+        for scale in scales:
+            loss = loss * scale
+        means = loss.mean((1, 2))
+        total = means.sum() + self.regulariser()
+        self.optimiser.step(torch.autograd.grad(total, self.parameters()))
+        return means.detach()
 
     # Network inputs and targets
 

@@ -14,7 +14,7 @@ from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, policy_actions
 from tom.learners.terms import Flow, Terms, divergence
-from tom.nn.mlp import StackedMLP, forward_trace, gradients, rows_at_once
+from tom.nn.mlp import StackedMLP, rows_at_once
 from tom.nn.trained import Average, Trained
 from tom.rng import fork
 
@@ -95,19 +95,15 @@ class QFunction(Trained):
         super().__init__(net, config.q_lr, config.q_weight_decay)
         self.config = config
 
-    @torch.no_grad()
     def step(self, bias_step: float, batch: Batch) -> Tensor:
         """A gradient step; the loss before it. `bias_step` is that of `DualProblem.bias_step`."""
-        trace = forward_trace(self.net, batch.inputs[None])
-        output = trace.output[0, :, 0].requires_grad_()
-        with torch.enable_grad():
-            q = as_value(output, self.config)
-            loss = dual_loss(values_of(q, batch, self.config), batch, self.config)
-            (slope,) = torch.autograd.grad(loss, output)
-        grads = gradients(self.net, trace, slope[None, :, None])
+        q = as_value(self.net(batch.inputs[None])[0, :, 0], self.config)
+        loss = dual_loss(values_of(q, batch, self.config), batch, self.config)
+        grads = torch.autograd.grad(loss, self.net.tensors())
         self.optimiser.step(grads)
         if self.config.q_bias_step:
-            self.net.layers[-1][1].sub_(bias_step * grads[-1])
+            with torch.no_grad():
+                self.net.layers[-1][1].sub_(bias_step * grads[-1])
         return loss.detach()
 
 

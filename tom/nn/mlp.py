@@ -3,9 +3,8 @@
 Twin critics and the networks of an ensemble are members. A parameter's leading axis is always the
 member axis M.
 
-Backpropagation is written out by hand as well: a training step consists of small matrix products
-and much bookkeeping, and without autograd's a SAC update takes three quarters of the time on a CPU.
-The tests compare every gradient with autograd's.
+Backpropagation through ReLU networks is written out for SAC, whose updates are small matrix
+products and much bookkeeping (docs/speed.md). All else is differentiated by autograd.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,14 +31,6 @@ _IN_PLACE: dict[Activation, Activation] = {
     torch.tanh: torch.tanh_,
 }
 """the same in place, for use without gradients"""
-_aten = torch.ops.aten
-
-_BACKWARD: dict[Activation, Callable[[Tensor, Tensor, Tensor], object]] = {
-    # (gradient, layer's output before and after the activation): changes the gradient in place
-    relu: lambda grad, raw, out: _aten.threshold_backward.grad_input(grad, out, 0, grad_input=grad),
-    silu: lambda grad, raw, out: _aten.silu_backward.grad_input(grad, raw, grad_input=grad),
-    torch.tanh: lambda grad, raw, out: _aten.tanh_backward.grad_input(grad, out, grad_input=grad),
-}
 
 
 class StackedMLP(nn.Module):
@@ -123,20 +114,16 @@ class Trace:
     """A forward pass: the values that the backward pass needs, and the output (M, B, out)."""
 
     inputs: list[Tensor]  # of each layer, (M, B, in)
-    raw: list[Tensor]  # output of each hidden layer before its activation
     output: Tensor
 
 
 def forward_trace(net: StackedMLP, x: Tensor) -> Trace:
-    """The forward pass over x (M, B, in), with its intermediate values."""
-    inputs, raw = [x], []
+    """The forward pass of a ReLU network over x (M, B, in), with its intermediate values."""
+    inputs = [x]
     *hidden, (last_weight, last_bias) = net.layers
-    in_place = net.activation is relu  # its gradient needs no raw outputs
     for weight, bias in hidden:
-        out = torch.baddbmm(bias, inputs[-1], weight)
-        raw.append(out)
-        inputs.append(out.relu_() if in_place else net.activation(out))
-    return Trace(inputs, raw, torch.baddbmm(last_bias, inputs[-1], last_weight))
+        inputs.append(torch.baddbmm(bias, inputs[-1], weight).relu_())
+    return Trace(inputs, torch.baddbmm(last_bias, inputs[-1], last_weight))
 
 
 def gradients(net: StackedMLP, trace: Trace, grad: Tensor) -> list[Tensor]:
@@ -161,10 +148,10 @@ def input_gradient(net: StackedMLP, trace: Trace, grad: Tensor) -> Tensor:
 
 
 def _through(net: StackedMLP, trace: Trace, layer: int, grad: Tensor) -> Tensor:
-    """From the gradient of a layer's output to the previous layer's, before its activation."""
+    """From the gradient of a layer's output to the previous layer's, before its ReLU."""
     grad = _times_transposed(grad, net.layers[layer][0])
-    _BACKWARD[net.activation](grad, trace.raw[layer - 1], trace.inputs[layer])
-    return grad
+    relu_backward = torch.ops.aten.threshold_backward.grad_input
+    return relu_backward(grad, trace.inputs[layer], 0, grad_input=grad)
 
 
 def _times_transposed(grad: Tensor, weight: Tensor) -> Tensor:
