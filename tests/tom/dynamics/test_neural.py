@@ -241,15 +241,6 @@ def test_a_constant_dimension_is_centred_and_stays_finite():
     torch.testing.assert_close(scaling.inverse(z), x)
 
 
-def test_same_seed_same_bits():
-    def fitted() -> torch.Tensor:
-        model = make_model(2, 1, SMALL.but(rounds=2), generator(0))
-        model.fit(rows(600), torch.ones(600), None, generator(1))
-        return model.predict(torch.ones(4, 2), torch.zeros(4, 1))[1]
-
-    assert torch.equal(fitted(), fitted())
-
-
 def test_gaussian_loss_is_the_likelihood_up_to_its_constant():
     model = GaussianEnsemble(2, 1, SMALL, generator())
     output, target = torch.randn(3, 5, 6), torch.randn(5, 3)

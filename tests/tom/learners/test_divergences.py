@@ -65,13 +65,6 @@ def test_kl_is_stable_where_the_exponential_overflows():
     torch.testing.assert_close(f.weights(y), 3 * torch.tensor([0.268941, 0.731059, 0.0]))
 
 
-def test_full_chi2_bounds_kl_and_half_of_it_does_not():
-    x = torch.linspace(0, 5, 501, dtype=torch.float64)
-    kl = GENERATORS["kl"](x) - x + 1  # the same divergence, made non-negative
-    assert (GENERATORS["full-chi2"](x) >= kl - 1e-12).all()
-    assert (GENERATORS["chi2"](x) < kl - 1e-3).any()
-
-
 @pytest.mark.parametrize("name", DIVERGENCES)
 def test_equal_distributions_have_weight_one(name: str):
     f = DIVERGENCES[name]
