@@ -20,9 +20,8 @@ from tom.data.transitions import TensorTransitions, Transitions
 from tom.dynamics import make_model
 from tom.dynamics.ending import EndingHead
 from tom.envs import Task, task
-from tom.envs.ends import learns_ends, rule
-from tom.envs.simulator import simulated
-from tom.envs.state import capture, restore
+from tom.envs.environment import capture, restore, simulated
+from tom.envs.termination import learns_ends, rule
 from tom.events import (
     Collected,
     Evaluation,
@@ -37,9 +36,8 @@ from tom.exams.exam import Exam, Fitted, critic_metrics, footprint_metrics, mode
 from tom.learners import make_learner
 from tom.learners.base import FitContext, Weighting, heavy_row
 from tom.metrics import require_finite
-from tom.policy.batches import mixed_batches
-from tom.policy.evaluate import Evaluator
-from tom.policy.rollout import roll_out, start_states
+from tom.policy.collect import Evaluator
+from tom.policy.rollout import mixed_batches, roll_out, start_states
 from tom.policy.sac import Sac
 from tom.policy.stored import policy_arrays
 from tom.rng import Streams

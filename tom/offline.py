@@ -22,7 +22,7 @@ from tom.learners import follows_value, make_learner
 from tom.learners.base import FitContext, Weighting
 from tom.learners.terms import of_recorded
 from tom.metrics import require_finite
-from tom.policy.cloning import clone
+from tom.policy.foreign import clone
 from tom.policy.rollout import roll_out, start_states
 from tom.rng import Streams
 from tom.road import offline_data, task

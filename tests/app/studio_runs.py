@@ -14,7 +14,7 @@ import numpy as np
 from app.data import readers
 from app.data.readers import RunInfo
 from app.data.trainings import Started
-from tom.envs import scene, skeleton
+from tom.envs import scene
 from tom.machine import processes
 from tom.record import layout
 from tom.record.files import replace_json
@@ -45,7 +45,7 @@ def undescribed(run: Path) -> None:
     content["task"] = {"obs_names": []}
     (run / layout.CONFIG).unlink()  # which may be a link to the file of the run itself
     (run / layout.CONFIG).write_text(json.dumps(content))
-    geometry = skeleton.arrays(scene.model("inverted-pendulum"))
+    geometry = scene.arrays(scene.model("inverted-pendulum"))
     np.savez_compressed(run / layout.SCENE, allow_pickle=False, **geometry)
 
 

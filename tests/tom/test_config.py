@@ -3,7 +3,7 @@ import pytest
 from gymnasium.spaces import Box
 from pydantic import ValidationError
 
-from tom.config import ADDED, OnlineConfig, RolloutConfig, TomConfig, completed, flat
+from tom.config import ADDED, OnlineConfig, RolloutConfig, TomConfig, completed, flat, merged
 from tom.envs import task
 from tom.training.plan import Plan, Trial, trials
 from tom.training.presets import resolve
@@ -114,3 +114,15 @@ def test_a_rule_that_is_not_given_is_not_recorded_and_changes_no_name_of_a_run()
 
 def test_a_group_that_is_not_there_stays_away():
     assert completed({"steps": 5}) == {"steps": 5}
+
+
+def test_changes_come_on_top_group_by_group_and_leave_the_base_alone():
+    base = {"sac": {"lr": 1, "tau": 2}, "steps": 3}
+    assert merged(base, {"sac": {"lr": 9}}) == {"sac": {"lr": 9, "tau": 2}, "steps": 3}
+    assert merged(base, {"steps": {"lr": 9}, "sac": None}) == {"sac": None, "steps": {"lr": 9}}
+    assert base == {"sac": {"lr": 1, "tau": 2}, "steps": 3}
+
+
+def test_values_by_dotted_path_at_any_depth():
+    nested = {"seed": 1, "a": {"b": {"c": None}, "d": [2]}, "empty": {}}
+    assert flat(nested) == {"seed": 1, "a.b.c": None, "a.d": [2]}

@@ -229,13 +229,6 @@ def test_evaluation_leaves_the_training_alone():
         assert torch.equal(a, b)
 
 
-def test_a_weight_of_dimensions_does_not_draw_rows_as_well():
-    """Weights that scale the loss and also draw the rows would count squared."""
-    per_dim = torch.tensor([[0.5, 0.5], [1.5, 1.5]])
-    assert Weighting(per_dim.mean(1), per_dim).row_weights.tolist() == [1, 1]
-    assert Weighting(per_dim.mean(1)).row_weights.tolist() == [0.5, 1.5]
-
-
 @pytest.mark.parametrize("learner", LEARNER_NAMES)
 def test_same_seed_same_bits(learner: str):
     first, second = (run(smoke(learner, steps=350)) for _ in range(2))

@@ -17,8 +17,7 @@ from torch import Tensor
 
 from tom.analysis.imagine import Predictor, imagine, joint_positions
 from tom.config import ModelConfig
-from tom.data.episodes import held_out_rows
-from tom.data.sampling import normalise
+from tom.data.sampling import held_out_rows, normalise
 from tom.data.transitions import TensorTransitions
 from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel

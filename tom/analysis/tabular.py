@@ -1,6 +1,6 @@
 """Small MDPs: random ones, their occupancies, and samples of them as a learner sees them.
 
-A flow (`tom/learners/flows.py`) defines what follows the end of an episode, and with it an
+A flow (`tom/learners/terms.py`) defines what follows the end of an episode, and with it an
 occupancy: discounted visits until the end, discounted visits with a new start after every end, or
 the stream of transitions as it is collected, resets included.
 

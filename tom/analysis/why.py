@@ -13,8 +13,7 @@ from tom.config import RolloutConfig, TomConfig
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, mixed_with_uniform
-from tom.learners.divergences import divergence
-from tom.learners.terms import Terms
+from tom.learners.terms import Terms, divergence
 from tom.policy.rollout import RolloutModel, Termination
 
 

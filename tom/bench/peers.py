@@ -11,8 +11,7 @@ from torch.distributions import Categorical, MixtureSameFamily, Normal
 
 from tom.bench.parts import ACTION, BATCH, OBS, transitions
 from tom.bench.timing import Part
-from tom.config import ModelConfig, SacConfig
-from tom.dynamics.mdn import Mdn
+from tom.config import SacConfig
 from tom.nn.mlp import StackedMLP
 from tom.policy.sac import Sac, squashed_gaussian
 
@@ -20,7 +19,6 @@ from tom.policy.sac import Sac, squashed_gaussian
 def peers() -> Iterator[Part]:
     """Plain torch implementations, and every peer that is installed."""
     yield _plain_mdn()
-    yield _autograd_mdn()
     yield _autograd_sac()
     if find_spec("stable_baselines3"):
         yield _stable_baselines3()
@@ -61,26 +59,6 @@ def _plain_mdn() -> Part:
 
     return Part(
         "plain torch.distributions MDN step",
-        lambda: [step() for _ in range(20)],
-        20,
-        peer_of="mdn step (in a fit)",
-    )
-
-
-def _autograd_mdn() -> Part:
-    """Our own network and loss, with gradients by autograd and torch's fused Adam."""
-    model = Mdn(OBS, ACTION, ModelConfig(), torch.Generator().manual_seed(0))
-    model.net.requires_grad_(True)
-    optimiser = torch.optim.Adam(model.net.parameters(), lr=1e-3, fused=True)
-    x, y = torch.randn(1, BATCH, OBS + ACTION), torch.randn(1, BATCH, 1 + OBS)
-
-    def step() -> None:
-        optimiser.zero_grad()
-        model.loss_per_dim(model.net(x), y).mean().backward()
-        optimiser.step()
-
-    return Part(
-        "MDN step, autograd and fused Adam",
         lambda: [step() for _ in range(20)],
         20,
         peer_of="mdn step (in a fit)",

@@ -121,7 +121,7 @@ def import_named(args: argparse.Namespace) -> None:
     if env is None and rule is None:
         return
     from tom.envs import bring  # a simulator takes a second to import
-    from tom.envs.ends import bring_rule
+    from tom.envs.termination import bring_rule
 
     for name in env if isinstance(env, list) else [env]:
         bring(name)

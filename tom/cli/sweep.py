@@ -22,7 +22,7 @@ from tom.cli.progress import Display
 from tom.cli.tables import print_problems, show_rows
 from tom.config import merged
 from tom.envs import ANY, ENV_NAMES, bring
-from tom.envs.ends import bring_rule
+from tom.envs.termination import bring_rule
 from tom.errors import GoneError, UserError
 from tom.harmless import terminal
 from tom.learners import LEARNERS

@@ -1,47 +1,66 @@
-"""Read recorded experience in any of the known formats."""
+"""Recorded experience of other programs as transitions (docs/your-own.md).
 
+A file of columns (`.npz`, Parquet, D4RL's HDF5) has one row for each transition, in the order of
+collection; a Minari folder has episodes. All of it is untrusted: nothing is unpickled, and HDF5 may
+not lead to other files of this machine.
+"""
+
+import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.dataset
+from numpy.typing import NDArray
 
-from tom.data.columnar import SUFFIXES, read_columnar
-from tom.data.d4rl import read_d4rl
-from tom.data.minari import read_minari
 from tom.data.transitions import Transitions
-from tom.errors import UserError
+from tom.data.unpack import DAMAGE, read_arrays, read_columns
+from tom.errors import UserError, reason
+from tom.machine.memory import ran_out
 
 FORMATS = "an .npz or Parquet file of transitions, a D4RL file (.hdf5) or a Minari folder"
-_HDF5 = (".hdf5", ".h5", ".hdf")
+AXES = {"obs": 2, "action": 2, "reward": 1, "next_obs": 2, "terminated": 1, "truncated": 1}
+"""the columns, with their number of axes"""
+ALIASES = {
+    "observations": "obs",
+    "actions": "action",
+    "rewards": "reward",
+    "next_observations": "next_obs",
+    "terminals": "terminated",
+    "terminations": "terminated",
+    "timeouts": "truncated",
+    "truncations": "truncated",
+}
+"""D4RL's and Minari's names of them"""
+EPISODE = ("observations", "actions", "rewards", "terminations", "truncations")
+"""the arrays of a Minari episode: one observation more than steps"""
 _PICKLES = (".pkl", ".pickle", ".zip", ".pt", ".pth")
+_NUMBERED = re.compile(r"(.+)_(\d+)")
+
+Columns = dict[str, NDArray]
 
 
 def read_dataset(path: str | Path) -> Transitions:
-    """The transitions of a dataset (FORMATS), in the order of collection. Raises UserError."""
+    """The transitions of a dataset (FORMATS), in the order of collection.
+
+    An episode whose recording stops without a terminal state is marked as truncated, so that a row
+    after a terminated or truncated one always starts an episode. Actions are in the recorded task's
+    own units. Raises UserError.
+    """
     path = Path(path)
     if not path.exists():
         raise UserError(f"no data at {path}: give {FORMATS}")
-    rows = _read(path)
-    if not len(rows):
+    try:
+        return _assembled(path, _columns_of(path))
+    except DAMAGE as error:
+        if ran_out(error):
+            raise
         raise UserError(
-            f"{path} has no 'next_obs', and every row of it is the last one of an episode, which "
-            "has no successor then: record 'next_obs' too, or longer episodes"
-        )
-    return rows
-
-
-def _read(path: Path) -> Transitions:
-    if path.is_dir():
-        return read_minari(path)
-    if path.suffix in SUFFIXES:
-        return read_columnar(path)
-    if path.suffix in _PICKLES:
-        raise UserError(
-            f"{path} may hold pickles, which are code and are not loaded: export the transitions "
-            "to .npz (docs/your-own.md has ten lines for stable-baselines3)"
-        )
-    if path.suffix not in _HDF5:
-        raise UserError(f"{path} is of no kind that can be read here: give {FORMATS}")
-    return read_d4rl(path)
+            f"{path} cannot be read ({reason(error)}): write it again, or download it again"
+        ) from error
 
 
 def initial_obs(transitions: Transitions) -> np.ndarray:
@@ -52,3 +71,215 @@ def initial_obs(transitions: Transitions) -> np.ndarray:
     t = transitions.numpy()
     starts = np.append(True, t.ended()[:-1])
     return np.asarray(t.obs)[starts]
+
+
+def _columns_of(path: Path) -> Columns:
+    if path.is_dir():
+        return _minari(path)
+    if path.suffix == ".npz":
+        return _checked(path, read_arrays(path, _is_wanted))
+    if path.suffix == ".parquet":
+        return _checked(path, _parquet(path))
+    if path.suffix in (".hdf5", ".h5", ".hdf"):
+        with h5py.File(path, "r") as file:
+            return _checked(path, {name: _stored(file, name) for name in file if _is_wanted(name)})
+    if path.suffix in _PICKLES:
+        raise UserError(
+            f"{path} may hold pickles, which are code and are not loaded: export the transitions "
+            "to .npz (docs/your-own.md has ten lines for stable-baselines3)"
+        )
+    raise UserError(f"{path} is of no kind that can be read here: give {FORMATS}")
+
+
+def _is_wanted(name: str) -> bool:
+    return ALIASES.get(name, name) in AXES
+
+
+def _parquet(path: Path) -> Columns:
+    """Vectors are lists of equal length in a column, or numbered columns: `obs_0`, `obs_1`, ..."""
+    table = read_columns(path)
+    columns: Columns = {}
+    numbered: dict[str, dict[int, NDArray]] = {}
+    for name in table.column_names:
+        match = _NUMBERED.fullmatch(name)
+        if match and _is_wanted(match[1]):
+            numbered.setdefault(match[1], {})[int(match[2])] = _arrow(table, name)
+        elif _is_wanted(name):
+            columns[name] = _arrow(table, name)
+    for name, parts in numbered.items():
+        if sorted(parts) != list(range(len(parts))):
+            raise UserError(f"{path}: columns {name}_... are not numbered from 0 without a gap")
+        columns[name] = np.stack([parts[i] for i in range(len(parts))], 1)
+    return columns
+
+
+def _arrow(table: pa.Table, name: str) -> NDArray:
+    """A column of numbers (N,), or of lists of equal length (N, D)."""
+    stored = table[name].combine_chunks()
+    if stored.null_count:
+        raise ValueError(f"column '{name}' has {stored.null_count} rows without a value")
+    if isinstance(stored, pa.ListArray | pa.LargeListArray | pa.FixedSizeListArray):
+        inner = stored.flatten()
+        width = len(inner) // max(len(stored), 1)
+        fixed = isinstance(stored, pa.FixedSizeListArray)
+        if not fixed and (np.diff(stored.offsets.to_numpy()) != width).any():
+            raise ValueError(f"the lists of column '{name}' differ in length")
+        return inner.to_numpy(zero_copy_only=False).reshape(len(stored), width)
+    return stored.to_numpy(zero_copy_only=False)
+
+
+def _member(group: h5py.Group, name: str) -> object:
+    """A member of a group. A link may lead to any file of this machine: UserError."""
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        raise UserError(
+            f"'{name}' in {group.file.filename}:{group.name} is a link: only data within the file "
+            "is read"
+        )
+    return group[name]
+
+
+def _stored(group: h5py.Group, name: str) -> NDArray:
+    """The array `name` of a group, from the file itself."""
+    stored = _member(group, name)
+    where = f"'{name}' in {group.file.filename}:{group.name}"
+    if not isinstance(stored, h5py.Dataset):
+        raise UserError(f"{where} is no array: only flat observations and actions are read")
+    if stored.external or stored.is_virtual:  # either could read any file on this machine
+        raise UserError(f"{where} lies in another file: only data within the file is read")
+    return np.asarray(stored[()])
+
+
+def _minari(path: Path) -> Columns:
+    """A Minari dataset (the folder with `data/`, or `data/` itself), without its package."""
+    folder = path / "data" if (path / "data").is_dir() else path
+    about, archive = folder / "metadata.json", folder / "main_data.hdf5"
+    if about.is_file():
+        form = json.loads(about.read_text()).get("data_format", "hdf5")
+    elif archive.is_file():
+        form = "hdf5"  # Minari before 0.5 kept its metadata inside this file
+    else:
+        raise UserError(f"{folder} is not a Minari dataset: no metadata.json or main_data.hdf5")
+    if form not in ("hdf5", "arrow", "parquet"):
+        raise UserError(f"{about}: data format '{form}' is not known: hdf5, arrow, parquet")
+    given = _hdf5_episodes(archive) if form == "hdf5" else _arrow_episodes(folder, form)
+    episodes = [_episode(where, arrays) for where, arrays in given]
+    if not episodes:
+        raise UserError(f"{path} holds no episodes: record or download the dataset again")
+    return {name: np.concatenate([episode[name] for episode in episodes]) for name in AXES}
+
+
+def _hdf5_episodes(archive: Path) -> Iterator[tuple[str, Columns]]:
+    with h5py.File(archive, "r") as file:
+        for name in _in_order([n for n in file if n.startswith("episode_")]):
+            group = _member(file, name)
+            if not isinstance(group, h5py.Group):
+                raise UserError(f"{archive}: {name} is no episode: download the dataset again")
+            yield f"{archive}: {name}", {field: _stored(group, field) for field in EPISODE}
+
+
+def _arrow_episodes(folder: Path, form: str) -> Iterator[tuple[str, Columns]]:
+    for name in _in_order([f.name for f in folder.iterdir() if f.is_dir() and f.name.isdecimal()]):
+        table = pyarrow.dataset.dataset(
+            folder / name, format=form, ignore_prefixes=["_", ".", "metadata.json"]
+        ).to_table()
+        # All columns are as long as the observations: the last row of the others is padding.
+        steps = table.slice(0, max(len(table) - 1, 0))
+        arrays = {field: _arrow(steps, field) for field in EPISODE[1:]}
+        yield str(folder / name), {"observations": _arrow(table, "observations"), **arrays}
+
+
+def _in_order(names: list[str]) -> list[str]:
+    return sorted(names, key=lambda name: int(name.removeprefix("episode_")))
+
+
+def _episode(where: str, arrays: Columns) -> Columns:
+    """One episode of T steps from its T + 1 observations."""
+    columns = {ALIASES[name]: _numbers(where, ALIASES[name], a) for name, a in arrays.items()}
+    obs = columns.pop("obs")
+    if {len(column) for column in columns.values()} != {len(obs) - 1}:
+        raise UserError(
+            f"{where}: {len(obs)} observations for {len(columns['reward'])} steps: cut short? "
+            "Download it again"
+        )
+    truncated = columns["truncated"].copy()
+    truncated[-1:] = 1
+    return {**columns, "truncated": truncated, "obs": obs[:-1], "next_obs": obs[1:]}
+
+
+def _checked(path: Path, given: Columns) -> Columns:
+    """The columns by our names, of equal length; `next_obs` or `truncated` may be missing."""
+    columns: Columns = {}
+    for name, values in given.items():
+        known = ALIASES.get(name, name)
+        if known in columns:
+            raise UserError(f"{path} has '{known}' twice, once as '{name}': keep one of them")
+        columns[known] = _numbers(path, name, values)
+    missing = [n for n in AXES if n not in columns and n not in ("next_obs", "truncated")]
+    if "next_obs" not in columns and "truncated" not in columns:
+        missing.append("next_obs or truncated")
+    if missing:
+        has = ", ".join(given) or "none of them"
+        raise UserError(
+            f"{path} lacks {', '.join(missing)} (it has {has}): its columns are to be "
+            + ", ".join(AXES)
+        )
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise UserError(f"{path}: columns differ in their number of rows ({counts})")
+    if not lengths["obs"]:
+        raise UserError(f"{path} holds no rows: record some transitions")
+    if "next_obs" in columns and columns["next_obs"].shape != columns["obs"].shape:
+        widths = columns["next_obs"].shape[1], columns["obs"].shape[1]
+        raise UserError(f"{path}: 'next_obs' has {widths[0]} dimensions, 'obs' has {widths[1]}")
+    return columns
+
+
+def _numbers(where: str | Path, name: str, values: NDArray) -> NDArray[np.float32]:
+    """A column as float32; a trailing axis of length one may be dropped."""
+    axes = AXES[ALIASES.get(name, name)]
+    if axes == 1 and values.ndim == 2 and values.shape[1] == 1:
+        values = values[:, 0]
+    if values.ndim != axes or values.dtype.kind not in "biuf":
+        wanted = "(N,)" if axes == 1 else "(N, D)"
+        raise UserError(
+            f"{where}: '{name}' is {values.dtype} of shape {values.shape}, not numbers of shape "
+            f"{wanted}: only flat observations and actions are read, a row for each transition"
+        )
+    with np.errstate(over="ignore"):  # overflow gives infinity, which is reported later
+        return values.astype(np.float32, copy=False)
+
+
+def _assembled(path: Path, columns: Columns) -> Transitions:
+    """Columns of N > 0 rows as transitions.
+
+    Without `truncated` an episode ends where the next row's obs is not this row's next_obs. Without
+    `next_obs` the observation of the next row is used, but never across episodes: the last row of
+    each episode is dropped, and the row before it is marked as truncated.
+    """
+    for name, values in columns.items():
+        wrong = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(1))
+        if len(wrong):
+            raise UserError(
+                f"{path}: '{name}' is not finite in {len(wrong)} rows, first in row {wrong[0]}: "
+                "leave out the episodes that hold them"
+            )
+    obs, action, reward, flag = (columns[n] for n in ("obs", "action", "reward", "terminated"))
+    terminated = flag != 0
+    if "truncated" in columns:
+        cut = columns["truncated"] != 0
+    else:
+        cut = np.append((columns["next_obs"][:-1] != obs[1:]).any(axis=1), True)
+    cut[-1] = True
+    if "next_obs" in columns:
+        following = columns["next_obs"]
+        return Transitions(obs, action, reward, following, terminated, cut & ~terminated)
+    ends = terminated | cut
+    kept = np.flatnonzero(~ends)
+    if not len(kept):
+        raise UserError(
+            f"{path} has no 'next_obs', and every row of it is the last one of an episode, which "
+            "has no successor then: record 'next_obs' too, or longer episodes"
+        )
+    never = np.zeros(len(kept), bool)
+    return Transitions(obs[kept], action[kept], reward[kept], obs[kept + 1], never, ends[kept + 1])

@@ -21,8 +21,6 @@ class ReplayBuffer:
     def __init__(
         self, capacity: int, obs_dim: int, action_dim: int, device: torch.device | str = "cpu"
     ) -> None:
-        if capacity < 1:
-            raise ValueError(f"capacity must be at least 1, not {capacity}")
         self.capacity = capacity
         self.total_added = 0
         self._dims = (obs_dim, action_dim)
@@ -122,15 +120,9 @@ class ReplayBuffer:
         return {**self.tail(self._size), "total_added": self.total_added}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the buffer that `state_dict` was taken from.
-
-        Raises ValueError if its rows do not fit.
-        """
-        rows: Tensor = state["rows"]
-        if rows.shape[1] != self._rows.shape[1] or len(rows) > self.capacity:
-            raise ValueError(f"rows {tuple(rows.shape)} do not fit {tuple(self._rows.shape)}")
+        """Restore the buffer that `state_dict` was taken from."""
         self.clear()
-        self._extend(rows, state["policy_version"])
+        self.restore_tail(state)
         self.total_added = state["total_added"]
 
     def _extend(self, rows: Tensor, versions: Tensor) -> None:

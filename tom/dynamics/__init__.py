@@ -4,9 +4,8 @@ import torch
 
 from tom.config import ModelConfig
 from tom.dynamics.base import DynamicsModel, FitReport
-from tom.dynamics.ensemble import GaussianEnsemble, MeanEnsemble
 from tom.dynamics.linear import LinearDynamics
-from tom.dynamics.mdn import Mdn
+from tom.dynamics.networks import GaussianEnsemble, Mdn, MeanEnsemble
 
 __all__ = ["DynamicsModel", "FitReport", "make_model"]
 

@@ -1,10 +1,11 @@
 """The base of the neural dynamics models: E networks, z-scored inputs and targets.
 
 A model is a stack of E networks over inputs (obs, action) and targets (reward, next_obs - obs).
-Subclasses define the distribution and its loss (`mdn`, `ensemble`); `fitting` defines the fit.
+Subclasses define the distribution and its loss (`networks`).
 """
 
-from collections.abc import Sequence
+from __future__ import annotations
+
 from typing import Any
 
 import torch
@@ -12,12 +13,19 @@ from torch import Tensor
 from torch.nn.functional import silu, softplus
 
 from tom.config import ModelConfig
-from tom.data.sampling import uniform_indices
+from tom.data.sampling import WeightedSampler, block_size, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.nn.adam import Adam
-from tom.nn.backprop import forward_trace, gradients
+from tom.dynamics.base import FitReport
 from tom.nn.mlp import StackedMLP
+from tom.nn.trained import Adam
+
+BLOCK, GPU_BLOCK = 10, 100  # minibatches gathered at once
+UNWEIGHTED = (
+    "fit-unweighted",
+    "all of the weight lies on rows that this fit of the model holds out: it uses uniform weights",
+)
+"""kind of the notice about a fit whose training rows have no weight"""
 
 
 def soft_bound(x: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
@@ -27,7 +35,7 @@ def soft_bound(x: Tensor, low: Tensor | float, high: Tensor | float) -> Tensor:
 
 
 class NeuralDynamics:
-    """E stacked networks and a gradient step; subclasses define the meaning of the outputs."""
+    """E stacked networks and their fit; subclasses define the meaning of the outputs."""
 
     def __init__(
         self,
@@ -44,7 +52,7 @@ class NeuralDynamics:
         self.ensemble = ensemble
         hidden = [config.hidden] * config.layers
         sizes = [obs_dim + action_dim, *hidden, self.targets * outputs_per_dim]
-        self.net = StackedMLP(ensemble, sizes, silu, generator).requires_grad_(False)
+        self.net = StackedMLP(ensemble, sizes, silu, generator)
         self.input_scaling = Scaling.identity(obs_dim + action_dim, generator.device)
         self.target_scaling = Scaling.identity(self.targets, generator.device)
         self.elites = torch.arange(min(config.elites, ensemble), device=generator.device)
@@ -86,33 +94,44 @@ class NeuralDynamics:
 
     # Fitting
 
+    @torch.no_grad()
+    def fit(
+        self,
+        data: TensorTransitions,
+        weights: Tensor,
+        per_dim: Tensor | None,
+        generator: torch.Generator,
+    ) -> FitReport:
+        """Weighted maximum likelihood (eq. 18) with early stopping; the best networks are kept.
+
+        `weights` (N,) have mean 1, those of single dimensions are (N, O). They draw the minibatches
+        or scale the loss, never both. A round is `batches_per_round` minibatches. A gain is a
+        weighted holdout loss that is `min_gain` (relative) below that of the last gain; the first
+        round counts as one. The fit stops after more than `patience` rounds in a row without a
+        gain. If no row to train on has any weight, all have the same, and a notice says so.
+        """
+        state = _Fit(self, data, weights, per_dim, generator)
+        while state.goes_on:
+            state.round()
+        return state.report()
+
     @property
     def device(self) -> torch.device:
         return self.elites.device
 
+    @torch.enable_grad()
     def step(self, x: Tensor, y: Tensor, *scales: Tensor) -> Tensor:
         """A gradient step on z-scored minibatches (E, B, ...); returns each network's loss, (E,).
 
         `scales` multiply the loss of each dimension, (E, B, 1 + O) or (E, B, 1), in this order.
         """
-        trace = forward_trace(self.net, x)
-        loss, grad, extra = self.loss_gradient(trace.output, y, scales)
-        self.optimiser.step([*gradients(self.net, trace, grad), *extra])
-        return loss
-
-    def loss_gradient(
-        self, output: Tensor, target: Tensor, scales: Sequence[Tensor]
-    ) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """Each network's mean loss (E,); gradients of their sum for the output and the extras."""
-        output, extra = output.requires_grad_(), self.extra_parameters()
-        with torch.enable_grad():
-            loss = self.loss_per_dim(output, target)
-            for scale in scales:
-                loss = loss * scale
-            means = loss.mean((1, 2))
-            total = means.sum() + self.regulariser()
-        grad, *extra_gradients = torch.autograd.grad(total, [output, *extra])
-        return means.detach(), grad, extra_gradients
+        loss = self.loss_per_dim(self.net(x), y)
+        for scale in scales:
+            loss = loss * scale
+        means = loss.mean((1, 2))
+        total = means.sum() + self.regulariser()
+        self.optimiser.step(torch.autograd.grad(total, self.parameters()))
+        return means.detach()
 
     # Network inputs and targets
 
@@ -191,3 +210,150 @@ class NeuralDynamics:
         self.input_scaling = Scaling(*scales[:2]).to(self.device)
         self.target_scaling = Scaling(*scales[2:]).to(self.device)
         self.elites = state["elites"].to(self.device)
+
+
+def holdout_loss(
+    model: NeuralDynamics, x: Tensor, y: Tensor, weights: Tensor, dims: Tensor | None
+) -> Tensor:
+    """Weighted holdout loss of each network, (E,)."""
+    loss = model.loss_per_dim(model.outputs(x), y)
+    if dims is not None:
+        loss = loss * dims
+    mass = weights.sum()
+    weights = torch.where(mass <= 0, torch.ones_like(weights), weights / mass * len(weights))
+    return (loss.mean(-1) * weights).mean(-1)
+
+
+def split(n: int, config: ModelConfig, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Row numbers to train on, and those held out."""
+    held = min(int(n * config.holdout), config.holdout_max)
+    order = torch.randperm(n, generator=generator, device=generator.device)
+    return order[held:], order[: max(held, 1)]
+
+
+class _Fit:
+    """The state of a fit."""
+
+    def __init__(
+        self,
+        model: NeuralDynamics,
+        data: TensorTransitions,
+        weights: Tensor,
+        per_dim: Tensor | None,
+        generator: torch.Generator,
+    ) -> None:
+        self.model, self.data, self.generator = model, data, generator
+        self.config = model.config
+        self.weights = weights
+        self.per_dim = per_dim
+        self.train, held = split(len(data), self.config, generator)
+        self._notices: tuple[tuple[str, str], ...] = ()
+        if not bool(self.weights[self.train].any()):
+            self.weights, self._notices = torch.ones_like(self.weights), (UNWEIGHTED,)
+        model.fit_scales(data, self.train)
+        rows = data[held]
+        self._held = model.inputs(rows), model.scaled_targets(rows)
+        self._held_weights = self.weights[held], self._dims(held)
+        self._sampler = None
+        if self.config.weights == "sample":
+            self._sampler = WeightedSampler(self.weights[self.train], generator)
+        self._best = _Best(model, self.config.min_gain)
+        self._best.keep(holdout_loss(model, *self._held, *self._held_weights))
+        self._rounds = self._idle = 0
+        self._train_loss = torch.tensor(float("nan"))
+
+    @property
+    def goes_on(self) -> bool:
+        return self._rounds < self.config.rounds and self._idle <= self.config.patience
+
+    def round(self) -> None:
+        """Gradient steps on the round's minibatches; the networks that improved are kept."""
+        plan, size = self._plan(), block_size(self.weights.device, BLOCK, GPU_BLOCK)
+        self._train_loss = torch.zeros((), device=self.weights.device)
+        for block in plan.split(size):
+            for batch in zip(*self._gather(block), strict=True):
+                self._train_loss += self.model.step(*batch).sum()
+        losses = holdout_loss(self.model, *self._held, *self._held_weights)
+        self._idle = 0 if self._best.offer(losses) else self._idle + 1
+        self._rounds += 1
+
+    def _plan(self) -> Tensor:
+        """Row numbers (batches of the round, E, B); each network draws its own."""
+        shape = self.config.batches_per_round, self.model.ensemble, self.config.batch_size
+        n = shape[0] * shape[1] * shape[2]
+        if self._sampler:
+            drawn = self._sampler.draw(n)
+        else:
+            drawn = uniform_indices(len(self.train), n, self.generator)
+        return self.train[drawn].view(shape)
+
+    def _gather(self, index: Tensor) -> list[Tensor]:
+        """Inputs, targets and the loss's factors of rows (n, E, B), each (n, E, B, ...)."""
+        rows = self.data[index.flatten()]
+        parts = [self.model.inputs(rows), self.model.scaled_targets(rows)]
+        dims = self._dims(index.flatten())
+        if dims is not None and self.model.uses_dim_weights(self._rounds == 0):
+            parts.append(dims)
+        if self.config.weights == "scale":
+            parts.append(self.weights[index.flatten()].unsqueeze(-1))
+        return [part.view(*index.shape, -1) for part in parts]
+
+    def report(self) -> FitReport:
+        """Restore the best networks."""
+        self._best.restore()
+        model, (x, y), losses = self.model, self._held, self._best.losses
+        model.elites = losses.argsort()[: len(model.elites)]
+        steps = self.config.batches_per_round * model.ensemble
+        output = model.outputs(x)
+        uniform = model.loss_per_dim(output, y)[model.elites].mean()
+        error = model.mean(output)[model.elites].mean(0) - y
+        return FitReport(
+            {
+                "model/train_nll": float(self._train_loss) / steps,
+                "model/holdout_nll": float(losses[model.elites].mean()),
+                "model/rounds": float(self._rounds),
+                "model/holdout_nll_uniform": float(uniform),
+                "model/holdout_mse": float(error.square().mean()),
+            },
+            self._notices,
+        )
+
+    def _dims(self, index: Tensor) -> Tensor | None:
+        """Per-dimension weights of rows, (n, 1 + O): the reward, first, always counts 1."""
+        if self.per_dim is None:
+            return None
+        rows = self.per_dim[index]
+        return torch.cat([torch.ones_like(rows[:, :1]), rows], -1)
+
+
+class _Best:
+    """The best networks of a fit so far, each network by its own holdout loss."""
+
+    def __init__(self, model: NeuralDynamics, min_gain: float) -> None:
+        self._parameters = model.parameters()
+        self._min_gain = min_gain
+        self._kept = [p.clone() for p in self._parameters]
+        self.losses = self._kept[0].new_full((model.ensemble,), float("inf"))
+        self._last_gain = self.losses.clone()
+
+    def offer(self, losses: Tensor) -> bool:
+        """Keep every network that improved; True if one gained more than `min_gain`.
+
+        Many small gains add up to one: it is counted from the loss of the last gain.
+        """
+        self.keep(losses)
+        gain = (self._last_gain - losses) / self._last_gain.abs().clamp(min=1e-8)
+        gained = losses.isfinite() & (self._last_gain.isinf() | (gain > self._min_gain))
+        self._last_gain = torch.where(gained, losses, self._last_gain)
+        return bool(gained.any())
+
+    def keep(self, losses: Tensor) -> None:
+        """Keep every network that improved."""
+        better = losses < self.losses
+        for kept, parameter in zip(self._kept, self._parameters, strict=True):
+            torch.where(better.view(-1, 1, 1), parameter, kept, out=kept)
+        self.losses = torch.where(better, losses, self.losses)
+
+    def restore(self) -> None:
+        for kept, parameter in zip(self._kept, self._parameters, strict=True):
+            parameter.copy_(kept)

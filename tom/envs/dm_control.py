@@ -5,7 +5,7 @@ dm_control is not imported here and need not be installed.
 """
 
 import os
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from math import prod
 from typing import Any
 
@@ -37,13 +37,11 @@ def obs_names(env: gym.Env) -> tuple[str, ...] | None:
     """The name of each dimension of the flat observation; None if it has no names."""
     if not _named_arrays(env):
         return None
-    sizes = {name: prod(space.shape or ()) for name, space in _arrays(env)}
-    words = {name: name.replace("_", " ") for name in sizes}
-    return tuple(
-        words[name] if size == 1 else f"{words[name]} {i + 1}"
-        for name, size in sizes.items()
-        for i in range(size)
-    )
+    names: list[str] = []
+    for name, space in _arrays(env):
+        label, size = name.replace("_", " "), prod(space.shape or ())
+        names += [label] if size == 1 else [f"{label} {i + 1}" for i in range(size)]
+    return tuple(names)
 
 
 def advice(error: BaseException) -> str:
@@ -52,10 +50,8 @@ def advice(error: BaseException) -> str:
         return "; pip install 'shimmy[dm-control]' and write shimmy:dm_control/..."
     if not isinstance(error, AttributeError):
         return ""
-    return (  # it reads members that MuJoCo's structures no longer have
-        f"; dm_control {_version('dm_control')} does not know MuJoCo {_version('mujoco')}: see "
-        "docs/tasks.md"
-    )
+    # It reads members that MuJoCo's structures no longer have.
+    return f"; dm_control does not know MuJoCo {version('mujoco')}: see docs/tasks.md"
 
 
 def simulation(env: Any) -> Any:
@@ -76,10 +72,3 @@ def _arrays(env: gym.Env) -> list[tuple[str, gym.Space]]:
 def _named_arrays(env: gym.Env) -> bool:
     arrays = _arrays(env)
     return bool(arrays) and all(isinstance(of, Box) and len(of.shape) < PICTURE for _, of in arrays)
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "(not installed)"

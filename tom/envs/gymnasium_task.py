@@ -4,32 +4,22 @@ The module before the colon registers the task when it is imported, as in `gymna
 code that the user chose: only `describe` imports it, never a reader of runs.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.spaces import Box
 from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.envs import dm_control, termination
-from tom.envs.inspection import (
-    actions_of,
-    bounded_dims,
-    box_of,
-    obs_names_of,
-    root_dims_of,
-    seconds_of,
-    take_a_step,
-)
+from tom.envs.environment import Simulator, Unit, simulated
 from tom.envs.mujoco import log_warnings
-from tom.envs.simulator import simulated
 from tom.envs.task import Task, Termination
-from tom.envs.unit import Unit
-from tom.envs.user_code import import_named, tried
+from tom.envs.user_code import import_named
 from tom.errors import OF_USERS, UserError, reason
 
 OWN = "gymnasium"
@@ -38,6 +28,10 @@ STEPS = 100_000
 """default number of env steps in an unknown task"""
 TIME_LIMIT = 1000
 """length of an episode if the task's specification sets no limit"""
+UNBOUNDED = 1e6
+"""larger bounds are taken as no bound"""
+TRIED = 20
+"""steps that test whether observations are joint positions and velocities"""
 
 Floats = tuple[float, ...]
 
@@ -58,13 +52,15 @@ class GymnasiumTask(Task):
     dt: float
 
     def make(self, seed: int | None = None) -> gym.Env[np.ndarray, np.ndarray]:
+        env = _made(self.gym_id, self.name)
+        if env.spec is None or env.spec.max_episode_steps is None:
+            env = TimeLimit(env, self.max_episode_steps)
         action = np.array(self.action_low), np.array(self.action_high)
         obs = np.array(self.obs_offset), np.array(self.obs_scale)
-        limited = _limited(_made(self.gym_id, self.name), self.max_episode_steps)
-        env = Unit(limited, action, obs, self.name)
+        unit = Unit(env, action, obs, self.name)
         if seed is not None:
-            env.reset(seed=seed)
-        return env
+            unit.reset(seed=seed)
+        return unit
 
     def described(self) -> dict[str, Any]:
         names = "gym_id", "action_low", "action_high", "obs_offset", "obs_scale", "dt"
@@ -80,6 +76,9 @@ class GymnasiumTask(Task):
         centred = np.asarray(obs, np.float64) - np.array(self.obs_offset)
         return (centred / np.array(self.obs_scale)).astype(np.float32)
 
+    def own_units(self, obs: Tensor) -> Tensor:
+        return obs * torch.tensor(self.obs_scale).to(obs) + torch.tensor(self.obs_offset).to(obs)
+
 
 def describe(name: str) -> GymnasiumTask:
     """The task `module:Id`: imports the module and makes the task once to inspect it.
@@ -93,36 +92,21 @@ def describe(name: str) -> GymnasiumTask:
         dm_control.without_screen()
     if module != OWN:
         import_named(module, f"--env {name}")
-    return look_at(name, gym_id)
+    return inspected(name, gym_id)
 
 
-def look_at(name: str, gym_id: str, terminated: Termination | None = None) -> GymnasiumTask:
+def inspected(name: str, gym_id: str, terminated: Termination | None = None) -> GymnasiumTask:
     """The task of that Gymnasium id, made once to inspect it; `terminated` is its own rule.
 
     Raises UserError if there is no such task, or if it cannot be trained in.
     """
     env = _made(gym_id, name)
-    try:
-        known = _described(name, gym_id, env)
-    finally:
-        with suppress(*OF_USERS):  # whatever its close does, it was made to be looked at
-            env.close()
+    known = _described(name, gym_id, env)
+    env.close()
     if terminated is None:
         return known
-    own = tried(in_own_units(terminated, known), known, f"of {name}")
+    own = termination.checked(terminated, known, f"of {name}")
     return replace(known, terminated=own, knows_ends=True)
-
-
-def in_own_units(given: Termination, known: GymnasiumTask) -> Termination:
-    """`given` for rescaled observations, which it gets in the task's own units."""
-    scale, offset = torch.tensor(known.obs_scale), torch.tensor(known.obs_offset)
-    if bool((scale == 1).all() and (offset == 0).all()):
-        return given
-
-    def terminated(next_obs: Tensor) -> Tensor:
-        return given(next_obs * scale.to(next_obs) + offset.to(next_obs))
-
-    return terminated
 
 
 def _made(gym_id: str, name: str) -> gym.Env:
@@ -135,20 +119,13 @@ def _made(gym_id: str, name: str) -> gym.Env:
     return dm_control.flat(made) if dm_control.is_one(gym_id) else made
 
 
-def _limited(env: gym.Env, steps: int) -> gym.Env:
-    """`env` with a time limit, unless its specification has set one already."""
-    limited = env.spec is not None and env.spec.max_episode_steps is not None
-    return env if limited else TimeLimit(env, steps)
-
-
 def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
-    obs = box_of(getattr(env, "observation_space", None), name, "observes")
-    action = actions_of(getattr(env, "action_space", None), name)
-    take_a_step(name, env, obs, action)
-    bounded = bounded_dims(obs)
+    obs, action = _box(env.observation_space, name), _box(env.action_space, name)
+    _check_actions(env.action_space, action, name)
+    bounded = _bounded(obs)
     low, high = np.where(bounded, obs.low, -1.0), np.where(bounded, obs.high, 1.0)
     simulator = simulated(env)
-    root_dims = None if simulator is None else root_dims_of(env, simulator, name)
+    root_dims = _root_dims(env, simulator, obs, action, name)
     seen_as_they_are = root_dims if not bounded.any() else None  # joints, in their own units
     limit = None if env.spec is None else env.spec.max_episode_steps
     return GymnasiumTask(
@@ -159,18 +136,92 @@ def _described(name: str, gym_id: str, env: gym.Env) -> GymnasiumTask:
         steps=STEPS,
         action_dim=len(action.low),
         obs_names=(dm_control.obs_names(env) if dm_control.is_one(gym_id) else None)
-        or obs_names_of(len(obs.low), simulator, root_dims),
+        or _obs_names(len(obs.low), simulator, root_dims),
         max_episode_steps=limit or TIME_LIMIT,
         nq=0 if simulator is None else int(simulator.model.nq),
         root_dims=seen_as_they_are,
         keeps_states=simulator is not None and seen_as_they_are is None,
-        action_low=_floats(action.low),
-        action_high=_floats(action.high),
-        obs_offset=_floats(0.5 * (high + low)),
-        obs_scale=_floats(0.5 * (high - low)),
-        dt=seconds_of(env),
+        action_low=tuple(action.low.tolist()),
+        action_high=tuple(action.high.tolist()),
+        obs_offset=tuple((0.5 * (high + low)).tolist()),
+        obs_scale=tuple((0.5 * (high - low)).tolist()),
+        dt=_seconds(env),
     )
 
 
-def _floats(array: NDArray) -> Floats:
-    return tuple(float(value) for value in array)
+def _box(space: gym.Space, name: str) -> Box:
+    """`space` as a one-dimensional Box in double precision. Raises UserError if it is none."""
+    if not isinstance(space, Box) or len(space.shape) != 1 or not space.shape[0]:
+        kind = type(space).__name__ if not isinstance(space, Box) else f"Box{space.shape}"
+        raise UserError(
+            f"task '{name}' has a {kind} space, and only a Box of one axis can be used here: name "
+            "another task, or wrap it in one that has such a space"
+        )
+    return Box(space.low.astype(np.float64), space.high.astype(np.float64), dtype=np.float64)
+
+
+def _bounded(box: Box) -> NDArray[np.bool_]:
+    """Which dimensions have two finite bounds below `UNBOUNDED`."""
+    known = (np.abs(box.low) < UNBOUNDED) & (np.abs(box.high) < UNBOUNDED)
+    return known & (box.high > box.low)
+
+
+def _check_actions(space: gym.Space, action: Box, name: str) -> None:
+    """Raises UserError unless actions are continuous, with bounds that can be used."""
+    if not _bounded(action).all():
+        wrong = int(np.flatnonzero(~_bounded(action))[0])
+        raise UserError(
+            f"task '{name}' has actions without bounds that can be used: those of dimension "
+            f"{wrong} are {action.low[wrong]:g} and {action.high[wrong]:g}: give its Box two "
+            f"different ones within {UNBOUNDED:g}"
+        )
+    if not np.issubdtype(space.dtype, np.floating):
+        raise UserError(
+            f"task '{name}' acts in whole numbers ({space.dtype}), and only continuous actions can "
+            "be used here: give its Box a floating type, and round in step"
+        )
+
+
+def _root_dims(
+    env: gym.Env, simulator: Simulator | None, obs: Box, action: Box, name: str
+) -> int | None:
+    """How many leading entries of qpos an observation leaves out; None if it is not qpos, qvel.
+
+    Takes some random steps, or one without a simulator. Raises OwnCodeError if they fail.
+    """
+    as_it_is = np.zeros(obs.shape), np.ones(obs.shape)
+    unit, rng = Unit(env, (action.low, action.high), as_it_is, name), np.random.default_rng(0)
+    seen, _ = unit.reset(seed=0)
+    rows, joints = [], []
+    for _ in range(TRIED if simulator else 1):
+        if simulator:
+            rows.append(seen)
+            joints.append(np.concatenate((simulator.data.qpos, simulator.data.qvel)))
+        seen, _, terminated, truncated, _ = unit.step(rng.uniform(-1, 1, action.shape))
+        if terminated or truncated:
+            seen, _ = unit.reset()
+    if not simulator:
+        return None
+    nq, nv = int(simulator.model.nq), int(simulator.model.nv)
+    left_out = nq + nv - len(obs.low)
+    if not 0 <= left_out < nq or (nq != nv and left_out > 2):
+        return None
+    same = np.allclose(np.array(rows), np.array(joints)[:, left_out:], atol=1e-6)
+    return left_out if same else None
+
+
+def _obs_names(dim: int, simulator: Simulator | None, root_dims: int | None) -> tuple[str, ...]:
+    """Joints and their velocities, if an observation is those of hinges and slides alone."""
+    if simulator is not None and root_dims is not None:
+        model = simulator.model
+        if model.nq == model.nv == model.njnt:
+            joints = [model.joint(i).name or f"joint {i + 1}" for i in range(model.njnt)]
+            return (*joints[root_dims:], *(f"{joint} velocity" for joint in joints))
+    return tuple(f"observation {i + 1}" for i in range(dim))
+
+
+def _seconds(env: gym.Env) -> float:
+    """The duration of a step: the task's `dt`, else that of a frame of its renderer."""
+    if env.has_wrapper_attr("dt"):
+        return float(env.get_wrapper_attr("dt"))
+    return 1 / float(env.metadata.get("render_fps") or 30)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tom.envs import Task, task
-from tom.envs.simulator import simulated
+from tom.envs.environment import simulated
 
 _mj: Any = mujoco  # it ships no types
 
@@ -24,6 +24,16 @@ CYLINDER = int(_mj.mjtGeom.mjGEOM_CYLINDER)
 BOX = int(_mj.mjtGeom.mjGEOM_BOX)
 DRAWN = (CAPSULE, SPHERE, ELLIPSOID, CYLINDER, BOX)
 PLANE = int(_mj.mjtGeom.mjGEOM_PLANE)
+
+FREE, BALL = int(_mj.mjtJoint.mjJNT_FREE), int(_mj.mjtJoint.mjJNT_BALL)
+
+WIDTHS = {
+    "body_parentid": (), "body_pos": (3,), "body_quat": (4,),
+    "jnt_type": (), "jnt_bodyid": (), "jnt_pos": (3,), "jnt_axis": (3,), "jnt_qposadr": (),
+    "geom_type": (), "geom_bodyid": (), "geom_pos": (3,), "geom_quat": (4,), "geom_size": (3,),
+    "geom_rgba": (4,),
+}  # fmt: skip
+"""the arrays by their names in MuJoCo, with the shape for one body, joint or geom"""
 
 MjModel = Any
 Floats = NDArray[np.float32]
@@ -147,3 +157,43 @@ def _product(a: NDArray, b: NDArray) -> NDArray:
     x, u = b[..., :1], b[..., 1:]
     scalar = w * x - np.sum(v * u, axis=-1, keepdims=True)
     return np.concatenate([scalar, w * u + x * v + np.cross(v, u)], axis=-1)
+
+
+def arrays(model: Model) -> dict[str, NDArray]:
+    """The arrays from which `of_arrays` rebuilds the model, without meshes and the like."""
+    mj = model.mj
+    stored = {name: np.array(getattr(mj, name)) for name in WIDTHS}
+    kept = np.isin(stored["geom_type"], (*DRAWN, PLANE))
+    stored |= {name: stored[name][kept] for name in WIDTHS if name.startswith("geom_")}
+    view = np.array([*mj.stat.center, mj.stat.extent], np.float64)
+    return stored | {"qpos0": mj.qpos0.copy(), "view": view, "dt": np.array(model.dt)}
+
+
+def of_arrays(held: dict[str, NDArray]) -> Model:
+    """The model of `arrays`. Raises ValueError, KeyError or IndexError if they are damaged."""
+    for name, width in WIDTHS.items():
+        if held[name].shape[1:] != width or not np.isfinite(held[name]).all():
+            raise ValueError(f"{name} is not what it should be")
+    if not float(held["dt"]) > 0:
+        raise ValueError("its clock stands still")
+    spec = _mj.MjSpec()
+    spec.compiler.degree = False
+    spec.stat.center, spec.stat.extent = held["view"][:3], float(held["view"][3])
+    bodies = [spec.worldbody]
+    for i, parent in enumerate(held["body_parentid"][1:].tolist(), start=1):
+        inertia = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0], "explicitinertial": True}
+        place = {"pos": held["body_pos"][i], "quat": held["body_quat"][i]}
+        bodies.append(bodies[parent].add_body(**place, **inertia))
+    for i, kind in enumerate(held["jnt_type"].tolist()):
+        own = {"type": _mj.mjtJoint(kind), "pos": held["jnt_pos"][i], "axis": held["jnt_axis"][i]}
+        if kind not in (FREE, BALL):
+            own["ref"] = float(held["qpos0"][held["jnt_qposadr"][i]])
+        bodies[held["jnt_bodyid"][i]].add_joint(**own)
+    for i, kind in enumerate(held["geom_type"].tolist()):
+        own = {name: held[f"geom_{name}"][i] for name in ("pos", "quat", "size", "rgba")}
+        alone = {"contype": 0, "conaffinity": 0}
+        bodies[held["geom_bodyid"][i]].add_geom(type=_mj.mjtGeom(kind), **own, **alone)
+    mj = spec.compile()
+    if mj.nq != len(held["qpos0"]):
+        raise ValueError("its joints do not fit together")
+    return Model(mj, float(held["dt"]))

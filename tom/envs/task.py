@@ -48,6 +48,10 @@ class Task:
         """The description for a run's `config.json`; None for a task of ours."""
         return None
 
+    def own_units(self, obs: Tensor) -> Tensor:
+        """Observations (..., O) as agents see them, in the task's own units."""
+        return obs
+
     def qpos_from_obs(self, obs: np.ndarray) -> np.ndarray:
         """Joint positions (..., nq) of observations (..., O), with the root at the origin."""
         assert self.root_dims is not None, "observations of this task do not hold its joints"

@@ -1,10 +1,18 @@
 """Which next observations end an episode, for rollouts in a learnt model.
 
-Each function maps next_obs (B, O) to a bool tensor (B,), with the bounds of Gymnasium's v5 task of
-that name only. If the task tests a bound, a NaN ends the episode.
+The functions of our tasks map next_obs (B, O) to a bool tensor (B,), with the bounds of Gymnasium's
+v5 task of that name only. If the task tests a bound, a NaN ends the episode. `rule` is the rule of
+a training: the task's own, or the user's.
 """
 
+from typing import cast
+
+import torch
 from torch import Tensor
+
+from tom.envs.task import Task, Termination
+from tom.envs.user_code import import_function, running
+from tom.errors import OwnCodeError, UserError, unknown
 
 
 def never(next_obs: Tensor) -> Tensor:
@@ -33,11 +41,6 @@ def walker2d(next_obs: Tensor) -> Tensor:
     return ~((z > 0.8) & (z < 2.0) & (angle.abs() < 1.0))
 
 
-def halfcheetah(next_obs: Tensor) -> Tensor:
-    """Never ends."""
-    return never(next_obs)
-
-
 def ant(next_obs: Tensor) -> Tensor:
     """Ends unless finite and 0.2 <= z <= 1.0. obs = (z, ...)."""
     z = next_obs[:, 0]
@@ -48,3 +51,74 @@ def humanoid(next_obs: Tensor) -> Tensor:
     """Ends unless 1.0 <= z <= 2.0 (Gymnasium leaves the two bounds out). obs = (z, ...)."""
     z = next_obs[:, 0]
     return ~((z >= 1.0) & (z <= 2.0))
+
+
+NEVER = "never"
+LEARNT = "learnt"
+"""learnt by a head of the dynamics model: `tom.dynamics.ending`"""
+RULES: dict[str, Termination] = {NEVER: never}
+"""rules by name: of plug-ins, and of modules that the user named"""
+
+
+def bring_rule(name: str | None) -> None:
+    """Import and register the rule `module:function`: code that the user chose to run.
+
+    Raises UserError if there is no such function.
+    """
+    if name is not None and ":" in name and name not in RULES:
+        # Its answers are checked in `rule`.
+        RULES[name] = cast(Termination, import_function(name, "--termination"))
+
+
+def brought_rules() -> list[str]:
+    """The rules whose modules the user named to this process."""
+    return [name for name in RULES if ":" in name]
+
+
+def learns_ends(known: Task, name: str | None) -> bool:
+    """Whether a head of the model learns the ends: on request, or if there is no rule."""
+    return name == LEARNT or (name is None and not known.knows_ends)
+
+
+def rule(known: Task, name: str | None) -> Termination:
+    """The termination rule for modelled episodes; without a name the task's own rule.
+
+    If a head of the model `learns_ends`, it replaces this rule, which then never ends an episode.
+    Raises UserError for an unknown name: nothing is imported here (see `bring_rule`).
+    """
+    if name is None:
+        return known.terminated
+    if name in (LEARNT, NEVER):
+        return never
+    if name in RULES:
+        return checked(RULES[name], known, name)
+    if ":" in name:
+        raise UserError(
+            f"termination {name} is code, which is imported only where you name it: add "
+            f"--termination {name}"
+        )
+    raise unknown("termination", name, (*RULES, LEARNT))
+
+
+def checked(given: Termination, known: Task, name: str) -> Termination:
+    """The user's rule `given` for observations as agents see them, after a test call.
+
+    It raises OwnCodeError where it fails or its answer is not a valid one.
+    """
+
+    def terminated(next_obs: Tensor) -> Tensor:
+        with running(f"termination {name} for next observations {tuple(next_obs.shape)}"):
+            answer = given(known.own_units(next_obs))
+        if (
+            not isinstance(answer, Tensor)
+            or answer.shape != next_obs.shape[:-1]
+            or answer.dtype != torch.bool
+        ):
+            raise OwnCodeError(
+                f"termination {name} must map next observations (B, {known.obs_dim}), a tensor, to "
+                "a bool tensor (B,)"
+            )
+        return answer
+
+    terminated(torch.zeros(3, known.obs_dim))
+    return terminated

@@ -1,18 +1,15 @@
-"""Code that the user named: its import, its errors, and a test call of a rule of termination."""
+"""Code that the user named: its import and its errors."""
 
 import importlib
 import sys
 import sysconfig
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
-import torch
-from torch import Tensor
-
-from tom.envs.task import Task, Termination
 from tom.errors import OF_USERS, DivergedError, OwnCodeError, UserError, reason
 from tom.machine.memory import ran_out
 
@@ -41,8 +38,9 @@ def running(what: str) -> Iterator[None]:
     except OF_USERS as error:
         if ran_out(error):
             raise
-        said = f"{what} fails: {type(error).__name__}: {reason(error)}{place(error)}"
-        raise OwnCodeError(said) from error
+        raise OwnCodeError(
+            f"{what} fails: {type(error).__name__}: {reason(error)}{place(error)}"
+        ) from error
 
 
 def place(error: BaseException) -> str:
@@ -74,6 +72,15 @@ def import_named(module: str, option: str) -> ModuleType:
     return found
 
 
+def import_function(name: str, option: str) -> Callable[..., Any]:
+    """The function `module:function` that the user named in `option`. Raises UserError."""
+    module, _, function = name.partition(":")
+    found = getattr(import_named(module, f"{option} {name}"), function, None)
+    if not callable(found):
+        raise UserError(f"{option} {name}: module '{module}' has no function '{function}'")
+    return found
+
+
 def remember(name: str, module: ModuleType) -> None:
     """Keep a module that the user named by `name`, for `users_code`."""
     _USERS[name] = module
@@ -87,24 +94,3 @@ def users_code() -> list[Path]:
         places = getattr(top, "__path__", None) or [getattr(top, "__file__", None)]
         found.update(Path(place) for place in places if place and Path(place).exists())
     return sorted(found)
-
-
-def tried(given: Termination, known: Task, name: str) -> Termination:
-    """`given`, whose answers are checked, after a test call.
-
-    It raises OwnCodeError where it fails or its answer is not a valid one.
-    """
-
-    def checked(next_obs: Tensor) -> Tensor:
-        with running(f"termination {name} for next observations {tuple(next_obs.shape)}"):
-            answer = given(next_obs)
-        rows = next_obs.shape[:-1]
-        if not isinstance(answer, Tensor) or answer.shape != rows or answer.dtype != torch.bool:
-            raise OwnCodeError(
-                f"termination {name} must map next observations (B, {known.obs_dim}), a tensor, to "
-                "a bool tensor (B,)"
-            )
-        return answer
-
-    checked(torch.zeros(3, known.obs_dim))
-    return checked

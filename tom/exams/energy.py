@@ -12,8 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from tom.data.episodes import episode_numbers
-from tom.data.sampling import WeightedSampler
+from tom.data.sampling import WeightedSampler, episode_numbers
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 

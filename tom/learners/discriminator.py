@@ -20,10 +20,8 @@ from tom.config import TomConfig
 from tom.data.sampling import block_size, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
-from tom.nn.averaging import Average
-from tom.nn.backprop import forward_trace, gradients
 from tom.nn.mlp import StackedMLP, rows_at_once
-from tom.nn.trained import Trained
+from tom.nn.trained import Average, Trained
 
 CHUNK = 1024  # rows evaluated at once; they stay in the processor's cache
 BLOCK, GPU_BLOCK = 32, 100  # minibatches gathered at once
@@ -53,22 +51,12 @@ class Discriminator(Trained):
 
         `mix` (B, 1), uniform on [0, 1), interpolates the points of the gradient penalty.
         """
-        x, smoothing = torch.cat((positive, negative))[None], self.config.label_smoothing
+        logits = self.net(torch.cat((positive, negative))[None])[0, :, 0]
+        total = loss = cross_entropy(logits, self.config.label_smoothing)
         if mix:
-            logits = self.net(x)[0, :, 0]
-            loss = cross_entropy(logits, smoothing)
             penalty = gradient_penalty(self.net, mix[0] * positive + (1 - mix[0]) * negative)
             total = loss + self.config.gradient_penalty * penalty
-            grads = torch.autograd.grad(total, self.net.tensors())
-        else:
-            with torch.no_grad():
-                trace = forward_trace(self.net, x)
-            logits = trace.output[0, :, 0].requires_grad_()
-            loss = cross_entropy(logits, smoothing)
-            (slope,) = torch.autograd.grad(loss, logits)
-            with torch.no_grad():
-                grads = gradients(self.net, trace, slope[None, :, None])
-        self.optimiser.step(grads)
+        self.optimiser.step(torch.autograd.grad(total, self.net.tensors()))
         return loss.detach(), logits.detach()
 
 

@@ -1,6 +1,7 @@
 """The dual problem of TOM (paper, eq. 16) for a network Q, and the weights at that Q (eq. 17)."""
 
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import torch
@@ -8,19 +9,13 @@ from torch import Tensor
 from torch.nn.functional import relu, softplus
 
 from tom.config import TomConfig
-from tom.data.episodes import held_out_rows
-from tom.data.sampling import block_size, uniform_indices
+from tom.data.sampling import block_size, held_out_rows, uniform_indices
 from tom.data.scaling import Scaling
 from tom.data.transitions import TensorTransitions
 from tom.learners.base import Policy, policy_actions
-from tom.learners.divergences import divergence
-from tom.learners.flows import Flow
-from tom.learners.terms import Terms
-from tom.learners.validation import Validation
-from tom.nn.averaging import Average
-from tom.nn.backprop import forward_trace, gradients
+from tom.learners.terms import Flow, Terms, divergence
 from tom.nn.mlp import StackedMLP, rows_at_once
-from tom.nn.trained import Trained
+from tom.nn.trained import Average, Trained
 from tom.rng import fork
 
 CHUNK = 2048  # rows weighed at once; they stay in the processor's cache
@@ -100,20 +95,45 @@ class QFunction(Trained):
         super().__init__(net, config.q_lr, config.q_weight_decay)
         self.config = config
 
-    @torch.no_grad()
     def step(self, bias_step: float, batch: Batch) -> Tensor:
         """A gradient step; the loss before it. `bias_step` is that of `DualProblem.bias_step`."""
-        trace = forward_trace(self.net, batch.inputs[None])
-        output = trace.output[0, :, 0].requires_grad_()
-        with torch.enable_grad():
-            q = as_value(output, self.config)
-            loss = dual_loss(values_of(q, batch, self.config), batch, self.config)
-            (slope,) = torch.autograd.grad(loss, output)
-        grads = gradients(self.net, trace, slope[None, :, None])
+        q = as_value(self.net(batch.inputs[None])[0, :, 0], self.config)
+        loss = dual_loss(values_of(q, batch, self.config), batch, self.config)
+        grads = torch.autograd.grad(loss, self.net.tensors())
         self.optimiser.step(grads)
         if self.config.q_bias_step:
-            self.net.layers[-1][1].sub_(bias_step * grads[-1])
+            with torch.no_grad():
+                self.net.layers[-1][1].sub_(bias_step * grads[-1])
         return loss.detach()
+
+
+class Validation:
+    """Evaluates a network's held-out loss from time to time; keeps the network with the lowest.
+
+    A training is over after `q_patience` evaluations without a new minimum.
+    """
+
+    def __init__(
+        self, net: StackedMLP, loss: Callable[[StackedMLP], float], config: TomConfig
+    ) -> None:
+        self._net, self._loss, self._config = net, loss, config
+        self.best = net  # the last one if every loss was NaN
+        self._least, self._kept_at, self._idle = float("inf"), 0, 0
+
+    def ends(self, step: int) -> bool:
+        """Evaluate the network if it is due after this step; whether its training is over."""
+        config = self._config
+        if step % config.q_check_every == 0 or step == config.q_steps:
+            loss = self._loss(self._net)
+            self._idle += 1
+            if loss < self._least:
+                self.best = deepcopy(self._net).requires_grad_(False)
+                self._least, self._kept_at, self._idle = loss, step, 0
+        return self._idle >= config.q_patience
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        return {"dual/holdout_loss": self._least, "dual/steps": float(self._kept_at)}
 
 
 @dataclass(frozen=True)
@@ -159,11 +179,11 @@ class DualProblem:
         for step, batch in enumerate(problem.batches(source), 1):
             losses.append(q.step(bias_step, batch))
             average.update()
-            if judge and judge.look(step):
+            if judge and judge.ends(step):
                 break
         loss = float(torch.stack(losses[-max(len(losses) // 10, 1) :]).mean())
         if judge:
-            return Minimum(judge.best(), loss, judge.metrics)
+            return Minimum(judge.best, loss, judge.metrics)
         return Minimum(average.net, loss, {})
 
     def split(self, generator: torch.Generator) -> "tuple[DualProblem, DualProblem]":

@@ -22,9 +22,8 @@ from tom.learners.discriminator import (
     discriminator_net,
     membership_reward,
 )
-from tom.learners.divergences import divergence
 from tom.learners.dual import DualProblem, QFunction, q_net
-from tom.learners.terms import Terms
+from tom.learners.terms import Terms, divergence
 
 __all__ = ["Occupancy", "TomConfig", "TomLearner", "occupancy_weights"]
 

@@ -2,9 +2,13 @@
 
 Twin critics and the networks of an ensemble are members. A parameter's leading axis is always the
 member axis M.
+
+Backpropagation through ReLU networks is written out for SAC, whose updates are small matrix
+products and much bookkeeping (docs/speed.md). All else is differentiated by autograd.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from math import sqrt
@@ -103,3 +107,53 @@ def _is_bulk(x: Tensor) -> bool:
 def rows_at_once(device: torch.device, in_cache: int) -> int:
     """How many rows to evaluate at once: on a CPU as many as fit its cache."""
     return in_cache if device.type == "cpu" else max(in_cache, GPU_ROWS)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A forward pass: the values that the backward pass needs, and the output (M, B, out)."""
+
+    inputs: list[Tensor]  # of each layer, (M, B, in)
+    output: Tensor
+
+
+def forward_trace(net: StackedMLP, x: Tensor) -> Trace:
+    """The forward pass of a ReLU network over x (M, B, in), with its intermediate values."""
+    inputs = [x]
+    *hidden, (last_weight, last_bias) = net.layers
+    for weight, bias in hidden:
+        inputs.append(torch.baddbmm(bias, inputs[-1], weight).relu_())
+    return Trace(inputs, torch.baddbmm(last_bias, inputs[-1], last_weight))
+
+
+def gradients(net: StackedMLP, trace: Trace, grad: Tensor) -> list[Tensor]:
+    """Every parameter's gradient, in the order of `net.tensors()`.
+
+    `grad` (M, B, out) is the loss's gradient with respect to the output.
+    """
+    weights, biases = [], []
+    for layer in reversed(range(len(net.layers))):
+        weights.append(torch.bmm(trace.inputs[layer].mT, grad))
+        biases.append(grad.sum(1, keepdim=True))
+        if layer:
+            grad = _through(net, trace, layer, grad)
+    return [*reversed(weights), *reversed(biases)]
+
+
+def input_gradient(net: StackedMLP, trace: Trace, grad: Tensor) -> Tensor:
+    """The loss's gradient with respect to the input, (M, B, in), from that of the output."""
+    for layer in reversed(range(1, len(net.layers))):
+        grad = _through(net, trace, layer, grad)
+    return _times_transposed(grad, net.layers[0][0])
+
+
+def _through(net: StackedMLP, trace: Trace, layer: int, grad: Tensor) -> Tensor:
+    """From the gradient of a layer's output to the previous layer's, before its ReLU."""
+    grad = _times_transposed(grad, net.layers[layer][0])
+    relu_backward = torch.ops.aten.threshold_backward.grad_input
+    return relu_backward(grad, trace.inputs[layer], 0, grad_input=grad)
+
+
+def _times_transposed(grad: Tensor, weight: Tensor) -> Tensor:
+    # With a single output the product has one term, and a matrix product is not worth its call.
+    return grad * weight.mT if grad.shape[-1] == 1 else torch.bmm(grad, weight.mT)

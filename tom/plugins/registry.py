@@ -18,8 +18,8 @@ from tom.config import (
     SacRecordingConfig,
 )
 from tom.envs import ENV_NAMES, OTHERS, Task, Termination
-from tom.envs.ends import LEARNT, RULES
-from tom.envs.gymnasium_task import STEPS, look_at
+from tom.envs.gymnasium_task import STEPS, inspected
+from tom.envs.termination import LEARNT, RULES
 from tom.errors import UserError
 from tom.learners import LEARNERS, LearnerEntry
 from tom.learners.base import Learner
@@ -96,7 +96,7 @@ class Registry:
         self._own("task", name, [*ENV_NAMES, *OTHERS])
 
         def made() -> Task:
-            known = look_at(name, gym_id, terminated)
+            known = inspected(name, gym_id, terminated)
             if obs_names and len(obs_names) != known.obs_dim:
                 raise UserError(f"task {name} observes {known.obs_dim} numbers, not so many names")
             named = tuple(obs_names) or known.obs_names

@@ -1,13 +1,17 @@
-"""Policies of other libraries: a TorchScript or ONNX file, or a function `module:name`.
+"""Policies that were not trained here.
 
-Each maps observations (B, O) either to `(mean, log_std)`, (B, A) each, of a Gaussian that tanh
-squashes into [-1, 1] (soft actor-critic's policy), or to actions (B, A) in the task's own units.
-Functions and TorchScript files are code that can do anything (docs/security.md).
+A policy of another library is a TorchScript or ONNX file, or a function `module:name`. It maps
+observations (B, O) either to `(mean, log_std)`, (B, A) each, of a Gaussian that tanh squashes into
+[-1, 1] (soft actor-critic's policy), or to actions (B, A) in the task's own units. Functions and
+TorchScript files are code that can do anything (docs/security.md).
+
+Behaviour cloning estimates the policy behind recorded transitions.
 """
 
 import re
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +19,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn.functional import relu
 
-from tom.envs.user_code import import_named, place
+from tom.data.transitions import TensorTransitions
+from tom.envs.user_code import import_function, place
 from tom.errors import OF_USERS, UserError, reason
+from tom.nn.mlp import StackedMLP
 
 TORCHSCRIPT = (".pt", ".pth", ".ts", ".torchscript")
 ONNX = ".onnx"
@@ -25,6 +32,11 @@ INTERPRETER = "TorchScript interpreter."
 """end of the first line of an error in a TorchScript network; this line has no information"""
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 _LARGEST_SEED = 2**62
+HIDDEN = 64  # of a clone
+STEPS = 200  # few, because more steps would fit the noise of a trajectory's few dozen rows
+LR = 3e-3
+WEIGHT_DECAY = 1e-3
+MIN_STD = 1e-2
 
 Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 """the least and the largest action of a task, (A,) each, in its own units"""
@@ -124,10 +136,7 @@ def _is_function(name: str) -> bool:
 
 def _function(name: str) -> Callable[[Tensor], Any]:
     """A Python function of observations (B, O), a numpy array. Its module is imported and run."""
-    module, _, function = name.partition(":")
-    policy = getattr(import_named(module, f"--policy {name}"), function, None)
-    if not callable(policy):
-        raise UserError(f"--policy {name}: module '{module}' has no function '{function}'")
+    policy = import_function(name, "--policy")
     return lambda obs: policy(obs.numpy())
 
 
@@ -161,3 +170,40 @@ def _onnx(name: str) -> Callable[[Tensor], Any]:
     if len(inputs) != 1:
         raise UserError(f"{name} takes {', '.join(inputs)}: export it with one input, observations")
     return lambda obs: session.run(None, {inputs[0]: obs.numpy()})
+
+
+@dataclass(frozen=True)
+class ClonedPolicy:
+    """A Gaussian around a network's mean, clipped at the bounds: a `tom.learners.base.Policy`."""
+
+    net: StackedMLP
+    centre: Tensor  # (O,) mean and
+    spread: Tensor  # (O,) standard deviation of the cloned observations
+    std: Tensor  # (A,) of the actions around the mean
+
+    @torch.no_grad()
+    def __call__(self, obs: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        """n sampled actions for obs (B, O): (n, B, A) in [-1, 1]."""
+        mean = self.mean(obs)
+        noise = torch.randn(n, *mean.shape, generator=generator)
+        return (mean + self.std * noise).clamp(-1, 1)
+
+    def mean(self, obs: Tensor) -> Tensor:
+        """Mean actions (B, A), before clipping."""
+        return self.net(((obs - self.centre) / self.spread)[None])[0]
+
+
+def clone(rows: TensorTransitions, generator: torch.Generator) -> ClonedPolicy:
+    """The policy that maximises the likelihood of `rows`' actions, with a constant std."""
+    sizes = [rows.obs.shape[1], HIDDEN, HIDDEN, rows.action.shape[1]]
+    net = StackedMLP(1, sizes, relu, generator)
+    spread, centre = torch.std_mean(rows.obs, 0, correction=0)
+    policy = ClonedPolicy(net, centre, spread.clamp(min=1e-6), torch.zeros(sizes[-1]))
+    optimiser = torch.optim.AdamW(net.parameters(), LR, weight_decay=WEIGHT_DECAY)
+    for _ in range(STEPS):
+        optimiser.zero_grad()
+        (policy.mean(rows.obs) - rows.action).square().mean().backward()
+        optimiser.step()
+    with torch.no_grad():
+        residual = (policy.mean(rows.obs) - rows.action).square().mean(0).sqrt()
+    return ClonedPolicy(net, centre, policy.spread, residual.clamp(min=MIN_STD))

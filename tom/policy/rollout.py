@@ -1,4 +1,4 @@
-"""Rollouts of the policy in the learnt model: what SAC trains on."""
+"""Rollouts of the policy in the learnt model, and SAC's minibatches of them and real rows."""
 
 from typing import Protocol
 
@@ -93,3 +93,20 @@ def _played(
         obs, action, reward, next_obs = (x[finite] for x in (obs, action, reward, next_obs))
     end = terminated(next_obs).to(torch.float32)
     return TensorTransitions(obs, action, reward, next_obs, end, torch.zeros_like(end))
+
+
+def mixed_batches(
+    real: ReplayBuffer,
+    modelled: ReplayBuffer,
+    updates: int,
+    size: int,
+    real_ratio: float,
+    generator: torch.Generator,
+) -> Tensor:
+    """Packed minibatches (G, B, R), drawn uniformly: a share of real rows, then modelled ones."""
+    n = int(real_ratio * size)
+    real_rows = uniform_indices(len(real), updates * n, generator)
+    modelled_rows = uniform_indices(len(modelled), updates * (size - n), generator)
+    real_part = real.packed(real_rows).unflatten(0, (updates, n))
+    modelled_part = modelled.packed(modelled_rows).unflatten(0, (updates, size - n))
+    return torch.cat([real_part, modelled_part], 1)

@@ -10,9 +10,8 @@ from torch.nn.functional import relu, softplus
 
 from tom.config import SacConfig
 from tom.data.transitions import TensorTransitions
-from tom.nn.adam import Adam
-from tom.nn.backprop import forward_trace, gradients, input_gradient
-from tom.nn.mlp import StackedMLP
+from tom.nn.mlp import StackedMLP, forward_trace, gradients, input_gradient
+from tom.nn.trained import Adam
 
 LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
 

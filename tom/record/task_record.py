@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tom.envs import ENVS, ROAD, Task, scene, skeleton, task
+from tom.envs import ENVS, ROAD, Task, scene, task
 from tom.envs.termination import never
 from tom.errors import UserError, reason
 from tom.record import layout
@@ -29,7 +29,7 @@ def save_scene(env: str, folder: Path) -> None:
         return
     model = scene.made_model(task(env))
     if model is not None:
-        np.savez_compressed(folder / layout.SCENE, allow_pickle=False, **skeleton.arrays(model))
+        np.savez_compressed(folder / layout.SCENE, allow_pickle=False, **scene.arrays(model))
 
 
 def task_of(run: RunReader) -> Task:
@@ -81,6 +81,6 @@ def _scene(path: Path, changed: int) -> scene.Model | None:
     """The model in the run folder `path`, cached until its file has `changed`."""
     arrays = RunReader(path).arrays(layout.SCENE)
     try:
-        return None if arrays is None else skeleton.of_arrays(arrays)
+        return None if arrays is None else scene.of_arrays(arrays)
     except (ValueError, KeyError, TypeError, IndexError):
         return None

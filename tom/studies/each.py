@@ -25,7 +25,7 @@ from numpy.dtypes import Float32DType, Float64DType, Int64DType
 from tom import plugins
 from tom.data.unpack import DAMAGE
 from tom.envs import bring, brought
-from tom.envs.ends import bring_rule, brought_rules
+from tom.envs.termination import bring_rule, brought_rules
 from tom.envs.user_code import users_code
 from tom.errors import UserError
 from tom.machine.matmul import choose_matmul

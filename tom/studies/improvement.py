@@ -36,12 +36,11 @@ from tom.data.unpack import DAMAGE, read_arrays
 from tom.dynamics import DynamicsModel
 from tom.dynamics.ending import EndingHead
 from tom.envs import Termination, task
-from tom.envs.ends import learns_ends, rule
+from tom.envs.termination import learns_ends, rule
 from tom.errors import UserError, reason
 from tom.learners.base import Weighting
-from tom.policy.batches import mixed_batches
-from tom.policy.evaluate import Evaluator
-from tom.policy.rollout import roll_out, start_states
+from tom.policy.collect import Evaluator
+from tom.policy.rollout import mixed_batches, roll_out, start_states
 from tom.policy.sac import Sac
 from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
 from tom.record import RunReader, layout

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from tom.analysis.exact_weights import solve
 from tom.analysis.tabular import FlowName
 from tom.learners.discriminator import Inputs
-from tom.learners.divergences import DIVERGENCES
+from tom.learners.terms import DIVERGENCES
 from tom.reports.colours import NEUTRAL, learner_colour
 from tom.reports.origin import seeds as in_short
 from tom.reports.style import new_figure

@@ -27,8 +27,7 @@ from tom.events import (
     TrainedPolicy,
 )
 from tom.metrics import require_finite
-from tom.policy.collect import Collector, Step, transitions_of
-from tom.policy.evaluate import Evaluator
+from tom.policy.collect import Collector, Evaluator, Step, transitions_of
 from tom.policy.sac import Sac
 from tom.policy.stored import policy_arrays
 from tom.rng import Streams

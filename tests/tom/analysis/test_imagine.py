@@ -14,7 +14,7 @@ from tom.data.transitions import Transitions
 from tom.envs import task
 from tom.errors import UserError
 from tom.events import Episode
-from tom.policy.evaluate import Evaluator
+from tom.policy.collect import Evaluator
 from tom.policy.stored import read_policy
 from tom.record import RunReader, Store, checkpoint, layout
 from tom.record.export import export_small

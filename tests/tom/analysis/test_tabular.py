@@ -20,7 +20,7 @@ from tom.analysis.tabular import (
     transition_occupancy,
     with_endings,
 )
-from tom.learners.divergences import DIVERGENCES
+from tom.learners.terms import DIVERGENCES
 
 
 def make(seed: int, successors: int, discount: float) -> tuple[Mdp, Array, Array, OccupancyProblem]:

@@ -87,14 +87,6 @@ def test_an_end_that_is_held_out_teaches_nothing():
     assert not head(rows(500, seed=9).next_obs).any()
 
 
-def test_a_buffer_that_is_held_out_whole_teaches_nothing():
-    data = rows(1)
-    data.terminated[:] = 1
-    head = EndingHead(3, CONFIG.but(holdout=0.7), torch.Generator().manual_seed(1))
-    metrics, _ = head.fit(data, torch.ones(1), 1, torch.Generator().manual_seed(2))
-    assert metrics == {"model/ends_threshold": NEVER}
-
-
 @pytest.mark.parametrize("weights", ["sample", "scale"])
 @pytest.mark.parametrize("rest", [0.0, 1.0])
 def test_weight_on_a_held_out_end_alone_teaches_nothing(weights: str, rest: float):

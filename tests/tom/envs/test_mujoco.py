@@ -1,6 +1,5 @@
 """The MuJoCo tasks: dimensions, names, action range, seeds, time limit, poses."""
 
-import dataclasses
 import os
 import re
 import subprocess
@@ -130,9 +129,3 @@ def test_importing_and_stepping_needs_no_display_and_writes_no_log(tmp_path):
     clean = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MUJOCO_GL")}
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=clean)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_pendulum_is_not_of_the_paper_and_neither_is_a_new_task():
-    assert [name for name, task in ENVS.items() if not task.of_paper] == ["inverted-pendulum"]
-    named = {f.name: f.default for f in dataclasses.fields(type(task("hopper")))}
-    assert named["of_paper"] is False

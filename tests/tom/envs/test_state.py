@@ -9,7 +9,7 @@ import torch
 from gymnasium.wrappers import RecordEpisodeStatistics
 
 from tom.envs import ENVS
-from tom.envs.state import capture, restore
+from tom.envs.environment import capture, restore
 
 
 def play(env: gym.Env, steps: int) -> list[np.ndarray]:

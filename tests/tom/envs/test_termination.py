@@ -6,7 +6,7 @@ import torch
 from gymnasium.envs.mujoco import MujocoEnv
 
 from tom.envs import ENVS
-from tom.envs.state import capture, restore
+from tom.envs.environment import capture, restore
 
 NAN, INF = float("nan"), float("inf")
 HEALTHY = {

@@ -14,6 +14,7 @@ from tom.learners.dual import (
     Batch,
     DualProblem,
     QFunction,
+    Validation,
     Values,
     dual_argument,
     dual_loss,
@@ -21,8 +22,7 @@ from tom.learners.dual import (
     quantiles,
     values_of,
 )
-from tom.learners.flows import Flow
-from tom.learners.validation import Validation
+from tom.learners.terms import Flow
 from tom.nn.mlp import StackedMLP
 
 
@@ -135,7 +135,7 @@ def test_the_last_step_is_judged_though_it_is_between_two_looks():
         net(), lambda _: next(losses), QUICK.but(q_steps=50, q_check_every=20, q_holdout=0.25)
     )
     for step in range(1, 51):
-        validation.look(step)
+        validation.ends(step)
     assert validation.metrics == {"dual/holdout_loss": 1.0, "dual/steps": 50}
 
 

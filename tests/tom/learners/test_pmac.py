@@ -35,14 +35,6 @@ def test_closed_form_is_the_recursion_and_sums_to_one(counts, decay):
     assert float(p.sum()) == pytest.approx(1.0)
 
 
-def test_the_newest_policys_transitions_share_what_is_left():
-    version = torch.tensor([0] * 5 + [1] * 3 + [2] * 4)
-    p = recency_probabilities(version, 0.996)
-    assert float(p[version == 2].sum()) == pytest.approx(0.004)
-    assert float(p[version == 1].sum()) == pytest.approx(0.004 * 0.996)
-    assert float(p[version == 0].sum()) == pytest.approx(0.996**2)
-
-
 def test_weights_follow_the_version_not_the_position():
     version = torch.tensor([2, 0, 1, 0, 2])
     p = recency_probabilities(version, 0.5)

@@ -176,23 +176,6 @@ def test_estimates_exact_weights_of_a_small_mdp(divergence, support):
     assert found.metrics["weights/raw_mean"] == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_replays_own_policy_weighs_everything_about_one():
-    rng = np.random.default_rng(1)
-    mdp = random_mdp(5, 2, 2, 0.9, rng)
-    target = random_policy(mdp, rng)
-    q = transition_occupancy(mdp, target)
-    buffer, policy_rows = (sample_transitions(mdp, q, n, rng)[0] for n in (20_000, 5000))
-    found = occupancy_weights(
-        buffer,
-        policy_rows,
-        OneHotPolicy(torch.from_numpy(target).float()),
-        torch.from_numpy(sample_starts(mdp, 1000, rng)),
-        TomConfig.preset("exact").but(discount=0.9, **SMALL),
-        generator(),
-    )
-    assert float((found.weights - 1).abs().mean()) < 0.08
-
-
 def test_terminal_states_end_the_flow():
     """Terminated rows are masked: read as truncated ones, the weights are further off."""
     rng = np.random.default_rng(2)

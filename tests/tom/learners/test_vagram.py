@@ -20,35 +20,6 @@ def test_weights_are_squared_scaled_gradients_averaged_over_heads():
     torch.testing.assert_close(found, torch.tensor([0.25, 40.0, 0.0]).expand(10, -1))
 
 
-def test_each_heads_gradient_stands_alone():
-    """Accumulated across heads, the second would hold the sum of both."""
-    one = value_gradient_weights(
-        torch.randn(4, OBS), torch.ones(OBS), lambda s: linear_heads(s)[:1]
-    )
-    two = value_gradient_weights(
-        torch.randn(4, OBS), torch.ones(OBS), lambda s: linear_heads(s)[1:]
-    )
-    both = value_gradient_weights(torch.randn(4, OBS), torch.ones(OBS), linear_heads)
-    torch.testing.assert_close(both, (one + two) / 2)
-
-
-def test_gradients_of_real_critics_match_finite_differences():
-    def values(states: Tensor) -> Tensor:
-        return torch.stack((states.square().sum(1), (3 * states[:, 0]).sin()))
-
-    def gradient(states: Tensor) -> Tensor:
-        states = states.clone().requires_grad_()
-        return torch.stack(
-            [torch.autograd.grad(v.sum(), states, retain_graph=True)[0] for v in values(states)]
-        )
-
-    states, step = torch.randn(6, OBS, dtype=torch.float64), 1e-6
-    nudges = step * torch.eye(OBS, dtype=torch.float64)
-    numeric = torch.stack([(values(states + e) - values(states - e)) / (2 * step) for e in nudges])
-    found = value_gradient_weights(states, torch.ones(OBS, dtype=torch.float64), gradient)
-    torch.testing.assert_close(found, numeric.square().mean(1).permute(1, 0), atol=1e-7, rtol=1e-6)
-
-
 def test_the_dimension_that_matters_gets_the_weight():
     replay = rows(500)
     found = VagramLearner(VagramConfig()).weigh(context(replay, value_gradient=linear_heads))

@@ -1,6 +1,6 @@
 import torch
 
-from tom.nn.adam import Adam
+from tom.nn.trained import Adam
 
 
 def tensors(seed: int, members: int = 1) -> list[torch.Tensor]:

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from tom.data.transitions import TensorTransitions
-from tom.policy.cloning import clone
+from tom.policy.foreign import clone
 
 
 def test_the_clone_finds_mean_and_noise_of_the_policy():

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from tom.config import ModelConfig, RolloutConfig, SacConfig
 from tom.data.replay import ReplayBuffer
-from tom.dynamics.mdn import Mdn
+from tom.dynamics.networks import Mdn
 from tom.envs import task
 from tom.policy.rollout import EXPLODED, roll_out
 from tom.policy.sac import ActorCritic, Sac
@@ -21,7 +21,7 @@ def generator(seed: int = 0) -> torch.Generator:
 def parts() -> tuple[ActorCritic, Mdn]:
     """A policy, and a model whose steps sometimes end a rollout."""
     model = Mdn(*DIMS, ModelConfig(hidden=16, layers=2, components=3), generator(1))
-    model.net.layers[-1][0].mul_(3)
+    model.net.layers[-1][0].detach().mul_(3)
     return Sac(*DIMS, SacConfig(hidden=16), generator(2)).policy, model
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tom.analysis.weighing import Weighed
 from tom.envs import ENVS, OTHERS, user_code
-from tom.envs.ends import RULES
+from tom.envs.termination import RULES
 from tom.studies import each as module
 from tom.studies.each import FOLDER, each, load, save
 from tom.studies.progression import Result

@@ -1,16 +1,48 @@
-"""Any environment with Box spaces, rescaled by its bounds, whose episodes can be replayed."""
+"""A running environment: its simulator, any task in units of [-1, 1], and its exact state."""
 
-from typing import Any
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
+from dataclasses import dataclass
+from typing import Any, cast
 
 import gymnasium as gym
+import mujoco
 import numpy as np
 import torch
+from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.wrappers import OrderEnforcing, RescaleAction, TimeLimit
 from numpy.typing import NDArray
+from torch import Tensor
 
+from tom.envs import dm_control
 from tom.envs.user_code import running
 from tom.errors import OwnCodeError, StartAgainError
 
 LARGEST = float(np.finfo(np.float32).max)
+# Ant and Humanoid read these in `step` before they simulate; they lag one step behind qpos.
+_LAGGING = ("xpos", "xipos")
+_COUNTERS = ("_elapsed_steps", "_has_reset")
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """MuJoCo's own model and data, which the environment steps, and the seconds of a step."""
+
+    model: Any
+    data: Any
+    dt: float
+
+
+def simulated(env: gym.Env) -> Simulator | None:
+    """The simulation inside `env`; None if `env` is of another kind."""
+    inner = env.unwrapped
+    if isinstance(inner, MujocoEnv):
+        return Simulator(inner.model, inner.data, float(inner.dt))
+    physics = dm_control.simulation(inner)
+    if physics is None:
+        return None
+    return Simulator(physics.model.ptr, physics.data.ptr, float(env.get_wrapper_attr("dt")))
 
 
 class Unit(gym.Wrapper):
@@ -113,3 +145,55 @@ class Unit(gym.Wrapper):
             f"the task '{self._name}' gives {what} at {self._step()}: numbers must be finite in "
             "single precision, and of one shape: mend its reset and step"
         )
+
+
+def capture(env: gym.Env) -> dict[str, Any]:
+    """All state that `env`'s future depends on, as tensors and primitives; `env` must be reset."""
+    if isinstance(env, Unit):
+        return env.capture()
+    simulator = _simulator(env)
+    state = np.empty(mujoco.mj_stateSize(simulator.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+    mujoco.mj_getState(simulator.model, simulator.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    return {
+        "integration": torch.from_numpy(state),
+        "lagging": {n: torch.tensor(getattr(simulator.data, n)) for n in _LAGGING},
+        "random": simulator.np_random.bit_generator.state,
+        "action_random": env.action_space.np_random.bit_generator.state,
+        "counters": [
+            {n: vars(wrapper)[n] for n in _COUNTERS if n in vars(wrapper)}
+            for wrapper in _wrappers(env)
+        ],
+    }
+
+
+def restore(env: gym.Env, state: dict[str, Any]) -> None:
+    """Put `env`, made like the captured one, into exactly the captured state."""
+    if isinstance(env, Unit):
+        env.restore(state)
+        return
+    simulator = _simulator(env)
+    model, data = simulator.model, simulator.data
+    mujoco.mj_resetData(model, data)
+    integration: Tensor = state["integration"]
+    mujoco.mj_setState(model, data, integration.numpy(), mujoco.mjtState.mjSTATE_INTEGRATION)
+    mujoco.mj_forward(model, data)
+    for name, values in state["lagging"].items():
+        getattr(data, name)[:] = values.numpy()
+    simulator.np_random.bit_generator.state = state["random"]
+    env.action_space.np_random.bit_generator.state = state["action_random"]
+    for wrapper, counters in zip(_wrappers(env), state["counters"], strict=True):
+        vars(wrapper).update(counters)
+
+
+def _simulator(env: gym.Env) -> MujocoEnv:
+    return cast(MujocoEnv, env.unwrapped)
+
+
+def _wrappers(env: gym.Env) -> list[gym.Wrapper]:
+    wrappers: list[gym.Wrapper] = []
+    while isinstance(env, gym.Wrapper):
+        if not isinstance(env, TimeLimit | OrderEnforcing | RescaleAction):
+            raise TypeError(f"the state of {type(env).__name__} cannot be captured")
+        wrappers.append(env)
+        env = env.env
+    return wrappers
