@@ -12,8 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.ordered_data import OrderedData, find_run
-from tom.analysis.weighing import Weighed
-from tom.analysis.weighing_plan import plan_weighing
+from tom.analysis.weighing import Weighed, plan_weighing
 from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions
 from tom.envs import bring

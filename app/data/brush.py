@@ -14,8 +14,7 @@ from app.data.weighings import WeighingInfo
 from app.data.why import candidates
 from tom.record.array_files import DAMAGE, read_arrays, read_table
 from tom.record.files import read_json
-from tom.reports.brush_files import GHOSTS, REGION
-from tom.reports.weighing_files import BRUSH, REPORT, WEIGHTS
+from tom.reports.weighing_files import BRUSH, GHOSTS, REGION, REPORT, WEIGHTS
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from app.figures.looks import Look
 from app.figures.looks import looks as usual_looks
 from app.theme import learner_colour, learner_label, learner_symbol
 from tom.analysis.curves import GRID, Curve, Group, smoothed
-from tom.analysis.grouping import Kind
+from tom.analysis.settings import Kind
 from tom.metrics import describe
 
 POINTS = 1500

@@ -15,7 +15,7 @@ from app.theme import (
     learner_symbol,
     ramp,
 )
-from tom.analysis.grouping import USUAL, Kind, natural, number
+from tom.analysis.settings import USUAL, Kind, natural, number
 
 
 @dataclass(frozen=True)

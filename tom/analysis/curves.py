@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis import statistics
-from tom.analysis.grouping import Kind, natural
+from tom.analysis.settings import Kind, natural
 from tom.spread import spread
 
 Statistic = Literal["mean", "median", "iqm"]

@@ -34,7 +34,7 @@ from tom.record import RunReader, Store, layout
 from tom.record.array_files import DAMAGE, read_table
 from tom.record.reader import at_or_before
 from tom.record.versions import git_commit, versions
-from tom.reports import brush_files, weighing_files
+from tom.reports import weighing_files
 
 FRESH = 2000
 HORIZON = 20
@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     }
     made = _ghosts(reader, models, args.step)
     with weighing_files.place(args.out, store, name) as out:
-        brush_files.write(out, region, models, report, made)
+        weighing_files.write_brush(out, region, models, report, made)
     print(json.dumps({"out": str(out)}) if args.json else out)
     return 0
 

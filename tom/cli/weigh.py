@@ -13,8 +13,7 @@ from pydantic import ValidationError
 
 from tom import readable
 from tom.analysis.ordered_data import OrderedData
-from tom.analysis.weighing import POLICIES, Weighed
-from tom.analysis.weighing_plan import plan_weighing, setting_groups, settings_type
+from tom.analysis.weighing import POLICIES, Weighed, plan_weighing, setting_groups, settings_type
 from tom.cli.parser import add_config_options, folder, leaf_fields, one_line, overrides, seed_number
 from tom.cli.progress import CountReport
 from tom.cli.tables import show

@@ -16,10 +16,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from tom.analysis.brush import AS_IT_IS, BrushedFit
 from tom.analysis.ordered_data import OrderedData
 from tom.analysis.progression import medians, progression
-from tom.analysis.weighing import Weighed
-from tom.analysis.weighing_plan import WeighingPlan, setting_groups
+from tom.analysis.weighing import Weighed, WeighingPlan, setting_groups
 from tom.data.sampling import bin_means
 from tom.errors import UserError
 from tom.learners import LEARNERS
@@ -30,7 +30,7 @@ from tom.record.store import Store
 from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
 from tom.record.versions import git_commit, versions
-from tom.reports.origin import seeds
+from tom.reports.report import seeds
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
 LOG_RATIO = "-log_ratio"
@@ -194,8 +194,7 @@ def write(
 
 def _draw(folder: Path, data: OrderedData, weighed: Sequence[Weighed], bins: int) -> None:
     # Imported here, so that listing runs does not load matplotlib.
-    from tom.reports.profile_figure import Panel, profile_figure
-    from tom.reports.style import save
+    from tom.reports.figures import Panel, profile_figure, save
 
     panels = [
         Panel(LEARNERS[name].label, name, profiles(of, bins))
@@ -343,3 +342,42 @@ def write_profiles(path: Path, weighed: Sequence[Weighed], bins: int) -> None:
         for one in weighed:
             for number, mean in enumerate(bin_means(one.weights, bins).tolist()):
                 table.writerow([one.learner, one.seed, number, f"{mean:.6g}"])
+
+
+GHOSTS = "ghosts.npz"
+REGION = "region"
+"""the column that marks the brushed rows"""
+
+
+def called(factor: float) -> str:
+    """The name of weights of that factor, used in place of a learner's name."""
+    return "as it is" if factor == AS_IT_IS else f"region x {factor:g}"
+
+
+def write_brush(
+    out: Path,
+    region: NDArray[np.bool_],
+    models: Sequence[BrushedFit],
+    report: dict[str, Any],
+    ghosts: Mapping[str, NDArray],
+) -> None:
+    """Make the folder `out` with all files. Raises UserError if it cannot be made."""
+    # The weights do not depend on the seed.
+    first = {one.factor: one for one in reversed(models)}
+    columns = {f"{called(f)}-s{one.seed}": one.weights for f, one in sorted(first.items())}
+    results = [
+        {
+            "learner": called(one.factor),
+            "factor": one.factor,
+            "seed": one.seed,
+            "errors": one.errors,
+            **progression(one.weights, report["ordered_from"]).row(),
+        }
+        for one in models
+    ]
+    with whole_weighing(out) as unfinished:
+        table = pa.table({**columns, REGION: region})
+        write_table(unfinished / WEIGHTS, table)
+        if ghosts:
+            np.savez_compressed(unfinished / GHOSTS, allow_pickle=False, **dict(ghosts))
+        replace_json(unfinished / REPORT, {**report, "results": results}, sync=False)

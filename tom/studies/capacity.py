@@ -20,10 +20,18 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from tom.analysis.statistics import Interval
 from tom.errors import UserError
-from tom.reports.colours import NEUTRAL, learner_colour
-from tom.reports.style import new_figure
-from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
-from tom.studies.frozen_choice import add_measuring, measured, models_of, origin_of_moments
+from tom.reports.figures import NEUTRAL, learner_colour, new_figure
+from tom.studies.frozen import (
+    ERROR,
+    MODELS,
+    ROLLOUT_ERROR,
+    UNIFORM,
+    WAYS,
+    add_measuring,
+    measured,
+    models_of,
+    origin_of_moments,
+)
 from tom.studies.recordings import QUESTIONS, comparisons, spanned
 from tom.studies.study import Findings, Lab, Row, Study, Table, check_known
 

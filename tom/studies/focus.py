@@ -32,11 +32,10 @@ from tom.learners.base import Policy, Weighting
 from tom.policy.collect import footprint
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader
-from tom.reports.colours import NEUTRAL, learner_colour
-from tom.reports.origin import seeds as in_short
-from tom.reports.style import new_figure
+from tom.reports.figures import NEUTRAL, learner_colour, new_figure
+from tom.reports.report import seeds as in_short
 from tom.rng import Streams
-from tom.studies.sac import add_recordings, recordings
+from tom.studies.recordings import add_recordings, recordings
 from tom.studies.study import Findings, Lab, Row, Study, Table
 from tom.training.presets import PRESETS, resolve
 

@@ -15,10 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from tom.exams.energy import informative
-from tom.reports.colours import learner_colour
-from tom.reports.style import new_figure
-from tom.studies.frozen import UNIFORM, WAYS
-from tom.studies.frozen_choice import add_measuring, measured, origin_of_moments
+from tom.reports.figures import learner_colour, new_figure
+from tom.studies.frozen import UNIFORM, WAYS, add_measuring, measured, origin_of_moments
 from tom.studies.recordings import QUESTIONS, comparisons, over_recordings, spanned, strips
 from tom.studies.study import Findings, Lab, Row, Study, Table
 

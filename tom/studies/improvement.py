@@ -45,22 +45,25 @@ from tom.policy.rollout import roll_out, start_states
 from tom.policy.sac import Sac
 from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
 from tom.record import RunReader, layout
-from tom.reports.colours import learner_colour
+from tom.reports.figures import learner_colour
 from tom.rng import Streams
 from tom.studies.frozen import (
     MODELS,
     UNIFORM,
     WAYS,
     Case,
+    add_moments,
     buffer_at,
     cases,
+    chosen_runs,
+    chosen_ways,
     config_of,
     fitted,
+    origin_of_moments,
     sac_begins,
     seed_of,
     weighting_of,
 )
-from tom.studies.frozen_choice import add_moments, chosen_runs, chosen_ways, origin_of_moments
 from tom.studies.recordings import Value, sign_test, strips
 from tom.studies.study import Findings, Lab, Row, Study, Table, check_known, whole
 

@@ -28,10 +28,10 @@ from tom.envs import task
 from tom.learners import LEARNERS
 from tom.policy.stored import NAME, UniformPolicy, read_policy
 from tom.record import RunReader
-from tom.reports.origin import seeds as in_short
-from tom.reports.profile_figure import Panel, profile_figure
+from tom.reports.figures import Panel, profile_figure
+from tom.reports.report import seeds as in_short
 from tom.reports.weighing_files import profiles, write_weights
-from tom.studies.sac import add_recordings, recordings
+from tom.studies.recordings import add_recordings, recordings
 from tom.studies.study import Findings, Lab, Row, Study, as_the_paper_says, check_known
 
 Condition = Literal["own", "random", "shuffled"]

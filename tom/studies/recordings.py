@@ -1,10 +1,6 @@
-"""Statistics over recordings, and two ways of weighing at the same moments: which one is better?
+"""Recordings of SAC that studies take or make, and statistics over recordings."""
 
-The moments of one recording are no independent samples. Two ways share the buffer, the policy and
-its fresh episodes at a moment, and moments differ far more than ways do, so that the difference at
-each moment is known much better than either way.
-"""
-
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
@@ -15,9 +11,10 @@ from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from tom.analysis.statistics import Interval, draws, interval, mean
-from tom.reports.colours import NEUTRAL, TEXT
-from tom.reports.style import new_figure
-from tom.studies.study import Row
+from tom.config import SacRecordingConfig
+from tom.record import RunReader, Store
+from tom.reports.figures import NEUTRAL, TEXT, new_figure
+from tom.studies.study import Lab, Row, add_env, add_jobs, add_store, tasks, whole
 
 Value = tuple[str, str, float]
 """task, recording, and a value at one of its moments"""
@@ -165,3 +162,46 @@ def strips(
                 ax.plot([median(of)] * 2, [height - 0.35, height + 0.35], color=TEXT, linewidth=1.6)
     axes[0].set_yticks(range(len(rows)), upwards)
     return figure
+
+
+SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
+"""the recordings of the acceptance; other tasks have one"""
+
+
+def add_recordings(parser: ArgumentParser) -> None:
+    """Add the options that choose recordings of SAC and the learners' seeds."""
+    add_env(parser, list(SAC_SEEDS))
+    parser.add_argument("--steps", type=whole(1000), default=50_000, help="steps of SAC [50000]")
+    parser.add_argument("--seeds", nargs="+", type="seed", default=[0, 1, 2], help="TOM's [0 1 2]")
+    add_store(parser)
+    add_jobs(parser)
+
+
+def recordings(args: Namespace, lab: Lab, seeds: list[int] | None = None) -> list[RunReader]:
+    """The recordings of every task and of SAC's `seeds`; missing ones are made."""
+    store = Store(args.store)
+    configs = [
+        SacRecordingConfig(env=env, seed=seed, steps=args.steps)
+        for env in tasks(args.env)
+        for seed in seeds or SAC_SEEDS.get(env, (0,))
+    ]
+    return [recorded(store, config) or lab.record(store, config) for config in configs]
+
+
+def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
+    """The newest finished recording with these settings, or None."""
+    for run in store.runs():
+        if run.learner == config.learner and run.status.state == "finished" and _like(run, config):
+            return run
+    return None
+
+
+def _like(run: RunReader, config: SacRecordingConfig) -> bool:
+    """Whether a run has the settings of `config`; of SAC's, those that both versions have."""
+    theirs = run.config.get("config", {})
+    ours = config.model_dump(mode="json")
+    plain = ("env", "seed", "steps", "exploration_steps", "updates_per_step")
+    if any(theirs.get(name) != ours[name] for name in plain):
+        return False
+    sac = theirs.get("sac", {})
+    return all(sac[name] == ours["sac"][name] for name in sac if name in ours["sac"])

@@ -14,13 +14,13 @@ from tom.analysis.scores import (
     chance,
     common_step,
     contrast,
+    counted_from,
     interval,
     steps_to,
 )
 from tom.analysis.settings import changed, matters, unlike
 from tom.analysis.statistics import corrected, remark
 from tom.envs import task
-from tom.exams.counted import counted_from
 from tom.exams.energy import informative
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.learners.base import HEAVY

@@ -9,7 +9,7 @@ import pytest
 
 from app.data.exams import Exams, at_fit, exams_of, next_return, ranking
 from tom.analysis import statistics
-from tom.exams.counted import counted_from
+from tom.analysis.scores import counted_from
 
 NAN = float("nan")
 

@@ -14,7 +14,7 @@ from commands import code_of
 
 from tom.analysis import weighing
 from tom.analysis.ordered_data import after_random, load_data, of_run, to_unit_range
-from tom.analysis.weighing_plan import plan_weighing
+from tom.analysis.weighing import plan_weighing
 from tom.cli import main
 from tom.config import PmacConfig, RoadConfig, RunConfig
 from tom.data.sampling import bin_means

@@ -14,7 +14,7 @@ from commands import code_of
 from tom.cli import main
 from tom.config import SacRecordingConfig
 from tom.record import RunReader, Store, layout
-from tom.reports.files import write_csv
+from tom.reports.report import write_csv
 from tom.studies import capacity, footprint, frozen
 from tom.studies.footprint import footprint_figure
 from tom.studies.frozen import (

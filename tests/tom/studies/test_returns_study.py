@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tom.analysis.scores import ESS
 from tom.envs import ENVS
 from tom.events import Metrics, Tick
-from tom.exams.counted import ESS
 from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter

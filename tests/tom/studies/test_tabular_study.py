@@ -3,9 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tom.analysis.exact_weights import OccupancyProblem, solve
-from tom.analysis.tabular import Array, FlowName, Mdp, occupancy
 from tom.config import TomConfig
+from tom.studies.mdp import Array, FlowName, Mdp, OccupancyProblem, occupancy, solve
 from tom.studies.tabular import acceptance, exact_flows, summary, verdict
 from tom.studies.tabular_estimates import (
     DENSE,

@@ -5,22 +5,25 @@ import pytest
 import torch
 from scipy.stats import chisquare
 
-from tom.analysis.exact_weights import OccupancyProblem, dual_value, primal_value, solve
-from tom.analysis.tabular import (
+from tom.learners.divergences import DIVERGENCES
+from tom.studies.mdp import (
     Array,
     FlowName,
     Mdp,
+    OccupancyProblem,
     OneHotPolicy,
+    dual_value,
     occupancy,
+    primal_value,
     random_mdp,
     random_policy,
     sample_starts,
     sample_stream,
     sample_transitions,
+    solve,
     transition_occupancy,
     with_endings,
 )
-from tom.learners.divergences import DIVERGENCES
 
 
 def make(seed: int, successors: int, discount: float) -> tuple[Mdp, Array, Array, OccupancyProblem]:
