@@ -20,7 +20,6 @@ from tom.errors import UserError, reason
 from tom.learners import WEIGHED_FIRST
 from tom.record import RunReader, Store
 from tom.record.array_files import DAMAGE, read_table
-from tom.record.files import read_json
 from tom.reports import weighing_files
 from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS
 
@@ -208,9 +207,7 @@ def transitions_frame(rows: Transitions) -> pd.DataFrame:
 def _weighing(path: Path) -> Weighing:
     """The weighing in a folder. Raises UserError."""
     try:
-        report, weights = read_json(path / REPORT), read_table(path / WEIGHTS)
-        if not weighing_files.is_whole(report):
-            raise ValueError(f"{REPORT} is not a weighing's")
+        report, weights = weighing_files.read_report(path), read_table(path / WEIGHTS)
     except DAMAGE as error:
         raise UserError(f"weighing {path} cannot be read ({reason(error)}): weigh again") from error
     kept = [name for name in weights if str(name).rpartition("-s")[2].isdigit()]
