@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from tom.config import SAC_ALONE
 from tom.learners import LEARNERS
-from tom.reports.colours import LEARNER_COLOURS
 
 Mode = Literal["light", "dark"]
 
@@ -23,6 +22,7 @@ _SPARE_COLOURS = ("#7a6ff0", "#8f6a4e", "#5f8a1f", "#a8506e")
 # For groups without a learner's colour; also the colour-blind can tell them apart and from neutral.
 QUALITATIVE = ("#0096ff", "#c31e2d", "#a5960f", "#693cf0", "#963ca5", "#b43c5a")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "pentagon")
+LEARNER_COLOURS = {name: entry.colour for name, entry in LEARNERS.items() if entry.colour}
 NEUTRAL = "#8a92a3"
 BACKGROUND: dict[Mode, str] = {"light": "#ffffff", "dark": "#12151c"}
 SURFACE: dict[Mode, str] = {"light": "#f4f6fa", "dark": "#1b202b"}

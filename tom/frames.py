@@ -12,8 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.ordered_data import OrderedData, find_run
-from tom.analysis.weighing import Weighed
-from tom.analysis.weighing_plan import plan_weighing
+from tom.analysis.weighing import Weighed, plan_weighing
 from tom.data.sampling import bin_means
 from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE
@@ -22,7 +21,6 @@ from tom.errors import UserError, reason
 from tom.learners import WEIGHED_FIRST
 from tom.record import RunReader, Store
 from tom.record.decode import read_table
-from tom.record.files import read_json
 from tom.reports import weighing_files
 from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS
 
@@ -210,9 +208,7 @@ def transitions_frame(rows: Transitions) -> pd.DataFrame:
 def _weighing(path: Path) -> Weighing:
     """The weighing in a folder. Raises UserError."""
     try:
-        report, weights = read_json(path / REPORT), read_table(path / WEIGHTS)
-        if not weighing_files.is_whole(report):
-            raise ValueError(f"{REPORT} is not a weighing's")
+        report, weights = weighing_files.read_report(path), read_table(path / WEIGHTS)
     except DAMAGE as error:
         raise UserError(f"weighing {path} cannot be read ({reason(error)}): weigh again") from error
     kept = [name for name in weights if str(name).rpartition("-s")[2].isdigit()]

@@ -26,6 +26,7 @@ from tom.policy.foreign import clone
 from tom.policy.rollout import roll_out, start_states
 from tom.rng import Streams
 from tom.road import offline_data, task
+from tom.road.agent import RoadModel, RoadSac, fit_linear
 from tom.road.baselines import BASELINES
 from tom.road.measure import (
     held_out,
@@ -38,8 +39,6 @@ from tom.road.measure import (
     trajectory_field,
     weight_shares,
 )
-from tom.road.model import RoadModel, fit_linear
-from tom.road.policy import RoadSac
 
 START_DRAWS = 1000
 """draws of the start distribution mu_0 for the dual"""

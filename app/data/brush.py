@@ -15,8 +15,7 @@ from app.data.why import candidates
 from tom.data.unpack import DAMAGE, read_arrays
 from tom.record.decode import read_table
 from tom.record.files import read_json
-from tom.reports.brush_files import GHOSTS, REGION
-from tom.reports.weighing_files import BRUSH, REPORT, WEIGHTS
+from tom.reports.weighing_files import BRUSH, GHOSTS, REGION, REPORT, WEIGHTS
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.curves import curve_points
-from tom.analysis.scores import beats, chance, interval
-from tom.analysis.statistics import RANKED, Interval
+from tom.analysis.scores import interval
+from tom.analysis.statistics import RANKED, Interval, exchangeable, probability_of_improvement
 from tom.exams.energy import informative
 
 Floats = NDArray[np.float64]
@@ -128,13 +128,13 @@ class Ranking:
     def first_beats_second(self) -> Interval:
         """P(a run of the first ranked group has a lower error than one of the second)."""
         first, second = (-standing.error for standing in self.ranked[:2])
-        return beats([first], [second])
+        return probability_of_improvement([first], [second])
 
     @property
     def chance(self) -> float:
         """The p of `first_beats_second`: by permutation, since the interval is for many runs."""
         first, second = (standing.error for standing in self.ranked[:2])
-        return chance([first], [second])
+        return exchangeable([first], [second])
 
 
 def ranking(exams: Sequence[Exams], since: float = -np.inf) -> Ranking:

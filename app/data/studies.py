@@ -12,7 +12,7 @@ from PIL import Image
 from tom.errors import UserError
 from tom.record.files import read_json
 from tom.record.store import Store
-from tom.reports.html import WORDS
+from tom.reports.report import WORDS
 
 FOLDER = Path("reports")
 """the folder of results of `tom reproduce` if it is started in the studio's folder"""

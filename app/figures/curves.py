@@ -37,7 +37,7 @@ from app.theme import (
     ramp,
 )
 from tom.analysis.curves import GRID, Curve, Group, smoothed
-from tom.analysis.grouping import USUAL, Kind, natural, number
+from tom.analysis.settings import USUAL, Kind, natural, number
 from tom.metrics import describe
 
 POINTS = 1500

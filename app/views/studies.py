@@ -12,7 +12,7 @@ from app.data.studies import QUESTIONS, Study
 from app.data.trainings import Started
 from app.parts import form
 from tom.harmless import as_csv
-from tom.studies.each import FOLDER as CASES
+from tom.studies.study import FOLDER as CASES
 
 SHORT = 20
 """maximum lines of a table that is shown unfolded; longer ones have single values"""

@@ -25,7 +25,7 @@ from tom.record.integrity import verify
 from tom.record.layout import STUDIES
 from tom.record.thin import FITS
 from tom.reports.index import index, small_copies
-from tom.reports.origin import run_hours
+from tom.reports.report import run_hours
 from tom.reports.weighing_files import REPORT, of_run
 
 RUNS = Path(__file__).parents[2] / "runs"

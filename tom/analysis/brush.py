@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tom.analysis.imagine import Predictor, imagine, joint_positions
+from tom.analysis.weighing import fit_model
 from tom.config import ModelConfig
 from tom.data.sampling import held_out_rows, normalise
 from tom.data.transitions import TensorTransitions
-from tom.dynamics import make_model
 from tom.dynamics.base import DynamicsModel
 from tom.envs import Task
 from tom.errors import UserError
 from tom.events import Episode
 from tom.exams.diagnostics import one_step_error, step_scale
+from tom.learners.base import Weighting
 from tom.rng import Streams
 
 AS_IT_IS = 1.0
@@ -98,21 +99,16 @@ def fits(
         held_out = held_out_rows(brush.rows, HELD_OUT, Streams(seed).torch("held out"))
         kept = (~held_out).nonzero().squeeze(1)
         for factor in every:
-            model = _fitted(brush.rows[kept], weights[factor][kept], config, seed)
+            own, degenerate = normalise(weights[factor][kept])
+            if degenerate:
+                raise UserError(
+                    "the episodes that are left to fit to have no weight: draw another region"
+                )
+            # Clipped for the fit, as TOM's are in a training.
+            weighting = Weighting(own, clipped=True)
+            model = fit_model(brush.rows[kept], weighting, config, seed)
             errors = _errors(model, brush, held_out, scale)
             yield BrushedFit(factor, seed, weights[factor].numpy(), errors, model)
-
-
-def _fitted(
-    rows: TensorTransitions, weights: Tensor, config: ModelConfig, seed: int
-) -> DynamicsModel:
-    weights, degenerate = normalise(weights)
-    if degenerate:
-        raise UserError("the episodes that are left to fit to have no weight: draw another region")
-    streams, dims = Streams(seed), (rows.obs.shape[1], rows.action.shape[1])
-    model = make_model(*dims, config, streams.torch("model"))
-    model.fit(rows, weights.clamp(max=config.weight_clip), None, streams.torch("fit"))
-    return model
 
 
 def _errors(

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis import statistics
-from tom.analysis.grouping import Kind, natural
+from tom.analysis.settings import Kind, natural
 from tom.spread import spread
 
 Statistic = Literal["mean", "median", "iqm"]
@@ -54,7 +54,7 @@ class Curve:
     @property
     def best_so_far(self) -> "Curve":
         """The running maximum of the values, which the paper draws."""
-        return replace(self, value=statistics.running_maximum(self.value))
+        return replace(self, value=np.maximum.accumulate(self.value))
 
     def until(self, last: float) -> "Curve":
         """The part of the curve up to step `last`."""
@@ -205,8 +205,7 @@ def _band(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Low and high (T,) of values (n, T)."""
     if band == "bootstrap":
-        how = statistics.STATISTICS[statistic]
-        return statistics.band(values, how, statistics.draws(), resamples=RESAMPLES)
+        return statistics.band(values, statistics.STATISTICS[statistic], RESAMPLES)
     if band == "deviation":
         mean, spread = values.mean(0), values.std(0, ddof=1)
         return mean - spread, mean + spread

@@ -18,7 +18,7 @@ from tom.events import Episode
 from tom.exams.diagnostics import row_errors, step_scale
 from tom.record import RunReader, checkpoint
 from tom.record.task_record import task_of
-from tom.road.model import RoadModel
+from tom.road.agent import RoadModel
 
 BATCH = 4096
 """rows predicted at once; more do not fit the processor's cache"""

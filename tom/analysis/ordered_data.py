@@ -39,10 +39,6 @@ class OrderedData:
     def __len__(self) -> int:
         return len(self.transitions)
 
-    def in_order(self, order: NDArray[np.int64]) -> "OrderedData":
-        """The rows permuted by `order`, (N,) row numbers. Versions keep their positions."""
-        return replace(self, transitions=self.transitions[torch.from_numpy(order)])
-
 
 def load_data(
     name: str, store: Store, env: str | None = None, step: int | None = None

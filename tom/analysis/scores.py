@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis import statistics
@@ -14,6 +15,7 @@ Floats = NDArray[np.float64]
 FINAL, BEST, HEIGHT = "value at the end", "best value", "mean height"
 """of the curve as it is drawn: between two points it is the straight line that joins them"""
 SCORES = (FINAL, BEST, HEIGHT)
+ESS = "weights/ess"
 
 
 def common_step(curves: Iterable[Curve]) -> float:
@@ -50,19 +52,23 @@ def _score(curve: Curve, score: str, until: float, since: float) -> float:
     if score == BEST:
         return max(cut.best, end)
     if curve.step[-1] < until:
-        return np.nan
-    if until <= max(since, curve.step[0]):
+        return np.nan  # curves are never extrapolated
+    first = max(since, float(curve.step[0]))
+    if until <= first:
         return end  # an area without width: its value is the mean height
-    return statistics.area_under_curve(curve.step, curve.value, until, since)
+    between = curve.step[(curve.step > first) & (curve.step < until)]
+    x = np.concatenate([[first], between, [until]]).astype(np.float64)
+    return float(np.trapezoid(np.interp(x, curve.step, curve.value), x) / (until - first))
 
 
 def steps_to(curves: Sequence[Curve], level: float, until: float) -> Floats:
     """The first recorded step (n,) at which each run reaches `level`; infinity if it does not.
 
-    Steps after `until` do not count, because runs that ended earlier have none.
+    Steps after `until` do not count, because runs that ended earlier have none. In a median over
+    seeds, infinity counts as later than every run that reached the level.
     """
-    cut = [curve.until(until) for curve in curves]
-    return np.array([statistics.steps_to_reach(c.step, c.value, level) for c in cut], np.float64)
+    reached = [curve.step[(curve.value >= level) & (curve.step <= until)] for curve in curves]
+    return np.array([steps[0] if len(steps) else np.inf for steps in reached], np.float64)
 
 
 def interval(values: Floats, statistic: Statistic = "mean") -> Interval:
@@ -72,23 +78,7 @@ def interval(values: Floats, statistic: Statistic = "mean") -> Interval:
     """
     if not len(values) or not np.isfinite(values).all():
         return Interval(np.nan, np.nan, np.nan)
-    column = np.asarray(values, np.float64)[:, None]
-    return statistics.interval(column, statistics.STATISTICS[statistic], statistics.draws())
-
-
-def beats(first: Sequence[Floats], second: Sequence[Floats]) -> Interval:
-    """P(a run of `first` beats a run of `second`); each holds scores (n,) for the same tasks.
-
-    Raises ValueError if a task has no score.
-    """
-    return statistics.probability_of_improvement(
-        _matrix(first), _matrix(second), statistics.draws()
-    )
-
-
-def chance(first: Sequence[Floats], second: Sequence[Floats]) -> float:
-    """The p of `beats`: how often chance alone makes scores of one method so unequal."""
-    return statistics.exchangeable(_matrix(first), _matrix(second))
+    return statistics.interval([values], statistics.STATISTICS[statistic])
 
 
 def contrast(groups: Sequence[Floats], signs: Sequence[float]) -> Interval:
@@ -98,12 +88,21 @@ def contrast(groups: Sequence[Floats], signs: Sequence[float]) -> Interval:
         means = [sign * group.mean(axis) for sign, group in zip(signs, groups, strict=True)]
         return np.sum(means, axis=0)
 
-    return statistics.interval(_matrix(groups), total, statistics.draws())
+    return statistics.interval(groups, total)
 
 
-def _matrix(tasks: Sequence[Floats]) -> Floats:
-    """(runs, tasks), padded with NaN if a task has fewer runs."""
-    matrix = np.full((max(map(len, tasks)), len(tasks)), np.nan)
-    for i, scores in enumerate(tasks):
-        matrix[: len(scores), i] = scores
-    return matrix
+def counted_from(runs: Iterable[pd.DataFrame]) -> float:
+    """The step of the fit from which on every run weighs, from the runs' metrics.
+
+    Until a learner knows its policy, its weights are uniform (TOM's warm-up), and its exams say
+    nothing of it. Runs that never weigh do not count; -infinity if none does.
+    """
+    return max((_weighs_from(metrics) for metrics in runs), default=-np.inf)
+
+
+def _weighs_from(metrics: pd.DataFrame) -> float:
+    """The step of the first fit with unequal weights; -infinity without one."""
+    if ESS not in metrics:
+        return -np.inf
+    weighed = metrics.loc[metrics[ESS] < 1, "env_step"]
+    return float(weighed.min()) if len(weighed) else -np.inf

@@ -1,9 +1,9 @@
 """Statistics over seeds and tasks, after Agarwal et al. 2021 (the rliable paper).
 
-Scores are a matrix (runs, tasks): one row per seed, one column per task, NaN for a missing run. A
-statistic takes the tasks as separate samples, as `scipy.stats.bootstrap` passes them. To average
-over tasks, bring their scores onto one scale first. This module knows neither run folders nor
-figures.
+Scores are one array of runs for each task, NaN for a missing run. A statistic takes the tasks as
+separate samples, as `scipy.stats.bootstrap` passes them. To average over tasks, bring their scores
+onto one scale first. All draws are of one fixed seed: the same scores have the same interval
+everywhere. This module knows neither run folders nor figures.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 Array = NDArray[np.float64]
+Scores = Sequence[ArrayLike]
 Statistic = Callable[..., Array]
 
 LEVEL = 0.95  # of every interval and band
@@ -43,11 +44,6 @@ class Interval:
         return f"{self.value:.4g}{bounds}"
 
 
-def draws() -> np.random.Generator:
-    """A generator with a fixed seed: the same scores have the same interval everywhere."""
-    return np.random.default_rng(0)
-
-
 def mean(*tasks: Array, axis: int = -1) -> Array:
     """Mean over tasks of the mean over runs."""
     return np.mean([task.mean(axis) for task in tasks], axis=0)
@@ -71,88 +67,60 @@ def iqm(*tasks: Array, axis: int = -1) -> Array:
 STATISTICS: dict[str, Statistic] = {"mean": mean, "median": median, "iqm": iqm}
 
 
-def interval(
-    scores: ArrayLike,
-    statistic: Statistic,
-    rng: np.random.Generator,
-    resamples: int = RESAMPLES,
-) -> Interval:
-    """A statistic of `scores` (runs, tasks) with its stratified percentile bootstrap interval.
+def interval(scores: Scores, statistic: Statistic, resamples: int = RESAMPLES) -> Interval:
+    """A statistic of scores with its stratified percentile bootstrap interval.
 
     Runs are resampled within each task, never across tasks. Raises ValueError if there is no score.
     """
-    tasks = _columns(scores)
-    value = float(statistic(*tasks))
-    if min(map(len, tasks)) < 2:
-        return Interval(value, np.nan, np.nan)
-    low, high = _bootstrap(tasks, statistic, rng, resamples)
-    return Interval(value, float(low), float(high))
+    tasks = _tasks(scores)
+    low, high = _bootstrap(tasks, statistic, resamples)
+    return Interval(float(statistic(*tasks)), float(low), float(high))
 
 
 def band(
-    values: ArrayLike,
-    statistic: Statistic,
-    rng: np.random.Generator,
-    resamples: int = RESAMPLES,
+    values: ArrayLike, statistic: Statistic, resamples: int = RESAMPLES
 ) -> tuple[Array, Array]:
     """The bootstrap interval at every point of curves (n, T): low (T,) and high (T,).
 
     All points share their resamples; NaN if n is 1.
     """
-    curves = np.asarray(values, np.float64).T  # (T, n)
-    if curves.shape[1] < 2:
-        return np.full(len(curves), np.nan), np.full(len(curves), np.nan)
-    return _bootstrap([curves], statistic, rng, resamples)
+    return _bootstrap([np.asarray(values, np.float64).T], statistic, resamples)
 
 
-def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
+def performance_profile(scores: Scores, thresholds: ArrayLike) -> Array:
     """Share of runs that score above each threshold (T,), averaged over tasks."""
-    return _shares(np.asarray(thresholds, np.float64))(*_columns(scores))
+    return _shares(np.asarray(thresholds, np.float64))(*_tasks(scores))
 
 
 def profile_band(
-    scores: ArrayLike,
-    thresholds: ArrayLike,
-    rng: np.random.Generator,
-    resamples: int = RESAMPLES,
+    scores: Scores, thresholds: ArrayLike, resamples: int = RESAMPLES
 ) -> tuple[Array, Array]:
     """The bootstrap interval of `performance_profile`: low (T,) and high (T,), NaN for one run.
 
     All thresholds have the same resamples, so that the band never rises.
     """
-    at, tasks = np.asarray(thresholds, np.float64), _columns(scores)
-    if min(map(len, tasks)) < 2:
-        return np.full(len(at), np.nan), np.full(len(at), np.nan)
-    return _bootstrap(tasks, _shares(at), rng, resamples)
+    return _bootstrap(_tasks(scores), _shares(np.asarray(thresholds, np.float64)), resamples)
 
 
-def probability_of_improvement(x: ArrayLike, y: ArrayLike, rng: np.random.Generator) -> Interval:
+def probability_of_improvement(x: Scores, y: Scores) -> Interval:
     """P(a run of X beats a run of Y), ties counting half, averaged over tasks.
 
-    For one task it is Mann and Whitney's U divided by the number of pairs. `x` (runs, tasks) and
-    `y` (other runs, tasks) must have the same tasks, else ValueError.
+    For one task it is Mann and Whitney's U divided by the number of pairs. X and Y must have the
+    same tasks, else ValueError.
     """
-    ours, theirs = _columns(x), _columns(y)
-    if len(ours) != len(theirs):
-        raise ValueError(f"{len(ours)} tasks against {len(theirs)}: compare the same tasks")
-    tasks = [*ours, *theirs]
-    value = float(_wins(*tasks))
-    if min(map(len, tasks)) < 2:
-        return Interval(value, np.nan, np.nan)
-    low, high = _bootstrap(tasks, _wins, rng, RESAMPLES)
-    return Interval(value, float(low), float(high))
+    if len(x) != len(y):
+        raise ValueError(f"{len(x)} tasks against {len(y)}: compare the same tasks")
+    return interval([*x, *y], _wins)
 
 
-def exchangeable(x: ArrayLike, y: ArrayLike) -> float:
+def exchangeable(x: Scores, y: Scores) -> float:
     """The two-sided p of `probability_of_improvement`: Mann and Whitney's test by permutation.
 
     Were X and Y one method, their runs could change places within each task. p is the share of all
     such arrangements in which the probability is at least as far from a half; it is exact, with
-    ties and few runs, too. Shapes and errors as there.
+    ties and few runs, too. Errors as there.
     """
-    ours, theirs = _columns(x), _columns(y)
-    if len(ours) != len(theirs):
-        raise ValueError(f"{len(ours)} tasks against {len(theirs)}: compare the same tasks")
+    ours, theirs = _tasks(x), _tasks(y)
     wins, share = np.zeros(1), np.ones(1)
     for a, b in zip(ours, theirs, strict=True):
         of_task, chance = _wins_by_chance(np.concatenate([a, b]), len(a))
@@ -203,36 +171,6 @@ def means_differ(x: ArrayLike, y: ArrayLike) -> bool:
     return bool(result.pvalue < 1 - LEVEL)
 
 
-def steps_to_reach(step: ArrayLike, value: ArrayLike, level: float) -> float:
-    """The first step at which a curve reaches `level`; infinity if it never does.
-
-    In a median over seeds, infinity counts as later than every run that reached the level.
-    """
-    reached = np.asarray(step)[np.asarray(value, np.float64) >= level]
-    return float(reached[0]) if len(reached) else np.inf
-
-
-def area_under_curve(
-    step: ArrayLike, value: ArrayLike, until: float, since: float = -np.inf
-) -> float:
-    """Mean height of a curve from step `since` to step `until`, by the trapezoid rule.
-
-    It begins at the curve's first step if that is later. NaN for a curve that ends before `until`:
-    curves are never extrapolated.
-    """
-    steps, values = np.asarray(step, np.float64), np.asarray(value, np.float64)
-    if not len(steps) or steps[-1] < until or until <= max(since, steps[0]):
-        return np.nan
-    first = max(since, steps[0])
-    x = np.concatenate([[first], steps[(steps > first) & (steps < until)], [until]])
-    return float(np.trapezoid(np.interp(x, steps, values), x) / (until - first))
-
-
-def running_maximum(value: ArrayLike) -> Array:
-    """The best value so far at each point (T,): what the paper's return curves show."""
-    return np.maximum.accumulate(np.asarray(value, np.float64))
-
-
 def remark(runs: int | Sequence[int]) -> str:
     """A warning if there are fewer than ten seeds. `runs`: seeds, or the seeds of each task."""
     n = min(runs, default=0) if isinstance(runs, Sequence) else runs
@@ -247,23 +185,20 @@ def remark(runs: int | Sequence[int]) -> str:
     )
 
 
-def _columns(scores: ArrayLike) -> list[Array]:
+def _tasks(scores: Scores) -> list[Array]:
     """The runs of each task, without the missing ones."""
-    matrix = np.asarray(scores, np.float64)
-    if matrix.ndim != 2:
-        raise ValueError(f"scores must be (runs, tasks), not of shape {matrix.shape}")
-    columns = [column[~np.isnan(column)] for column in matrix.T]
-    if not columns or not all(map(len, columns)):
+    every = [np.asarray(task, np.float64) for task in scores]
+    tasks = [task[~np.isnan(task)] for task in every]
+    if not tasks or not all(map(len, tasks)):
         raise ValueError("every task needs at least one run")
-    return columns
+    return tasks
 
 
-def _bootstrap(
-    tasks: Sequence[Array],
-    statistic: Statistic,
-    rng: np.random.Generator,
-    resamples: int,
-) -> tuple[Array, Array]:
+def _bootstrap(tasks: Sequence[Array], statistic: Statistic, resamples: int) -> tuple[Array, Array]:
+    """The percentile interval of a statistic of tasks (..., runs): NaN if one has a single run."""
+    if min(task.shape[-1] for task in tasks) < 2:
+        nothing = np.full(np.shape(statistic(*tasks)), np.nan)
+        return nothing, nothing
     numbers = sum(task.size for task in tasks)
     result: Any = stats.bootstrap(
         tasks,
@@ -274,7 +209,7 @@ def _bootstrap(
         axis=-1,
         confidence_level=LEVEL,
         method="percentile",
-        rng=rng,
+        rng=np.random.default_rng(0),
     )
     return result.confidence_interval.low, result.confidence_interval.high
 

@@ -4,26 +4,31 @@ The data may be a run's replay buffer or a dataset. The policy may come from a r
 come from another library. The policy's footprint is collected in the real environment.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from tom.analysis.ordered_data import OrderedData, action_bounds, find_run
-from tom.config import RunConfig
-from tom.envs import GymnasiumTask, Task
+from tom.analysis.ordered_data import OrderedData, action_bounds, after_random, find_run, load_data
+from tom.config import ModelConfig, RunConfig, TomConfig, in_words
+from tom.data.transitions import TensorTransitions
+from tom.dynamics import make_model
+from tom.dynamics.base import DynamicsModel
+from tom.envs import GymnasiumTask, Task, task
 from tom.errors import UserError, unknown
 from tom.exams.energy import footprint_match, step_scaling
-from tom.learners import LEARNERS, follows_value, make_learner
-from tom.learners.base import FitContext
+from tom.learners import LEARNERS, follows_value, make_learner, with_own_settings
+from tom.learners.base import FitContext, Weighting
 from tom.policy.collect import Footprint, footprint
 from tom.policy.foreign import ForeignPolicy, foreign_policy, is_foreign
 from tom.policy.stored import NAME, StoredPolicy, UniformPolicy, read_policy
 from tom.record import RunReader, Store, layout
 from tom.rng import Streams
+from tom.training import presets
+from tom.training.resume import recorded_config
 
 RANDOM = "random"
 PolicyOfInterest = StoredPolicy | UniformPolicy | ForeignPolicy
@@ -31,6 +36,9 @@ POLICIES = (
     "a run (id or folder), its policy.npz, a TorchScript (.pt) or ONNX file, a function "
     f"module:name, or {RANDOM}"
 )
+OWN, EXACT = "own", "exact"
+PRESETS = (OWN, EXACT, "paper", "mended", "released")
+"""the run's own settings, TOM's `exact` ones, or the learners' of a training's preset"""
 
 
 @dataclass(frozen=True)
@@ -52,21 +60,6 @@ class Weighed:
     terms: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """the other terms of each weight (`tom.learners.terms`), if it comes from a dual Q"""
 
-    def in_order(self, order: NDArray[np.int64]) -> "Weighed":
-        """Undo a permutation: row i of these weights belongs to row order[i]."""
-        back = np.argsort(order)
-        ratio = None if self.log_ratio is None else self.log_ratio[back]
-        terms = {name: term[back] for name, term in self.terms.items()}
-        return replace(self, weights=self.weights[back], log_ratio=ratio, terms=terms)
-
-
-def policy_env(name: str, store: Store) -> str | None:
-    """The task that the policy `name` was trained for; None if it is not recorded."""
-    if name == RANDOM or is_foreign(name):
-        return None
-    run = find_run(name, store)
-    return read_policy(Path(name)).env if run is None else run.env
-
 
 def load_policy(name: str, store: Store, known: Task, step: int | None = None) -> PolicyOfInterest:
     """The policy `name`, which is one of POLICIES. Raises UserError.
@@ -75,12 +68,14 @@ def load_policy(name: str, store: Store, known: Task, step: int | None = None) -
     """
     if name == RANDOM:
         return UniformPolicy(known.obs_dim, known.action_dim)
+    run = None if is_foreign(name) else find_run(name, store)
+    if run is None and step is not None:
+        raise UserError(f"--step {step} is a step of a run, and policy {name} is none: name a run")
     if is_foreign(name):
-        _no_step(name, step)
         # A task may scale its observations by their bounds.
         own_obs = known.own_obs if isinstance(known, GymnasiumTask) else np.asarray
         return foreign_policy(name, known.obs_dim, action_bounds(known), own_obs)
-    policy = _stored(name, store, step)
+    policy = read_policy(Path(name)) if run is None else _policy_of(run, step)
     dims = policy.obs_dim, policy.action_dim
     if dims != (known.obs_dim, known.action_dim):
         raise UserError(
@@ -92,6 +87,16 @@ def load_policy(name: str, store: Store, known: Task, step: int | None = None) -
             f"policy {name} is of {policy.env}, not of {known.name}: name a policy of {known.name}"
         )
     return policy
+
+
+def _policy_of(run: RunReader, step: int | None) -> StoredPolicy:
+    """The run's policy at the fit of `step`, or at its end."""
+    if run.has_policy(step):
+        return read_policy(run.path / (NAME if step is None else layout.policy(step)))
+    kept = ", ".join(map(str, run.policy_steps())) if run.fits_model else ""
+    advice = f"--step takes one of {kept}" if kept else "name another run"
+    of = "its end" if step is None else f"step {step}"
+    raise UserError(f"run {run.run_id} kept no policy of {of}: {advice}")
 
 
 def weigh(
@@ -142,6 +147,31 @@ def made_anew(
     return footprint(known, policy, rows, start, draws, stepped)
 
 
+def fit_weights(
+    data: OrderedData,
+    policy: PolicyOfInterest,
+    policy_buffer: TensorTransitions,
+    on_policy_steps: int,
+    config: RunConfig,
+) -> Weighting:
+    """The weights that `config.learner` gives the data in one fit, from new networks."""
+    rows, streams = data.transitions, Streams(config.seed)
+    dims = rows.obs.shape[1], rows.action.shape[1]
+    learner = make_learner(config.learner, config, *dims, streams.torch("learner"))
+    return learner.weigh(
+        FitContext(
+            replay=rows,
+            policy_version=data.policy_version,
+            policy_buffer=policy_buffer,
+            on_policy_steps=on_policy_steps,
+            initial_obs=data.initial_obs,
+            policy=policy,
+            generator=streams.torch("weigh"),
+            value_gradient=policy.value_gradient,
+        )
+    )
+
+
 def _weigh(
     data: OrderedData,
     policy: PolicyOfInterest,
@@ -149,59 +179,141 @@ def _weigh(
     fresh: Footprint,
     config: RunConfig,
 ) -> Weighed:
-    rows, streams = data.transitions, Streams(config.seed)
-    dims = rows.obs.shape[1], rows.action.shape[1]
-    learner = make_learner(config.learner, config, *dims, streams.torch("learner"))
-    context = FitContext(
-        replay=rows,
-        policy_version=data.policy_version,
-        policy_buffer=made.transitions.torch(),
-        on_policy_steps=max(len(made.transitions), config.tom.warmup),
-        initial_obs=data.initial_obs,
-        policy=policy,
-        generator=streams.torch("weigh"),
-        value_gradient=policy.value_gradient,
-    )
-    weighting = learner.weigh(context)
-    judges, generator = fresh.transitions.torch(), streams.torch("exam")
-    match = footprint_match(rows, weighting.weights, judges, step_scaling(rows), generator)
-    ratio = None if weighting.log_ratio is None else weighting.log_ratio.to(torch.float32).numpy()
-    terms = {} if weighting.terms is None else weighting.terms.recorded()
+    rows, steps = data.transitions, max(len(made.transitions), config.tom.warmup)
+    weighting = fit_weights(data, policy, made.transitions.torch(), steps, config)
+    judges, generator = fresh.transitions.torch(), Streams(config.seed).torch("exam")
+    event = weighting.event(0)
     return Weighed(
         learner=config.learner,
         seed=config.seed,
-        weights=weighting.weights.to(torch.float32).numpy(),
-        log_ratio=ratio,
+        weights=event.weight,
+        log_ratio=event.log_ratio,
         metrics=dict(weighting.metrics),
         notices=tuple(weighting.notices),
         footprint_return=float(np.mean(made.returns)) if made.returns else None,
-        match=match,
-        terms={name: term.to(torch.float32).numpy() for name, term in terms.items()},
+        match=footprint_match(rows, weighting.weights, judges, step_scaling(rows), generator),
+        terms=dict(event.terms),
     )
 
 
-def _stored(name: str, store: Store, step: int | None) -> StoredPolicy:
-    run = find_run(name, store)
-    if run is None:
-        _no_step(name, step)
-        return read_policy(Path(name))
-    if run.has_policy(step):
-        return read_policy(run.path / (NAME if step is None else layout.policy(step)))
-    of = "its end" if step is None else f"step {step}"
-    raise UserError(f"run {run.run_id} kept no policy of {of}: {_advice(run, step)}")
+def fit_model(
+    rows: TensorTransitions, weighting: Weighting, config: ModelConfig, seed: int
+) -> DynamicsModel:
+    """A new model, fitted to the rows with these weights."""
+    streams, dims = Streams(seed), (rows.obs.shape[1], rows.action.shape[1])
+    model = make_model(*dims, config, streams.torch("model"))
+    model.fit(rows, *weighting.for_fit(config), streams.torch("fit"))
+    return model
 
 
-def _advice(run: RunReader, step: int | None) -> str:
-    """What to do where a run has no policy of `step` (None: of its end)."""
-    if run.fits_model and (kept := run.policy_steps()):
-        return "--step takes one of " + ", ".join(map(str, kept))
-    if step is not None and run.has_policy():
-        return "it kept none of its fits (nor did any run of an earlier version): omit --step"
-    if run.status.state == "finished":
-        return "name another run"
-    return "train it to its end, or name another run"
+@dataclass(frozen=True)
+class WeighingPlan:
+    """Data, policy and settings that belong to the same task."""
+
+    data: OrderedData
+    known: Task
+    policy: PolicyOfInterest
+    config: RunConfig
+    preset: str
+    learners: tuple[str, ...]
+    seeds: tuple[int, ...]
+    footprint: int
+    changed: Mapping[str, str]
+    """the settings that are not the preset's: path to text"""
+
+    @property
+    def steps(self) -> int:
+        """The number of steps that the policy will take in the real environment."""
+        return 2 * self.footprint * len(self.seeds)
+
+    def carry_out(self, stepped: Callable[[], None] = lambda: None) -> Iterator[Weighed]:
+        """Yield every learner's weights under every seed (`weigh`)."""
+        parts = self.data, self.policy, self.known, self.config, self.learners, self.seeds
+        return weigh(*parts, self.footprint, stepped)
 
 
-def _no_step(name: str, step: int | None) -> None:
-    if step is not None:
-        raise UserError(f"--step {step} is a step of a run, and policy {name} is none: name a run")
+def plan_weighing(
+    data: str,
+    policy: str,
+    store: Store,
+    *,
+    learners: Sequence[str],
+    seeds: Sequence[int],
+    footprint: int,
+    env: str | None = None,
+    step: int | None = None,
+    random: str | None = None,
+    preset: str | None = None,
+    settings: Mapping[str, Any],
+) -> WeighingPlan:
+    """The plan to weigh `data` for `policy`; `tom weigh` documents both.
+
+    `settings` are nested like `RunConfig` and override the preset. Raises UserError, or pydantic's
+    ValidationError for a wrong setting.
+    """
+    if footprint < 1:
+        raise UserError(f"a footprint of {footprint} steps is none: it takes at least 1")
+    rows = _data(data, policy, store, env, step, random)
+    assert rows.env is not None
+    known = task(rows.env)
+    preset = preset or (EXACT if step is None else OWN)
+    usual = _preset(preset, data, store, rows.env)
+    config = usual.but(**settings)
+    before, now = (in_words(one.model_dump(include=setting_groups())) for one in (usual, config))
+    for seed in seeds:
+        config.but(seed=seed)
+    for learner in learners:
+        if learner not in LEARNERS:
+            raise unknown("learner", learner, LEARNERS)
+    return WeighingPlan(
+        data=rows,
+        known=known,
+        policy=load_policy(policy, store, known, step),
+        config=config,
+        preset=preset,
+        learners=tuple(dict.fromkeys(learners)),
+        seeds=tuple(dict.fromkeys(seeds)),
+        footprint=footprint,
+        changed={path: value for path, value in now.items() if before.get(path) != value},
+    )
+
+
+def _data(
+    name: str, policy: str, store: Store, env: str | None, step: int | None, random: str | None
+) -> OrderedData:
+    """The data, of the task `env`, else of the policy's, behind as much random data if asked."""
+    if env is None and policy != RANDOM and not is_foreign(policy):
+        run = find_run(policy, store)
+        env = read_policy(Path(policy)).env if run is None else run.env
+    data = load_data(name, store, env, step)
+    if data.env != (env or data.env):
+        raise UserError(f"{data.name} is of {data.env}, not of {env}: name a policy of {data.env}")
+    return after_random(load_data(random, store, data.env), data) if random else data
+
+
+def _preset(preset: str, data: str, store: Store, env: str) -> RunConfig:
+    """The settings of every learner that `preset` stands for."""
+    if preset not in PRESETS:
+        raise unknown("preset", preset, PRESETS)
+    if preset == EXACT:
+        return settings_type()(env=env, learner="tom", tom=TomConfig.preset(EXACT))
+    if preset == OWN:
+        if (run := find_run(data, store)) is None:
+            raise UserError(
+                f"{data} is no run, so it has no settings: --preset exact, paper or mended"
+            )
+        of = recorded_config(run, "name --preset exact, paper or mended")
+    else:
+        of = presets.resolve(env, "tom", preset)
+    own = {group: getattr(of, group) for group in setting_groups() if hasattr(of, group)}
+    return settings_type()(env=of.env, learner="tom", **own)
+
+
+def settings_type() -> type[RunConfig]:
+    """The configuration class with the settings of every plug-in's learner."""
+    return with_own_settings(RunConfig, LEARNERS)
+
+
+def setting_groups() -> set[str]:
+    """The names of the groups of learners' settings."""
+    return {entry.group for entry in LEARNERS.values() if entry.group}

@@ -25,7 +25,7 @@ from tom.record import RunReader, Store, layout
 from tom.record.decode import read_table
 from tom.record.reader import at_or_before
 from tom.record.versions import git_commit, versions
-from tom.reports import brush_files, weighing_files
+from tom.reports import weighing_files
 
 FRESH = 2000
 HORIZON = 20
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
     }
     ghosts = _ghosts(reader, models, args.step)
     with weighing_files.place(args.out, store, name) as out:
-        brush_files.write(out, region, models, report, ghosts)
+        weighing_files.write_brush(out, region, models, report, ghosts)
     print(json.dumps({"out": str(out)}) if args.json else out)
     return 0
 

@@ -25,10 +25,8 @@ from tom.errors import DivergedError
 from tom.machine.processes import on_stopping
 from tom.record import RunReader, Store
 from tom.record.files import plain
-from tom.reports.files import write_csv
-from tom.reports.html import Report, write_report
-from tom.reports.origin import origin
-from tom.reports.style import STYLE, save
+from tom.reports.figures import STYLE, save
+from tom.reports.report import Report, origin, write_csv, write_report
 from tom.studies import (
     capacity,
     focus,

@@ -12,8 +12,7 @@ import torch
 from pydantic import ValidationError
 
 from tom import readable
-from tom.analysis.weighing import POLICIES, Weighed
-from tom.analysis.weighing_plan import plan_weighing, setting_groups, settings_type
+from tom.analysis.weighing import POLICIES, Weighed, plan_weighing, setting_groups, settings_type
 from tom.cli.parser import (
     add_config_options,
     add_json,

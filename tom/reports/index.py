@@ -14,7 +14,7 @@ from tom.harmless import code, fenced, markdown
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
 from tom.record.files import read_json, replace
-from tom.reports.origin import run_hours, seeds
+from tom.reports.report import run_hours, seeds
 from tom.reports.weighing_files import REPORT
 
 NAME = "README.md"

@@ -1,9 +1,9 @@
 """The files of a weighing: weights, profiles, figure and report, written atomically.
 
 Rows that no run of the store holds are included, as in a run folder (`buffer/`, `config.json`).
+A brushed region is a weighing as well, with the models' errors and ghosts.
 """
 
-import csv
 import hashlib
 import os
 import shutil
@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 
+from tom.analysis.brush import AS_IT_IS, BrushedFit
 from tom.analysis.ordered_data import OrderedData
-from tom.analysis.progression import medians, progression
-from tom.analysis.weighing import Weighed
-from tom.analysis.weighing_plan import WeighingPlan, setting_groups
+from tom.analysis.progression import Progression, medians, progression
+from tom.analysis.weighing import Weighed, WeighingPlan, setting_groups
 from tom.data.sampling import bin_means
 from tom.data.unpack import DAMAGE
 from tom.errors import UserError
@@ -31,15 +32,16 @@ from tom.record.store import Store
 from tom.record.task_record import description, save_scene
 from tom.record.thin import write_columns
 from tom.record.versions import git_commit, versions
-from tom.reports.origin import seeds
+from tom.reports.report import seeds, write_csv
 
 WEIGHTS, PROFILE, REPORT, FIGURE = "weights.parquet", "profile.csv", "report.json", "profile"
+GHOSTS = "ghosts.npz"
+REGION = "region"
+"""the column that marks the brushed rows"""
 LOG_RATIO = "-log_ratio"
 """suffix of the column of the discriminator's output"""
 MATCH = ("footprint", "footprint_se", "footprint_noise", "footprint_uniform")
 """the match of the weighted data to fresh episodes of the policy; null if not measured"""
-NEEDED = {"data", "policy", "rows", "results"}
-"""the required entries of a report"""
 BRUSH = "brush"
 """entry of the report of `tom brush`"""
 ROWS = "rows_digest"
@@ -48,17 +50,51 @@ SEGMENT_BYTES = 64 * 2**20
 """bytes of rows per file"""
 
 
-def of_run(store: Path, run_id: str) -> list[Path]:
-    """The weighings of a run's buffer in `store`, by name; unreadable ones are left out."""
-    return [
-        path for path, report in reports(store) if report["data"] == run_id and ROWS not in report
-    ]
+# Read.
+
+
+class _Result(BaseModel):
+    """Whose weights these are, and what there is to notice."""
+
+    model_config = ConfigDict(strict=True)
+    learner: str
+    seed: int
+    notices: list[str] = []
+
+
+class _Made(BaseModel):
+    """How a weighing was made; an old one says little."""
+
+    model_config = ConfigDict(strict=True)
+    versions: dict[str, Any] = {}
+    hours: float = 0.0
+
+
+class _Report(BaseModel):
+    """What readers need of a report."""
+
+    model_config = ConfigDict(strict=True)
+    data: str
+    policy: str
+    rows: int
+    results: list[_Result]
+    made: _Made = _Made()
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """The report of the weighing in the folder `path`. Raises OSError, or ValueError if damaged."""
+    report = read_json(path / REPORT)
+    _Report.model_validate(report)
+    return report
 
 
 def reports(store: Path) -> list[tuple[Path, dict[str, Any]]]:
     """Every weighing in `store` with its report, by name; unreadable ones are left out."""
-    read = [(path, _report(path)) for path in folders(store)]
-    return [(path, report) for path, report in read if report is not None]
+    found = []
+    for path in folders(store):
+        with suppress(OSError, ValueError):
+            found.append((path, read_report(path)))
+    return found
 
 
 def folders(store: Path) -> list[Path]:
@@ -71,23 +107,31 @@ def folders(store: Path) -> list[Path]:
     return [path for path in paths if path.name[0] != "." and not path.is_symlink()]
 
 
-def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
-    """Copy the weighings of a run into the store `to`, with rounded weights and without terms.
+def of_run(store: Path, run_id: str) -> list[Path]:
+    """The weighings of a run's buffer in `store`, by name; unreadable ones are left out."""
+    return [
+        path for path, report in reports(store) if report["data"] == run_id and ROWS not in report
+    ]
 
-    Their figure comes along as PNG alone. Yields each copy. Raises UserError if one exists already,
-    is damaged or cannot be written.
-    """
-    for path in of_run(store, run_id):
-        copy = Store(to).beside(layout.WEIGHINGS) / path.name
-        check_free(copy)
-        weights = _read_weights(path)
-        with whole_weighing(copy) as unfinished:
-            for file in path.iterdir():
-                left_out = file.name == WEIGHTS or file.suffix == ".svg"
-                if not left_out and file.is_file() and not file.is_symlink():
-                    shutil.copyfile(file, unfinished / file.name)
-            write_columns(unfinished / WEIGHTS, weights)
-        yield copy
+
+def is_brush(report: Mapping[str, Any]) -> bool:
+    """Whether the weights are a what-if (`tom brush`), a learner's multiplied in a region."""
+    return BRUSH in report
+
+
+def notices(report: Mapping[str, Any]) -> list[str]:
+    """What the learners noticed about their weights, each once with the seeds of which it holds."""
+    noticed: dict[tuple[str, str], list[int]] = {}
+    for result in report["results"]:
+        for message in result.get("notices", ()):
+            noticed.setdefault((result["learner"], message), []).append(result["seed"])
+    return [
+        f"{LEARNERS[name].label if name in LEARNERS else name}, seed {seeds(of)}: {message}"
+        for (name, message), of in noticed.items()
+    ]
+
+
+# Where a weighing goes.
 
 
 def check_free(out: Path) -> None:
@@ -99,111 +143,6 @@ def check_free(out: Path) -> None:
     parent = next(p for p in out.absolute().parents if p.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
         raise UserError(f"cannot make {out} in {parent}: name another folder with --out")
-
-
-def summary(data: OrderedData, weighed: Sequence[Weighed]) -> dict[str, Any]:
-    """The report on all learners and seeds, ready for JSON."""
-    results = [
-        {
-            "learner": one.learner,
-            "seed": one.seed,
-            **progression(one.weights, data.ordered_from).row(),
-            **{name: one.match.get(name) for name in MATCH},
-            "footprint_return": one.footprint_return,
-            "metrics": one.metrics,
-            "notices": [message for _, message in one.notices],
-        }
-        for one in weighed
-    ]
-    return {
-        "data": data.name,
-        "env": data.env,
-        "rows": len(data),
-        "ordered_from": data.ordered_from,
-        **({} if data.stored else {ROWS: rows_digest(data)}),
-        "results": results,
-        "medians": {
-            name: medians([progression(one.weights, data.ordered_from) for one in of])
-            for name, of in by_learner(weighed).items()
-        },
-    }
-
-
-def report(
-    plan: WeighingPlan,
-    weighed: Sequence[Weighed],
-    policy: str,
-    step: int | None,
-    command: str,
-    hours: float,
-) -> dict[str, Any]:
-    """The content of `report.json` for a plan that `command` carried out in `hours`."""
-    return {
-        "policy": policy,
-        "step": step,
-        "preset": plan.preset,
-        "changed": dict(plan.changed),
-        "footprint": plan.footprint,
-        "config": plan.config.model_dump(include=setting_groups()),
-        **summary(plan.data, weighed),
-        "made": {
-            "command": command,
-            "git_commit": git_commit(),
-            "versions": versions(),
-            "hours": hours,
-        },
-    }
-
-
-def notices(report: Mapping[str, Any]) -> list[str]:
-    """What the learners noticed about their weights, each once with the seeds of which it holds."""
-    held: dict[tuple[str, str], list[int]] = {}
-    for result in report["results"]:
-        for message in result.get("notices", ()):
-            held.setdefault((result["learner"], message), []).append(result["seed"])
-    return [
-        f"{LEARNERS[name].label if name in LEARNERS else name}, seed {seeds(of)}: {message}"
-        for (name, message), of in held.items()
-    ]
-
-
-def by_learner(weighed: Sequence[Weighed]) -> dict[str, list[Weighed]]:
-    """The results of each learner, in the order of first appearance."""
-    groups: dict[str, list[Weighed]] = {}
-    for one in weighed:
-        groups.setdefault(one.learner, []).append(one)
-    return groups
-
-
-def profiles(of: Sequence[Weighed], bins: int) -> NDArray[np.float64]:
-    """The weight profiles of several seeds, (S, bins)."""
-    return np.stack([bin_means(one.weights, bins).numpy() for one in of])
-
-
-def write(
-    out: Path, data: OrderedData, weighed: Sequence[Weighed], bins: int, report: dict[str, Any]
-) -> None:
-    """Make the folder `out` with all files. Raises UserError if it cannot be made."""
-    with whole_weighing(out) as unfinished:
-        write_weights(unfinished / WEIGHTS, weighed)
-        write_profiles(unfinished / PROFILE, weighed, bins)
-        if not data.stored:
-            _write_rows(unfinished, data)
-        _draw(unfinished, data, weighed, bins)
-        replace_json(unfinished / REPORT, report, sync=False)
-
-
-def _draw(folder: Path, data: OrderedData, weighed: Sequence[Weighed], bins: int) -> None:
-    # Imported here, so that listing runs does not load matplotlib.
-    from tom.reports.profile_figure import Panel, profile_figure
-    from tom.reports.style import save
-
-    panels = [
-        Panel(LEARNERS[name].label, name, profiles(of, bins))
-        for name, of in by_learner(weighed).items()
-    ]
-    share = data.ordered_from / len(data)
-    save(profile_figure({data.name: panels}, {data.name: share}), folder, FIGURE)
 
 
 @contextmanager
@@ -229,21 +168,145 @@ def place(out: Path | None, store: Store, name: str) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_weighing(out: Path) -> Iterator[Path]:
-    """`whole_folder` that raises UserError if it cannot be written."""
+def _unfinished(out: Path) -> Iterator[Path]:
+    """A folder that becomes `out` at the end of the block. Raises UserError if it cannot be."""
     try:
-        with whole_folder(out.absolute()) as unfinished:
-            yield unfinished
+        with whole_folder(out.absolute()) as folder:
+            yield folder
     except OSError as error:
-        raise UserError(
-            f"cannot write {out}: {error.strerror or error}; name another --out"
-        ) from error
+        why = error.strerror or error
+        raise UserError(f"cannot write {out}: {why}; name another --out") from error
+
+
+def copy_small(store: Path, run_id: str, to: Path) -> Iterator[Path]:
+    """Copy the weighings of a run into the store `to`, with rounded weights and without terms.
+
+    Their figure comes along as PNG alone. Yields each copy. Raises UserError if one exists already,
+    is damaged or cannot be written.
+    """
+    for path in of_run(store, run_id):
+        copy = Store(to).beside(layout.WEIGHINGS) / path.name
+        check_free(copy)
+        try:
+            table = read_table(path / WEIGHTS)
+        except DAMAGE as error:
+            raise UserError(f"weighing {path} cannot be read ({error}): move it away") from error
+        kept = {
+            name: table[name].to_numpy()
+            for name in map(str, table)
+            if name.rpartition("-s")[2].isdigit() or table[name].dtype == np.bool_
+        }
+        with _unfinished(copy) as folder:
+            for file in path.iterdir():
+                left_out = file.name == WEIGHTS or file.suffix == ".svg"
+                if not left_out and file.is_file() and not file.is_symlink():
+                    shutil.copyfile(file, folder / file.name)
+            write_columns(folder / WEIGHTS, kept)
+        yield copy
+
+
+# Write.
+
+
+def report(
+    plan: WeighingPlan,
+    weighed: Sequence[Weighed],
+    policy: str,
+    step: int | None,
+    command: str,
+    hours: float,
+) -> dict[str, Any]:
+    """The content of `report.json` for a plan that `command` carried out in `hours`."""
+    data = plan.data
+    shapes = [progression(one.weights, data.ordered_from) for one in weighed]
+    by_learner: dict[str, list[Progression]] = {}
+    for one, shape in zip(weighed, shapes, strict=True):
+        by_learner.setdefault(one.learner, []).append(shape)
+    return {
+        "policy": policy,
+        "step": step,
+        "preset": plan.preset,
+        "changed": dict(plan.changed),
+        "footprint": plan.footprint,
+        "config": plan.config.model_dump(include=setting_groups()),
+        "data": data.name,
+        "env": data.env,
+        "rows": len(data),
+        "ordered_from": data.ordered_from,
+        **({} if data.stored else {ROWS: rows_digest(data)}),
+        "results": [
+            {
+                "learner": one.learner,
+                "seed": one.seed,
+                **shape.row(),
+                **{name: one.match.get(name) for name in MATCH},
+                "footprint_return": one.footprint_return,
+                "metrics": one.metrics,
+                "notices": [message for _, message in one.notices],
+            }
+            for one, shape in zip(weighed, shapes, strict=True)
+        ],
+        "medians": {name: medians(of) for name, of in by_learner.items()},
+        "made": {
+            "command": command,
+            "git_commit": git_commit(),
+            "versions": versions(),
+            "hours": hours,
+        },
+    }
 
 
 def rows_digest(data: OrderedData) -> str:
     """A digest of the rows of `data`, eight characters."""
     packed = data.transitions.packed().numpy()
     return hashlib.sha256(packed.tobytes()).hexdigest()[:8]
+
+
+def write(
+    out: Path, data: OrderedData, weighed: Sequence[Weighed], bins: int, report: dict[str, Any]
+) -> None:
+    """Make the folder `out` with all files. Raises UserError if it cannot be made."""
+    # Imported here, so that listing runs does not load matplotlib.
+    from tom.reports.figures import Panel, profile_figure, save
+
+    learners = dict.fromkeys(one.learner for one in weighed)
+    panels = [Panel(LEARNERS[n].label, n, profiles(weighed, n, bins)) for n in learners]
+    share = data.ordered_from / len(data)
+    with _unfinished(out) as folder:
+        write_weights(folder / WEIGHTS, weighed)
+        write_csv(folder / PROFILE, profile_rows(weighed, bins))
+        if not data.stored:
+            _write_rows(folder, data)
+        save(profile_figure({data.name: panels}, {data.name: share}), folder, FIGURE)
+        replace_json(folder / REPORT, report, sync=False)
+
+
+def profiles(weighed: Sequence[Weighed], learner: str, bins: int) -> NDArray[np.float64]:
+    """The weight profiles of one learner's seeds, (S, bins)."""
+    return np.stack([bin_means(o.weights, bins).numpy() for o in weighed if o.learner == learner])
+
+
+def profile_rows(weighed: Sequence[Weighed], bins: int) -> Iterator[dict[str, Any]]:
+    """One row for each learner, seed and bin (0 is the oldest) with the mean weight."""
+    for one in weighed:
+        for number, mean in enumerate(bin_means(one.weights, bins).tolist()):
+            place = {"learner": one.learner, "seed": one.seed, "bin": number}
+            yield place | {"mean_weight": f"{mean:.6g}"}
+
+
+def write_weights(path: Path, weighed: Sequence[Weighed]) -> None:
+    """One float32 column for each learner and seed, one row per transition, oldest first.
+
+    If a learner has terms, they are further columns (`LEARNER-sSEED-TERM`).
+    """
+    columns: dict[str, NDArray[np.float32]] = {}
+    for one in weighed:
+        name = f"{one.learner}-s{one.seed}"
+        columns[name] = one.weights
+        if one.log_ratio is not None:
+            columns[name + LOG_RATIO] = one.log_ratio
+        columns |= {f"{name}-{term}": values for term, values in one.terms.items()}
+    write_table(path, pa.table(columns), **NUMBERS)
 
 
 def _write_rows(folder: Path, data: OrderedData) -> None:
@@ -264,83 +327,35 @@ def _write_rows(folder: Path, data: OrderedData) -> None:
     save_scene(data.env, folder)
 
 
-def _report(path: Path) -> dict[str, Any] | None:
-    try:
-        report = read_json(path / REPORT)
-    except (OSError, ValueError):
-        return None
-    return report if is_whole(report) else None
+def called(factor: float) -> str:
+    """The name of weights of that factor, used in place of a learner's name."""
+    return "as it is" if factor == AS_IT_IS else f"region x {factor:g}"
 
 
-def is_whole(report: Mapping[str, Any]) -> bool:
-    """Whether a report has what its readers need, each entry of its type."""
-    if not report.keys() >= NEEDED or not isinstance(report["results"], list):
-        return False
-    said = report["data"], report["policy"]
-    return (
-        all(isinstance(name, str) for name in said)
-        and isinstance(report["rows"], int)
-        and all(map(_is_result, report["results"]))
-        and _is_origin(report.get("made", {}))
-    )
-
-
-def is_brush(report: Mapping[str, Any]) -> bool:
-    """Whether the weights are a what-if (`tom brush`), a learner's multiplied in a region."""
-    return BRUSH in report
-
-
-def _is_result(row: object) -> bool:
-    """Whether it says whose weights these are, and what there is to notice in words."""
-    if not isinstance(row, dict):
-        return False
-    said = row.get("notices", [])
-    told = isinstance(said, list) and all(isinstance(message, str) for message in said)
-    return told and isinstance(row.get("learner"), str) and isinstance(row.get("seed"), int)
-
-
-def _is_origin(made: object) -> bool:
-    """Whether it can say how a weighing was made; an old one says little."""
-    if not isinstance(made, dict) or not isinstance(made.get("versions", {}), dict):
-        return False
-    hours = made.get("hours", 0.0)
-    return isinstance(hours, (float, int))
-
-
-def _read_weights(path: Path) -> dict[str, NDArray]:
-    """The weights of a weighing by learner and seed, without their terms; a brush's region, too."""
-    try:
-        table = read_table(path / WEIGHTS)
-    except DAMAGE as error:
-        raise UserError(f"weighing {path} cannot be read ({error}): move it away") from error
-    kept = [
-        name
-        for name in map(str, table)
-        if name.rpartition("-s")[2].isdigit() or table[name].dtype == np.bool_
+def write_brush(
+    out: Path,
+    region: NDArray[np.bool_],
+    models: Sequence[BrushedFit],
+    report: dict[str, Any],
+    ghosts: Mapping[str, NDArray],
+) -> None:
+    """Make the folder `out` with all files. Raises UserError if it cannot be made."""
+    # The weights do not depend on the seed.
+    first = {one.factor: one for one in reversed(models)}
+    columns = {f"{called(f)}-s{one.seed}": one.weights for f, one in sorted(first.items())}
+    results = [
+        {
+            "learner": called(one.factor),
+            "factor": one.factor,
+            "seed": one.seed,
+            "errors": one.errors,
+            **progression(one.weights, report["ordered_from"]).row(),
+        }
+        for one in models
     ]
-    return {name: table[name].to_numpy() for name in kept}
-
-
-def write_weights(path: Path, weighed: Sequence[Weighed]) -> None:
-    """One float32 column for each learner and seed, one row per transition, oldest first.
-
-    If a learner has terms, they are further columns (`LEARNER-sSEED-TERM`).
-    """
-    columns: dict[str, NDArray[np.float32]] = {}
-    for one in weighed:
-        columns[f"{one.learner}-s{one.seed}"] = one.weights
-        if one.log_ratio is not None:
-            columns[f"{one.learner}-s{one.seed}{LOG_RATIO}"] = one.log_ratio
-        for name, term in one.terms.items():
-            columns[f"{one.learner}-s{one.seed}-{name}"] = term
-    write_table(path, pa.table(columns), **NUMBERS)
-
-
-def write_profiles(path: Path, weighed: Sequence[Weighed], bins: int) -> None:
-    """One line for each learner, seed and bin (0 is the oldest) with the mean weight."""
-    with path.open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["learner", "seed", "bin", "mean_weight"])
-        for one in weighed:
-            for number, mean in enumerate(bin_means(one.weights, bins).tolist()):
-                table.writerow([one.learner, one.seed, number, f"{mean:.6g}"])
+    with _unfinished(out) as folder:
+        table = pa.table({**columns, REGION: region})
+        write_table(folder / WEIGHTS, table)
+        if ghosts:
+            np.savez_compressed(folder / GHOSTS, allow_pickle=False, **dict(ghosts))
+        replace_json(folder / REPORT, {**report, "results": results}, sync=False)

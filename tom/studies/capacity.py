@@ -7,24 +7,31 @@ on episodes that the kept policy of a step makes anew. Runs must be whole, or sm
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
-from dataclasses import astuple, replace
+from collections import Counter
+from collections.abc import Sequence
 from functools import partial
 from math import exp, log, nan
 from statistics import median
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator
 
-from tom.analysis.statistics import Interval
 from tom.errors import UserError
-from tom.reports.colours import NEUTRAL, learner_colour
-from tom.reports.style import new_figure
-from tom.studies.frozen import ERROR, MODELS, ROLLOUT_ERROR, UNIFORM, WAYS
-from tom.studies.frozen_choice import add_measuring, measured, models_of, origin_of_moments
-from tom.studies.recordings import QUESTIONS, comparisons, spanned
+from tom.reports.figures import NEUTRAL, learner_colour, log_ticks, new_figure
+from tom.studies.frozen import (
+    ERROR,
+    MODELS,
+    ROLLOUT_ERROR,
+    UNIFORM,
+    WAYS,
+    add_measuring,
+    measured,
+    models_of,
+    origin_of_moments,
+)
+from tom.studies.recordings import QUESTIONS, comparisons, spanned, trial_of
 from tom.studies.study import Findings, Lab, Row, Study, Table, check_known
 
 ASKED = ("recency", "half-recency", "ratio", "tom-discounted", "tom-mended", "half-tom-mended")
@@ -45,7 +52,7 @@ def add_options(parser: ArgumentParser) -> None:
 def find(args: Namespace, lab: Lab) -> Findings:
     check_known("model", args.models, MODELS)
     outcomes = measured(args, lab, args.models)
-    if args.table and not any(ratios(outcomes, ERROR)):
+    if args.table and ratios(outcomes).empty:
         raise UserError(
             f"{args.table} has no moment with both uniform and other weights, "
             "whose errors are compared: name the moments.csv of another report"
@@ -61,15 +68,17 @@ def find(args: Namespace, lab: Lab) -> Findings:
     )
 
 
-def ratios(outcomes: Sequence[Row], ahead: str) -> Iterator[tuple[str, str, float]]:
-    """(way, model, error relative to uniform weights at the same moment and seed)."""
-    at = ("recording", "step", "seed")
-    base = {tuple(one[name] for name in at): one for one in outcomes if one["way"] == UNIFORM}
-    for one in outcomes:
-        uniform = base.get(tuple(one[name] for name in at))
-        if one["way"] != UNIFORM and uniform:
-            for model in models_of([one]):
-                yield one["way"], model, one[ahead + model] / uniform[ahead + model]
+def ratios(outcomes: Sequence[Row]) -> pd.DataFrame:
+    """Errors over those under uniform weights at the same moment and seed: way, model, `AHEAD`."""
+    uniform = {trial_of(one): one for one in outcomes if one["way"] == UNIFORM}
+    rows = [
+        {"way": one["way"], "model": model}
+        | {name: one[ahead + model] / even[ahead + model] for name, ahead in AHEAD.items()}
+        for one in outcomes
+        if one["way"] != UNIFORM and (even := uniform.get(trial_of(one)))
+        for model in models_of([one])
+    ]
+    return pd.DataFrame(rows, columns=["way", "model", *AHEAD])
 
 
 def summary(outcomes: Sequence[Row]) -> list[Row]:
@@ -77,22 +86,18 @@ def summary(outcomes: Sequence[Row]) -> list[Row]:
 
     Without those that share no moment and seed with uniform weights.
     """
-    values: dict[tuple[str, str], dict[str, list[float]]] = {}
-    for name, ahead in AHEAD.items():
-        for way, model, ratio in ratios(outcomes, ahead):
-            values.setdefault((way, model), {}).setdefault(name, []).append(ratio)
-    rows, ways = [], list(dict.fromkeys(one["way"] for one in outcomes))
-    models = models_of(outcomes)
-    for way, model in sorted(values, key=lambda pair: (ways.index(pair[0]), models.index(pair[1]))):
+    rows, count = [], Counter(one["way"] for one in outcomes)
+    for (way, model), group in ratios(outcomes).groupby(["way", "model"], sort=False):
         row: Row = {"way": way, "model": model}
-        for name, of in values[way, model].items():
+        for name in AHEAD:
+            low, high = np.quantile(group[name], (0.25, 0.75)).tolist()
             row |= {
-                name: median(of),
-                f"{name}, lower quartile": float(np.quantile(of, 0.25)),
-                f"{name}, upper quartile": float(np.quantile(of, 0.75)),
-                f"{name}, below 1": sum(ratio < 1 for ratio in of) / len(of),
+                name: median(group[name]),
+                f"{name}, lower quartile": low,
+                f"{name}, upper quartile": high,
+                f"{name}, below 1": float((group[name] < 1).mean()),
             }
-        rows.append(row | {"n": sum(one["way"] == way for one in outcomes)})
+        rows.append(row | {"n": count[way]})
     return rows
 
 
@@ -102,18 +107,18 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     The ratio is the exponential of the mean difference of logarithms, and so are its interval and
     the ratio in each task.
     """
-    rows = []
+    rows, envs = [], {one["env"] for one in outcomes}
     for model in models_of(outcomes):
-        for one in comparisons(outcomes, partial(_log_error, model)):
-            ratio = Interval(*map(float, np.exp(astuple(one.difference))))
-            by_task = {env: exp(gap) for env, gap in one.by_task.items()}
-            one = replace(one, difference=ratio, by_task=by_task)
-            rows.append(one.row("ratio", "less at", model=model))
+        column = ERROR + model
+
+        def log_error(one: Row, column: str = column) -> float:
+            return log(one[column]) if column in one else nan
+
+        for row in comparisons(outcomes, log_error, "ratio", "less at", model=model):
+            interval = np.exp([row["ratio"], row["low"], row["high"]]).tolist()
+            row |= dict(zip(("ratio", "low", "high"), interval, strict=True))
+            rows.append(row | {env: exp(row[env]) for env in row.keys() & envs})
     return sorted(rows, key=lambda row: list(QUESTIONS).index((row["way"], row["against"])))
-
-
-def _log_error(model: str, one: Row) -> float:
-    return log(one[ERROR + model]) if ERROR + model in one else nan
 
 
 def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
@@ -143,31 +148,32 @@ def verdict(rows: Sequence[Row], pairs: Sequence[Row]) -> list[str]:
 
 def capacity_figure(outcomes: Sequence[Row]) -> Figure:
     """Errors one step and five steps ahead, against the capacity of the model."""
-    figure = new_figure(9.0, 3.4)
+    figure, values = new_figure(9.0, 3.4), ratios(outcomes)
     axes = figure.subplots(1, len(AHEAD), sharey=True)
-    for ax, (name, ahead) in zip(axes, AHEAD.items(), strict=True):
-        _draw(ax, list(ratios(outcomes, ahead)))
+    for ax, name in zip(axes, AHEAD, strict=True):
+        _draw(ax, values.set_index(["way", "model"])[name])
         ax.set_title(f"{name} ahead")
     axes[0].set_ylabel("error over that of uniform weights")
     axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
-def _draw(ax: Axes, values: Sequence[tuple[str, str, float]]) -> None:
-    models = [model for model in MODELS if any(m == model for _, m, _ in values)]
-    ways = [way for way in WAYS if any(w == way for w, _, _ in values)]
-    drawn: dict[str, int] = {}  # lines of each learner so far
+def _draw(ax: Axes, values: pd.Series) -> None:
+    """A line of medians over the models for each way, by (way, model)."""
+    models = [model for model in MODELS if model in values.index.unique("model")]
+    ways = [way for way in WAYS if way in values.index.unique("way")]
+    drawn = Counter[str]()  # lines of each learner so far
     ax.axhline(1.0, color=NEUTRAL, linewidth=0.8)
     for number, way in enumerate(ways):
-        of = [[r for w, m, r in values if (w, m) == (way, model)] for model in models]
-        low, middle, high = np.array([np.quantile(group, (0.25, 0.5, 0.75)) for group in of]).T
+        quartiles = [np.quantile(values.loc[way].loc[[m]], (0.25, 0.5, 0.75)) for m in models]
+        low, middle, high = np.array(quartiles).T
         learner = WAYS[way].learner or ""
         ax.errorbar(
             np.arange(len(models)) + SPREAD * (number - (len(ways) - 1) / 2),
             middle,
             yerr=(middle - low, high - middle),
             color=learner_colour(learner),
-            linestyle=LINES[drawn.setdefault(learner, 0) % len(LINES)],
+            linestyle=LINES[drawn[learner] % len(LINES)],
             marker="o",
             markersize=4,
             elinewidth=0.8,
@@ -175,9 +181,7 @@ def _draw(ax: Axes, values: Sequence[tuple[str, str, float]]) -> None:
         )
         drawn[learner] += 1
     ax.set_yscale("log")
-    ax.yaxis.set_major_locator(FixedLocator([0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.1, 1.25, 1.5]))
-    ax.yaxis.set_minor_locator(NullLocator())
-    ax.yaxis.set_major_formatter("{x:g}")
+    log_ticks(ax.yaxis, [0.5, 0.6, 0.7, 0.8, 0.9, 1, 1.1, 1.25, 1.5])
     ax.set_xticks(range(len(models)), models)
     ax.set_xlabel("model (units x layers)")
 

@@ -7,24 +7,22 @@ of the buffer. Nothing is accepted or refused: it says for whom weighting helped
 """
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import nan
 from pathlib import Path
 from statistics import median
 
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator
 
 from tom.analysis.ordered_data import OrderedData, of_run
-from tom.analysis.weighing import Weighed, weigh
+from tom.analysis.weighing import fit_model, weigh
 from tom.config import OnlineConfig, TomConfig
 from tom.data.sampling import ess, uniform_indices
 from tom.data.transitions import TensorTransitions
-from tom.dynamics import make_model
-from tom.dynamics.base import DynamicsModel
 from tom.envs import Task, task
 from tom.exams.diagnostics import ROWS, one_step_error, rollout_error, step_scale, unbroken
 from tom.learners import LEARNERS
@@ -32,11 +30,10 @@ from tom.learners.base import Policy, Weighting
 from tom.policy.collect import footprint
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader
-from tom.reports.colours import NEUTRAL, learner_colour
-from tom.reports.origin import seeds as in_short
-from tom.reports.style import new_figure
+from tom.reports.figures import NEUTRAL, learner_colour, log_ticks, new_figure
+from tom.reports.report import seeds as in_short
 from tom.rng import Streams
-from tom.studies.sac import add_recordings, recordings
+from tom.studies.recordings import add_recordings, recordings
 from tom.studies.study import Findings, Lab, Row, Study, Table
 from tom.training.presets import PRESETS, resolve
 
@@ -115,7 +112,9 @@ def focus(case: Case) -> Row:
     data, policy, known = of_run(run), read_policy(run.path / NAME), task(run.env)
     config = _config(run.env, case.rival, case.preset).but(seed=case.seed)
     (weighed,) = weigh(data, policy, known, config, (config.learner,), (case.seed,))
-    model, tested = _fitted(data, weighed, config), _tested(data, policy, known, case.seed)
+    weights, tested = torch.from_numpy(weighed.weights), _tested(data, policy, known, case.seed)
+    weighting = Weighting(weights, clipped=LEARNERS[config.learner].clipped)
+    model = fit_model(data.transitions, weighting, config.model, case.seed)
     scale, anew = step_scale(data.transitions), tested["policy"]
     errors = {name: one_step_error(model, rows, scale) for name, rows in tested.items()}
     errors["policy_rollout"] = rollout_error(model, anew, unbroken(anew), scale)
@@ -123,7 +122,7 @@ def focus(case: Case) -> Row:
         "recording": f"{run.env}-s{run.seed}",
         "rival": case.rival,
         "seed": case.seed,
-        "ess": ess(torch.from_numpy(weighed.weights)),
+        "ess": ess(weights),
         **{name: errors[name] for name in QUANTITIES},
     }
 
@@ -150,16 +149,6 @@ def _config(env: str, rival: str, preset: str) -> OnlineConfig:
     return config.but(tom=objective.model_dump())
 
 
-def _fitted(data: OrderedData, weighed: Weighed, config: OnlineConfig) -> DynamicsModel:
-    rows, streams = data.transitions, Streams(config.seed)
-    dims = rows.obs.shape[1], rows.action.shape[1]
-    model = make_model(*dims, config.model, streams.torch("model"))
-    clipped = LEARNERS[config.learner].clipped
-    weighting = Weighting(torch.from_numpy(weighed.weights), clipped=clipped)
-    model.fit(rows, *weighting.for_fit(config.model), streams.torch("fit"))
-    return model
-
-
 def shares(results: Sequence[Row]) -> list[Row]:
     """The results with errors relative to MLE's on the same recording and seed; without MLE's."""
     mle = {(one["recording"], one["seed"]): one for one in results if one["rival"] == "mle"}
@@ -173,18 +162,17 @@ def shares(results: Sequence[Row]) -> list[Row]:
 def summary(results: Sequence[Row]) -> list[Row]:
     """Medians over seeds, one row per recording and rival, with errors relative to MLE's."""
     rows = []
-    for recording, rival in dict.fromkeys((one["recording"], one["rival"]) for one in results):
-        of, over = (_medians(part, recording, rival) for part in (results, shares(results)))
-        row: Row = {"recording": recording, "rival": rival, "ess": of["ess"]}
+    for key in dict.fromkeys((one["recording"], one["rival"]) for one in results):
+        own, over = (
+            [one for one in some if (one["recording"], one["rival"]) == key]
+            for some in (results, shares(results))
+        )
+        row: Row = {"recording": key[0], "rival": key[1], "ess": median(one["ess"] for one in own)}
         for name in QUANTITIES:
-            row |= {name: of[name], f"{name} / mle": over.get(name, float("nan"))}
+            row[name] = median(one[name] for one in own)
+            row[f"{name} / mle"] = median(one[name] for one in over) if over else nan
         rows.append(row)
     return rows
-
-
-def _medians(results: Sequence[Row], recording: str, rival: str) -> Mapping[str, float]:
-    own = [one for one in results if (one["recording"], one["rival"]) == (recording, rival)]
-    return {name: median(one[name] for one in own) for name in ("ess", *QUANTITIES) if own}
 
 
 def verdict(results: Sequence[Row]) -> list[str]:
@@ -236,9 +224,7 @@ def _draw(ax: Axes, over: Sequence[Row]) -> None:
         )
     ax.set_yscale("log")
     ax.set_xticks(range(len(QUANTITIES)), list(QUANTITIES.values()))
-    ax.yaxis.set_major_locator(FixedLocator([0.5, 0.75, 1, 1.5, 2, 3, 4]))
-    ax.yaxis.set_minor_locator(NullLocator())
-    ax.yaxis.set_major_formatter("{x:g}")
+    log_ticks(ax.yaxis, [0.5, 0.75, 1, 1.5, 2, 3, 4])
 
 
 STUDY = Study(

@@ -8,17 +8,15 @@ that step makes anew. Runs must be whole, or small copies made with --keep buffe
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from functools import partial
+from operator import itemgetter
 from statistics import median
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator
 
 from tom.exams.energy import informative
-from tom.reports.colours import learner_colour
-from tom.reports.style import new_figure
-from tom.studies.frozen import UNIFORM, WAYS
-from tom.studies.frozen_choice import add_measuring, measured, origin_of_moments
+from tom.reports.figures import learner_colour, log_ticks, new_figure
+from tom.studies.frozen import UNIFORM, WAYS, add_measuring, measured, origin_of_moments
 from tom.studies.recordings import QUESTIONS, comparisons, over_recordings, spanned, strips
 from tom.studies.study import Findings, Lab, Row, Study, Table
 
@@ -95,8 +93,8 @@ def head_to_head(outcomes: Sequence[Row]) -> list[Row]:
     Outcomes that say nothing (`telling`) do not count. Without questions about uniform weights,
     whose distance is 1: `summary` answers them.
     """
-    pairs = comparisons(telling(outcomes), lambda one: one["footprint"])
-    return [one.row("difference", "nearer at") for one in pairs if one.against != UNIFORM]
+    rows = comparisons(telling(outcomes), itemgetter("footprint"), "difference", "nearer at")
+    return [row for row in rows if row["against"] != UNIFORM]
 
 
 def verdict(outcomes: Sequence[Row]) -> list[str]:
@@ -156,9 +154,7 @@ def footprint_figure(outcomes: Sequence[Row]) -> Figure:
     figure = strips(envs, colours, values, 1.0)
     for ax in figure.axes:
         ax.set_xscale("log")
-        ax.xaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1, 2, 4]))
-        ax.xaxis.set_minor_locator(NullLocator())
-        ax.xaxis.set_major_formatter("{x:g}")
+        log_ticks(ax.xaxis, [0.1, 0.2, 0.5, 1, 2, 4])
     what = "distance to the policy's footprint over that of uniform weights"
     cut = any(one["footprint"] < LEAST for one in outcomes)
     figure.supxlabel(what + f" (drawn at {LEAST} if below it)" * cut, size=9)

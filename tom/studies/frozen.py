@@ -6,6 +6,9 @@ The learner gets the same information as online, the newest transitions of a cha
 tested on fresh episodes of the policy of that fit.
 """
 
+import csv
+import json
+from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -15,29 +18,33 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from tom.analysis.ordered_data import OrderedData, of_run
+from tom.analysis.weighing import fit_model, fit_weights
 from tom.config import OnlineConfig
 from tom.data.datasets import initial_obs
 from tom.data.sampling import ess
 from tom.data.transitions import TensorTransitions
-from tom.dynamics import DynamicsModel, make_model
-from tom.envs import task
+from tom.dynamics import DynamicsModel
+from tom.envs import ENVS, ROAD, task, task_rank
+from tom.errors import UserError
 from tom.exams.diagnostics import one_step_error, rollout_error, step_scale, unbroken
 from tom.exams.energy import footprint_match, step_scaling
-from tom.learners import make_learner
-from tom.learners.base import FitContext, Weighting
+from tom.learners.base import Weighting
 from tom.policy.collect import footprint
 from tom.policy.stored import StoredPolicy, read_policy
-from tom.record import RunReader, layout
+from tom.record import RunReader, Store, layout
+from tom.reports.report import WORDS
+from tom.reports.report import seeds as in_short
 from tom.rng import Streams
-from tom.studies.study import Row
+from tom.studies.study import Lab, Row, add_env, add_jobs, add_store, check_known, tasks, whole
 from tom.training.presets import resolve
 
 NEWEST = 1000  # rows of the policy buffer
 RANDOM = 5000  # random rows before those of a SAC recording, as in a training's exploration
 UNIFORM = "uniform"
-"""the way of weighing that every other is held against"""
+"""the way of weighing that every other is compared with"""
 
 
 @dataclass(frozen=True)
@@ -98,14 +105,15 @@ def moments(run: RunReader, most: int) -> list[int]:
 
 
 def sac_begins(run: RunReader) -> float:
-    """The step from which on SAC's policy acts: after exploration, in a recording of SAC after as
-    many random steps as it has of SAC, too. Infinity if the run's settings do not say."""
-    settings = run.config.get("config")
-    if not isinstance(settings, dict):
-        return inf
+    """The step from which on SAC's policy acts; infinity if the run's settings do not say.
+
+    That is after exploration, in a recording of SAC also after as many random steps as of SAC.
+    """
     named = ("exploration_steps",) if run.fits_model else ("exploration_steps", "steps")
-    steps = [step for name in named if isinstance(step := settings.get(name), int)]
-    return sum(steps) if len(steps) == len(named) else inf
+    try:
+        return sum(run.config["config"][name] for name in named)
+    except (KeyError, TypeError):
+        return inf
 
 
 @dataclass(frozen=True)
@@ -119,6 +127,11 @@ class Case:
     models: tuple[str, ...] = ()
     rows: int = 6000  # fresh transitions of the policy
     made: str = ""  # time of creation: a new run under the same path is another case
+
+    @property
+    def stream_seed(self) -> int:
+        """The seed of the case's random streams: ways of weighing share it, moments do not."""
+        return Streams(self.seed).integer(f"{self.run.name} at {self.step}")
 
 
 def cases(
@@ -147,13 +160,14 @@ def examined(case: Case) -> Row:
     model's errors one step and five steps ahead on fresh steps of the policy are in standard
     deviations of a step's change.
     """
-    run, way, seed = RunReader(case.run), WAYS[case.way], seed_of(case)
-    moment = _moment(replace(case, way="", models=()))
-    rows, anew = moment.data.transitions, moment.anew
-    config = config_of(run, way, seed)
-    weighting = weighting_of(moment.data, moment.policy, config, way)
+    run, way = RunReader(case.run), WAYS[case.way]
+    data, policy, anew, state = _moment(replace(case, way="", models=()))
+    rows, config = data.transitions, config_of(run, way, case.stream_seed)
+    weighting = weighting_of(data, policy, config, way)
     weights = weighting.counted(config.model)
-    match = footprint_match(rows, weights, anew, step_scaling(rows), moment.generator())
+    # Each way goes on with the random numbers that follow the fresh transitions.
+    generator = torch.Generator().set_state(state)
+    match = footprint_match(rows, weights, anew, step_scaling(rows), generator)
     found = {
         "recording": run.run_id,
         "env": run.env,
@@ -163,10 +177,9 @@ def examined(case: Case) -> Row:
         "ess": ess(weights),
         "ends": float((weights * rows.terminated).sum() / weights.sum()),
         "ends_policy": float(anew.terminated.mean()),
-        "footprint": match.get("footprint", np.nan),
-        "footprint_uniform": match.get("footprint_uniform", np.nan),
-        "footprint_noise": match.get("footprint_noise", np.nan),
     }
+    for name in ("footprint", "footprint_uniform", "footprint_noise"):
+        found[name] = match.get(name, np.nan)
     scale, starts = step_scale(rows), unbroken(anew)
     for name in case.models:
         model = fitted(name, rows, weighting, config)
@@ -175,32 +188,14 @@ def examined(case: Case) -> Row:
     return found
 
 
-@dataclass(frozen=True)
-class _Moment:
-    """The part of a case that all ways of weighing share."""
-
-    data: OrderedData
-    policy: StoredPolicy
-    anew: TensorTransitions  # fresh transitions of the policy
-    random: torch.Tensor  # the state of the generator that they were drawn with
-
-    def generator(self) -> torch.Generator:
-        """Each way goes on with the random numbers that follow the transitions."""
-        return torch.Generator().set_state(self.random)
-
-
 @lru_cache(maxsize=1)  # a process gets the ways of a moment one after the other
-def _moment(case: Case) -> _Moment:
-    run, streams = RunReader(case.run), Streams(seed_of(case))
+def _moment(case: Case) -> tuple[OrderedData, StoredPolicy, TensorTransitions, Tensor]:
+    """What all ways share: buffer, policy, its fresh transitions, and their generator's state."""
+    run, streams = RunReader(case.run), Streams(case.stream_seed)
     policy = read_policy(case.run / layout.policy(case.step))
     start, generator = streams.integer("test env"), streams.torch("test")
     anew = footprint(task(run.env), policy, case.rows, start, generator).transitions.torch()
-    return _Moment(buffer_at(run, case.step), policy, anew, generator.get_state())
-
-
-def seed_of(case: Case) -> int:
-    """The seed of a case's random streams: ways of weighing share it, moments do not."""
-    return Streams(case.seed).integer(f"{case.run.name} at {case.step}")
+    return buffer_at(run, case.step), policy, anew, generator.get_state()
 
 
 def buffer_at(run: RunReader, step: int) -> OrderedData:
@@ -231,32 +226,156 @@ def weighting_of(
     data: OrderedData, policy: StoredPolicy, config: OnlineConfig, way: Way
 ) -> Weighting:
     """The weights of an online fit with `config` (`config_of`), from newly initialised networks."""
-    rows, streams = data.transitions, Streams(config.seed)
+    rows = data.transitions
     if way.learner is None:
         weights = torch.zeros(len(rows))
         weights[-NEWEST:] = len(rows) / NEWEST
         return Weighting(weights)
-    dims = rows.obs.shape[1], rows.action.shape[1]
-    learner = make_learner(config.learner, config, *dims, streams.torch("learner"))
-    return learner.weigh(
-        FitContext(
-            replay=rows,
-            policy_version=data.policy_version,
-            policy_buffer=rows[-NEWEST:],
-            on_policy_steps=len(rows) - data.ordered_from,
-            initial_obs=data.initial_obs,
-            policy=policy,
-            generator=streams.torch("weigh"),
-            value_gradient=policy.value_gradient,
-        )
-    )
+    steps = len(rows) - data.ordered_from
+    return fit_weights(data, policy, rows[-NEWEST:], steps, config)
 
 
 def fitted(
     name: str, rows: TensorTransitions, weighting: Weighting, config: OnlineConfig
 ) -> DynamicsModel:
     """The model `name` of MODELS, fitted to the rows with these weights."""
-    streams, settings = Streams(config.seed), config.model.but(**MODELS[name])
-    model = make_model(rows.obs.shape[1], rows.action.shape[1], settings, streams.torch("model"))
-    model.fit(rows, *weighting.for_fit(settings), streams.torch("fit"))
-    return model
+    return fit_model(rows, weighting, config.model.but(**MODELS[name]), config.seed)
+
+
+# The choice of moments, and the table of their outcomes.
+
+OF_MEASURING = ("env", "moments", "seeds", "ways", "store", "jobs", "rows", "models")
+"""the options that say what is measured and how"""
+KINDS = {"recording": str, "env": str, "step": int, "way": str, "seed": int}
+MEASURES = ("ess", "ends", "ends_policy", "footprint", "footprint_uniform", "footprint_noise")
+"""the columns of an outcome: the types of those that are no measures, and the measures"""
+MEASURED = "measured: "
+"""begins what a report that was made anew says of the origin of its outcomes"""
+
+
+def add_moments(parser: ArgumentParser, ways: Sequence[str]) -> None:
+    """Add the options that choose runs, their moments, and ways of weighing."""
+    parser.add_argument("runs", nargs="*", metavar="RUN", help="[all of the store that can]")
+    add_env(parser, list(ENVS), "[all of ours]")
+    parser.add_argument("--moments", type=whole(1), default=8, help="of each run at most [8]")
+    parser.add_argument("--seeds", nargs="+", type="seed", default=[0], help="[0]")
+    known = ", ".join(WAYS)
+    parser.add_argument("--ways", nargs="+", default=list(ways), metavar="WAY", help=known)
+    add_store(parser)
+    add_jobs(parser)
+
+
+def chosen_ways(args: Namespace) -> list[str]:
+    """The ways of weighing, uniform weights first. Raises UserError for an unknown one."""
+    check_known("way of weighing", args.ways, WAYS)
+    return list(dict.fromkeys((UNIFORM, *args.ways)))
+
+
+def chosen_runs(args: Namespace) -> list[RunReader]:
+    """The runs with moments, of any task.
+
+    Raises UserError if there are none, or a named run has none or is of a task that is not known.
+    """
+    store, envs = Store(args.store), tasks(args.env)
+    named = [store.run(name) for name in args.runs]
+    for run in named:
+        if not _usable(run):
+            raise UserError(
+                f"run {run.run_id} has no moment: it kept no policy of its fits, or no buffer, or "
+                f"it ended less than {NEWEST:,} steps after its exploration"
+            )
+        task(run.env)
+    runs = named or [run for run in store.runs() if run.env in envs and _usable(run)]
+    if not runs:
+        raise UserError(
+            f"{args.store}/ has no run with a buffer and policies of fits at least {NEWEST:,} "
+            "steps after exploration: "
+            f"tom record-sac --env {min(envs, key=task_rank)} --steps 20000 makes one"
+        )
+    return sorted(runs, key=lambda run: (task_rank(run.env), run.run_id))
+
+
+def _usable(run: RunReader) -> bool:
+    has_both = not {"buffer", "policies"} & set(run.left_out)
+    return run.is_run and run.env != ROAD and has_both and bool(moments(run, 1))
+
+
+def add_measuring(parser: ArgumentParser, ways: Sequence[str], models: Sequence[str] = ()) -> None:
+    """Add the options of a study that weighs moments, or reads the table of one that did."""
+    add_moments(parser, ways)
+    parser.add_argument("--rows", type=whole(100), default=6000, help="new transitions [6000]")
+    if models:
+        known = ", ".join(f"'{name}'" for name in models)
+        parser.add_argument("--models", nargs="+", default=list(models), help=f"[{known}]")
+    parser.set_defaults(usual={name: parser.get_default(name) for name in OF_MEASURING})
+    parser.add_argument(
+        "--from", dest="table", type=Path, metavar="FILE",
+        help="moments.csv of an earlier report: only its tables and figures are made anew",
+    )  # fmt: skip
+
+
+def measured(args: Namespace, lab: Lab, models: Sequence[str] = ()) -> list[Row]:
+    """The outcome of every case, or those of an earlier report.
+
+    Raises UserError for options that have no meaning if nothing is measured.
+    """
+    if not args.table:
+        asked = cases(
+            chosen_runs(args), chosen_ways(args), args.seeds, args.moments, models, args.rows
+        )
+        return lab.compute(
+            examined, asked, lambda one: f"{one['recording']} at {one['step']}: {one['way']}"
+        )
+    given = [name for name, usual in args.usual.items() if getattr(args, name, None) != usual]
+    if too_many := [*(f"--{option}" for option in given), *args.runs]:
+        raise UserError(
+            "--from takes all that its file holds, as it was measured: leave out "
+            f"{' '.join(too_many)}"
+        )
+    return read_outcomes(args.table, bool(models))
+
+
+def read_outcomes(path: Path, models: bool) -> list[Row]:
+    """The outcomes of `moments.csv` beside a report, to the bit.
+
+    Raises UserError if `path` cannot be read, is no such table, or lacks the errors of `models`.
+    """
+    try:
+        with path.open(newline="") as file:
+            outcomes = [
+                {name: KINDS.get(name, float)(text) for name, text in line.items()}
+                for line in csv.DictReader(file)
+            ]
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"cannot read {path}: {error}") from error
+    except (TypeError, ValueError, csv.Error) as error:
+        raise UserError(f"{path} is no moments.csv of this study ({error})") from error
+    lacking = {*KINDS, *MEASURES}.difference(*outcomes[:1])
+    if lacking or (models and not models_of(outcomes)):
+        raise UserError(f"{path} has no outcome of this study: name the moments.csv of its report")
+    return outcomes
+
+
+def models_of(outcomes: Sequence[Row]) -> list[str]:
+    """The models whose errors the outcomes have."""
+    columns = dict.fromkeys(name for one in outcomes for name in one if name.startswith(ERROR))
+    return [name.removeprefix(ERROR) for name in columns]
+
+
+def origin_of_moments(outcomes: Sequence[Row], table: Path | None = None) -> dict[str, str]:
+    """The number of moments, the seeds and runs, and how a table was measured that was read."""
+    recordings = dict.fromkeys(one["recording"] for one in outcomes)
+    origin = {
+        "n": f"{len({(one['recording'], one['step']) for one in outcomes})} moments of "
+        f"{len(recordings)} runs",
+        "seeds": in_short([one["seed"] for one in outcomes]),
+        "runs": ", ".join(recordings),
+    }
+    if table is None:
+        return origin
+    try:  # the report beside it
+        old = dict(json.loads((table.parent / WORDS).read_text())["origin"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return origin
+    first = {key: text for key, text in old.items() if key.startswith(MEASURED)}
+    return origin | (first or {MEASURED + key: text for key, text in old.items()})

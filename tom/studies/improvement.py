@@ -44,23 +44,25 @@ from tom.policy.rollout import mixed_batches, roll_out, start_states
 from tom.policy.sac import Sac
 from tom.policy.stored import CRITIC, StoredPolicy, resumed_sac
 from tom.record import RunReader, layout
-from tom.reports.colours import learner_colour
+from tom.reports.figures import learner_colour
 from tom.rng import Streams
 from tom.studies.frozen import (
     MODELS,
     UNIFORM,
     WAYS,
     Case,
+    add_moments,
     buffer_at,
     cases,
+    chosen_runs,
+    chosen_ways,
     config_of,
     fitted,
+    origin_of_moments,
     sac_begins,
-    seed_of,
     weighting_of,
 )
-from tom.studies.frozen_choice import add_moments, chosen_runs, chosen_ways, origin_of_moments
-from tom.studies.recordings import Value, sign_test, strips
+from tom.studies.recordings import Value, sign_test, strips, trial_of
 from tom.studies.study import Findings, Lab, Row, Study, Table, check_known, whole
 
 PARTS = 5
@@ -153,19 +155,24 @@ def improved(trial: Trial) -> Row:
     the weights in each of `PLACES`; with uniform weights these are the same. NaN: SAC diverged.
     """
     case, way = trial.case, WAYS[trial.case.way]
-    run, seed = RunReader(case.run), seed_of(case)
-    config = config_of(run, way, seed)
-    data, arrays = buffer_at(run, case.step), _arrays(run, case.step)
-    rows, (model,), policy = data.transitions, case.models, StoredPolicy(arrays)
+    run, seed, (model,) = RunReader(case.run), case.stream_seed, case.models
+    config, data, arrays = (
+        config_of(run, way, seed),
+        buffer_at(run, case.step),
+        _arrays(run, case.step),
+    )
+    rows, policy = data.transitions, StoredPolicy(arrays)
     weighting = weighting_of(data, policy, config, way)
     # Weights of 1 rather than none: without any, starts are drawn with other random numbers.
     even = torch.ones(len(rows))
     starts = weighting.for_starts(config.rollout)
     starts = even if starts is None else starts
-    sac, ends = _resumed(run, case.step, arrays), _ends(run, rows, config)
+    settings = SacConfig.model_validate(run.config["config"]["sac"])
+    temperature, ends = _temperature(run, case.step, settings), _ends(run, rows, config)
 
     def during(fit: DynamicsModel, weights: Tensor) -> float:
-        return _return_during(sac(config), fit, ends, rows, weights, config, trial)
+        sac = resumed_sac(arrays, settings, temperature, Streams(seed).torch("sac"))
+        return _return_during(sac, fit, ends, rows, weights, config, trial)
 
     weighted = fitted(model, rows, weighting, config)
     both = during(weighted, starts)
@@ -194,26 +201,15 @@ def _arrays(run: RunReader, step: int) -> Mapping[str, NDArray[Any]]:
         raise UserError(f"{path} is no stored policy ({reason(error)}): name another run") from None
 
 
-def _resumed(
-    run: RunReader, step: int, arrays: Mapping[str, NDArray[Any]]
-) -> Callable[[OnlineConfig], Sac]:
-    """Makes the SAC that goes on from a stored policy, with the run's settings of SAC."""
-    settings = SacConfig.model_validate(run.config["config"]["sac"])
+def _temperature(run: RunReader, step: int, settings: SacConfig) -> float:
+    """SAC's temperature at a step of the run."""
     steps, values = curve_points(run.metrics(), TEMPERATURE)
-    temperature = temperature_at(
-        step,
-        np.append(sac_begins(run), steps),
-        np.append(settings.initial_temperature, values),
-    )
-
-    def make(config: OnlineConfig) -> Sac:
-        return resumed_sac(arrays, settings, temperature, Streams(config.seed).torch("sac"))
-
-    return make
+    begun = sac_begins(run), settings.initial_temperature
+    return temperature_at(step, np.append(begun[0], steps), np.append(begun[1], values))
 
 
 def temperature_at(step: int, steps: NDArray[Any], values: NDArray[Any]) -> float:
-    """SAC's temperature between two records of it (S,), which its optimiser moves in logarithms."""
+    """The temperature between two records of it (S,), which its optimiser moves in logarithms."""
     return float(np.exp(np.interp(step, steps, np.log(values))))
 
 
@@ -271,11 +267,11 @@ def _evaluate(evaluator: Evaluator, mean_action: Callable[[Tensor], Tensor], see
 
 def gaps(trials: Sequence[Row], way: str, place: str) -> list[Value]:
     """Return with the way's weights at `place` less that with uniform weights, trial by trial."""
-    uniform = {_key(trial): trial["both"] for trial in trials if trial["way"] == UNIFORM}
+    uniform = {trial_of(one): one["both"] for one in trials if one["way"] == UNIFORM}
     differences = [
-        (trial["env"], trial["recording"], trial[place] - uniform.get(_key(trial), nan))
-        for trial in trials
-        if trial["way"] == way
+        (one["env"], one["recording"], one[place] - uniform.get(trial_of(one), nan))
+        for one in trials
+        if one["way"] == way
     ]
     return [value for value in differences if isfinite(value[2])]
 
@@ -318,7 +314,7 @@ def summary(trials: Sequence[Row]) -> list[Row]:
 
 def verdict(trials: Sequence[Row], rows: Sequence[Row]) -> list[str]:
     """The table in words, the noise, and what cannot be said."""
-    keys = {_key(trial) for trial in trials}
+    keys = {trial_of(one) for one in trials}
     moments = {(recording, step) for recording, step, _ in keys}
     said = [
         f"{len(moments)} moments of {len({recording for recording, _ in moments})} runs, "
@@ -350,10 +346,6 @@ def _noise(trials: Sequence[Row]) -> str:
     if not told:
         return "One seed: how far chance moves a return is not known."
     return f"Two seeds of uniform weights differ by (median): {', '.join(told)}."
-
-
-def _key(trial: Row) -> tuple[str, int, int]:
-    return trial["recording"], trial["step"], trial["seed"]
 
 
 def improvement_figure(trials: Sequence[Row]) -> Figure:

@@ -21,9 +21,8 @@ from tom.envs import ENVS, ROAD, task_rank
 from tom.errors import UserError
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader, Store
-from tom.reports.colours import NEUTRAL
-from tom.reports.origin import origin_of_runs
-from tom.reports.style import new_figure
+from tom.reports.figures import NEUTRAL, new_figure
+from tom.reports.report import origin_of_runs
 from tom.studies.returns_cells import PAPER_ENVS
 from tom.studies.study import (
     Findings,

@@ -9,7 +9,7 @@ on the position). The median over TOM's seeds is judged, of the first preset.
 import csv
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import nan
 from pathlib import Path
@@ -17,21 +17,22 @@ from statistics import median
 from typing import Literal, get_args
 
 import numpy as np
+import torch
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from tom.analysis.ordered_data import of_run
 from tom.analysis.progression import DECILES, LATE, Progression, progression, same_profile
 from tom.analysis.weighing import Weighed, weigh
 from tom.config import RunConfig, TomConfig
-from tom.data.sampling import bin_means
 from tom.envs import task
 from tom.learners import LEARNERS
 from tom.policy.stored import NAME, UniformPolicy, read_policy
 from tom.record import RunReader
-from tom.reports.origin import seeds as in_short
-from tom.reports.profile_figure import Panel, profile_figure
-from tom.reports.weighing_files import profiles, write_weights
-from tom.studies.sac import add_recordings, recordings
+from tom.reports.figures import Panel, profile_figure
+from tom.reports.report import seeds as in_short
+from tom.reports.weighing_files import profile_rows, profiles, write_weights
+from tom.studies.recordings import add_recordings, recordings
 from tom.studies.study import Findings, Lab, Row, Study, as_the_paper_says, check_known
 
 Condition = Literal["own", "random", "shuffled"]
@@ -160,10 +161,20 @@ def result(case: Case) -> Result:
         weighed = weigh(data, policy, known, config, ("tom",), case.seeds)
     else:
         order = np.random.default_rng(0).permutation(len(data))
-        stored = weigh(data.in_order(order), policy, known, config, both, case.seeds)
-        weighed = (one.in_order(order) for one in stored)
+        shuffled = replace(data, transitions=data.transitions[torch.from_numpy(order)])
+        weighed = (
+            in_order(one, order) for one in weigh(shuffled, policy, known, config, both, case.seeds)
+        )
     name, first = f"{run.env}-s{run.seed}", data.ordered_from
     return Result(name, run.env, first, case.condition, case.preset, tuple(weighed))
+
+
+def in_order(one: Weighed, order: NDArray[np.int64]) -> Weighed:
+    """The weights of shuffled rows in the order of collection: row i belongs to row order[i]."""
+    back = np.argsort(order)
+    ratio = None if one.log_ratio is None else one.log_ratio[back]
+    terms = {name: term[back] for name, term in one.terms.items()}
+    return replace(one, weights=one.weights[back], log_ratio=ratio, terms=terms)
 
 
 def checks(done: Sequence[Result]) -> list[Row]:
@@ -282,24 +293,16 @@ def write_table(folder: Path, rows: Sequence[Sequence[str]]) -> None:
 
 def _profiles(done: Sequence[Result]) -> Iterator[Row]:
     for case in done:
-        for one in case.weighed:
-            for number, mean in enumerate(bin_means(one.weights, BINS).tolist()):
-                yield {
-                    "recording": case.recording,
-                    "preset": case.preset,
-                    "policy": case.condition,
-                    "learner": one.learner,
-                    "seed": one.seed,
-                    "bin": number,
-                    "mean_weight": f"{mean:.6g}",
-                }
+        of = {"recording": case.recording, "preset": case.preset, "policy": case.condition}
+        for row in profile_rows(case.weighed, BINS):
+            yield of | row
 
 
 def figure(done: Sequence[Result]) -> Figure:
     """The profiles of one preset: a row for each recording, a panel for each of TITLES."""
     panels = {
         recording: [
-            Panel(title, learner, profiles(case.of(learner), BINS))
+            Panel(title, learner, profiles(case.weighed, learner, BINS))
             for (condition, learner), title in TITLES.items()
             for case in done
             if (case.recording, case.condition) == (recording, condition)

@@ -1,23 +1,19 @@
-"""Statistics over recordings, and two ways of weighing at the same moments: which one is better?
+"""Recordings of SAC that studies take or make, and statistics over recordings."""
 
-The moments of one recording are no independent samples. Two ways share the buffer, the policy and
-its fresh episodes at a moment, and moments differ far more than ways do, so that the difference at
-each moment is known much better than either way.
-"""
-
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from math import isfinite, nan
 from statistics import median
+from typing import NamedTuple
 
-import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from tom.analysis.statistics import Interval, draws, interval, mean
-from tom.reports.colours import NEUTRAL, TEXT
-from tom.reports.style import new_figure
-from tom.studies.study import Row
+from tom.analysis.statistics import Interval, interval, mean
+from tom.config import SacRecordingConfig
+from tom.record import RunReader, Store
+from tom.reports.figures import NEUTRAL, TEXT, new_figure
+from tom.studies.study import Lab, Row, add_env, add_jobs, add_store, tasks, whole
 
 Value = tuple[str, str, float]
 """task, recording, and a value at one of its moments"""
@@ -37,8 +33,7 @@ QUESTIONS: dict[tuple[str, str], str] = {
 """what is asked of two ways: the first one, and the one that it has to beat"""
 
 
-@dataclass(frozen=True)
-class Signs:
+class Signs(NamedTuple):
     """On how many of `n` recordings a difference is above zero, and the sign test's p."""
 
     above: int
@@ -52,11 +47,11 @@ def sign_test(differences: Iterable[Value]) -> Signs:
     Recordings with as many moments above as below zero do not count. Unlike a bootstrap interval it
     is right for few recordings.
     """
-    of: dict[tuple[str, str], int] = {}
+    balance: dict[tuple[str, str], int] = {}
     for env, recording, value in differences:
         sign = (value > 0) - (value < 0)
-        of[env, recording] = of.get((env, recording), 0) + sign
-    above, n = sum(v > 0 for v in of.values()), sum(v != 0 for v in of.values())
+        balance[env, recording] = balance.get((env, recording), 0) + sign
+    above, n = sum(v > 0 for v in balance.values()), sum(v != 0 for v in balance.values())
     return Signs(above, n, float(binomtest(above, n).pvalue) if n else 1.0)
 
 
@@ -69,65 +64,50 @@ def over_recordings(values: Iterable[Value]) -> Interval:
     moments: dict[str, dict[str, list[float]]] = {}
     for env, recording, value in values:
         moments.setdefault(env, {}).setdefault(recording, []).append(value)
-    tasks = [[median(of) for of in recordings.values()] for recordings in moments.values()]
-    scores = np.full((max(map(len, tasks), default=0), len(tasks)), np.nan)
-    for column, of in enumerate(tasks):
-        scores[: len(of), column] = of
-    return interval(scores, mean, draws())
+    return interval([[median(of) for of in each.values()] for each in moments.values()], mean)
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """The difference of two ways over `n` moments; below zero the first one is better."""
-
-    way: str
-    against: str
-    difference: Interval
-    better: int  # moments
-    n: int
-    signs: Signs
-    by_task: Mapping[str, float]
-    """the difference in each task, of which `difference` is the mean; NaN without a moment there"""
-
-    def row(self, measure: str, better_at: str, **more: str) -> Row:
-        """A line of a table, with the titles of the difference and of the moments."""
-        return {
-            "way": self.way,
-            "against": self.against,
-            **more,
-            measure: self.difference.value,
-            "low": self.difference.low,
-            "high": self.difference.high,
-            better_at: self.better,
-            "n": self.n,
-            "better on": self.signs.n - self.signs.above,
-            "recordings": self.signs.n,
-            "p": self.signs.p,
-            **self.by_task,
-        }
-
-
-def comparisons(outcomes: Sequence[Row], value: Callable[[Row], float]) -> Iterator[Comparison]:
-    """Each of `QUESTIONS`, over the moments that both ways were examined at.
+def comparisons(
+    outcomes: Sequence[Row],
+    value: Callable[[Row], float],
+    measure: str,
+    better_at: str,
+    **more: str,
+) -> Iterator[Row]:
+    """A row for each of `QUESTIONS`, over the moments that both ways were examined at.
 
     `value` is what is compared, lower is better; moments where it is NaN do not count. The
-    difference at a moment is the median over seeds.
+    difference at a moment is the median over seeds. `measure` and `better_at` are the titles of the
+    difference, which is a mean over tasks, and of the moments where the first way is better; the
+    difference in each task is under its name, NaN without a moment there.
     """
-    at = {(one["way"], *_trial(one)): value(one) for one in outcomes}
+    at = {(one["way"], *trial_of(one)): value(one) for one in outcomes}
     envs = dict.fromkeys(one["env"] for one in outcomes)
     for way, against in QUESTIONS:
         trials: dict[tuple[str, str, int], list[float]] = {}
         for one in outcomes:
-            gap = value(one) - at.get((against, *_trial(one)), nan)
+            gap = value(one) - at.get((against, *trial_of(one)), nan)
             if one["way"] == way and isfinite(gap):
                 trials.setdefault((one["env"], one["recording"], one["step"]), []).append(gap)
         gaps: list[Value] = [(env, run, median(each)) for (env, run, _), each in trials.items()]
-        if gaps:
-            better = sum(gap < 0 for _, _, gap in gaps)
-            in_task = {env: [gap for gap in gaps if gap[0] == env] for env in envs}
-            tasks = {env: over_recordings(of).value if of else nan for env, of in in_task.items()}
-            whole, signs = over_recordings(gaps), sign_test(gaps)
-            yield Comparison(way, against, whole, better, len(gaps), signs, tasks)
+        if not gaps:
+            continue
+        whole, signs = over_recordings(gaps), sign_test(gaps)
+        in_task = {env: [gap for gap in gaps if gap[0] == env] for env in envs}
+        yield {
+            "way": way,
+            "against": against,
+            **more,
+            measure: whole.value,
+            "low": whole.low,
+            "high": whole.high,
+            better_at: sum(gap < 0 for _, _, gap in gaps),
+            "n": len(gaps),
+            "better on": signs.n - signs.above,
+            "recordings": signs.n,
+            "p": signs.p,
+            **{env: over_recordings(of).value if of else nan for env, of in in_task.items()},
+        }
 
 
 def spanned(row: Row, name: str) -> str:
@@ -136,7 +116,8 @@ def spanned(row: Row, name: str) -> str:
     return f"{row[name]:.2f}{bounds}"
 
 
-def _trial(one: Row) -> tuple[str, int, int]:
+def trial_of(one: Row) -> tuple[str, int, int]:
+    """What two ways of weighing share: recording, step and seed."""
     return one["recording"], one["step"], one["seed"]
 
 
@@ -165,3 +146,45 @@ def strips(
                 ax.plot([median(of)] * 2, [height - 0.35, height + 0.35], color=TEXT, linewidth=1.6)
     axes[0].set_yticks(range(len(rows)), upwards)
     return figure
+
+
+SAC_SEEDS = {"halfcheetah": (0,), "hopper": (0, 1)}
+"""the recordings of the acceptance; other tasks have one"""
+
+
+def add_recordings(parser: ArgumentParser) -> None:
+    """Add the options that choose recordings of SAC and the learners' seeds."""
+    add_env(parser, list(SAC_SEEDS))
+    parser.add_argument("--steps", type=whole(1000), default=50_000, help="steps of SAC [50000]")
+    parser.add_argument("--seeds", nargs="+", type="seed", default=[0, 1, 2], help="TOM's [0 1 2]")
+    add_store(parser)
+    add_jobs(parser)
+
+
+def recordings(args: Namespace, lab: Lab, seeds: list[int] | None = None) -> list[RunReader]:
+    """The recordings of every task and of SAC's `seeds`; missing ones are made."""
+    store = Store(args.store)
+    configs = [
+        SacRecordingConfig(env=env, seed=seed, steps=args.steps)
+        for env in tasks(args.env)
+        for seed in seeds or SAC_SEEDS.get(env, (0,))
+    ]
+    return [recorded(store, config) or lab.record(store, config) for config in configs]
+
+
+def recorded(store: Store, config: SacRecordingConfig) -> RunReader | None:
+    """The newest finished recording with these settings, or None.
+
+    Of SAC's settings those count that both versions have.
+    """
+    ours = config.model_dump(mode="json")
+    for run in store.runs():
+        if run.learner == config.learner and run.status.state == "finished":
+            theirs = run.config.get("config", {})
+            both = ours["sac"].keys() & theirs.get("sac", {}).keys()
+            plain = ("env", "seed", "steps", "exploration_steps", "updates_per_step")
+            if all(theirs.get(name) == ours[name] for name in plain) and all(
+                theirs["sac"][name] == ours["sac"][name] for name in both
+            ):
+                return run
+    return None

@@ -22,9 +22,8 @@ from tom.envs import ENVS, task
 from tom.errors import UserError
 from tom.learners import LEARNERS
 from tom.record import Store
-from tom.reports.colours import NEUTRAL, learner_colour
-from tom.reports.origin import origin_of_runs
-from tom.reports.style import new_figure
+from tom.reports.figures import NEUTRAL, learner_colour, new_figure
+from tom.reports.report import origin_of_runs
 from tom.studies import returns_tables as tables
 from tom.studies.returns_cells import (
     PAPER_ENVS,

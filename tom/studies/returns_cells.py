@@ -20,9 +20,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tom.analysis.curves import Curve, curve_points
-from tom.analysis.grouping import kinds
 from tom.analysis.scores import BEST, begun, common_start, common_step, scores_of
-from tom.analysis.settings import changed
+from tom.analysis.settings import changed, kinds_of
 from tom.envs import ENVS, ROAD, task_rank
 from tom.learners import LEARNERS, learner_rank
 from tom.record import RunReader
@@ -114,7 +113,7 @@ def _cells(
     mine = [
         run for run in runs if run.env != ROAD and run.learner in LEARNERS and run.preset in presets
     ]
-    kind_of, recorded = kinds(mine), []
+    kind_of, recorded = kinds_of(mine), []
     for run in mine:
         metrics, kind = run.metrics(), kind_of[run.run_id]
         points = curve_points(metrics, METRIC)

@@ -1,6 +1,6 @@
 """The tables of the returns study: scores, exams, rollouts, who beats whom, effects of weights."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -10,17 +10,15 @@ from tom.analysis.scores import (
     BEST,
     FINAL,
     HEIGHT,
-    beats,
-    chance,
     common_step,
     contrast,
+    counted_from,
     interval,
     steps_to,
 )
 from tom.analysis.settings import changed, matters, unlike
-from tom.analysis.statistics import corrected, remark
+from tom.analysis.statistics import corrected, exchangeable, probability_of_improvement, remark
 from tom.envs import task
-from tom.exams.counted import counted_from
 from tom.exams.energy import informative
 from tom.learners import LEARNER_NAMES, LEARNERS
 from tom.learners.base import HEAVY
@@ -63,9 +61,6 @@ EFFECTS = {
 }
 """what the cells add to an effect: those with weights in both places, in the model, in the starts,
 in neither"""
-
-OfRun = Callable[[pd.DataFrame], Mapping[str, float] | None]
-"""what the fits of a run come to, from their metrics; None if they recorded too little"""
 
 
 def summary(cells: Sequence[Cell]) -> list[Row]:
@@ -132,9 +127,9 @@ def less(cells: Sequence[Cell], *, planned: bool = False) -> list[Row]:
     its correction are those of `improvement`.
     """
     numbers: dict[str, dict[Cell, Array]] = {name: {} for name in COMPARED}
-    for cell, told in [*_told(cells, _exam_medians), *_told(cells, _rollouts)]:
+    for cell, every in _numbers(cells).items():
         for name in COMPARED:
-            values = np.array([one.get(name, np.nan) for one in told])
+            values = np.array([one.get(name, np.nan) for one in every])
             if np.isfinite(values).any():
                 numbers[name][cell] = values[np.isfinite(values)]
     return _contests(cells, numbers, "in", "less", planned)
@@ -164,7 +159,9 @@ def _contests(
             if not both:
                 continue
             first, second = ([pair[i] for pair in both.values()] for i in (0, 1))
-            won = beats(second, first) if wins == "less" else beats(first, second)
+            won = probability_of_improvement(
+                *((second, first) if wins == "less" else (first, second))
+            )
             rows.append(
                 {
                     "learner": ours,
@@ -173,7 +170,7 @@ def _contests(
                     wins: won.value,
                     "low": won.low,
                     "high": won.high,
-                    "p": chance(first, second),
+                    "p": exchangeable(first, second),
                     "tasks": " ".join(both),
                     "remark": remark([min(map(len, pair)) for pair in both.values()]),
                 }
@@ -203,8 +200,9 @@ def factors(cells: Sequence[Cell], measures: Collection[str] = MEASURES) -> list
     start states of its rollouts (line 22). A uniform share of 1 makes one of them even; without
     any weights the learner is MLE. The effect of a place is the mean over both levels of the other.
 
-    "p" is that of `chance` with the other place's levels kept apart, and "p of all" is corrected
-    for the number of rows that have one; the interaction has none, nor has a cell of one run.
+    "p" is that of `exchangeable` with the other place's levels kept apart, and "p of all" is
+    corrected for the number of rows that have one; the interaction has none, nor has a cell of one
+    run.
     """
     at, since, rows = compared_at(cells), compared_from(cells), []
     for four in _designs(cells):
@@ -230,45 +228,43 @@ def _effect(scores: Sequence[Array], signs: Sequence[int]) -> Row:
             [of for of, sign in zip(scores, signs, strict=True) if sign == level]
             for level in (1, -1)
         )
-        row["wins"] = beats(up, down).value
+        row["wins"] = probability_of_improvement(up, down).value
         if min(map(len, scores)) > 1:
-            row["p"] = chance(up, down)
+            row["p"] = exchangeable(up, down)
     return row
 
 
 def _designs(cells: Sequence[Cell]) -> list[tuple[Cell, Cell, Cell, Cell]]:
     """The cells with weights in both places, in the model, in the starts, and in neither."""
     found = []
-    for both in (cell for cell in cells if cell.learner != RIVAL and _weighs_in_both(cell)):
-        model, starts = (_uniform(cells, both, place) for place in (UNIFORM_STARTS, UNIFORM_MODEL))
-        neither = next((cell for cell in cells if _is_rival(cell, both)), None)
+    for both in (cell for cell in cells if cell.learner != RIVAL):
+        settings = changed(both.runs[0])
+        if "1.0" in (settings.get(UNIFORM_MODEL), settings.get(UNIFORM_STARTS)):
+            continue
+        alike = [
+            cell
+            for cell in cells
+            if (cell.env, cell.learner) == (both.env, both.learner)
+            and cell.runs[0].preset == both.runs[0].preset
+        ]
+        # Those that differ in uniform weights in one place alone.
+        model, starts = (
+            next((c for c in alike if changed(c.runs[0]) == {**settings, place: "1.0"}), None)
+            for place in (UNIFORM_STARTS, UNIFORM_MODEL)
+        )
+        # MLE in the same task, with the same settings but for the learner's own.
+        neither = next(
+            (
+                cell
+                for cell in cells
+                if (cell.env, cell.learner) == (both.env, RIVAL)
+                and not any(matters(p, RIVAL) for p in unlike([cell.runs[0], both.runs[0]]))
+            ),
+            None,
+        )
         if model and starts and neither:
             found.append((both, model, starts, neither))
     return found
-
-
-def _weighs_in_both(cell: Cell) -> bool:
-    settings = changed(cell.runs[0])
-    return all(settings.get(place) != "1.0" for place in (UNIFORM_MODEL, UNIFORM_STARTS))
-
-
-def _uniform(cells: Sequence[Cell], both: Cell, place: str) -> Cell | None:
-    """The cell that differs from `both` in uniform weights in this place alone."""
-    wanted = {**changed(both.runs[0]), place: "1.0"}
-    alike = (
-        cell
-        for cell in cells
-        if (cell.env, cell.learner) == (both.env, both.learner)
-        and cell.runs[0].preset == both.runs[0].preset
-    )
-    return next((cell for cell in alike if changed(cell.runs[0]) == wanted), None)
-
-
-def _is_rival(cell: Cell, both: Cell) -> bool:
-    """Whether it is MLE in the same task, with the same settings but for the learner's own."""
-    if (cell.env, cell.learner) != (both.env, RIVAL):
-        return False
-    return not any(matters(path, RIVAL) for path in unlike([cell.runs[0], both.runs[0]]))
 
 
 def exams(cells: Sequence[Cell]) -> list[Row]:
@@ -279,7 +275,7 @@ def exams(cells: Sequence[Cell]) -> list[Row]:
     the step that all runs reach count. A run none of whose footprints is informative is missing in
     their mean.
     """
-    return _table(cells, _exam_medians)
+    return _table(cells, tuple(EXAMS.values()))
 
 
 def rollouts(cells: Sequence[Cell]) -> list[Row]:
@@ -291,55 +287,56 @@ def rollouts(cells: Sequence[Cell]) -> list[Row]:
     of fits with a row that has HEAVY or more of the weight, and so of the rollouts' starts if those
     are drawn by weight.
     """
-    return _table(cells, _rollouts)
+    return _table(cells, ROLLOUTS)
 
 
-def _told(cells: Sequence[Cell], of_run: OfRun) -> list[tuple[Cell, list[Mapping[str, float]]]]:
-    """What `of_run` says of each cell's runs, if of any, over the fits that count."""
-    at, found = compared_at(cells), []
+def _table(cells: Sequence[Cell], names: Sequence[str]) -> list[Row]:
+    rows = []
+    for cell, every in _numbers(cells).items():
+        recorded = [one for one in every if names[0] in one]
+        if not recorded:
+            continue
+        row: Row = {"env": cell.env, "learner": cell.label, "n": len(recorded)}
+        for name in names:
+            values = np.array([one[name] for one in recorded])
+            mean = interval(values[np.isfinite(values)])
+            row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
+        rows.append(row | {"remark": remark(len(recorded))})
+    return rows
+
+
+def _numbers(cells: Sequence[Cell]) -> dict[Cell, list[dict[str, float]]]:
+    """What the fits of each cell's runs come to, over the fits that count."""
+    at, found = compared_at(cells), {}
     for env in envs_of(cells):
         here = [cell for cell in cells if cell.env == env]
         since = counted_from(metrics for cell in here for metrics in cell.metrics)
         for cell in here:
             fits = [table.loc[table["env_step"].between(since, at[env])] for table in cell.metrics]
-            told = [one for table in fits if (one := of_run(table)) is not None]
-            if told:
-                found.append((cell, told))
+            found[cell] = [_exam_medians(of_run) | _rollouts(of_run) for of_run in fits]
     return found
 
 
-def _table(cells: Sequence[Cell], of_run: OfRun) -> list[Row]:
-    rows = []
-    for cell, told in _told(cells, of_run):
-        row: Row = {"env": cell.env, "learner": cell.label, "n": len(told)}
-        for name in told[0]:
-            values = np.array([one[name] for one in told])
-            mean = interval(values[np.isfinite(values)])
-            row |= {name: mean.value, f"{name} low": mean.low, f"{name} high": mean.high}
-        rows.append(row | {"remark": remark(len(told))})
-    return rows
+def _exam_medians(fits: pd.DataFrame) -> dict[str, float]:
+    """Each of EXAMS, the median over a run's fits, if they have exams.
 
-
-def _exam_medians(fits: pd.DataFrame) -> Mapping[str, float] | None:
-    """Each of EXAMS, the median over the fits; a footprint counts if it is informative."""
-    if not set(EXAMS) <= set(fits):
-        return None
-    values = {name: np.asarray(fits[name], np.float64) for name in EXAMS}
-    if not any(np.isfinite(of_fits).any() for of_fits in values.values()):
-        return None
+    A footprint counts if it is informative.
+    """
+    values = {name: np.asarray(fits.get(name, ()), np.float64) for name in EXAMS}
+    if not set(EXAMS) <= set(fits) or not any(np.isfinite(of).any() for of in values.values()):
+        return {}
     tells = informative(fits[NOISE]) if NOISE in fits else np.zeros(len(fits), np.bool_)
     values[FOOTPRINT] = values[FOOTPRINT][tells]
     return {EXAMS[name]: _median(of_fits) for name, of_fits in values.items()}
 
 
-def _rollouts(fits: pd.DataFrame) -> Mapping[str, float] | None:
-    """Each of ROLLOUTS over the fits."""
+def _rollouts(fits: pd.DataFrame) -> dict[str, float]:
+    """Each of ROLLOUTS over a run's fits, if they were recorded."""
     needed = [FALLS, POLICY_FALLS, LARGEST, SIZE]
     if not set(needed) <= set(fits) or (here := fits.loc[:, needed].dropna()).empty:
-        return None
+        return {}
     falls = _median((here[FALLS] / here[POLICY_FALLS]).to_numpy())
-    heavy = float((here[LARGEST] >= HEAVY * here[SIZE]).mean())
-    return dict(zip(ROLLOUTS, (falls, heavy), strict=True))
+    return {"falls": falls, "heavy rows": float((here[LARGEST] >= HEAVY * here[SIZE]).mean())}
 
 
 def _median(of_fits: Array) -> float:

@@ -21,9 +21,8 @@ from tom import offline
 from tom.config import RoadConfig
 from tom.events import Collected, Evaluation, Event, Metrics, Weights
 from tom.learners import follows_value
-from tom.reports.colours import NEUTRAL, learner_colour
-from tom.reports.origin import seeds as in_short
-from tom.reports.style import new_figure
+from tom.reports.figures import NEUTRAL, learner_colour, new_figure
+from tom.reports.report import seeds as in_short
 from tom.road.measure import returns
 from tom.road.offline_data import map_of
 from tom.studies.road_map import (

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from tom.reports.colours import NEUTRAL, TEXT
-from tom.reports.style import new_figure
+from tom.reports.figures import NEUTRAL, TEXT, new_figure
 from tom.road import task
 from tom.road.task import RoadMap
 from tom.studies.study import Row

@@ -16,13 +16,11 @@ from typing import get_args
 import numpy as np
 from matplotlib.figure import Figure
 
-from tom.analysis.exact_weights import solve
-from tom.analysis.tabular import FlowName
 from tom.learners.discriminator import Inputs
 from tom.learners.terms import DIVERGENCES
-from tom.reports.colours import NEUTRAL, learner_colour
-from tom.reports.origin import seeds as in_short
-from tom.reports.style import new_figure
+from tom.reports.figures import NEUTRAL, learner_colour, new_figure
+from tom.reports.report import seeds as in_short
+from tom.studies.mdp import FlowName, solve
 from tom.studies.study import Findings, Lab, Row, Study, Table, add_jobs, at_least, at_most
 from tom.studies.tabular_estimates import (
     DENSE,

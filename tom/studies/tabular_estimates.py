@@ -13,24 +13,26 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from tom.analysis.exact_weights import Name, OccupancyProblem, solve
-from tom.analysis.tabular import (
+from tom.config import TomConfig
+from tom.data.transitions import Transitions
+from tom.learners.discriminator import Inputs
+from tom.learners.tom import occupancy_weights
+from tom.studies.mdp import (
     Array,
     FlowName,
     Mdp,
+    Name,
+    OccupancyProblem,
     OneHotPolicy,
     random_mdp,
     random_policy,
     sample_starts,
     sample_stream,
     sample_transitions,
+    solve,
     transition_occupancy,
     with_endings,
 )
-from tom.config import TomConfig
-from tom.data.transitions import Transitions
-from tom.learners.discriminator import Inputs
-from tom.learners.tom import occupancy_weights
 from tom.studies.study import Row
 from tom.training.presets import PRESETS
 

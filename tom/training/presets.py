@@ -13,7 +13,6 @@ from pydantic import ValidationError
 
 from tom.config import OnlineConfig, RoadConfig
 from tom.envs import ENV_NAMES, ROAD, is_known, task, unknown_task
-from tom.envs.task import Task
 from tom.envs.termination import rule
 from tom.errors import UserError, invalid_value, unknown
 from tom.learners import LEARNERS, SUBJECT, with_own_settings

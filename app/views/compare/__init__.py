@@ -11,8 +11,7 @@ from app.parts import address, shortlinks, widgets
 from app.views.compare import curves, labels, numbers, side
 from app.views.compare.choice import chosen_runs
 from app.views.compare.comparison import Comparison, compare
-from tom.analysis import grouping
-from tom.analysis.settings import NONE
+from tom.analysis.settings import NONE, USUAL, choices
 
 CURVES = "Curves"
 MOST_COLUMNS = 24
@@ -36,7 +35,7 @@ def page() -> None:
     with row.popover("Runs", icon=":material/filter_alt:"):
         runs = chosen_runs(listing.runs)
     by = address.choose_one(
-        row.selectbox, "Group by", grouping.choices(runs), "group", grouping.USUAL,
+        row.selectbox, "Group by", choices(runs), "group", USUAL,
         lambda path: f"by {path}", label_visibility="collapsed", width=GROUP_WIDTH,
     )  # fmt: skip
     comparison = compare(runs, by)

@@ -11,9 +11,8 @@ from app.data.readers import RunInfo
 from app.figures.curves import Look, looks_of
 from app.parts import address
 from app.parts.eyes import Item, Row
-from tom.analysis import grouping
 from tom.analysis.curves import Group
-from tom.analysis.grouping import Kind
+from tom.analysis.settings import USUAL, Kind, kinds_of
 
 HIDE = "hide"
 ALIKE = 0.9
@@ -69,7 +68,7 @@ class Comparison:
     @property
     def only_seeds_differ(self) -> bool:
         """Whether the runs of a group differ in nothing but the seed."""
-        return self.by == grouping.USUAL
+        return self.by == USUAL
 
     @property
     def unit(self) -> str:
@@ -101,7 +100,7 @@ class Comparison:
 
 def compare(runs: Sequence[RunInfo], by: str) -> Comparison:
     """Group the runs, and read from the page or its address which of them are hidden."""
-    kinds = grouping.kinds(runs, by)
+    kinds = kinds_of(runs, by)
     look_of = looks_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
     there = {run.run_id for run in runs} | {look.title for look in look_of.values()}
     hidden = [word for word in address.value_of(HIDE, list) if word in there]

@@ -12,7 +12,7 @@ from app.data.readers import RunInfo
 from app.figures.curves import Axes
 from app.parts import address
 from tom.analysis.curves import Band, Curve, Group, Statistic, curve_points, groups, points_against
-from tom.analysis.grouping import Kind
+from tom.analysis.settings import Kind
 
 RETURN, RUNNING_MAXIMUM, OTHER = "return", "running maximum", "another metric"
 METRICS = {RETURN: "eval/return", RUNNING_MAXIMUM: "eval/return_max"}

@@ -24,14 +24,13 @@ from tom.analysis.curves import Group
 from tom.analysis.scores import (
     HEIGHT,
     SCORES,
-    beats,
     begun,
-    chance,
     common_start,
     common_step,
     interval,
     scores_of,
 )
+from tom.analysis.statistics import exchangeable
 from tom.config import SAC_ALONE
 
 NO_SAC = (
@@ -81,9 +80,15 @@ def draw(comparison: Comparison) -> None:
     keep = " ".join([env, name, *(curve.run_id for group in grouped for curve in group.curves)])
     _profiles(drawn, scores, score, keep)
     both = list(combinations(range(len(grouped)), 2))
-    ps = [chance([scores[i]], [scores[j]]) for i, j in both]
+    ps = [exchangeable([scores[i]], [scores[j]]) for i, j in both]
     pairs = [
-        Improvement(names[i], names[j], beats([scores[i]], [scores[j]]), p, of_all)
+        Improvement(
+            names[i],
+            names[j],
+            statistics.probability_of_improvement([scores[i]], [scores[j]]),
+            p,
+            of_all,
+        )
         for (i, j), p, of_all in zip(both, ps, statistics.corrected(ps), strict=True)
     ]
     _improvement(pairs, [drawn[i].colour for i, _ in both], f"{score} {keep}")
@@ -117,9 +122,8 @@ def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str, 
 
 def profile(look: Look, scores: NDArray, at: NDArray) -> Profile:
     """A group's share of runs above each threshold; its band is the same beside any other group."""
-    share = statistics.performance_profile(scores[:, None], at)
-    draws = statistics.draws()
-    low, high = statistics.profile_band(scores[:, None], at, draws, resamples=300)
+    share = statistics.performance_profile([scores], at)
+    low, high = statistics.profile_band([scores], at, resamples=300)
     return Profile(look, share, low, high)
 
 

@@ -15,9 +15,10 @@ from app.figures.curves import looks_of
 from app.figures.exams import footprint_error_return
 from app.parts.plot import chart
 from app.views.probe import left_out
-from tom.analysis import grouping, statistics
+from tom.analysis import statistics
+from tom.analysis.scores import counted_from
+from tom.analysis.settings import kinds_of
 from tom.analysis.statistics import Interval
-from tom.exams.counted import counted_from
 from tom.readable import UNKNOWN, percent, short
 
 HEIGHT = 380
@@ -85,7 +86,7 @@ def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Ranking]:
 
 def group_names(runs: Sequence[RunInfo]) -> dict[str, str]:
     """By run id the name of its group: its learner, and what distinguishes it from other groups."""
-    kinds = grouping.kinds(runs)
+    kinds = kinds_of(runs)
     groups = looks_of((run.env, kinds[run.run_id]) for run in runs)
     return {run_id: groups[kind].title for run_id, kind in kinds.items()}
 

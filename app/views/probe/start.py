@@ -8,8 +8,7 @@ from app.data import datasets, readers, trainings
 from app.data.readers import RunInfo
 from app.parts import address, empty, form, weighing
 from app.theme import learner_label
-from tom.analysis.weighing import POLICIES, RANDOM
-from tom.analysis.weighing_plan import PRESETS
+from tom.analysis.weighing import POLICIES, PRESETS, RANDOM
 from tom.data.datasets import FORMATS
 from tom.envs import ANY, ENVS, is_code
 from tom.learners import LEARNERS, WEIGHED_FIRST

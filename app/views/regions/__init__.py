@@ -20,7 +20,7 @@ from app.theme import learner_label
 from app.views.regions import brush, region_tables
 from tom.analysis.brush import AS_IT_IS
 from tom.envs import ROAD
-from tom.reports.brush_files import called
+from tom.reports.weighing_files import called
 from tom.spread import spread
 
 MAP_HEIGHT = 690

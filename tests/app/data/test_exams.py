@@ -9,7 +9,7 @@ import pytest
 
 from app.data.exams import Exams, at_fit, exams_of, next_return, ranking
 from tom.analysis import statistics
-from tom.exams.counted import counted_from
+from tom.analysis.scores import counted_from
 
 NAN = float("nan")
 
@@ -92,8 +92,8 @@ def test_equal_learners_differ_by_no_more_than_noise() -> None:
     runs = [sat("TOM" if i % 2 else "MLE", i, draws[i].tolist()) for i in range(12)]
     beats = ranking(runs).first_beats_second
     assert beats.low < 0.5 < beats.high
-    first, second = (-one.error[:, None] for one in ranking(runs).ranked)
-    again = statistics.probability_of_improvement(first, second, np.random.default_rng(0))
+    first, second = (-one.error for one in ranking(runs).ranked)
+    again = statistics.probability_of_improvement([first], [second])
     assert beats == again
 
 

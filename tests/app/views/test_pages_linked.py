@@ -15,7 +15,7 @@ from app.parts import shortlinks
 from app.router import VIEWS
 from tom.errors import UserError
 from tom.record import Store, layout, manage
-from tom.reports.html import Report, write_report
+from tom.reports.report import Report, write_report
 from tom.reports.weighing_files import REPORT
 
 PAGES = [view.name for view in VIEWS]

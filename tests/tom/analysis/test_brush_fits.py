@@ -66,18 +66,3 @@ def test_the_same_seed_gives_the_same_bits():
     assert [f.factor for f in one] == [1, 4]
     assert [f.errors for f in one] == [f.errors for f in again]
     assert np.array_equal(one[1].weights, again[1].weights)
-
-
-def test_where_no_such_row_is_held_out_nothing_is_said():
-    rows = bent()
-    region = torch.zeros(len(rows), dtype=torch.bool)
-    region[0] = True
-    errors = [
-        f.errors[REGION] for f in fits(Brush(rows, torch.ones(len(rows)), region), QUICK, (), (1,))
-    ]
-    held = [
-        f.errors[REGION]
-        for f in fits(Brush(rows, torch.ones(len(rows)), region), QUICK, (), range(8))
-    ]
-    assert len(errors) == 1
-    assert any(np.isnan(held))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tom.analysis.curves import Curve, groups
-from tom.analysis.grouping import USUAL, Kind, choices, kinds, natural, number
+from tom.analysis.settings import USUAL, Kind, choices, kinds_of, natural, number
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def test_runs_can_be_grouped_by_what_they_differ_in() -> None:
 
 
 def test_as_usual_nothing_but_the_seed_may_differ() -> None:
-    assert kinds(RUNS) == {
+    assert kinds_of(RUNS) == {
         "a": Kind("tom", "paper", "model.hidden 64"),
         "b": Kind("tom", "paper", "model.hidden 128"),
         "c": Kind("tom", "mended"),
@@ -43,23 +43,23 @@ def test_as_usual_nothing_but_the_seed_may_differ() -> None:
 
 
 def test_a_setting_puts_runs_together_that_have_its_value() -> None:
-    assert kinds(RUNS, "model.hidden") == {
+    assert kinds_of(RUNS, "model.hidden") == {
         run_id: Kind(variant=f"model.hidden {words}")
         for run_id, words in zip("abcd", ("64", "128", "64", "64"), strict=True)
     }
-    assert set(kinds(RUNS, "learner").values()) == {Kind("tom"), Kind("mle")}
-    assert kinds(RUNS, "preset")["c"] == Kind(preset="mended")
+    assert set(kinds_of(RUNS, "learner").values()) == {Kind("tom"), Kind("mle")}
+    assert kinds_of(RUNS, "preset")["c"] == Kind(preset="mended")
 
 
 def test_what_a_setting_means_nothing_to_stays_in_its_usual_group() -> None:
-    found = kinds([*RUNS, Run("old")], "tom.flow")
+    found = kinds_of([*RUNS, Run("old")], "tom.flow")
     assert found["a"] == found["b"] == Kind(variant="tom.flow discounted")
     assert found["d"] == Kind("mle", "paper")
     assert found["old"].learner == "tom"
 
 
 def test_groups_of_a_setting_pool_learners_and_follow_its_numbers() -> None:
-    of = kinds(RUNS, "model.hidden")
+    of = kinds_of(RUNS, "model.hidden")
     at = np.array([0, 10])
     curves = [
         Curve(run.run_id, "ant", run.learner, run.preset, i, at, at + i, "", of[run.run_id])

@@ -1,13 +1,11 @@
 """The numbers of a weight progression by hand, and the study's verdicts."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from tom.analysis.progression import medians, progression, rank_correlation, same_profile
 from tom.analysis.weighing import Weighed
-from tom.studies.progression import Condition, Result, checks, finding, table, verdict
+from tom.studies.progression import Condition, Result, checks, finding, verdict
 from tom.studies.study import Row
 
 
@@ -56,11 +54,6 @@ def test_without_a_random_part():
     assert report.random_mean is None
     assert report.spearman == pytest.approx(1)
     assert medians([report, report])["random_mean"] is None
-
-
-def test_no_ordered_rows_is_an_error():
-    with pytest.raises(ValueError, match="no ordered rows"):
-        progression(np.ones(10), ordered_from=10)
 
 
 def test_the_order_of_tiny_weights_counts_and_rounding_does_not():
@@ -125,18 +118,6 @@ def test_the_median_over_seeds_is_judged():
     found = finding(case, "tom", "random half", [0.2, 0.9, 0.25], "<=", 0.3)
     assert (found["median"], found["met"]) == (0.25, True)
     assert finding(case, "tom", "ESS", [0.2])["met"] is None
-
-
-def test_toms_presets_stand_side_by_side():
-    exact = conditions(rising(), rising(), rising())
-    found = checks([*exact, *(replace(case, preset="paper") for case in exact)])
-    titles, *rows = table(found)
-    assert titles[-2:] == ["exact", "paper"]
-    by_key = {tuple(row[1:4]): row for row in rows}
-    turned = by_key["random", "TOM", "random half"]
-    assert turned[-3] == ">= 1.25"
-    assert turned[-1].endswith("**no**")
-    assert by_key["own", "PMAC", "ESS"][-1] == ""  # TOM's presets are nothing to it
 
 
 def test_the_verdict_judges_each_part_of_the_claim():

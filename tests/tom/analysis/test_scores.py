@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tom.analysis import statistics
 from tom.analysis.curves import Curve
 from tom.analysis.scores import (
     HEIGHT,
-    beats,
     begun,
     common_start,
     common_step,
@@ -47,6 +45,14 @@ def test_a_curve_that_ends_earlier_has_no_mean_height() -> None:
     assert np.isnan(scores_of([curve([1, 2, 3], [1, np.nan, 3])], HEIGHT, 3)).all()
 
 
+def test_a_mean_height_is_the_area_over_the_width() -> None:
+    rising = curve([0, 10], [0, 1])
+    assert scores_of([rising, curve([0, 10, 20], [0, 1, 9])], HEIGHT, 10).tolist() == [0.5, 0.5]
+    assert scores_of([curve([0, 20], [0, 2])], HEIGHT, 10).tolist() == [0.5]
+    assert scores_of([curve([0, 20], [0, 2])], HEIGHT, 20, since=10).tolist() == [1.5]
+    assert scores_of([curve([5, 15], [1, 3])], HEIGHT, 15, since=0).tolist() == [2]
+
+
 def test_a_run_that_gets_there_later_does_not_get_there() -> None:
     curves = [curve([1, 2, 3], [0, 1, 2]), curve([1, 2, 3], [2, 0, 0])]
     assert steps_to(curves, 2.0, until=2).tolist() == [np.inf, 1]
@@ -62,13 +68,3 @@ def test_interval_of_one_number_has_no_bounds() -> None:
 @pytest.mark.parametrize("values", [[], [1.0, np.nan]])
 def test_without_every_run_there_is_no_statistic_of_them(values: list[float]) -> None:
     assert np.isnan(interval(np.array(values), "iqm").value)
-
-
-def test_the_same_runs_have_the_same_interval_at_every_call() -> None:
-    a, b = np.arange(5.0), np.arange(5.0) + 1
-    assert beats([a], [b]) == beats([a], [b])
-    expected = statistics.probability_of_improvement(
-        np.array([[0.0, 9.0], [1.0, np.nan]]), np.array([[0.5, 1.0]]), statistics.draws()
-    )
-    found = beats([np.array([0.0, 1.0]), np.array([9.0])], [np.array([0.5]), np.array([1.0])])
-    assert found.value == expected.value == 0.75

@@ -11,7 +11,7 @@ import pytest
 from tom.cli import build_parser
 from tom.cli.reproduce import run
 from tom.config import RoadConfig
-from tom.reports.style import new_figure
+from tom.reports.figures import new_figure
 from tom.road.offline_data import map_of
 from tom.studies.road_map import Places, environment_rows, weight_figure, weight_rows
 from tom.studies.study import Findings, Row, Study, Table, at_least, at_most, tasks

@@ -12,7 +12,7 @@ from tom.cli.reproduce import record, run
 from tom.config import SacRecordingConfig
 from tom.events import Event, Tick
 from tom.record import RunReader, Store
-from tom.studies.sac import recordings
+from tom.studies.recordings import recordings
 from tom.studies.study import Findings, Lab, Study
 
 STEPS = 150

@@ -6,7 +6,6 @@ import torch
 from made import QUICK, generator, rows
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from tom.analysis.tabular import random_mdp, random_policy, sample_transitions, transition_occupancy
 from tom.config import TomConfig
 from tom.data.transitions import TensorTransitions
 from tom.learners.discriminator import (
@@ -18,6 +17,7 @@ from tom.learners.discriminator import (
     discriminator_net,
     membership_reward,
 )
+from tom.studies.mdp import random_mdp, random_policy, sample_transitions, transition_occupancy
 
 SHIFT = 1.0
 CONFIG = QUICK.but(discriminator_steps=300, discriminator_lr=1e-3, parameter_average=0.99)

@@ -6,18 +6,19 @@ import pytest
 import torch
 from made import ACTION, OBS, QUICK, context, generator, rows, uniform_policy
 
-from tom.analysis.exact_weights import OccupancyProblem, solve
-from tom.analysis.tabular import (
+from tom.config import TomConfig
+from tom.data.transitions import Transitions
+from tom.learners.tom import Occupancy, TomLearner, occupancy_weights
+from tom.studies.mdp import (
+    OccupancyProblem,
     OneHotPolicy,
     random_mdp,
     random_policy,
     sample_starts,
     sample_transitions,
+    solve,
     transition_occupancy,
 )
-from tom.config import TomConfig
-from tom.data.transitions import Transitions
-from tom.learners.tom import Occupancy, TomLearner, occupancy_weights
 
 
 def learner(config: TomConfig = QUICK) -> TomLearner:

@@ -30,14 +30,6 @@ def test_walks_are_whole_walks_of_twenty_steps(road_map: task.RoadMap):
     torch.testing.assert_close(rows.reward, task.reward(rows.next_obs))
 
 
-def test_a_walk_that_is_cut_short_ends_there(road_map: task.RoadMap):
-    whole = offline_data.random_walks(road_map, 40, generator())
-    cut = offline_data.random_walks(road_map, 30, generator())
-    assert torch.equal(cut.obs, whole.obs[:30])
-    assert (whole.truncated[29], cut.truncated[29]) == (0, 1)
-    assert torch.equal(cut.truncated[:29], whole.truncated[:29])
-
-
 def test_walks_cover_the_map_and_the_actions(road_map: task.RoadMap):
     rows = offline_data.random_walks(road_map, 10_000, generator())
     counts, _, _ = np.histogram2d(*rows.obs.T.numpy(), bins=5, range=[[0, 1], [0, 1]])
@@ -69,13 +61,6 @@ def test_an_episode_ends_on_arrival(road_map: task.RoadMap):
     assert rows.terminated.tolist() == [0.0] * (len(rows) - 1) + [1.0]
     assert rows.truncated.sum() == 0
     torch.testing.assert_close(rows.reward.sum().item(), episode.undiscounted_return)
-
-
-def test_a_time_limit_truncates(road_map: task.RoadMap):
-    episode = offline_data.drive(road_map, torch.zeros_like, 1, generator())[0]
-    rows = offline_data.episode_rows(episode)
-    assert rows.terminated.sum() == 0
-    assert rows.truncated.nonzero().flatten().tolist() == [79]
 
 
 @pytest.mark.parametrize("first", [False, True])

@@ -1,7 +1,5 @@
 """Every learner's model on the same buffer, tested on what the policy makes anew."""
 
-import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,23 +9,22 @@ from commands import code_of
 from torch import Tensor
 
 from tom.analysis.ordered_data import of_run
-from tom.analysis.weighing import Weighed
+from tom.analysis.weighing import fit_model
 from tom.cli import main
 from tom.config import SacRecordingConfig, TomConfig
 from tom.data.transitions import Transitions
 from tom.envs import task
+from tom.learners import LEARNERS
+from tom.learners.base import Weighting
 from tom.policy.stored import NAME, read_policy
 from tom.record import RunReader, Store
 from tom.studies.focus import (
     RIVALS,
     Case,
     _config,
-    _fitted,
     _tested,
-    cases,
     focus,
     summary,
-    verdict,
 )
 from tom.training.run import train
 
@@ -61,25 +58,6 @@ def test_a_summary_by_hand():
     assert tom["policy / mle"] == pytest.approx((0.5 + 0.75) / 2)  # seed by seed
     assert tom["random / mle"] == pytest.approx(2.5)
     assert tom["ess"] == pytest.approx(0.15)
-
-
-def test_the_verdict_says_where_the_claim_holds():
-    rows = [
-        MLE,
-        dict(MLE, rival="pmac"),
-        dict(MLE, rival="tom paper", policy=0.1, policy_rollout=0.9),
-        dict(MLE, rival="tom exact", policy=0.1, policy_rollout=0.4),
-    ]
-    pmac, paper, exact = verdict(rows)
-    assert "claimed" not in pmac
-    assert "0.50 (less in 1/1)" in paper
-    assert paper.endswith("as claimed over one of the two lengths only.")
-    assert exact.endswith("as claimed.")
-
-
-def test_without_mle_there_is_no_share():
-    (row,) = summary([dict(MLE, rival="pmac")])
-    assert np.isnan(row["policy / mle"])
 
 
 def test_models_are_tested_on_what_no_learner_has_seen(recording: RunReader):
@@ -120,26 +98,14 @@ def test_a_fit_clips_toms_weights_alone(recording: RunReader, rival: str):
     assert weights[-1] > 2 * config.model.weight_clip
 
     def predicted(weights: np.ndarray) -> Tensor:
-        weighed = Weighed(config.learner, 0, weights, None, {}, (), None)
-        rows = data.transitions[:20]
-        return _fitted(data, weighed, config).predict(rows.obs, rows.action)[1]
+        clipped = LEARNERS[config.learner].clipped
+        weighting = Weighting(torch.from_numpy(weights), clipped=clipped)
+        model = fit_model(data.transitions, weighting, config.model, 0)
+        return model.predict(data.transitions.obs[:20], data.transitions.action[:20])[1]
 
     clipped = weights.clip(max=config.model.weight_clip)
     same = torch.equal(predicted(weights), predicted(clipped))
     assert same == (rival == "tom paper")
-
-
-def test_another_recording_in_the_same_place_is_another_case(recording: RunReader, tmp_path: Path):
-    """A case is kept under its `repr`."""
-    path = tmp_path / recording.run_id
-    shutil.copytree(recording.path, path)
-    (before, *_) = cases([RunReader(path)], [0])
-    (again, *_) = cases([RunReader(path)], [0])
-    assert repr(again) == repr(before)
-    made = json.loads((path / "config.json").read_text())
-    (path / "config.json").write_text(json.dumps({**made, "created": "2030-01-01T00:00:00"}))
-    (after, *_) = cases([RunReader(path)], [0])
-    assert repr(after) != repr(before)
 
 
 @pytest.mark.slow

@@ -13,17 +13,15 @@ from commands import code_of
 
 from tom.cli import main
 from tom.config import SacRecordingConfig
-from tom.record import RunReader, Store, layout
-from tom.reports.files import write_csv
+from tom.record import RunReader, Store
+from tom.reports.report import write_csv
 from tom.studies import capacity, footprint, frozen
 from tom.studies.footprint import footprint_figure
 from tom.studies.frozen import (
-    WAYS,
     Case,
     buffer_at,
     examined,
     moments,
-    seed_of,
 )
 from tom.studies.recordings import sign_test
 from tom.studies.study import Row
@@ -84,7 +82,7 @@ def test_a_half_leaves_no_row_below_a_half(run: RunReader, way: str):
 
 def test_ways_share_random_numbers_and_moments_do_not():
     seeds = [
-        [seed_of(Case(Path("store") / name, step, way, seed)) for way in ("uniform", "ratio")]
+        [Case(Path("store") / name, step, way, seed).stream_seed for way in ("uniform", "ratio")]
         for name, step, seed in [("a", 100, 0), ("b", 100, 0), ("a", 200, 0), ("a", 100, 1)]
     ]
     assert all(first == second for first, second in seeds)
@@ -235,17 +233,6 @@ def test_two_ways_are_compared_moment_by_moment():
     assert "on top of the discriminator?" in footprint.verdict(outcomes)[-1]
 
 
-def test_two_seeds_of_a_moment_are_one_moment():
-    both = [
-        dict(BASE, way=way, seed=seed, footprint=distance)
-        for way, distances in (("tom-mended", (0.2, 0.6)), ("ratio", (0.5, 0.6)))
-        for seed, distance in enumerate(distances)
-    ]
-    (row,) = footprint.head_to_head(both)
-    assert (row["nearer at"], row["n"]) == (1, 1)
-    assert row["difference"] == pytest.approx(-0.15)
-
-
 def test_a_moment_without_a_footprint_does_not_move_the_others():
     outcomes = [
         dict(BASE, way=way, step=step, footprint=distance, footprint_noise=noise)
@@ -364,41 +351,6 @@ def test_a_run_that_ended_too_early_is_told_so(tmp_path: Path, capsys: pytest.Ca
         asked = ["reproduce", "footprint", *words, "--env", "inverted-pendulum"]
         assert main([*asked, "--store", str(tmp_path), "--out", str(tmp_path / "report")]) == 2
         assert re.search(r"1,000 steps\s+after", capsys.readouterr().err)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        {"learner": "mle"},
-        {"learner": "mle", "config": 3},
-        {"learner": "mle", "config": {"exploration_steps": None}},
-        {"learner": "sac", "config": {"exploration_steps": 10}},
-    ],
-)
-@pytest.mark.parametrize("study", ["footprint", "capacity", "improvement"])
-def test_a_run_that_does_not_say_when_its_policy_begins_is_left_out(
-    study: str, content: dict, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    store = tmp_path / "store"
-    policy = store / "foreign" / layout.policy(5000)
-    policy.parent.mkdir(parents=True)
-    policy.touch()
-    config = {"schema": 1, "env": "hopper", **content}
-    (store / "foreign" / layout.CONFIG).write_text(json.dumps(config))
-    words = ["reproduce", study, "--env", "hopper", "--store", str(store)]
-    words += ["--out", str(tmp_path / "out")]
-    for named, says in (((), "has no run with a buffer"), (("foreign",), "foreign has no moment")):
-        assert main([*words[:2], *named, *words[2:]]) == 2
-        said = capsys.readouterr().err
-        assert says in said
-        assert said.count("\n") == 1
-
-
-def test_every_way_is_a_learner_of_the_registry_or_the_newest_rows():
-    for name, way in WAYS.items():
-        assert (way.learner is None) == (name == "newest")
-        if way.learner:
-            resolve("hopper", way.learner, way.preset, dict(way.settings))
 
 
 def test_a_recording_of_sac_stands_for_a_replay_buffer(tmp_path: Path):

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from commands import code_of
 
 from tom.cli import main
 from tom.data.transitions import TensorTransitions
@@ -85,17 +84,6 @@ def test_weights_of_one_change_nothing_anywhere(run: RunReader, monkeypatch: pyt
     assert even == dict(plain, way="even")
 
 
-def test_moments_share_no_random_numbers(run: RunReader):
-    first, second = (improved(trial(run, "uniform", 5, step)) for step in moments(run, 2))
-    assert first["before"] != second["before"]
-
-
-def test_the_policy_before_is_the_stored_one(run: RunReader):
-    """With so few updates the return has hardly moved."""
-    few = improved(trial(run, "uniform", updates=study.PARTS))
-    assert few["both"] == pytest.approx(few["before"], rel=0.2)
-
-
 def test_the_temperature_between_two_records_is_interpolated_in_logarithms():
     steps, values = np.array([1000, 3000, 4000]), np.array([1.0, 0.25, 0.1])
     assert study.temperature_at(2000, steps, values) == pytest.approx(0.5)
@@ -139,12 +127,6 @@ def test_a_summary_by_hand():
     assert "diverged in 1 trials" in verdict(found, summary(found))[1]
 
 
-def test_a_difference_on_enough_recordings_is_called_one():
-    found = [one for i in range(6) for one in recorded(f"{i}", "hopper", 3)]
-    *_, both = verdict(found, summary(found))
-    assert both.endswith("(sign test p = 0.03): better than uniform weights.")
-
-
 def test_the_command_writes_its_report(
     run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -160,25 +142,6 @@ def test_the_command_writes_its_report(
         "improvement.svg",
     }  # fmt: skip
     assert list(pd.read_csv(out / "moments.csv")["way"]) == ["uniform", "newest"]
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--model", "9 x 9"], "unknown model '9 x 9'"),
-        (["--updates", "4"], "must be at least 5"),
-        (["--moments", "0"], "must be at least 1"),
-        (["--ways", "tom-mendet"], "did you mean 'tom-mended'"),
-    ],
-)
-def test_bad_input_is_one_line(
-    run: RunReader, words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    out = tmp_path / "report"
-    asked = [*words, "--store", str(run.path.parent), "--out", str(out)]
-    assert code_of(["reproduce", "improvement", *asked]) == 2
-    assert says in capsys.readouterr().err
-    assert not out.exists()
 
 
 def copied(run: RunReader, to: Path) -> list[Path]:

@@ -46,14 +46,6 @@ def test_where_the_weight_lies(tmp_path: Path):
     assert [row["step"] for row in study.rows([panel])] == [500, 750, 1000]
 
 
-def test_other_tasks_than_the_papers_are_not_held_against_it(tmp_path: Path):
-    store = Store(tmp_path)
-    record(store, "tom", [on(0, 100)], env="inverted-pendulum")
-    assert len(study.verdict(study.panels(store.runs(), "paper"))) == 1
-    record(store, "tom", [on(900, 1000)])
-    assert "in 0 of the 1 profiles" in study.verdict(study.panels(store.runs(), "paper"))[-1]
-
-
 def test_of_few_bins_the_newest_is_the_newest_tenth(tmp_path: Path):
     store = Store(tmp_path)
     config = resolve("hopper", "tom", "paper", {"snapshots": 0, "bins": 4})

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tom.analysis.scores import ESS
 from tom.envs import ENVS
 from tom.events import Metrics, Tick
-from tom.exams.counted import ESS
 from tom.record import Store
 from tom.record.recorder import Recorder
 from tom.record.writer import RunWriter
@@ -99,13 +99,6 @@ def test_runs_with_changed_settings_stand_beside_the_others_if_asked(store: Stor
     assert any("differ in more than" in line for line in verdict(of_hopper))
 
 
-def test_a_run_that_was_never_evaluated_is_named(store: Store):
-    record(store, "hopper", "tom", 7, [])
-    cells, left_out = study.select(store.runs(), "paper")
-    assert [run_id for run_id in left_out if "-s7-" in run_id] == left_out != []
-    assert [cell.seeds for cell in cells if cell.env == "hopper"] == [[0], [0, 1]]
-
-
 def test_learners_are_compared_at_a_step_that_all_reach(store: Store):
     cells, _ = study.select(store.runs(), "paper")
     assert study.compared_at(cells) == {"hopper": 3000, "walker2d": 2000}
@@ -128,17 +121,6 @@ def test_at_a_step_fixed_beforehand_shorter_runs_are_left_out_and_longer_ones_cu
     (alone,), short = study.select(store.runs(), "paper", at=dict.fromkeys(ENVS, 3001))
     assert (alone.learner, alone.seeds, len(short)) == ("tom", [0], 4)
     assert study.select(store.runs(), "paper", at=dict.fromkeys(ENVS, 4001))[0] == []
-
-
-def test_a_step_of_one_environment_leaves_the_others_as_they_are(store: Store):
-    cells, left_out = study.select(store.runs(), "paper", at={"hopper": 4000})
-    assert study.compared_at(cells) == {"hopper": 4000, "walker2d": 2000}
-    assert {(cell.env, cell.learner, cell.n) for cell in cells} == {
-        ("hopper", "tom", 1),
-        ("walker2d", "mle", 1),
-        ("walker2d", "tom", 1),
-    }
-    assert len(left_out) == 2  # Hopper's that end at 3000
 
 
 def test_of_one_seed_the_run_that_reaches_the_step_is_used(store: Store):
@@ -227,12 +209,6 @@ def test_areas_begin_where_all_runs_have_returns(store: Store):
     ]
 
 
-def test_learners_without_a_common_task_are_not_compared(store: Store):
-    record(store, "ant", "pmac", 0, [1, 2])
-    cells, _ = study.select(store.runs(), "paper")
-    assert {row["against"] for row in tables.improvement(cells)} == {"MLE"}
-
-
 def test_exams_are_the_median_fit_of_each_run_and_their_mean(store: Store):
     told = (
         [(0.5, 0.2, 1.0, 4.0), (0.7, -0.9, 3.0, 6.0), (0.9, 0.1, 2.0, 8.0), (80.0, 1.1, 2.0, 6.0)],
@@ -281,18 +257,6 @@ def test_exams_are_compared_as_scores_are_and_less_is_less(tmp_path: Path):
     assert all("4 seeds are few" in row["remark"] for row in rows)
     chosen = [c for c in study.select(store.runs(), "paper")[0] if c.learner != "mle"]
     assert [row["in"] for row in tables.less(chosen)] == list(tables.EXAMS.values())
-
-
-def test_exams_after_the_step_that_all_runs_reach_do_not_count(store: Store):
-    """A longer run would have its later fits, of more data, in its median."""
-    for seed, last in ((0, 1000), (1, 3000)):
-        fits = [
-            (step, {**dict.fromkeys(tables.EXAMS, float(step)), "eval/return": 1.0})
-            for step in range(500, last + 1, 500)
-        ]
-        measured(store, f"examined-{seed}", "pmac", seed, *fits)
-    (row,) = tables.exams(study.select(store.runs(), "paper")[0])
-    assert (row["n"], row["error"]) == (2, 750)  # of 500 and 1000, in both runs
 
 
 def test_fits_before_every_learner_weighs_do_not_count(store: Store):
@@ -345,42 +309,6 @@ def test_a_learner_of_another_preset_stands_beside_itself(store: Store):
     assert wins["TOM, mended", "MLE", "area under the curve"] == 1
     toms = [cell for cell in of_hopper if cell.learner == "tom"]
     assert "nothing to compare" in verdict(toms)[0]  # two presets of TOM are no rivals
-
-
-def test_presets_that_differ_in_more_than_the_learner_are_named(store: Store):
-    record(store, "ant", "tom", 0, [1, 2])
-    record(store, "ant", "tom", 1, [1, 2], preset="mended")
-    cells, _ = study.select(store.runs(), "paper", "mended")
-    assert not any("ant: the learners' runs differ" in line for line in verdict(cells))
-    record(store, "ant", "mle", 0, [1, 2], preset="mbpo")
-    cells, _ = study.select(store.runs(), "paper", "mended", "mbpo")
-    (said,) = [line for line in verdict(cells) if line.startswith("ant: the learners'")]
-    assert "model.kind" in said
-    assert "updates_per_step" in said
-    assert "tom." not in said
-
-
-def test_what_is_said_is_what_was_found(store: Store):
-    for seed in range(5):
-        record(store, "hopper", "pmac", seed, [50 + seed] * 3)
-        record(store, "hopper", "tom", seed, [40 + 10 * seed] * 3)  # PMAC: 52 on average
-        record(store, "hopper", "tom", seed, [51 + seed] * 3, preset="mended")
-        record(store, "walker2d", "pmac", seed, [7, 7])
-        record(store, "walker2d", "tom", seed, [6, 6])
-    cells, _ = study.select(store.runs(), "paper", "mended")
-    first, mended = verdict(cells)[:2]
-    assert "1 of 2 of the paper's environments (hopper)" in first
-    assert "1 of 1 of the paper's environments (hopper)" in mended
-    (of_hopper,) = [line for line in verdict(cells) if line.startswith("hopper: compared")]
-    assert "3000 of 4000" in of_hopper
-    shortest = [run.run_id for c in cells for run in c.runs if "-tom-s0" not in run.run_id]
-    assert f"{shortest[0]} (finished)" in of_hopper
-
-
-def test_fewer_than_five_runs_are_not_ranked(store: Store):
-    nothing, left, _ = verdict(study.select(store.runs(), "paper")[0])
-    assert "nothing to compare" in nothing
-    assert left.count("(n = 1)") == 3
 
 
 def test_learners_with_different_settings_are_not_ranked_without_a_remark(store: Store):

@@ -5,7 +5,6 @@ import pytest
 
 from tom.studies.road import (
     MLE_RETURN_MAX,
-    TURNS,
     Case,
     acceptance,
     acceptance_cases,
@@ -13,7 +12,6 @@ from tom.studies.road import (
     control_cases,
     controls,
     normalised,
-    sweep_cases,
     tell,
     verdict,
 )
@@ -99,24 +97,6 @@ def test_controls_fail_where_the_claim_would_mean_nothing():
     assert not any(check["met"] for check in controls(bad))
 
 
-def test_the_cases_differ_in_what_they_say():
-    assert [(c.name, c.config.seed) for c in acceptance_cases([4, 5])] == [
-        ("mle", 4),
-        ("tom", 4),
-        ("mle", 5),
-        ("tom", 5),
-    ]
-    by_name = {case.name: case.config for case in control_cases([0])}
-    assert by_name["mle, mean-zero rocks"].spread == 180
-    assert by_name["pmac, expert first"].expert_first
-    assert not by_name["pmac, expert last"].expert_first
-    uniform = {c.name: c.config for c in baseline_cases([0])}["tom, uniform starts"]
-    assert not uniform.rollout.weighted_starts
-    sweep = sweep_cases([0])
-    assert len(sweep) == 2 * len(TURNS)
-    assert all(case.config.spread == case.config.turn / 2 for case in sweep)
-
-
 def test_an_outcome_without_optimisation_stops_at_the_planner():
     case = replace(acceptance_cases([0])[0], optimise=False)
     found = outcome(case)
@@ -163,13 +143,3 @@ def test_the_verdict_agrees_where_tom_wins_and_has_the_road():
     assert all(line.endswith("the paper says otherwise.") for line in verdict(turned, []))
     once = [*PAIRS[:2], dict(PAIRS[2], sac_return=-151.0), *PAIRS[3:]]
     assert verdict(once, [])[0].endswith(": mostly as the paper says.")
-
-
-def test_the_verdict_names_what_arrives_as_well_and_where_mle_is_enough():
-    simple = dict(TOM, name="expert-only")
-    lost = dict(MLE, name="footprint-only")
-    flat = [dict(TOM, name="mle", turn=turn) for turn in (60.0, 0.0)]
-    said = verdict([*PAIRS, simple, lost], [*flat, dict(MLE, turn=180.0), TOM])
-    assert "expert-only arrive" in said[2]
-    assert "footprint-only" not in said[2]
-    assert "at 0, 60 degrees" in said[3]

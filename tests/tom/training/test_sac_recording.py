@@ -12,7 +12,7 @@ from tom.events import Evaluation, Event, TrainedPolicy
 from tom.policy.stored import UniformPolicy, policy_arrays, read_policy
 from tom.record import RunReader, Store
 from tom.record.thin import half
-from tom.studies.sac import recorded
+from tom.studies.recordings import recorded
 from tom.training.resume import resume, unfinished
 from tom.training.run import Stop, train
 from tom.training.sac_recording import SacRecording

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from tom.analysis.weighing import Weighed
 from tom.envs import ENVS, OTHERS, user_code
 from tom.envs.termination import RULES
-from tom.studies import each as module
-from tom.studies.each import FOLDER, each, load, save
+from tom.studies import study as module
 from tom.studies.progression import Result
 from tom.studies.road import Story
+from tom.studies.study import FOLDER, each, load, save
 from tom.studies.tabular_estimates import Estimate
 
 

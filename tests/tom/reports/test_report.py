@@ -3,9 +3,8 @@
 from html.parser import HTMLParser
 from pathlib import Path
 
-from tom.reports.html import Report, write_report
-from tom.reports.origin import seeds
-from tom.reports.style import new_figure, save
+from tom.reports.figures import new_figure, save
+from tom.reports.report import Report, seeds, write_report
 
 
 class Links(HTMLParser):

@@ -1,16 +1,69 @@
-"""Weight profiles of an ordered buffer, one panel per learner."""
+"""How figures look: colours, style, files, and the weight profiles of an ordered buffer."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
+from matplotlib.typing import RcKeyType
 from numpy.typing import NDArray
 
-from tom.reports.colours import NEUTRAL, TEXT, learner_colour
-from tom.reports.style import STYLE, new_figure
+from tom.learners import LEARNERS
+
+NEUTRAL = "#8a92a3"
+TEXT = "#1c2330"
+
+
+def learner_colour(learner: str) -> str:
+    """The colour of a learner; a neutral one if it has none."""
+    entry = LEARNERS.get(learner)
+    return entry.colour if entry and entry.colour else NEUTRAL
+
+
+STYLE: dict[RcKeyType, Any] = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": TEXT,
+    "axes.labelcolor": TEXT,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "svg.hashsalt": "tom",  # equal figures give equal files
+}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of `width` x `height` inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
+    """Only these ticks on a logarithmic axis, as plain numbers."""
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter("{x:g}")
+
+
+def save(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write `<name>.png` and `<name>.svg` into `folder`."""
+    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
+    with rc_context(STYLE):
+        figure.savefig(paths[0], dpi=150)
+        figure.savefig(paths[1], metadata={"Date": None})
+    return paths
 
 
 @dataclass(frozen=True)

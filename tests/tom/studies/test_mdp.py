@@ -5,22 +5,23 @@ import pytest
 import torch
 from scipy.stats import chisquare
 
-from tom.analysis.exact_weights import OccupancyProblem, dual_value, primal_value, solve
-from tom.analysis.tabular import (
+from tom.learners.terms import DIVERGENCES
+from tom.studies.mdp import (
     Array,
     FlowName,
     Mdp,
-    OneHotPolicy,
+    OccupancyProblem,
+    dual_value,
     occupancy,
+    primal_value,
     random_mdp,
     random_policy,
-    sample_starts,
     sample_stream,
     sample_transitions,
+    solve,
     transition_occupancy,
     with_endings,
 )
-from tom.learners.terms import DIVERGENCES
 
 
 def make(seed: int, successors: int, discount: float) -> tuple[Mdp, Array, Array, OccupancyProblem]:
@@ -191,20 +192,6 @@ def test_a_multiplier_adds_nothing_but_the_mass(name):
     assert float(DIVERGENCES[name].multiplier(many)) == pytest.approx(found.q[-1], abs=1e-3)
 
 
-@pytest.mark.parametrize("successors", [1, 3, 12])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_policys_own_stream_weighs_one_in_a_stationary_flow_alone(seed: int, successors: int):
-    """A discounted flow takes the ends out of the very stream that has them."""
-    mdp, target, _ = ending(seed, successors)
-    stream = transition_occupancy(mdp, target, "stationary")
-    for name in ("chi2", "kl"):
-        problem = OccupancyProblem.of(mdp, target, stream, "stationary", stream)
-        np.testing.assert_allclose(solve(problem, name).weights, 1.0, atol=1e-8)
-    problem = OccupancyProblem.of(mdp, target, stream, "discounted", stream)
-    mass = problem.replay * solve(problem, "chi2").weights
-    assert on_ends(problem, mass) < 0.05 * on_ends(problem, problem.replay)
-
-
 def test_a_discounted_flow_fades_the_policys_own_stream_along_the_episode():
     """An episode is 100 steps down a corridor: weights sink as g^t, where they should be one."""
     length = 100
@@ -226,23 +213,6 @@ def test_a_discounted_flow_fades_the_policys_own_stream_along_the_episode():
 def test_kl_weights_of_a_stationary_flow_are_the_ratio_of_the_streams():
     problem = collected(2, "stationary")
     np.testing.assert_allclose(solve(problem, "kl").weights, np.exp(problem.log_ratio), rtol=1e-6)
-
-
-@pytest.mark.parametrize("seed", [211, 212, 213])
-@pytest.mark.parametrize("successors", [3, 12])
-def test_only_a_discounted_flow_takes_weight_from_transitions_that_end_an_episode(
-    seed: int, successors: int
-):
-    """About a step in a hundred ends. Chi-square against the policy's share, flow by flow."""
-    problem = collected(seed, "stationary", successors)
-    share = on_ends(problem, problem.replay * np.exp(problem.log_ratio))
-    found = {}
-    for flow in FLOWS:
-        weights = solve(collected(seed, flow, successors), "chi2").weights
-        found[flow] = on_ends(problem, problem.replay * weights) / share
-    assert found["discounted"] < 0.5
-    for flow in CONSERVING:
-        assert found[flow] == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -348,15 +318,3 @@ def test_sampled_transitions_follow_their_distribution():
     assert (np.asarray(rows.obs).argmax(1) == index[:, 0]).all()
     assert (np.asarray(rows.action).argmax(1) == index[:, 1]).all()
     assert (np.asarray(rows.next_obs).argmax(1) == index[:, 2]).all()
-
-
-def test_one_hot_policy_draws_what_its_support_says():
-    mdp, target, _, _ = make(0, 3, 0.9)
-    policy = OneHotPolicy(torch.from_numpy(target).float())
-    obs = torch.from_numpy(sample_starts(mdp, 5, np.random.default_rng(0)))
-    actions, probs = policy.support(obs)
-    assert actions.shape == (3, 5, 3)
-    assert probs.shape == (3, 5)
-    drawn = policy(obs, 20_000, torch.Generator().manual_seed(0))
-    expected = (probs[..., None] * actions).sum(0)
-    torch.testing.assert_close(drawn.mean(0), expected, atol=0.02, rtol=0)
