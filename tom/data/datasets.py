@@ -82,7 +82,8 @@ def _columns_of(path: Path) -> Columns:
         return _checked(path, _parquet(path))
     if path.suffix in (".hdf5", ".h5", ".hdf"):
         with h5py.File(path, "r") as file:
-            return _checked(path, {name: _stored(file, name) for name in file if _is_wanted(name)})
+            names = filter(_is_wanted, map(str, file))
+            return _checked(path, {name: _stored(file, name) for name in names})
     if path.suffix in _PICKLES:
         raise UserError(
             f"{path} may hold pickles, which are code and are not loaded: export the transitions "
@@ -170,7 +171,7 @@ def _minari(path: Path) -> Columns:
 
 def _hdf5_episodes(archive: Path) -> Iterator[tuple[str, Columns]]:
     with h5py.File(archive, "r") as file:
-        for name in _in_order([n for n in file if n.startswith("episode_")]):
+        for name in _in_order([n for n in map(str, file) if n.startswith("episode_")]):
             group = _member(file, name)
             if not isinstance(group, h5py.Group):
                 raise UserError(f"{archive}: {name} is no episode: download the dataset again")

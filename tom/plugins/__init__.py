@@ -131,8 +131,8 @@ def _load_installed(point: EntryPoint) -> None:
         remember(point.module, sys.modules[point.module])
         _LOADED[key] = point.name
     except OF_USERS as error:  # a broken package must not stop every command
-        said = f"tom: the installed plug-in {point.name} is left out: {reason(error)}"
-        print(terminal(said), file=sys.stderr)
+        message = f"tom: the installed plug-in {point.name} is left out: {reason(error)}"
+        print(terminal(message), file=sys.stderr)
 
 
 def _of_file(path: Path) -> ModuleType:

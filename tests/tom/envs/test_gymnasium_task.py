@@ -93,12 +93,12 @@ class Swimming(SwimmerEnv):
 
     def step(self, action):
         self.steps += 1
-        obs, *others = super().step(action)
+        obs, reward, *_ = super().step(action)
         if self.steps == 5 and self.wrong is not None:
             raise self.wrong
         self.own = getattr(self, "own", obs)
         self.own[:] = obs
-        return self.own, *others
+        return self.own, reward, False, False, {}
 
 
 class Broken(Arm):
