@@ -7,7 +7,6 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import streamlit as st
 import torch
@@ -86,15 +85,6 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
     assert new["medians"] == old["medians"]
 
 
-def test_a_store_without_anything_says_how_own_data_comes_in(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    app = draw("probe")
-    assert any(code.value.startswith("tom weigh DATA --policy POLICY") for code in app.code)
-    assert any(".npz or Parquet" in caption.value for caption in app.caption)
-
-
 def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
     weighed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -148,8 +138,3 @@ def test_a_link_to_elsewhere_is_no_data_set(weighed: Path, tmp_path: Path):
     (tmp_path / "weighings").mkdir()
     (tmp_path / "weighings" / "link").symlink_to(weighed / "weighings" / "first")
     assert datasets.listing(str(tmp_path)) == ()
-
-
-def test_the_rows_of_a_weighing_are_whole(weighed: Path):
-    table = pq.read_table(weighed / "weighings" / "first" / "weights.parquet")
-    assert table.num_rows == N

@@ -17,7 +17,6 @@ from app.data import readers, replays, why
 from app.data.readers import RunInfo
 from app.links import Links
 from app.scenes import solids, states
-from app.scenes.control import ReplayChoice, StatesChoice
 from app.scenes.film.story import story
 from app.scenes.replay import track
 from app.views.regions import buffer_reader
@@ -136,10 +135,6 @@ def test_a_run_whose_task_is_not_described_is_said_to_be_so(
     regions = draw("regions", run=PENDULUM_TOM)
     assert not regions.get("iframe")
     assert figures(regions)
-
-
-def test_choices_of_scenes_travel(shown: Path):
-    assert ReplayChoice("a", 1, 0, 0, 1) != StatesChoice("a", (1,), (), (1.0,), ())
 
 
 def test_code_of_the_users_is_named_in_a_terminal_alone(shown: Path):
