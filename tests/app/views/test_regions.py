@@ -149,12 +149,6 @@ def test_weights_against_a_quantity_lose_nothing() -> None:
     assert list(line.y) == pytest.approx(found.mean)  # type: ignore[attr-defined]
 
 
-def test_a_long_axis_title_is_cut_into_lines_not_off() -> None:
-    found = against(np.arange(10.0), np.ones(10), 5)
-    layout = weights_against(found, "tom", "error of a <b> at step 1,000", 200).to_dict()["layout"]
-    assert layout["xaxis"]["title"]["text"] == "error of a &lt;b&gt; at step<br>1,000"
-
-
 def test_a_large_map_is_thinned_and_says_so() -> None:
     plane = regions.Plane(np.arange(20_000.0), np.zeros(20_000), "a", "b")
     zeros, ones = np.zeros(20_000, np.int64), np.ones(20_000)
