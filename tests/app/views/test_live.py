@@ -253,11 +253,11 @@ def test_trainings_that_have_ended_are_forgotten_and_those_that_run_are_not(
     assert app.run().error
 
 
-@pytest.mark.parametrize("links", [{"host": "0.0.0.0", "key": "key"}, {"key": ""}, {"key": "no"}])
+@pytest.mark.parametrize(("host", "key"), [("0.0.0.0", "key"), ("::1", ""), ("::1", "another")])
 def test_nothing_is_started_for_others_or_without_the_key(
-    links: dict[str, str], store: Path, monkeypatch: pytest.MonkeyPatch
+    host: str, key: str, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    set_links(Links(store=str(store), **links), monkeypatch)
+    set_links(Links(store=str(store), host=host, key=key), monkeypatch)
     app = draw("live")
     app.session_state[start.FOLD] = True
     assert not app.run().button
