@@ -76,6 +76,7 @@ def test_a_store_that_is_not_there_yet_is_said_to_be_so(tmp_path: Path) -> None:
     assert in_words(tmp_path / "rnus") == f"store {tmp_path / 'rnus'}, which is not there yet"
 
 
+@pytest.mark.slow
 def test_two_studios_launched_at_once_each_serve_their_own_store(tmp_path: Path) -> None:
     both_up = Barrier(2, timeout=START_S)
 
@@ -93,6 +94,7 @@ def test_two_studios_launched_at_once_each_serve_their_own_store(tmp_path: Path)
         assert list(launches.map(served, ["one", "other"])) == ["one", "other"]
 
 
+@pytest.mark.slow
 def test_a_port_held_for_a_moment_costs_the_studio_another_port_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -81,6 +81,7 @@ def test_a_closed_part_of_a_run_is_named_and_the_others_are_verified(
         assert main(["runs", *words, "--store", str(store)]) == 0
 
 
+@pytest.mark.slow
 def test_a_sweep_beside_a_closed_run_trains_and_its_own_closed_run_has_failed(store: Path, capsys):
     (store / "closed-run").chmod(0)
     words = [*SWEEP, "--seeds", "1", "--learner", "mle", "tom", "--store", str(store)]

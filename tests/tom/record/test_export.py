@@ -90,7 +90,6 @@ def test_a_disk_that_is_full_during_an_export__is_named_and_nothing_is_left(
 
 
 @pytest.mark.fault
-@pytest.mark.quick
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.99])
 def test_a_disk_that_is_full_before_a_recording_is_whole__is_named_and_nothing_is_left(
     record, tmp_path: Path, share: float

@@ -145,6 +145,7 @@ def test_a_difference_on_enough_recordings_is_called_one():
     assert both.endswith("(sign test p = 0.03): better than uniform weights.")
 
 
+@pytest.mark.slow
 def test_the_command_writes_its_report(
     run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
