@@ -13,7 +13,6 @@ from studio_pages import array, draw, figures, set_links, trace
 
 from app.data import studies
 from app.links import Links
-from app.theme import learner_label
 from app.views.compare.numbers import NO_SAC
 from tom import readable
 from tom.analysis.imagine import stored_step
@@ -127,31 +126,6 @@ def test_live_draws_its_returns(run: RunReader) -> None:
     step, value = values(run, "eval/return")
     assert array(line["x"]).tolist() == step
     assert array(line["y"]).tolist() == value
-
-
-@pytest.mark.parametrize("run", EACH)
-@pytest.mark.usefixtures("shown")
-def test_compare_takes_all_seeds_of_it(run: RunReader) -> None:
-    own = [r for r in COPIES if (r.env, r.learner) == (run.env, run.learner)]
-    table = draw("compare", env=run.env).dataframe[0].value.set_index("learner")
-    rows = table.loc[[learner_label(run.learner)]]
-    groups = [[r for r in own if trained(r) == kind] for kind in set(map(trained, own))]
-    assert sorted(rows["n"]) == sorted(len(group) for group in groups)
-    finals = [np.mean(last_values(group, "eval/return")) for group in groups]
-    assert sorted(rows["final"]) == pytest.approx(sorted(finals))
-
-
-def last_values(group: list[RunReader], metric: str) -> list[float]:
-    """The last value of each run up to the step that all of them reach."""
-    curves = [values(run, metric) for run in group]
-    common = min(steps[-1] for steps, _ in curves)
-    return [value[np.searchsorted(steps, common, "right") - 1] for steps, value in curves]
-
-
-def trained(run: RunReader) -> tuple[str, ...]:
-    """In what runs of a learner differ in the gallery: preset, model, and where weights act."""
-    shares = (run.settings.get(f"{place}.uniform_share", "0.0") for place in ("model", "rollout"))
-    return (run.preset, run.settings.get("model.hidden", ""), *shares)
 
 
 @pytest.mark.parametrize("run", EACH)

@@ -132,9 +132,3 @@ def test_the_3d_scene_finds_the_rows(weighed: Path):
     assert len(run.buffer()[0]) == N
     with pytest.raises(UserError, match="no data set"):
         whose_rows(str(weighed), "my buffer-00000000")
-
-
-def test_a_link_to_elsewhere_is_no_data_set(weighed: Path, tmp_path: Path):
-    (tmp_path / "weighings").mkdir()
-    (tmp_path / "weighings" / "link").symlink_to(weighed / "weighings" / "first")
-    assert datasets.listing(str(tmp_path)) == ()

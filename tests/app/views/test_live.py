@@ -164,10 +164,9 @@ def test_a_run_that_only_explores_has_no_speed_and_is_followed_in_rerun(
         assert urlsplit(address).path == path.format(run_id)
 
 
-@pytest.mark.parametrize("page", ["live", "compare"])
-def test_a_click_on_a_runs_curve_leads_to_the_replay_nearest_to_it(store: Path, page: str) -> None:
+def test_a_click_on_a_runs_curve_leads_to_the_replay_nearest_to_it(store: Path) -> None:
     before, at = RunReader(store / ROAD_TOM).evaluation_steps()[-2:]
-    app = draw(page)
+    app = draw("live")
     app.session_state[replay_link.CLICKED] = (ROAD_TOM, at - 1)  # as `remember` does
     app.run()
     assert before < at - 1

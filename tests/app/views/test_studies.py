@@ -71,18 +71,9 @@ def test_the_page_shows_a_studys_figures_and_numbers(reports: Path, store: Path)
     assert [frame.value.equals(errors) for frame in app.expander[0].dataframe] == [True]
     [image] = app.image
     assert image.proto.imgs[0].alt == f"errors: {studies.QUESTIONS['focus']}"
-    assert [code.value for code in app.code] == [
-        f"tom reproduce {rest}"
-        for rest in (
-            f"progression --store {store}",
-            f"footprint --store {store}",
-            f"capacity --store {store}",
-            f"improvement --store {store}",
-            f"online --store {store}",
-            f"returns --store {store}",
-            "tabular",
-        )
-    ]
+    offered = [code.value.split() for code in app.code]
+    assert {words[2] for words in offered} < studies.QUESTIONS.keys()
+    assert all(words[3:] in ([], ["--store", str(store)]) for words in offered)
 
 
 def test_a_study_says_the_claim_the_verdict_and_the_command(reports: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from studio_pages import array, captions, draw, figures, metrics, recorded
 from studio_runs import PENDULUM_TOM, ROAD_TOM
 
-from app.views.weights import newest_fifth, play
+from app.views.weights import newest_fifth
 from tom.record import layout
 from tom.record.reader import RunReader
 
@@ -43,20 +43,6 @@ def test_fit_after_fit_is_played(store: Path) -> None:
     while app.button(key="play fits").label == "Pause":
         seen.append(app.run().select_slider(key="step").value)
     assert list(dict.fromkeys(seen)) == steps
-
-
-def test_a_playback_ends_at_the_last_fit_whatever_the_browser_s_slider_says(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The browser may send the fit before once more, with a tick that was under way."""
-    state: dict[str, object] = {play.PLAYS: True, "step": 300}
-    monkeypatch.setattr(play.st, "session_state", state)
-    monkeypatch.setattr(play.st, "rerun", lambda: state.update(step=200))
-    monkeypatch.setattr(play, "_tick", lambda step: None)
-    monkeypatch.setattr(play.st, "button", lambda *_, **__: False)
-    play.go_on([100, 200, 300], 2)
-    assert not play.button([100, 200, 300])
-    assert (state["step"], state[play.PLAYS]) == (300, False)
 
 
 def test_weights_of_a_fit_that_kept_none_are_not_those_of_another(own: Path) -> None:

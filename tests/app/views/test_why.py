@@ -183,26 +183,6 @@ def test_weights_that_no_learner_made_here_have_no_sum(store: Path) -> None:
     assert isinstance(why.source(info(store, "pendulum-mle-0"), own_rows(store), []), str)
 
 
-def test_the_weights_page_prefers_the_weighing_of_more_learners(weighed: Path) -> None:
-    step = RunReader(weighed / PENDULUM_TOM).policy_steps()[-1]
-    words = [
-        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--step", str(step), "--learner", "pmac",
-        "mle", "--seeds", "0", "--footprint", "100", "--store", str(weighed),
-    ]  # fmt: skip
-
-    def shown() -> set[str]:
-        drawn = figures(draw("weights", run=PENDULUM_TOM, step=str(step)))
-        return {line.get("meta") for figure in drawn[2:] for line in figure["data"]}
-
-    assert "pmac" not in shown()
-    before = set((weighed / "weighings").iterdir())
-    assert main(words) == 0
-    (made,) = set((weighed / "weighings").iterdir()) - before
-    os.utime(made / "report.json", (1, 1))  # the older one
-    st.cache_data.clear()
-    assert {"pmac", "mle"} <= shown()
-
-
 @pytest.mark.usefixtures("studio")
 @pytest.mark.parametrize("row", ["100000", "\u00b2", "1e400", "nan"])
 def test_a_row_that_the_buffer_does_not_have_is_dropped(store: Path, row: str) -> None:
