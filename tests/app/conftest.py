@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import shutil
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -61,3 +62,11 @@ def studio(store: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Links]:
     yield links
     st.cache_data.clear()
     st.cache_resource.clear()
+
+
+@pytest.fixture
+def own(studio: Links, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the store that a test may write to; pages show it."""
+    path = shutil.copytree(store, tmp_path / "own")
+    set_links(Links(store=str(path), key="key"), monkeypatch)
+    return path

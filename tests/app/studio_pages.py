@@ -2,6 +2,7 @@
 
 import base64
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from streamlit.testing.v1 import AppTest
 
 from app.links import Links
 from app.scenes.control import clock
+from tom.record.reader import RunReader
 
 TIMEOUT_S = 60
 PAGE = """
@@ -46,6 +48,24 @@ def draw(view: str, **query: str | list[str]) -> AppTest:
     app.run()
     assert not app.exception, app.exception[0].message
     return app
+
+
+def captions(app: AppTest) -> str:
+    """All captions of the page, as they are read."""
+    return "\n".join(part.value.replace("\\", "") for part in app.caption)
+
+
+def metrics(app: AppTest) -> dict[str, str]:
+    """The page's single numbers by their labels."""
+    return {metric.label: metric.value for metric in app.metric}
+
+
+def recorded(
+    store: Path, run_id: str, metric: str = "eval/return"
+) -> tuple[list[int], list[float]]:
+    """The steps and values of a metric, as the run's record has them."""
+    rows = RunReader(store / run_id).metrics()[["env_step", metric]].dropna()
+    return rows["env_step"].tolist(), rows[metric].tolist()
 
 
 def figures(app: AppTest) -> list[dict[str, Any]]:

@@ -38,6 +38,11 @@ def info(store: Path, run_id: str) -> RunInfo:
     return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
 
 
+def change(file: Path, **values: object) -> None:
+    """Give keys of a run's JSON file other values."""
+    replace_json(file, json.loads(file.read_text()) | values, sync=False)
+
+
 def undescribed(run: Path) -> None:
     """Make a run of the pendulum one in a task of its own, whose description is damaged."""
     content = json.loads((run / layout.CONFIG).read_text())
@@ -65,8 +70,7 @@ def with_weighing(store: Path, made: Path, folder: Path) -> Path:
 
 
 def set_status(run: Path, **changed: object) -> None:
-    path = run / "status.json"
-    replace_json(path, json.loads(path.read_text()) | changed, sync=False)
+    change(run / layout.STATUS, **changed)
 
 
 def trains_elsewhere(run: Path) -> None:

@@ -13,17 +13,14 @@ from studio_pages import array, draw, figures, set_links, trace
 
 from app.data import studies
 from app.links import Links
-from app.theme import learner_label
 from app.views.compare.numbers import NO_SAC
 from tom import readable
 from tom.analysis.imagine import stored_step
-from tom.cli import main
 from tom.learners import LEARNER_NAMES
 from tom.record import RunReader, Store
 from tom.record.files import read_json, size_of
 from tom.record.integrity import verify
 from tom.record.layout import STUDIES
-from tom.record.thin import FITS
 from tom.reports.index import index, small_copies
 from tom.reports.report import run_hours
 from tom.reports.weighing_files import REPORT, of_run
@@ -101,17 +98,6 @@ def test_it_is_small() -> None:
     assert sum(size_of(path) for path in [*(run.path for run in COPIES), *WEIGHINGS]) < BYTES
 
 
-@pytest.mark.parametrize("name", ["footprint", "capacity"])
-def test_its_studies_of_frozen_buffers_are_made_anew_from_their_moments(
-    name: str, tmp_path: Path
-) -> None:
-    kept = RUNS / STUDIES / name
-    table = str(kept / "moments.csv")
-    assert main(["reproduce", name, "--from", table, "--out", str(tmp_path)]) == 0
-    for file in ("summary.csv", "head-to-head.csv"):
-        assert (tmp_path / file).read_text() == (kept / file).read_text()
-
-
 def test_the_recordings_that_its_studies_measured_say_how_to_make_them_again() -> None:
     (study,) = [one for one in studies.listing(RUNS / STUDIES) if one.name == "footprint"]
     named = study.origin["runs"].split(", ")
@@ -144,62 +130,10 @@ def test_live_draws_its_returns(run: RunReader) -> None:
 
 @pytest.mark.parametrize("run", EACH)
 @pytest.mark.usefixtures("shown")
-def test_compare_takes_all_seeds_of_it(run: RunReader) -> None:
-    own = [r for r in COPIES if (r.env, r.learner) == (run.env, run.learner)]
-    table = draw("compare", env=run.env).dataframe[0].value.set_index("learner")
-    rows = table.loc[[learner_label(run.learner)]]
-    groups = [[r for r in own if trained(r) == kind] for kind in set(map(trained, own))]
-    assert sorted(rows["n"]) == sorted(len(group) for group in groups)
-    finals = [np.mean(last_values(group, "eval/return")) for group in groups]
-    assert sorted(rows["final"]) == pytest.approx(sorted(finals))
-
-
-def last_values(group: list[RunReader], metric: str) -> list[float]:
-    """The last value of each run up to the step that all of them reach."""
-    curves = [values(run, metric) for run in group]
-    common = min(steps[-1] for steps, _ in curves)
-    return [value[np.searchsorted(steps, common, "right") - 1] for steps, value in curves]
-
-
-def trained(run: RunReader) -> tuple[str, ...]:
-    """In what runs of a learner differ in the gallery: preset, model, and where weights act."""
-    shares = (run.settings.get(f"{place}.uniform_share", "0.0") for place in ("model", "rollout"))
-    return (run.preset, run.settings.get("model.hidden", ""), *shares)
-
-
-@pytest.mark.usefixtures("shown")
-def test_two_presets_of_a_learner_have_names_of_their_own_side_by_side_and_live() -> None:
-    both = [r for r in COPIES if (r.env, r.learner, r.seed) == ("inverted-pendulum", "tom", 0)]
-    assert sorted(run.preset for run in both) == ["mended", "paper"]
-    named = {f"TOM {run.preset} s0" for run in both}
-    app = draw("compare", show="Side by side", env="inverted-pendulum")
-    app.multiselect(key="side").set_value([run.run_id for run in both]).run()
-    beside = {
-        words.value.partition(", step")[0] for words in app.caption if ", step" in words.value
-    }
-    assert beside == named
-    live = figures(draw("live", runs=[run.run_id for run in both]))
-    profiles = next(f for f in live if "last fit" in str(f) or "position" in str(f["layout"]))
-    assert {line["name"].partition(", step")[0] for line in profiles["data"]} >= named
-
-
-@pytest.mark.parametrize("run", EACH)
-@pytest.mark.usefixtures("shown")
 def test_weights_draws_its_last_fit(run: RunReader) -> None:
     drawn = figures(draw("weights", run=run.run_id))
     assert array(drawn[1]["data"][0]["y"]) == pytest.approx(run.profiles().bins[-1])
     assert len(drawn) > 3  # what weights go with: the buffer is there
-
-
-@pytest.mark.usefixtures("shown")
-def test_weights_says_that_a_small_copy_keeps_some_of_the_fits() -> None:
-    said = {}
-    for run in TRAINED:
-        if run.env in ("hopper", "walker2d") and (fits := len(run.profiles().env_step)) not in said:
-            app = draw("weights", run=run.run_id)
-            said[fits] = any(f"{FITS} fits at most" in caption.value for caption in app.caption)
-    assert len(said) > 1
-    assert said == {fits: fits == FITS for fits in said}
 
 
 @pytest.mark.usefixtures("shown")

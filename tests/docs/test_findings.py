@@ -18,6 +18,7 @@ def compare(study: Path, made: Path, *names: str) -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", sorted(STUDIES.glob("returns*")), ids=lambda path: path.name)
 def test_tables_of_returns_are_made_again(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

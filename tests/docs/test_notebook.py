@@ -7,6 +7,7 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 PATH = ROOT / "docs/notebook.ipynb"
 FIGURE = "application/vnd.plotly.v1+json"

@@ -14,7 +14,7 @@ from tom.record.export import export_small
 from tom.record.integrity import verify
 from tom.training.run import train
 
-pytestmark = [pytest.mark.fault, pytest.mark.quick]
+pytestmark = pytest.mark.fault
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from tom.record.writer import RunWriter
 from tom.training.resume import resume
 from tom.training.run import train
 
-pytestmark = [pytest.mark.fault, pytest.mark.quick]
+pytestmark = pytest.mark.fault
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +50,7 @@ def without_settings(run: Path) -> None:
         checkpoint.save(run / checkpoint.FOLDER, int(path.name), state)
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     ("package", "version"),
     [("torch", "1.13.1"), ("torch", "2.12.9"), ("mujoco", "3.3.0"), ("numpy", "1.26.4")],

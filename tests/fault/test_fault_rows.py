@@ -16,7 +16,7 @@ from tom.record.integrity import repair, verify, write_digests
 from tom.training.resume import resume
 from tom.training.run import train
 
-pytestmark = [pytest.mark.fault, pytest.mark.quick]
+pytestmark = pytest.mark.fault
 
 LINES = ["metrics.jsonl", "weights/profiles.jsonl"]
 

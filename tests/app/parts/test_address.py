@@ -119,22 +119,6 @@ def test_a_number_is_in_the_address_until_it_is_of_something_else() -> None:
     assert level(app.run()) == (7.0, {})
 
 
-def test_a_number_that_was_left_is_not_that_of_something_else() -> None:
-    script = NUMBER.replace(
-        "address.number_input(", "if st.toggle('Drawn', True): address.number_input("
-    )
-    app = AppTest.from_string(script).run()
-    app.number_input[0].set_value(7.0).run()
-    app.toggle[0].set_value(False).run()
-    assert address(app) == {}
-    app.toggle[0].set_value(True).run()
-    assert level(app) == (7.0, {"level": ["7"]})
-    app.toggle[0].set_value(False).run()
-    app.session_state["of"] = "another task"
-    app.toggle[0].set_value(True).run()
-    assert level(app) == (1.5, {})
-
-
 @pytest.mark.parametrize("word", ["", "much", "nan", "inf", "1e999"])
 def test_the_usual_number_follows_the_data_and_stands_for_what_is_none(word: str) -> None:
     app = AppTest.from_string(NUMBER)
@@ -173,14 +157,6 @@ def shown(app: AppTest) -> tuple[object, dict[str, list[str]], list[str]]:
     return app.session_state["shown"], address(app), [words.value for words in app.caption]
 
 
-def test_a_link_opens_the_step_that_it_names() -> None:
-    app = at_step("200")
-    assert shown(app) == (200, {"step": ["200"]}, [])
-    assert app.select_slider[0].value == 200
-    assert shown(app.run()) == (200, {"step": ["200"]}, [])
-    assert shown(at_step()) == (300, {}, [])
-
-
 @pytest.mark.parametrize(("asked", "nearest"), [("12", 100), ("245", 200), ("12345", 300)])
 def test_in_place_of_a_step_that_was_not_kept_the_nearest_is_shown_said_and_in_the_address(
     asked: str, nearest: int
@@ -190,10 +166,9 @@ def test_in_place_of_a_step_that_was_not_kept_the_nearest_is_shown_said_and_in_t
     for _ in range(2):
         assert shown(app) == (nearest, {"step": [str(nearest)]}, [said])
         app.run()
-    assert shown(at_step(address(app)["step"][0])) == (nearest, {"step": [str(nearest)]}, [])
-    for step in (200, 100, nearest):
-        app.select_slider[0].set_value(step).run()
-    assert shown(app) == (nearest, {"step": [str(nearest)]}, [])
+    kept = at_step(str(nearest))
+    assert kept.select_slider[0].value == nearest
+    assert shown(kept) == (nearest, {"step": [str(nearest)]}, [])
 
 
 @pytest.mark.parametrize("word", ["", "much", "-100", "1e2", "nan", "²", "9" * 30])
@@ -231,14 +206,11 @@ def test_an_untouched_choice_of_a_step_follows_the_newest() -> None:
     assert shown(app.run()) == (600, {"step": ["600"]}, [])
 
 
-def test_of_another_run_the_nearest_step_is_shown() -> None:
+def test_of_another_run_with_one_step_that_step_is_shown() -> None:
     app = at_step("200")
-    app.session_state["steps"] = [150, 1000]
-    said = "Step 200 was not kept; this is the nearest, 150."
-    assert shown(app.run()) == (150, {"step": ["150"]}, [said])
     app.session_state["steps"] = [70]
     assert shown(app.run())[:2] == (70, {"step": ["70"]})
-    assert (app.selectbox[0].label, app.selectbox[0].disabled) == ("At", True)
+    assert app.selectbox[0].disabled
 
 
 def test_the_chosen_step_goes_along_to_another_page() -> None:

@@ -122,6 +122,7 @@ def shown_steps(chart: "Locator") -> list[float]:
     return chart.evaluate("plot => plot.layout.xaxis.range.slice()")
 
 
+@pytest.mark.quick
 def test_a_visit_to_every_page(visit: Visit, own: Path) -> None:
     page = visit.page
     page.goto(visit.links.opened(f"?recording={PENDULUM_TOM}&runs={PENDULUM_TOM}"))

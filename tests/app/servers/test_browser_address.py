@@ -111,6 +111,7 @@ def test_what_is_hidden_and_zoomed_is_in_the_address_and_back_goes_back(visit: V
     same_steps(page, zoomed)
 
 
+@pytest.mark.quick
 def test_back_takes_back_one_choice_after_the_other(visit: Visit) -> None:  # noqa: F811
     page = visit.page
     page.goto(visit.links.opened(START))

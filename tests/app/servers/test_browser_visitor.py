@@ -94,6 +94,7 @@ def picture(element: "Locator") -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("RGB"))
 
 
+@pytest.mark.quick
 @pytest.mark.usefixtures("no_training_left")
 def test_starts_a_training_watches_it_and_stops_it(visitor: Visit, own_store: Path) -> None:
     before = {run.run_id for run in Store(own_store).runs()}

@@ -87,6 +87,7 @@ def may_start(page: "Page") -> bool:
     return start.is_visible()
 
 
+@pytest.mark.quick
 def test_who_opened_the_printed_address_may_act_and_so_do_their_other_tabs(
     opened: tuple[Links, "Browser"],
 ) -> None:

@@ -70,6 +70,7 @@ def test_the_studio_serves_and_ends_without_orphans(store: Path, tmp_path: Path)
     assert is_free("127.0.0.1", port)
 
 
+@pytest.mark.slow
 def test_two_studios_launched_at_once_each_serve_their_own_store(tmp_path: Path) -> None:
     both_up = Barrier(2, timeout=START_S)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from studio_pages import array, draw, figures, set_links
+from studio_pages import array, captions, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with_weighing
 
 from app.data import brush, buffer_reader, trainings, weighings
@@ -61,17 +61,6 @@ def test_a_brush_is_a_weighing_whose_region_is_multiplied(made: Path, store: Pat
     assert (table["region x 0-s0"].to_numpy()[region] == 0).all()
 
 
-def test_a_file_of_rows_that_is_not_there_is_named_once(
-    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows = tmp_path / "rows.txt"
-    words = command(PENDULUM_TOM, str(rows), FIT, "", (0, 4), str(store))
-    assert main(words) == 2
-    said = capsys.readouterr().err
-    assert said.count(str(rows)) == 1
-    assert "No such file or directory; write row numbers into it" in said
-
-
 def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
     (found,) = brush.of_run(weighings.brushes(run, 400))
@@ -118,12 +107,10 @@ def test_a_weighing_is_not_taken_for_a_brush_of_it(brushed: Path) -> None:
     assert brush.base(run, rows, made) == f"{weighing}:tom-s0"
 
 
-def test_brushed_weights_have_no_sum_and_those_that_are_as_they_were_are_not_offered(
-    brushed: Path,
-) -> None:
+def test_brushed_weights_have_no_sum(brushed: Path) -> None:
     app = draw("regions", run=PENDULUM_TOM, weights="region x 4 s0, made", row="5")
-    assert any("No sum" in note.value and "brush" in note.value for note in app.info)
-    assert not any("as it is" in option for option in app.selectbox(key="weights").options)
+    assert any("brush" in note.value for note in app.info)
+    assert not any(figure["data"][0]["type"] == "waterfall" for figure in figures(app))
 
 
 def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -> None:
@@ -140,7 +127,7 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
 def test_a_brush_of_a_task_that_is_not_described_has_no_ghosts(brushed: Path) -> None:
     undescribed(brushed / PENDULUM_TOM)
     app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
-    assert "No ghosts: there is no robot to draw." in [said.value for said in app.caption]
+    assert "No ghosts" in captions(app)
 
 
 SIZE = {"layers": 2, "hidden": 8}
@@ -148,7 +135,7 @@ SIZE = {"layers": 2, "hidden": 8}
 
 @pytest.mark.parametrize(
     ("model", "results"),
-    [(SIZE, [{"errors": []}]), (SIZE, [[]]), (SIZE, {"errors": {}}), (SIZE, None), ({}, [])],
+    [(SIZE, [{"errors": []}]), (SIZE, None), ({}, [])],
 )
 def test_a_damaged_report_is_no_brush(model: object, results: object, tmp_path: Path) -> None:
     about = {"model": model, "region": {}}
@@ -218,11 +205,14 @@ def test_weights_are_known_by_the_file_that_holds_them(brushed: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"), [("", "--rows"), ("1 two", "--rows"), ("300", "0 to 299")]
+    ("rows", "said"), [(None, "No such file"), ("", "--rows"), ("1 two", "--rows"), ("300", "299")]
 )
 def test_rows_that_are_none_are_one_line(
-    rows: str, said: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+    rows: str | None, said: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "rows").write_text(rows)
+    if rows is not None:
+        (tmp_path / "rows").write_text(rows)
     assert main(command(PENDULUM_TOM, str(tmp_path / "rows"), FIT, "", (0,), str(store))) == 2
-    assert said in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1

@@ -10,21 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from app.figures.looks import Look
 from hypothesis import given, settings
 from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
-from studio_pages import answers, array, draw, figures, set_links, trace
-from studio_runs import PENDULUM_TOM, info
+from studio_pages import answers, array, captions, draw, figures, recorded, set_links, trace
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info, set_status
 
-from app.data.readers import profiles
-from app.data.tables import default_level, reached
+from app.data.tables import default_level
 from app.figures import statistics
-from app.figures.curves import Look
 from app.figures.statistics import Profile
-from app.figures.weights import side_by_side
 from app.links import Links
-from app.parts import replay_link, shortlinks, widgets
+from app.parts import replay_link, shortlinks
 from app.parts.plot import View
 from app.scenes.control import ReplayChoice, Selection, listen
 from app.servers.pages import routes
@@ -42,24 +40,12 @@ from tom.record.reader import RunReader
 from tom.record.store import Store
 
 pytestmark = pytest.mark.usefixtures("studio")
+PENDULUM = "inverted-pendulum"
 SEEDS = ("pendulum-tom-0", "pendulum-tom-1")
 LOOKS = (
     Look("TOM", learner_colour("tom"), "solid", "circle"),
     Look("MLE", learner_colour("mle"), "solid", "circle"),
 )
-
-
-def recorded(store: Path, run_id: str, metric: str = "eval/return") -> tuple[list, list]:
-    rows = RunReader(store / run_id).metrics()[["env_step", metric]].dropna()
-    return rows["env_step"].tolist(), rows[metric].tolist()
-
-
-@pytest.fixture
-def own(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the store that a page may write to."""
-    path = shutil.copytree(store, tmp_path / "own")
-    set_links(Links(store=str(path), key="key"), monkeypatch)
-    return path
 
 
 def click(app: AppTest, key: str) -> None:
@@ -88,108 +74,71 @@ def rows(app: AppTest) -> dict[str, bool]:
     return {group["title"]: group["hidden"] for group in parts(app, "tom_eyes")[0]["groups"]}
 
 
-def views(app: AppTest) -> list[dict]:
-    return [data["view"] for data in parts(app, "tom_plot")]
-
-
-def test_a_click_on_a_mean_opens_the_replay_of_the_run_nearest_to_it(store: Path) -> None:
-    curves = [
-        Curve(run_id, "e", "tom", "p", i, np.array([0.0, 100.0]), np.array([0.0, value]))
-        for i, (run_id, value) in enumerate((("low", 10.0), ("high", 20.0)))
-    ]
-    assert nearest(curves, 50.0, 9.0) == "high"
-    assert nearest(curves, 50.0, 6.0) == "low"
-    ended = Curve("ended", "e", "tom", "p", 2, np.array([0.0, 40.0]), np.array([0.0, 9.0]))
-    assert nearest([*curves, ended], 50.0, 9.0) == "high"
-    assert nearest([ended], 50.0, 9.0) == ""
-    app = draw("compare", env="inverted-pendulum")
-    line = trace(figures(app)[0], name="TOM (n = 2)")
-    assert line["meta"] == list(SEEDS)
-    app.session_state[replay_link.CLICKED] = (SEEDS[1], 399)  # as `remember` does
-    app.run()
-    said = next(words.value for words in app.markdown if "Replay of" in words.value)
-    assert "seed 1, step 400" in said
-    assert "nearest that is kept to step 399" in said
-    app.button(key="close replay").click().run()
-    assert not any("Replay of" in words.value for words in app.markdown)
-
-
-def test_lines_share_one_label_from_the_highest_on() -> None:
-    layout = figures(draw("compare", env="inverted-pendulum"))[0]["layout"]
-    assert (layout["hovermode"], layout["hoversort"]) == ("x unified", "value descending")
+def test_a_group_has_the_mean_over_its_seeds(store: Path) -> None:
+    app = draw("compare")
+    assert len(figures(app)) == 2  # one for each task
+    values = [recorded(store, run_id)[1] for run_id in SEEDS]
+    mean = trace(figures(app)[0], name="TOM (n = 2)")
+    assert array(mean["y"]) == pytest.approx(np.mean(values, axis=0))
+    assert trace(figures(app)[0], name="MLE (1 seed, no band)")
+    table = app.dataframe[0].value
+    row = table[(table["learner"] == "TOM") & (table["environment"] == PENDULUM)].iloc[0]
+    assert row["n"] == 2
+    assert row["final"] == pytest.approx(np.mean([v[-1] for v in values]))
+    assert row["best"] == pytest.approx(np.mean([max(v) for v in values]))
 
 
 def test_median_with_the_band_of_a_deviation(store: Path) -> None:
-    query = {"env": "inverted-pendulum", "statistic": "median", "band": "standard deviation"}
-    app = draw("compare", **query)
-    line = trace(figures(app)[0], name="TOM (n = 2)")
+    app = draw("compare", env=PENDULUM, statistic="median", band="standard deviation", logy="true")
     values = np.array([recorded(store, run_id)[1] for run_id in SEEDS])
+    line, band = (trace(figures(app)[0], name=name) for name in ("TOM (n = 2)", "band"))
     assert array(line["y"]) == pytest.approx(np.median(values, axis=0))
-    band = trace(figures(app)[0], name="band")
     assert array(band["y"])[-1] == pytest.approx((values.mean(0) - values.std(0, ddof=1))[0])
-    assert any("median over seeds" in caption.value for caption in app.caption)
+    assert figures(app)[0]["layout"]["yaxis"]["type"] == "log"
 
 
-def test_wall_time_and_shares_of_the_run_as_the_axis(store: Path) -> None:
+def test_any_metric_over_wall_time_and_shares_of_the_run(store: Path) -> None:
+    app = draw("compare", env="road-and-rocks", measure="running maximum")
+    line = trace(figures(app)[0], name="TOM (1 seed, no band)")
+    assert array(line["y"]).tolist() == recorded(store, ROAD_TOM, "eval/return_max")[1]
     query = {"text": PENDULUM_TOM, "measure": "another metric", "metric": "weights/ess"}
     steps, ess = recorded(store, PENDULUM_TOM, "weights/ess")
-    line = figures(draw("compare", **query, x="share of the run"))[0]["data"][-1]
-    assert array(line["x"]) == pytest.approx(np.array(steps) / 400)
-    line = figures(draw("compare", **query, x="wall time, minutes"))[0]["data"][-1]
-    frame = RunReader(store / PENDULUM_TOM).metrics()
-    at = frame[["env_step", "time/wall_s"]].dropna()
-    assert array(line["x"]) == pytest.approx(
-        np.interp(steps, at["env_step"], at["time/wall_s"]) / 60
-    )
-    assert array(line["y"]) == pytest.approx(ess)
-
-
-def test_log_axes_and_smoothing_are_said() -> None:
-    query = {"env": "inverted-pendulum", "logy": "true", "smoothing": "5 points"}
-    layout = figures(draw("compare", **query))[0]["layout"]
-    assert (layout["xaxis"]["type"], layout["yaxis"]["type"]) == ("linear", "log")
-    assert "smoothed" in layout["annotations"][0]["text"]
+    at, minutes = recorded(store, PENDULUM_TOM, "time/wall_s")
+    for x, expected in (
+        ("share of the run", np.array(steps) / 400),
+        ("wall time, minutes", np.interp(steps, at, minutes) / 60),
+    ):
+        line = figures(draw("compare", **query, x=x))[0]["data"][-1]
+        assert array(line["x"]) == pytest.approx(expected)
+        assert array(line["y"]) == pytest.approx(ess)
 
 
 def test_hidden_and_pinned_runs() -> None:
-    hidden = draw("compare", env="inverted-pendulum", hide="pendulum-mle-0")
-    assert hidden.dataframe[0].value["learner"].tolist() == ["TOM"]
+    app = draw("compare", env=PENDULUM, hide=SEEDS[1])
+    assert trace(figures(app)[0], name="TOM (1 seed, no band)")["meta"] == SEEDS[0]
     pinned = draw("compare", env="road-and-rocks", pin="pendulum-mle-0")
-    assert set(pinned.dataframe[0].value["environment"]) == {"road-and-rocks", "inverted-pendulum"}
+    assert set(pinned.dataframe[0].value["environment"]) == {"road-and-rocks", PENDULUM}
 
 
 def test_a_hidden_group_stays_in_the_legend_and_counts_nowhere() -> None:
-    app = draw("compare", env="inverted-pendulum", hide="TOM")
-    figure = figures(app)[0]
-    assert trace(figure, name="TOM (n = 2)")["visible"] == "legendonly"
-    assert "visible" not in trace(figure, name="MLE (1 seed, no band)")
+    app, both = draw("compare", env=PENDULUM, hide="TOM"), ["TOM", "MLE"]
+    assert trace(figures(app)[0], name="TOM (n = 2)")["visible"] == "legendonly"
     assert app.dataframe[0].value["learner"].tolist() == ["MLE"]
     assert app.query_params["hide"] == "TOM"
     hide(app, toggled(hidden(app), "TOM"))
     assert "visible" not in trace(figures(app)[0], name="TOM (n = 2)")
     assert "hide" not in app.query_params
-
-
-def test_a_hidden_run_is_no_member_of_its_group() -> None:
-    app = draw("compare", env="inverted-pendulum", hide=SEEDS[1])
-    assert trace(figures(app)[0], name="TOM (1 seed, no band)")["meta"] == SEEDS[0]
-    hide(app, [])
-    assert trace(figures(app)[0], name="TOM (n = 2)")["meta"] == list(SEEDS)
-
-
-def test_everything_can_be_hidden_and_shown_again() -> None:
-    app = draw("compare", env="inverted-pendulum")
-    hide(app, switched([], ["TOM", "MLE"], ["TOM", "MLE"]))
+    hide(app, switched([], both, both))
     assert {line["visible"] for line in figures(app)[0]["data"]} == {"legendonly"}
     assert not app.dataframe
     assert rows(app) == {"TOM": True, "MLE": True}
-    hide(app, switched(hidden(app), ["MLE"], ["TOM", "MLE"]))
+    hide(app, switched(hidden(app), ["MLE"], both))
     assert rows(app) == {"TOM": False, "MLE": True}
     assert app.dataframe[0].value["learner"].tolist() == ["TOM"]
 
 
 def test_any_setting_makes_groups(store: Path) -> None:
-    app = draw("compare", env="inverted-pendulum", group="seed")
+    app = draw("compare", env=PENDULUM, group="seed")
     first, second = (
         trace(figures(app)[0], name=f"seed {seed} ({n})")
         for seed, n in ((0, "n = 2"), (1, "1 seed, no band"))
@@ -199,36 +148,43 @@ def test_any_setting_makes_groups(store: Path) -> None:
     assert array(first["y"]) == pytest.approx(values.mean(0))
     assert first["line"]["color"] != second["line"]["color"]
     assert app.dataframe[0].value["settings"].tolist() == ["seed 0", "seed 1"]
-    assert any("differ in everything else" in caption.value for caption in app.caption)
-    assert any("2 runs are few" in caption.value for caption in app.caption)
-    statistics = draw("compare", env="inverted-pendulum", group="seed", show="Statistics")
+    statistics = draw("compare", env=PENDULUM, group="seed", show="Statistics")
     assert statistics.dataframe[0].value["group"].tolist() == ["seed 0", "seed 1"]
-    assert any(caption.value.startswith("1 run") for caption in statistics.caption)
     assert trace(figures(statistics)[0], name="seed 0")["line"] == {**first["line"], "width": 2.4}
 
 
-def test_grouped_by_learner_a_line_has_the_learner_s_colour() -> None:
-    line = trace(figures(draw("compare", group="learner"))[0], name="TOM (n = 2)")
-    assert line["line"]["color"] == learner_colour("tom")
+def test_a_run_that_was_cut_short_does_not_count_in_its_group(own: Path) -> None:
+    for state, n in (("stopped", 1), ("running", 2)):
+        run = own / SEEDS[1]
+        (run / layout.LOCK).unlink(missing_ok=True)  # as if another machine wrote it
+        set_status(run, state=state, env_step=200, heartbeat=time.time() + 20)
+        (run / layout.METRICS).write_text('{"env_step": 200, "eval/return": 5.0}\n')
+        (run / layout.METRICS_TABLE).unlink(missing_ok=True)
+        app = draw("compare", env=PENDULUM)
+        table = app.dataframe[0].value.set_index("learner")
+        assert table.loc["TOM", "n"] == n
+        assert ("seed 1" in captions(app)) == (n == 1)
 
 
-def test_a_zoom_is_in_the_address_until_something_else_is_measured() -> None:
-    at = "inverted-pendulum~150~300~~"
-    app = draw("compare", zoom=at)
-    assert views(app) == [{"x": [150, 300], "y": None}, {"x": None, "y": None}]
-    app.toggle(key="logy").set_value(True).run()
-    assert app.query_params["zoom"] == at
-    held = app.session_state[zoom.ZOOM]
-    app.session_state[zoom.ZOOM] = zoom.zoomed(held, "road-and-rocks", View(y=(-5.0, 2.5)))
+def test_a_click_on_a_mean_opens_the_replay_of_the_run_nearest_to_it() -> None:
+    curves = [
+        Curve(run_id, "e", "tom", "p", i, np.array([0.0, 100.0]), np.array([0.0, value]))
+        for i, (run_id, value) in enumerate((("low", 10.0), ("high", 20.0)))
+    ]
+    assert nearest(curves, 50.0, 9.0) == "high"
+    assert nearest(curves, 50.0, 6.0) == "low"
+    ended = Curve("ended", "e", "tom", "p", 2, np.array([0.0, 40.0]), np.array([0.0, 9.0]))
+    assert nearest([*curves, ended], 50.0, 9.0) == "high"
+    assert nearest([ended], 50.0, 9.0) == ""
+    app = draw("compare", env=PENDULUM)
+    assert trace(figures(app)[0], name="TOM (n = 2)")["meta"] == list(SEEDS)
+    app.session_state[replay_link.CLICKED] = (SEEDS[1], 399)  # as `remember` does
     app.run()
-    assert app.query_params["zoom"] == [at, "road-and-rocks~~~-5~2.5"]
-    held = app.session_state[zoom.ZOOM]
-    app.session_state[zoom.ZOOM] = zoom.zoomed(held, "inverted-pendulum", View())
-    app.run()
-    assert app.query_params["zoom"] == "road-and-rocks~~~-5~2.5"
-    app.selectbox(key="x").select("share of the run").run()
-    assert "zoom" not in app.query_params
-    assert views(app) == [{"x": None, "y": None}] * 2
+    for shown in (app, draw("compare", env=PENDULUM, replay=f"{SEEDS[1]}~399")):
+        assert any("seed 1, step 400" in words.value for words in shown.markdown)
+        shown.button(key="close replay").click().run()
+        assert "replay" not in shown.query_params
+    draw("compare", replay="no-such-run~" + "9" * 5000)
 
 
 @given(hypothesis.floats(-1e9, 1e9), hypothesis.floats(1e-6, 1e6), hypothesis.sampled_from("xy"))
@@ -236,27 +192,14 @@ def test_a_zoom_is_read_as_it_was_written(low: float, width: float, axis: str) -
     seen = View(**{axis: zoom.part([str(low), str(low + width)])})
     word = zoom.to_word("gymnasium:Ant~v5", seen)
     assert zoom.from_words([word]) == ({} if seen == View() else {"gymnasium:Ant~v5": seen})
-
-
-@pytest.mark.parametrize("word", ["", "ant", "ant~1~2", "ant~2~1~~", "ant~nan~1~~", "~~~~"])
-def test_what_is_no_zoom_zooms_nothing(word: str) -> None:
-    assert zoom.from_words([word]) == {}
-
-
-def test_the_open_replay_is_in_the_address() -> None:
-    app = draw("compare", env="inverted-pendulum", replay=f"{SEEDS[1]}~399")
-    assert any("seed 1, step 400" in words.value for words in app.markdown)
-    app.button(key="close replay").click().run()
-    assert "replay" not in app.query_params
-    assert not draw("compare", replay="no-such-run~x").exception
-    assert not draw("compare", replay="no-such-run~" + "9" * 5000).exception
+    for nothing in ("", "ant", "ant~1~2", "ant~2~1~~", "ant~nan~1~~", "~~~~"):
+        assert zoom.from_words([nothing]) == {}
 
 
 def test_a_name_is_a_regular_expression() -> None:
-    app = draw("compare", text="tom-[1-9]$")
-    assert app.dataframe[0].value["seeds"].tolist() == ["1"]
-    assert "no regular expression" in draw("compare", text="[").warning[0].value
     assert draw("compare", text="TOM-[1-9]$").dataframe[0].value["seeds"].tolist() == ["1"]
+    assert draw("compare", text="[").warning
+    assert not figures(draw("compare", text="no such run"))
 
 
 def test_a_name_in_a_link_cannot_hold_the_studio_up(store: Path) -> None:
@@ -267,7 +210,7 @@ def test_a_name_in_a_link_cannot_hold_the_studio_up(store: Path) -> None:
 
 
 def test_statistics_are_those_of_the_scores(store: Path) -> None:
-    app = draw("compare", show="Statistics", task="inverted-pendulum", env="inverted-pendulum")
+    app = draw("compare", show="Statistics", task=PENDULUM, env=PENDULUM)
     profile, improvement = figures(app)[:2]
     tom = np.array([recorded(store, run_id)[1][-1] for run_id in SEEDS])
     mle = recorded(store, "pendulum-mle-0")[1][-1]
@@ -329,15 +272,6 @@ def test_rows_that_end_at_different_steps_are_told() -> None:
     assert not unlike_ends([group("tom", 4000), group("mle", 2000, "hopper")])
 
 
-def test_the_steps_to_a_value_are_those_up_to_the_step_that_every_run_reaches() -> None:
-    step = np.array([100, 200, 300])
-    long = Curve("a", "ant", "tom", "paper", 0, step, np.array([1.0, 2.0, 9.0]))
-    short = Curve("b", "ant", "mle", "paper", 0, step[:2], np.array([1.0, 5.0]))
-    table = reached([aggregate([long]), aggregate([short])], ["TOM", "MLE"], 5.0, until=200)
-    assert table["reached"].tolist() == ["0 of 1", "1 of 1"]
-    assert table["first"].tolist()[1] == 200
-
-
 @settings(deadline=None)
 @given(hypothesis.floats(-1e5, 1e5), hypothesis.floats(1e-3, 1e4), hypothesis.integers(2, 9))
 def test_the_level_lies_between_the_worst_and_the_best_run(
@@ -349,13 +283,10 @@ def test_the_level_lies_between_the_worst_and_the_best_run(
 
 
 def test_the_level_to_reach_is_in_the_address_until_another_score_is_chosen() -> None:
-    chosen = {"show": "Statistics", "task": "inverted-pendulum", "env": "inverted-pendulum"}
-    app = draw("compare", **chosen, reach="2.25")
+    app = draw("compare", show="Statistics", task=PENDULUM, env=PENDULUM, reach="2.25")
     assert app.number_input[0].value == 2.25
-    assert any("is 2.25;" in words.value for words in app.markdown)
     app.number_input[0].set_value(3.5).run()
     assert app.query_params["reach"] == "3.5"
-    assert draw("compare", **chosen).number_input[0].value not in (2.25, 3.5)
     app.selectbox(key="score").select(BEST).run()
     assert app.number_input[0].value != 3.5
     assert "reach" not in app.query_params
@@ -363,18 +294,13 @@ def test_the_level_to_reach_is_in_the_address_until_another_score_is_chosen() ->
 
 def test_the_step_of_the_replays_side_by_side_is_in_the_address(store: Path) -> None:
     chosen = {"show": "Side by side", "env": "road-and-rocks"}
-    first, *_, last = RunReader(store / "road-tom").evaluation_steps()
-
-    def said(app: AppTest) -> set[str]:
-        return {c.value.rpartition(", ")[2] for c in app.caption if ", step" in c.value}
-
+    first, *_, last = RunReader(store / ROAD_TOM).evaluation_steps()
     app = draw("compare", **chosen)
-    assert said(app) == {f"step {last:,}"}
+    assert f", step {last:,}" in captions(app)
     assert "until" not in app.query_params
     app.select_slider(key="until").set_value(first).run()
-    assert said(app) == {f"step {first:,}"}
     assert app.query_params["until"] == str(first)
-    assert said(draw("compare", **chosen, until=str(first))) == {f"step {first:,}"}
+    assert f", step {first:,}" in captions(app)
 
 
 def test_more_runs_than_fit_side_by_side_are_cut_to_those_that_do() -> None:
@@ -384,19 +310,8 @@ def test_more_runs_than_fit_side_by_side_are_cut_to_those_that_do() -> None:
     assert app.query_params["side"] == every[:4]
 
 
-def test_a_zoom_on_the_statistics_of_one_task_is_none_of_another() -> None:
-    profile, better = [
-        {
-            figures(draw("compare", show="Statistics", task=task))[at]["layout"]["uirevision"]
-            for task in ("inverted-pendulum", "road-and-rocks")
-        }
-        for at in (0, 1)
-    ]
-    assert len(profile) == len(better) == 2
-
-
 def test_side_by_side_has_linked_axes(store: Path) -> None:
-    app = draw("compare", show="Side by side", env="inverted-pendulum")
+    app = draw("compare", show="Side by side", env=PENDULUM)
     figure = figures(app)[0]
     lines = [part for part in figure["data"] if part["type"] == "scatter"]
     maps = [part for part in figure["data"] if part["type"] == "heatmap"]
@@ -408,28 +323,18 @@ def test_side_by_side_has_linked_axes(store: Path) -> None:
     assert (layout["yaxis2"]["matches"], layout["yaxis4"]["matches"]) == ("y", "y3")
 
 
-def test_side_by_side_the_only_fit_of_a_run_is_wide_enough_to_see(store: Path) -> None:
-    run = info(store, PENDULUM_TOM)
-    kept = profiles(run)
-    first = replace(kept, env_step=kept.env_step[:1], bins=kept.bins[:1])
-    figure = side_by_side([("TOM", widgets.curve(run, "eval/return"), first)], "light", 400)
-    drawn = figure.to_plotly_json()["data"]
-    (only,) = (part for part in drawn if part["type"] == "heatmap")
-    assert np.ptp(only["x"]) > 1
-
-
 def test_play_all_starts_every_replay_of_the_page(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: queue.Queue[tuple[str, Selection]] = queue.Queue()
     control = tmp_path / "control"
-    listening = (str(control), lambda *words: told.put(words), lambda _: None)
+    listening = (str(control), lambda *words: told.put(words))
     threading.Thread(target=listen, args=listening, daemon=True).start()
     links = Links(store=str(store), viser_port=9, control=str(control))
     set_links(links, monkeypatch)
     while not answers(str(control)):
         time.sleep(0.01)
-    app = draw("compare", show="Side by side", env="inverted-pendulum")
+    app = draw("compare", show="Side by side", env=PENDULUM)
     next(button for button in app.button if button.label == "Play all").click().run()
     before, after = [dict(told.get(timeout=30) for _ in range(2)) for _ in range(2)]
     assert before.keys() == after.keys()
@@ -437,30 +342,31 @@ def test_play_all_starts_every_replay_of_the_page(
         for selection in selections.values():
             assert selection.compact
             assert isinstance(selection.choice, ReplayChoice)
-            assert (selection.choice.step, selection.choice.asked) == (400, played)
+            assert (selection.choice.step, selection.choice.played) == (400, played)
 
 
 def test_settings_show_only_what_differs() -> None:
-    app = draw("compare", show="Settings", env="inverted-pendulum")
+    app = draw("compare", show="Settings", env=PENDULUM)
     table = app.dataframe[0].value.set_index("setting")
     assert sorted(table.loc["seed"]) == ["0", "0", "1"]
     assert sorted(table.loc["learner"]) == ["mle", "tom", "tom"]
     assert "sac.lr" not in table.index
 
 
-def test_a_run_gets_a_name_and_a_tag_and_is_found_by_them(own: Path) -> None:
+def test_a_run_gets_a_name_is_found_by_it_and_goes_to_the_trash_and_back(own: Path) -> None:
     app = draw("compare", show="Runs")
     app.multiselect(key="labelled").select(PENDULUM_TOM).run()
     app.text_input[-1].input("the good one")
-    app.text_area[0].input("look at step 400")
     next(button for button in app.button if button.label == "Save").click().run()
-    assert not app.exception
-    labels = RunReader(own / PENDULUM_TOM).labels
-    assert (labels.name, labels.note) == ("the good one", "look at step 400")
+    assert RunReader(own / PENDULUM_TOM).labels.name == "the good one"
     manage.tag(Store(own), PENDULUM_TOM, add=["keep"])
-    app = draw("compare", show="Runs", tag="keep", text="GOOD")
-    assert app.dataframe[0].value["run"].tolist() == [PENDULUM_TOM]
-    assert not app.warning
+    found = draw("compare", show="Runs", tag="keep", text="GOOD")
+    assert found.dataframe[0].value["run"].tolist() == [PENDULUM_TOM]
+    click(app, "trash")
+    assert not (own / PENDULUM_TOM).exists()
+    app.multiselect(key="restored").select(PENDULUM_TOM).run()
+    next(button for button in app.button if button.label == "Bring back").click().run()
+    assert (own / PENDULUM_TOM / layout.CONFIG).exists()
 
 
 def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) -> None:
@@ -477,16 +383,6 @@ def test_tags_of_several_runs_are_those_they_share_and_others_stay(own: Path) ->
     assert held == [{"ours", "shared", "new"}, {"shared", "new"}]
 
 
-def test_a_run_goes_to_the_trash_and_comes_back(own: Path) -> None:
-    app = draw("compare", show="Runs")
-    app.multiselect(key="labelled").select(PENDULUM_TOM).run()
-    click(app, "trash")
-    assert not (own / PENDULUM_TOM).exists()
-    app.multiselect(key="restored").select(PENDULUM_TOM).run()
-    next(button for button in app.button if button.label == "Bring back").click().run()
-    assert (own / PENDULUM_TOM / "config.json").exists()
-
-
 def test_a_short_link_leads_to_the_same_view(own: Path) -> None:
     code = shortlinks.save(own, "compare", "env=hopper&x=a%2Fb")
     assert code == shortlinks.save(own, "compare", "env=hopper&x=a%2Fb")
@@ -497,44 +393,10 @@ def test_a_short_link_leads_to_the_same_view(own: Path) -> None:
     assert shortlinks.target(own, code) is None
     assert shortlinks.target(own, "../../etc") is None
     assert any(route.path == "/v/{code}" for route in routes(Links(store=str(own))))
-
-
-def test_a_view_that_cannot_be_kept_is_refused_in_a_sentence(own: Path) -> None:
-    with pytest.raises(UserError, match="holds 8,000 characters, this view has 8,001"):
+    with pytest.raises(UserError, match="8,001"):
         shortlinks.save(own, "compare", "x" * 8001)
-    assert not (own / ".views").exists()
+    shutil.rmtree(own / ".views")
     (own / ".views").write_text("in the way")
-    app = draw("compare", env="inverted-pendulum")
+    app = draw("compare", env=PENDULUM)
     click(app, "short link")
-    assert "cannot be kept" in app.error[0].value
-
-
-def test_a_figure_without_intervals_speaks_of_those_of_the_table() -> None:
-    def said(band: str) -> str:
-        app = draw("compare", env="inverted-pendulum", band=band)
-        return next(c.value for c in app.caption if "2 seeds are few" in c.value)
-
-    assert "100 such intervals" in said("95 % bootstrap")
-    assert "100 of the table's intervals" in said("standard deviation")
-
-
-def test_a_run_that_was_cut_short_does_not_count_in_its_group(own: Path) -> None:
-    def lines() -> tuple[dict, list[str]]:
-        app = draw("compare", env="inverted-pendulum")
-        table = next(t.value for t in app.dataframe if "n" in t.value and "final" in t.value)
-        tom = table[table["learner"] == "TOM"].iloc[0]
-        return tom[["n", "steps", "final"]].to_dict(), [words.value for words in app.caption]
-
-    whole, _ = lines()
-    assert whole["n"] == 2
-    for state, n in (("stopped", 1), ("running", 2)):
-        run = own / SEEDS[1]
-        (run / layout.LOCK).unlink(missing_ok=True)  # as if another machine wrote it
-        status = json.loads((run / "status.json").read_text())
-        status |= {"state": state, "env_step": 200, "heartbeat": time.time() + 20}
-        (run / "status.json").write_text(json.dumps(status))
-        (run / "metrics.jsonl").write_text('{"env_step": 200, "eval/return": 5.0}\n')
-        (run / "metrics.parquet").unlink(missing_ok=True)
-        told, said = lines()
-        assert told["n"] == n
-        assert any("seed 1" in words and "200" in words for words in said) == (n == 1)
+    assert app.error

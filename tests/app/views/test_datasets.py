@@ -7,16 +7,15 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import streamlit as st
 import torch
+from app.scenes.states_frame import whose_rows
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, array, draw, figures, set_links
 
 from app.data import datasets, weighings
 from app.links import Links
-from app.scenes.states import reader_of
 from tom.cli import main
 from tom.envs import task
 from tom.errors import UserError
@@ -86,15 +85,6 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
     assert new["medians"] == old["medians"]
 
 
-def test_a_store_without_anything_says_how_own_data_comes_in(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    app = draw("probe")
-    assert any(code.value.startswith("tom weigh DATA --policy POLICY") for code in app.code)
-    assert any(".npz or Parquet" in caption.value for caption in app.caption)
-
-
 def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
     weighed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -137,19 +127,8 @@ def test_pages_of_runs_do_without_any(view: str):
 
 
 def test_the_3d_scene_finds_the_rows(weighed: Path):
-    run = reader_of(str(weighed), named(weighed, "my buffer"))
+    run = whose_rows(str(weighed), named(weighed, "my buffer"))
     assert (run.path.name, run.env) == ("second", ENV)
     assert len(run.buffer()[0]) == N
     with pytest.raises(UserError, match="no data set"):
-        reader_of(str(weighed), "my buffer-00000000")
-
-
-def test_a_link_to_elsewhere_is_no_data_set(weighed: Path, tmp_path: Path):
-    (tmp_path / "weighings").mkdir()
-    (tmp_path / "weighings" / "link").symlink_to(weighed / "weighings" / "first")
-    assert datasets.listing(str(tmp_path)) == ()
-
-
-def test_the_rows_of_a_weighing_are_whole(weighed: Path):
-    table = pq.read_table(weighed / "weighings" / "first" / "weights.parquet")
-    assert table.num_rows == N
+        whose_rows(str(weighed), "my buffer-00000000")

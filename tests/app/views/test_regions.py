@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures
-from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+from studio_runs import PENDULUM_TOM, info
 
 from app.data import buffer_reader, regions
 from app.data.buffer import WINDOW, Rows, against, dimension_names, episodes, rows_at, windows
@@ -88,12 +88,9 @@ def test_the_summary_is_the_regions(rows: Rows) -> None:
     share = 100 * np.sort(rows.weight)[-30:].sum() / rows.weight.sum()
     assert found["share of the weight, %"] == pytest.approx(share)
     assert np.isnan(regions.summary(rows, mask & ~mask)["mean weight"])
-
-
-def test_of_equal_weights_no_part_of_the_buffer_is_the_heaviest() -> None:
-    mask = regions.heaviest(np.ones(10_000), 0.01)
-    assert mask.sum() == 100
-    assert 3000 < np.flatnonzero(mask).mean() < 7000
+    equal = regions.heaviest(np.ones(10_000), 0.01)
+    assert equal.sum() == 100
+    assert 3000 < np.flatnonzero(equal).mean() < 7000  # no part of the buffer
 
 
 def test_an_episode_cut_by_time_has_an_end() -> None:
@@ -152,12 +149,6 @@ def test_weights_against_a_quantity_lose_nothing() -> None:
     assert list(line.y) == pytest.approx(found.mean)  # type: ignore[attr-defined]
 
 
-def test_a_long_axis_title_is_cut_into_lines_not_off() -> None:
-    found = against(np.arange(10.0), np.ones(10), 5)
-    layout = weights_against(found, "tom", "error of a <b> at step 1,000", 200).to_dict()["layout"]
-    assert layout["xaxis"]["title"]["text"] == "error of a &lt;b&gt; at step<br>1,000"
-
-
 def test_a_large_map_is_thinned_and_says_so() -> None:
     plane = regions.Plane(np.arange(20_000.0), np.zeros(20_000), "a", "b")
     zeros, ones = np.zeros(20_000, np.int64), np.ones(20_000)
@@ -173,6 +164,7 @@ def test_a_map_marks_the_region_and_tells_of_each_point(rows: Rows) -> None:
     cloud, ringed = figures(app)[0]["data"]
     heaviest = np.flatnonzero(regions.heaviest(rows.weight, 0.01))
     plane = regions.principal_plane(rows.rows)
+    assert sorted(array(cloud["x"])) == pytest.approx(sorted(plane.x), abs=1e-4)
     assert sorted(array(ringed["x"])) == pytest.approx(sorted(plane.x[heaviest]), abs=1e-4)
     for step, episode, place, phase, reward, weight in cloud["customdata"][:50]:
         row = step - 1 - rows.first
@@ -181,21 +173,13 @@ def test_a_map_marks_the_region_and_tells_of_each_point(rows: Rows) -> None:
         assert (phase == "exploration") == (rows.version[row] == 0)
         assert reward == pytest.approx(float(np.asarray(rows.rows.reward)[row].item()))
         assert weight == pytest.approx(rows.weight[row])
+    table = app.dataframe[0].value.set_index("")
+    three = np.sort(rows.weight)[-3:]
+    assert table.loc["transitions", "region"] == "3"
+    assert table.loc["mean weight", "region"] == f"{three.mean():,.2f}"
+    assert app.dataframe[1].value["weight"].tolist() == pytest.approx(three[::-1])
     whole = figures(draw("regions", run=PENDULUM_TOM, step=str(FIT), region="everything"))[0]
     assert not len(array(whole["data"][1]["x"]))  # to mark all is to mark nothing
-
-
-def test_the_page_shows_the_heaviest(rows: Rows) -> None:
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT))
-    cloud = figures(app)[0]["data"][0]
-    assert sorted(array(cloud["x"])) == pytest.approx(
-        sorted(regions.principal_plane(rows.rows).x), abs=1e-4
-    )
-    table = app.dataframe[0].value.set_index("")
-    assert table.loc["transitions", "region"] == "3"
-    assert table.loc["mean weight", "region"] == f"{np.sort(rows.weight)[-3:].mean():,.2f}"
-    listed = app.dataframe[1].value
-    assert listed["weight"].tolist() == pytest.approx(np.sort(rows.weight)[-3:][::-1])
 
 
 def test_the_page_shows_a_drawn_region(rows: Rows) -> None:
@@ -227,16 +211,12 @@ def test_an_outline_over_components_belongs_to_one_fit(rows: Rows) -> None:
     query = {"region": "what I draw", **here}
     assert chosen(draw("regions", run=PENDULUM_TOM, step=str(FIT), **query)) == len(rows)
     assert chosen(draw("regions", run=PENDULUM_TOM, step="200", **query)) == 0
+    query = {"region": "what I draw", "outline": "1,nan;x"}
+    assert chosen(draw("regions", run=PENDULUM_TOM, **query)) == 0
 
 
 def chosen(app: AppTest) -> int:
     return int(app.dataframe[0].value.set_index("").loc["transitions", "region"])
-
-
-def test_an_outline_that_is_none_is_an_empty_region() -> None:
-    query = {"region": "what I draw", "outline": "1,nan;x"}
-    app = draw("regions", run=PENDULUM_TOM, **query)
-    assert app.dataframe[0].value.set_index("").loc["transitions", "region"] == "0"
 
 
 def test_a_part_of_the_buffer_by_age(rows: Rows) -> None:
@@ -245,19 +225,6 @@ def test_a_part_of_the_buffer_by_age(rows: Rows) -> None:
     table = app.dataframe[0].value.set_index("")
     assert table.loc["transitions", "region"] == "150"
     assert table.loc["mean weight", "region"] == f"{rows.weight[:150].mean():,.2f}"
-
-
-def test_regions_of_road_and_rocks_need_no_robot() -> None:
-    assert len(figures(draw("regions", run=ROAD_TOM))) == 2
-
-
-def test_model_errors_are_of_the_rows(store: Path, rows: Rows) -> None:
-    found = buffer_reader.model_errors(info(store, PENDULUM_TOM), FIT)
-    assert not isinstance(found, str)
-    index, error, step = found
-    assert step == 400
-    assert len(index) == len(error) == len(rows)
-    assert np.isfinite(error).all()
 
 
 def test_a_moment_stays_in_its_episode() -> None:

@@ -9,20 +9,17 @@ import numpy as np
 import pytest
 import torch
 from streamlit.testing.v1 import AppTest
-from studio_pages import TIMEOUT_S, array, draw, figures, set_links, trace
+from studio_pages import TIMEOUT_S, array, captions, draw, figures, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM
 
 from app.data import replays
 from app.data.replays import ROAD_DT, Replay
 from app.figures.replay import error_curve
 from app.links import Links
-from app.parts import player
 from app.scenes import solids
-from app.scenes.control import Clock
 from app.scenes.replay import track
 from app.servers import pages
 from tom.analysis.imagine import stored_model
-from tom.record import layout
 from tom.record.reader import RunReader
 
 pytestmark = pytest.mark.usefixtures("studio")
@@ -76,11 +73,6 @@ def with_states(
         episode=replace(replay.episode, obs=obs),
         imagined=replace(replay.imagined, obs=imagined),
     )
-
-
-def test_an_episode_that_is_not_there_is_none(run: RunReader) -> None:
-    assert replays.load(run, 400, 99, 10) is None
-    assert replays.load(run, 401, 0, 10) is None
 
 
 def test_a_run_without_a_model_has_no_ghost(store: Path, tmp_path: Path) -> None:
@@ -155,40 +147,21 @@ def test_the_page_shows_the_chosen_episode(store: Path, run: RunReader) -> None:
     assert array(error["data"][0]["y"]) == pytest.approx(replay.error)
 
 
-def test_an_episode_can_be_had_for_rerun(store: Path) -> None:
-    content = pages.episode(str(store), PENDULUM_TOM, 400, 1, 25)
-    assert content is not None
-    assert content.startswith(b"RRF2")
-    assert pages.episode(str(store), PENDULUM_TOM, 400, 99, 25) is None
-    assert pages.episode(str(store), "../etc", 400, 0, 25) is None
-
-
-def test_the_page_shows_the_chosen_episode_in_rerun(
-    store: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_episode_is_shown_in_rerun_and_one_that_is_not_there_is_none(
+    store: Path, run: RunReader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_links(Links(store=str(store), port=8600, rerun_port=9090, key="key"), monkeypatch)
     app = draw("replays", run=PENDULUM_TOM, episode="2", ghost="10 steps", viewer="Rerun")
     [frame] = app.get("iframe")
     [address] = parse_qs(urlsplit(frame.proto.src).query)["url"]
     assert urlsplit(address).path == f"/rrd/{PENDULUM_TOM}/episode-400-1-10.rrd"
-
-
-def test_the_page_says_whose_model_imagines() -> None:
-    app = draw("replays", run=ROAD_TOM, step="30")
-    assert any("not the model of step 30" in caption.value for caption in app.caption)
-    app = draw("replays", run=ROAD_TOM, step="60")
-    assert any("the run's model of step 60" in caption.value for caption in app.caption)
-
-
-def test_a_step_without_episodes_shows_the_nearest_that_has_some_and_says_so() -> None:
-    words = "Step 44 was not kept; this is the nearest, 30."
-    app = draw("replays", run=ROAD_TOM, step="44")
-    assert app.select_slider(key="step").value == 30
-    assert words in [caption.value for caption in app.caption]
-    assert words in [caption.value for caption in app.run().caption]
-    app.select_slider(key="step").set_value(60).run()
-    app.select_slider(key="step").set_value(30).run()
-    assert not any("nearest" in caption.value for caption in app.caption)
+    content = pages.episode(str(store), PENDULUM_TOM, 400, 1, 10)
+    assert content is not None
+    assert content.startswith(b"RRF2")
+    assert pages.episode(str(store), PENDULUM_TOM, 400, 99, 25) is None
+    assert pages.episode(str(store), "../etc", 400, 0, 25) is None
+    assert replays.load(run, 400, 99, 10) is None
+    assert replays.load(run, 401, 0, 10) is None
 
 
 CLICK = """
@@ -212,28 +185,6 @@ def test_a_click_on_an_evaluation_without_episodes_opens_the_nearest() -> None:
     assert not app.exception
     assert app.select_slider(key="step").value == 0
     assert app.query_params["step"] == "0"
-    assert any("Step 1 was not kept" in caption.value for caption in app.caption)
-
-
-def test_the_only_evaluation_is_said_to_be_the_nearest(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = shutil.copytree(store / ROAD_TOM, tmp_path / ROAD_TOM)
-    for step in (0, 30):
-        (run / layout.episodes(step)).unlink()
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    app = draw("replays", run=ROAD_TOM, step="30")
-    words = "Step 30 was not kept; this is the nearest, 60."
-    assert words in [caption.value for caption in app.caption]
-    assert not any("nearest" in caption.value for caption in draw("replays").caption)
-
-
-def test_the_last_evaluation_of_one_run_is_no_choice_in_another() -> None:
-    app = draw("replays", run=PENDULUM_TOM)
-    app.selectbox(key="run").select(ROAD_TOM).run()
-    assert app.select_slider(key="step").value == 60
-    app.selectbox(key="run").select(PENDULUM_TOM).run()
-    assert not any("nearest" in caption.value for caption in app.caption)
 
 
 def test_a_step_of_one_task_is_no_choice_in_another() -> None:
@@ -241,7 +192,7 @@ def test_a_step_of_one_task_is_no_choice_in_another() -> None:
     app.selectbox(key="run").select(ROAD_MLE).run()
     assert app.select_slider(key="step").value == 30
     app.selectbox(key="run").select(PENDULUM_TOM).run()
-    assert not any("nearest" in caption.value for caption in app.caption)
+    assert "nearest" not in captions(app)
     app.selectbox(key="run").select(ROAD_TOM).run()
     assert app.select_slider(key="step").value == 30  # that of this task
 
@@ -252,53 +203,16 @@ def test_a_frame_of_a_longer_episode_is_forgotten() -> None:
     assert app.selectbox(key="episode").value == 1
 
 
-def test_the_charts_follow_the_scene_while_it_plays(
-    run: RunReader, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = Clock(0, playing=False, asked=1)
-    monkeypatch.setattr(player, "_clock", lambda: now)
-    app = draw("replays", run=PENDULUM_TOM)
-    dt = loaded(run, 400).dt
-
-    def cursors() -> list[float]:
-        return [figure["layout"]["shapes"][0]["x0"] for figure in figures(app)[1:]]
-
-    assert cursors() == [0, 0]
-    now = Clock(4, playing=True, asked=1)
-    app.run()
-    assert cursors() == pytest.approx([4 * dt] * 2)
-    assert app.slider(key="replay frame").value == 4
-    assert app.button(key="replay play").label == "Pause"
-    app.button(key="replay play").click().run()
-    assert app.session_state[player.ASKED][1:] == ("pause", 4)
-    now = Clock(4, playing=False, asked=2)
-    app.slider(key="replay frame").set_value(2).run()
-    assert app.session_state[player.ASKED] == (3, "go", 2)
-    assert cursors() == pytest.approx([2 * dt] * 2)  # the scene is where it was for a moment
-    assert app.query_params["frame"] == "2"
-    now = Clock(2, playing=False, asked=3)
-    app.run()
-    assert cursors() == pytest.approx([2 * dt] * 2)
-
-
-def test_the_charts_follow_the_end_of_playback_and_the_scenes_own_slider(
-    run: RunReader, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = None
-    monkeypatch.setattr(player, "_clock", lambda: now)
-    app = draw("replays", run=PENDULUM_TOM)
-    now = Clock(loaded(run, 400).episode.length, playing=False, asked=1)  # it ended between looks
-    app.run()
-    assert app.slider(key="replay frame").value == now.frame
-    assert app.query_params["frame"] == str(now.frame)
-    assert app.session_state[player.ASKED] == (1, "go", 0)  # following asks for nothing
-    now = Clock(3, playing=False, asked=1)
-    app.run()
-    assert app.slider(key="replay frame").value == 3
+def test_a_capsule_is_as_long_as_it_says() -> None:
+    mesh = solids.capsule(0.1, 0.3)
+    assert mesh.is_watertight
+    assert np.abs(mesh.vertices[:, 2]).max() == pytest.approx(0.4)
+    assert np.linalg.norm(mesh.vertices[:, :2], axis=1).max() == pytest.approx(0.1)
 
 
 def test_a_car_looks_where_it_drives() -> None:
     line = np.array([[0, 0], [0.1, 0], [0.1, 0.1]])
+    assert solids.headings(line) == pytest.approx([0, np.pi / 2, np.pi / 2])
     car = solids.car(line)
     assert car.position[:, 0, :2] == pytest.approx(line)
     assert car.wxyz[1, 0] == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])

@@ -1,4 +1,4 @@
-"""Road and rocks: several runs side by side, each with its own weights."""
+"""Road and rocks: the weights over the map, and several runs side by side."""
 
 import shutil
 from dataclasses import replace
@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from streamlit.testing.v1 import AppTest
-from studio_pages import array, draw, figures, set_links, trace
+from studio_pages import array, draw, figures, metrics, recorded, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
 
 from app.data import pictures
@@ -22,13 +21,28 @@ from tom.record.reader import RunReader
 pytestmark = pytest.mark.usefixtures("studio")
 
 
-def weights_shown(app: AppTest) -> list[np.ndarray]:
-    return [array(trace(figure, name="weights")["customdata"]) for figure in figures(app)]
+def test_the_weights_and_the_policy_lie_over_the_map(store: Path) -> None:
+    app = draw("road", run=ROAD_TOM)
+    (figure,) = figures(app)
+    heat = trace(figure, name="weights")
+    weight = RunReader(store / ROAD_TOM).snapshot(60)["weight"].to_numpy()
+    assert np.nanmax(array(heat["customdata"])) <= weight.max() + 1e-5
+    share = recorded(store, ROAD_TOM, "weights/road_share")[1][-1]
+    assert metrics(app)["weight on the road"] == f"{100 * share:.1f} %"
+    table = app.dataframe[0].value.set_index("run")
+    assert table.loc[ROAD_TOM, "weight on the road"] == pytest.approx(share)
+    assert table.loc[ROAD_MLE, "road : rocks, random data"] == pytest.approx(1, abs=0.01)
+    policy = trace(figures(draw("road", run=ROAD_TOM, step="0"))[0], name="TOM policy")
+    first = RunReader(store / ROAD_TOM).field("trajectories", 0)["learnt_0"]
+    assert array(policy["x"])[: len(first)] == pytest.approx(first[:, 0])
 
 
-def test_two_runs_are_drawn_side_by_side(store: Path) -> None:
+def test_two_runs_are_drawn_side_by_side_on_one_scale(store: Path) -> None:
     app = draw("road", run=ROAD_TOM, beside=ROAD_MLE, step="60")
-    tom, mle = weights_shown(app)
+    maps = [trace(figure, name="weights") for figure in figures(app)]
+    assert {(each["zmin"], each["zmax"]) for each in maps} == {(-4, 4)}
+    assert maps[0]["colorbar"]["tickvals"] == maps[1]["colorbar"]["tickvals"]
+    tom, mle = (array(each["customdata"]) for each in maps)
     for shown, run_id in ((tom, ROAD_TOM), (mle, ROAD_MLE)):
         picture = pictures.load(RunReader(store / run_id), 60)
         assert picture is not None
@@ -37,13 +51,10 @@ def test_two_runs_are_drawn_side_by_side(store: Path) -> None:
     assert np.nanmax(mle) == pytest.approx(1)
 
 
-def test_more_runs_than_stand_beside_are_cut_to_those_that_do(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_more_runs_than_stand_beside_are_cut_to_those_that_do(own: Path) -> None:
     ids = [f"road-{i}" for i in range(BESIDE + 2)]
     for run_id in ids:
-        shutil.copytree(store / ROAD_MLE, tmp_path / run_id)
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+        shutil.copytree(own / ROAD_MLE, own / run_id)
     app = draw("road", run=ids[0], beside=ids[1:])
     assert app.multiselect(key="beside").value == ids[1:-1]
     assert app.query_params["beside"] == ids[1:-1]
@@ -52,26 +63,11 @@ def test_more_runs_than_stand_beside_are_cut_to_those_that_do(
 def test_a_copy_without_its_buffer_says_what_was_recorded_of_the_road(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def on_the_road() -> str:
-        app = draw("road", run=ROAD_TOM, step="60")
-        return next(one.value for one in app.metric if one.label == "weight on the road")
-
-    whole = on_the_road()
+    whole = metrics(draw("road", run=ROAD_TOM, step="60"))["weight on the road"]
     export_small(RunReader(store / ROAD_TOM), tmp_path, without=["buffer"])
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    assert on_the_road() == whole
+    assert metrics(draw("road", run=ROAD_TOM, step="60"))["weight on the road"] == whole
     assert float(whole.split()[0]) > 0
-
-
-def test_maps_side_by_side_have_one_scale_and_names_that_tell_them_apart() -> None:
-    app = draw("road", run=ROAD_TOM, beside=ROAD_MLE, step="60")
-    maps = [trace(figure, name="weights") for figure in figures(app)]
-    assert {(each["zmin"], each["zmax"]) for each in maps} == {(-4, 4)}
-    assert {str(each["colorbar"]["tickvals"]) for each in maps} == {
-        str(maps[0]["colorbar"]["tickvals"])
-    }
-    names = [words.value for words in app.markdown if "step 60" in words.value]
-    assert names == ["**TOM s0**, step 60", "**MLE s0**, step 60"]
 
 
 def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
@@ -105,25 +101,6 @@ def test_in_either_theme_the_scene_and_the_map_agree_on_what_is_bright() -> None
     for mode in ("light", "dark"):
         light = [[sum(rgb(colour)) for _, colour in of[mode]] for of in (DIVERGING, COLUMNS)]
         assert len({columns[-1] > columns[0] for columns in light}) == 1
-
-
-def test_steps_of_the_road_are_called_what_they_are() -> None:
-    live = [
-        figure["layout"]["xaxis"]["title"]["text"]
-        for figure in figures(draw("live", runs=ROAD_TOM))
-    ]
-    assert live[0] == "steps of policy optimisation"
-    compare = figures(draw("compare", env="inverted-pendulum"))[0]
-    assert compare["layout"]["xaxis"]["title"]["text"] == "env steps"
-
-
-def test_one_run_has_one_map() -> None:
-    assert len(weights_shown(draw("road", run=ROAD_MLE))) == 1
-
-
-def test_the_scene_can_be_shared() -> None:
-    button = draw("road", run=ROAD_TOM).get("download_button")[0]
-    assert "HTML" in button.proto.label
 
 
 def test_without_a_run_the_page_names_a_command_for_this_store(

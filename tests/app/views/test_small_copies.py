@@ -1,22 +1,21 @@
 """Pages on a small copy without buffer, model and policy: they say that those were left out."""
 
 import json
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import streamlit as st
 from streamlit.testing.v1 import AppTest
-from studio_pages import draw, set_links
+from studio_pages import captions, draw, set_links
 from studio_runs import info
 
 from app.data import readers
 from app.links import Links
-from app.parts import empty
 from app.parts.widgets import differs, most_telling
 from app.views.compare.labels import overview
-from tom.record import RunReader, Store
+from app.views.live.now import NO_MODEL
+from tom.record import RunReader, Store, layout
 from tom.record.export import export_small
 from tom.reports.index import small_copies
 
@@ -46,68 +45,48 @@ def said(app: AppTest) -> str:
 
 @pytest.mark.usefixtures("bare")
 @pytest.mark.parametrize(
-    ("view", "run", "words"),
+    ("view", "run", "part"),
     [
-        ("weights", PENDULUM, "Left out of this small copy: buffer."),
-        ("regions", PENDULUM, "Left out of this small copy: buffer."),
-        ("road", ROAD, "Left out of this small copy: buffer"),
-        ("replays", PENDULUM, "kept no dynamics model\\: left out of this small copy."),
-        ("replays", PENDULUM, "Left out of this small copy: other evaluations, other episodes."),
-        ("probe", PENDULUM, "Left out of the small copy in this store: buffer."),
+        ("weights", PENDULUM, "buffer"),
+        ("regions", PENDULUM, "buffer"),
+        ("road", ROAD, "buffer"),
+        ("replays", PENDULUM, "dynamics model"),
+        ("replays", PENDULUM, "other evaluations, other episodes"),
+        ("probe", PENDULUM, "buffer"),
     ],
 )
-def test_what_was_left_out_is_named(view: str, run: RunReader, words: str) -> None:
-    assert words in said(draw(view, run=run.run_id))
+def test_what_was_left_out_is_named(view: str, run: RunReader, part: str) -> None:
+    lines = said(draw(view, run=run.run_id)).splitlines()
+    assert any(part in line and "left out" in line.lower() for line in lines)
 
 
-def test_live_says_that_evaluations_were_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    export_small(PENDULUM, tmp_path, without=("evaluations",))
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    words = said(draw("live", runs=PENDULUM.run_id))
-    assert "Left out of this small copy: evaluations." in words
-    assert "comes with the first" not in words
-
-
-def test_live_says_why_a_recording_of_sac_has_no_weights(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (recording,) = (r for r in small_copies(Store(GALLERY)) if r.run_id == "hopper-sac-s0")
-    export_small(recording, tmp_path)
-    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
-    app = draw("live", runs="hopper-sac-s0")
-    assert said(app).count("SAC alone fits no model") == 2  # the map, the weights of the last fit
-    assert not [toggle for toggle in app.toggle if toggle.label == "Log axis"]
-
-
-def test_side_by_side_says_that_evaluations_were_left_out(
+def test_evaluations_that_were_left_out_are_not_called_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = next(run for run in TOM if run.env == PENDULUM.env and run.run_id != PENDULUM.run_id)
     for run, without in ((PENDULUM, ("evaluations",)), (other, ())):
         export_small(run, tmp_path, without=without)
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    words = said(draw("live", runs=PENDULUM.run_id))
+    assert "left out" in words.lower()
+    assert "comes with the first" not in words
     sides = [PENDULUM.run_id, other.run_id]
     words = said(draw("compare", show="Side by side", side=sides))
-    assert "left out of its small copy" in words
+    assert "left out" in words.lower()
     assert "not evaluated yet" not in words
-    shutil.rmtree(tmp_path / other.run_id)
-    export_small(other, tmp_path, without=("evaluations",))
-    st.cache_data.clear()
-    assert "Left out of this small copy: evaluations." in said(
-        draw("compare", show="Side by side", side=sides)
-    )
 
 
-def test_of_a_whole_run_nothing_was_left_out(bare: Path) -> None:
-    shown = info(bare, PENDULUM.run_id)
-    assert not empty.left_out(shown, "episodes")
-    assert not empty.left_out_of_all([shown], "episodes")
+def test_a_recording_of_sac_has_no_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (recording,) = (r for r in small_copies(Store(GALLERY)) if r.run_id == "hopper-sac-s0")
+    export_small(recording, tmp_path)
+    set_links(Links(store=str(tmp_path), key="key"), monkeypatch)
+    app = draw("live", runs="hopper-sac-s0")
+    assert captions(app).count(NO_MODEL) == 2  # the map, the weights of the last fit
+    assert not [toggle for toggle in app.toggle if toggle.label == "Log axis"]
 
 
 def test_the_table_of_runs_and_the_cards_say_which_is_one(bare: Path) -> None:
-    config = bare / ROAD.run_id / "config.json"
+    config = bare / ROAD.run_id / layout.CONFIG
     content = json.loads(config.read_text())
     del content["thinned"]
     config.write_text(json.dumps(content))

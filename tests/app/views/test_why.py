@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import streamlit as st
 import torch
-from studio_pages import array, draw, figures, set_links, trace
+from studio_pages import array, draw, figures, metrics, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
 from app.data import buffer_reader, weighings, why
@@ -103,15 +103,6 @@ def test_a_small_copy_has_the_terms_of_its_weights(store: Path, tmp_path: Path) 
             assert found.sum_of(row).weight == pytest.approx(rows.weight[row], rel=0.01, abs=0.01)
 
 
-def test_a_fit_before_tom_weighs_says_so(store: Path) -> None:
-    run = info(store, PENDULUM_TOM)
-    rows = buffer_reader.rows(run, 200)
-    assert rows is not None
-    found = why.source(run, rows, [])
-    assert isinstance(found, str)
-    assert "same" in found
-
-
 def test_the_roads_policy_rows_are_its_footprint(store: Path) -> None:
     run = info(store, ROAD_TOM)
     rows = buffer_reader.rows(run, 60)
@@ -121,12 +112,6 @@ def test_the_roads_policy_rows_are_its_footprint(store: Path) -> None:
     shown = RunReader(store / ROAD_TOM).field("data", 0)["footprint"]
     assert 0 < shown.sum() < 100
     np.testing.assert_array_equal(found.policy_rows.obs.numpy(), np.asarray(rows.rows.obs)[shown])
-
-
-def test_other_weights_have_no_sum(store: Path) -> None:
-    rows = own_rows(store)
-    found = why.source(info(store, "pendulum-mle-0"), rows, [])
-    assert isinstance(found, str)
 
 
 def test_what_was_recorded_after_a_row_ends_with_its_episode(store: Path) -> None:
@@ -191,61 +176,32 @@ def test_every_neighbour_has_a_column_however_near_to_the_next(store: Path) -> N
     assert shown == pytest.approx(expected)
 
 
-def test_the_weights_page_prefers_the_weighing_of_more_learners(weighed: Path) -> None:
-    step = RunReader(weighed / PENDULUM_TOM).policy_steps()[-1]
-    words = [
-        "weigh", PENDULUM_TOM, "--policy", PENDULUM_TOM, "--step", str(step), "--learner", "pmac",
-        "mle", "--seeds", "0", "--footprint", "100", "--store", str(weighed),
-    ]  # fmt: skip
-    app = draw("weights", run=PENDULUM_TOM, step=str(step))
-    assert any("What would another learner look at" in said.value for said in app.caption)
-    assert any(
-        said.value.startswith(f"**TOM on the buffer of step {step}") for said in app.markdown
-    )
-    before = set((weighed / "weighings").iterdir())
-    assert main(words) == 0
-    (made,) = set((weighed / "weighings").iterdir()) - before
-    os.utime(made / "report.json", (1, 1))  # the older one
-    st.cache_data.clear()
-    app = draw("weights", run=PENDULUM_TOM, step=str(step))
-    assert any(
-        said.value.startswith(f"**PMAC, MLE on the buffer of step {step}") for said in app.markdown
-    )
-    assert not any("What would another learner look at" in said.value for said in app.caption)
+def test_weights_that_no_learner_made_here_have_no_sum(store: Path) -> None:
+    early = buffer_reader.rows(info(store, PENDULUM_TOM), 200)  # before TOM weighs
+    assert early is not None
+    assert isinstance(why.source(info(store, PENDULUM_TOM), early, []), str)
+    assert isinstance(why.source(info(store, "pendulum-mle-0"), own_rows(store), []), str)
 
 
 @pytest.mark.usefixtures("studio")
-def test_a_row_of_another_buffer_is_dropped(store: Path) -> None:
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row="100000")
+@pytest.mark.parametrize("row", ["100000", "\u00b2", "1e400", "nan"])
+def test_a_row_that_the_buffer_does_not_have_is_dropped(store: Path, row: str) -> None:
+    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row=row)
     assert app.number_input(key="row").value is None
     app.button(key="why heaviest").click().run()
     assert app.number_input(key="row").value == int(own_rows(store).weight.argmax())
 
 
 @pytest.mark.usefixtures("studio")
-def test_a_row_is_heavier_than_those_of_less_weight_alone() -> None:
-    app = draw("regions", run="pendulum-mle-0", step=str(FIT), row="5")
-    (heavier,) = [metric for metric in app.metric if metric.label == "heavier than"]
-    assert heavier.value == "0.0 %"  # all weights are equal
-
-
-@pytest.mark.usefixtures("studio")
-@pytest.mark.parametrize("row", ["\u00b2", "inf", "nan", "1e400", "-inf"])
-def test_a_row_that_is_no_number_is_dropped(row: str) -> None:
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row=row)
-    assert not app.exception
-    assert app.number_input(key="row").value is None
-
-
-@pytest.mark.usefixtures("studio")
-def test_steps_of_an_episode_are_counted_as_on_the_map(store: Path) -> None:
+def test_the_numbers_of_a_row_are_those_of_the_map_and_the_table(store: Path) -> None:
     rows = own_rows(store)
-    app = draw("regions", run=PENDULUM_TOM, step=str(FIT), row="40")
-    (place,) = [metric for metric in app.metric if metric.label == "its step in its episode"]
+    shown = metrics(draw("regions", run=PENDULUM_TOM, step=str(FIT), row="40"))
     told = hover_data(rows, np.array([40]))[0]
-    assert place.value == str(told[2])
+    assert shown["its step in its episode"] == str(told[2])
     line = listed(rows, np.array([40]), [f"obs {i}" for i in range(4)], ["action 1"]).iloc[0]
     assert (line["row"] + 1, line["episode"], line["step of the episode"]) == tuple(told[:3])
+    equal = metrics(draw("regions", run="pendulum-mle-0", step=str(FIT), row="5"))
+    assert equal["heavier than"] == "0.0 %"
 
 
 @pytest.mark.usefixtures("studio")

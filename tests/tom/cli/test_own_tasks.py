@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import tom_process
 
 from tom.record.reader import RunReader
 
@@ -57,11 +58,7 @@ def home(tmp_path: Path) -> Path:
 
 def tom(words: str, home: Path) -> tuple[int, str]:
     """The exit code and the last line that was said; a traceback is never said."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-m", "tom", *words.split()],
-        cwd=home, env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = tom_process(words.split(), home)
     said = done.stderr + done.stdout
     assert "Traceback" not in said, said
     return done.returncode, (done.stderr if done.returncode else done.stdout).strip()
@@ -108,6 +105,7 @@ def test_a_task_and_a_rule_of_ones_own(home: Path):
     assert len(json.loads(said)["results"]) == 2
 
 
+@pytest.mark.slow
 def test_the_studies_take_a_task_and_a_rule_of_ones_own(home: Path):
     assert tom(f"{TRAIN} {RULE} --steps 1300 --run-id own", home)[0] == 0
     asked = "--moments 1 --ways uniform --store runs"
@@ -184,6 +182,7 @@ def test_a_run_goes_on_with_its_own_learner_task_and_preset_alone(home: Path):
     assert tom(f"{words} --learner tom --preset smoke", home)[0] == 0
 
 
+@pytest.mark.slow
 def test_a_sweep_in_a_task_of_ones_own_goes_on_where_it_was_stopped(home: Path):
     words = f"sweep --env own_tasks:Own-v0 --learner mle --preset smoke --steps 900 {RULE}"
     words += " --store runs --checkpoint-every 100 --plugin own_plugin.py"

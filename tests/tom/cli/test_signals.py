@@ -91,6 +91,7 @@ def test_handlers_are_put_back_after_a_command(words: tuple[str, ...], tmp_path:
     assert [signal.getsignal(number) for number in STOPPING] == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_closed_stream_does_not_change_how_a_training_ends(tmp_path: Path, closed: str):
     words = [sys.executable, "-m", "tom", "train", *SMOKE, "--no-rerun", "--store", str(tmp_path)]

@@ -93,6 +93,7 @@ def test_a_folder_that_cannot_be_made_costs_a_probe_only(kept: Path):
     assert matmul.choose_matmul().chosen == matmul.current()
 
 
+@pytest.mark.slow
 def test_processes_that_start_together_agree(kept: Path):
     started = [
         subprocess.Popen([sys.executable, "-c", CHOOSE], stdout=subprocess.PIPE, text=True)

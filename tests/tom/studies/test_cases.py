@@ -57,6 +57,7 @@ def write(step: Step) -> Written:
     return Written(step.letter * 2, (inner,), np.arange(3, dtype=np.float32))
 
 
+@pytest.mark.slow
 def test_what_is_finished_survives_a_killed_process(tmp_path: Path):
     log = tmp_path / "log"
     a, b, c = (Step(letter, log) for letter in "abc")
@@ -134,6 +135,7 @@ class Evil:
         return (Path.touch, (self.path,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["cut", "evil"])
 def test_a_kept_case_that_cannot_be_read_is_computed_again(tmp_path: Path, damage: str):
     log = tmp_path / "log"

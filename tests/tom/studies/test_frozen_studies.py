@@ -291,6 +291,7 @@ def test_two_ways_are_compared_for_every_model():
     assert (small["better on"], small["recordings"], small["p"]) == (0, 2, 0.5)
 
 
+@pytest.mark.slow
 def test_the_commands_write_their_reports(
     run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

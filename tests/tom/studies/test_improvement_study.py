@@ -127,6 +127,7 @@ def test_a_summary_by_hand():
     assert "diverged in 1 trials" in verdict(found, summary(found))[1]
 
 
+@pytest.mark.slow
 def test_the_command_writes_its_report(
     run: RunReader, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -234,7 +234,6 @@ def unreachable(_: str) -> list[str]:
 
 
 @pytest.mark.fault
-@pytest.mark.quick
 def test_workers_killed_by_their_own_sweep__keep_nobody_waiting(
     bucket_url: str, trial: Trial, tmp_path: Path, monkeypatch
 ):
@@ -253,7 +252,6 @@ def test_workers_killed_by_their_own_sweep__keep_nobody_waiting(
 
 
 @pytest.mark.fault
-@pytest.mark.quick
 def test_a_worker_whose_run_another_machine_takes_over__ends_and_is_no_failure(
     bucket_url: str, trial: Trial, tmp_path: Path, monkeypatch
 ):
@@ -295,7 +293,6 @@ def refusing(ended: bool):
 
 
 @pytest.mark.fault
-@pytest.mark.quick
 @pytest.mark.parametrize("from_the_beginning", [False, True])
 def test_the_last_puts_fail__the_finished_run_stays_and_the_same_command_puts_it(
     bucket_url: str, worked: Path, monkeypatch, capfd, from_the_beginning: bool
@@ -318,7 +315,6 @@ def test_the_last_puts_fail__the_finished_run_stays_and_the_same_command_puts_it
 
 
 @pytest.mark.fault
-@pytest.mark.quick
 def test_the_last_puts_of_a_stopped_run_fail__it_goes_on_from_what_stayed(
     bucket_url: str, worked: Path, monkeypatch
 ):
@@ -340,7 +336,6 @@ def test_the_last_puts_of_a_stopped_run_fail__it_goes_on_from_what_stayed(
 
 
 @pytest.mark.fault
-@pytest.mark.quick
 def test_a_temporary_folder_that_others_may_write__is_not_trusted_with_runs(worked: Path):
     root = worker.local_store("s3://store/x", "a").parent
     root.chmod(0o777)
@@ -349,7 +344,6 @@ def test_a_temporary_folder_that_others_may_write__is_not_trusted_with_runs(work
 
 
 @pytest.mark.fault
-@pytest.mark.quick
 def test_a_run_that_can_never_go_on__begins_anew_and_the_store_keeps_the_old_one(
     bucket_url: str, trial: Trial, worked: Path
 ):

@@ -43,6 +43,7 @@ def sweep(*words: str) -> list[str]:
     return [sys.executable, "-m", "tom", "sweep", *SMOKE, "--engine", "ray", *words]
 
 
+@pytest.mark.slow
 def test_a_sweep_on_a_cluster_of_its_own(tmp_path: Path):
     command = sweep("--steps", "60", "--jobs", "1", "--json", "--store", str(tmp_path))
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -131,6 +132,7 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
+@pytest.mark.slow
 def test_what_the_user_names_reaches_a_cluster_that_was_there_before(
     node: Callable[..., subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -34,6 +34,7 @@ def died_early(tmp_path: Path, trial: Trial) -> Store:
     return store
 
 
+@pytest.mark.slow
 def test_a_training_that_found_its_run_locked_for_a_moment_is_tried_again(
     died_early: Store, trial: Trial
 ):

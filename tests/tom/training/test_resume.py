@@ -123,14 +123,22 @@ def check(config: AnyConfig, stop: int, in_episode: bool = True) -> None:
 
 
 @pytest.mark.parametrize("learner", LEARNER_NAMES)
-@pytest.mark.parametrize("env", ["hopper", "inverted-pendulum"])
+@pytest.mark.parametrize(
+    "env", [pytest.param("hopper", marks=pytest.mark.slow), "inverted-pendulum"]
+)
 def test_resumed_equals_uninterrupted_in_the_middle_of_an_episode(env: str, learner: str):
     check(smoke(env, learner), STOP)
 
 
 @pytest.mark.parametrize(
     "env",
-    ["Swimmer-v5", "Reacher-v5", "Pusher-v5", "Pendulum-v1", "MountainCarContinuous-v0"],
+    [
+        "Pendulum-v1",
+        *(
+            pytest.param(env, marks=pytest.mark.slow)
+            for env in ("Swimmer-v5", "Reacher-v5", "Pusher-v5", "MountainCarContinuous-v0")
+        ),
+    ],
 )
 def test_a_gymnasium_task_goes_on_in_the_middle_of_an_episode(env: str):
     check(smoke(f"gymnasium:{env}", "tom"), STOP)
@@ -177,6 +185,7 @@ def test_a_run_stopped_while_exploring_goes_on():
     check(smoke("hopper", "mle"), 37)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", [37, 60, 150, STOP])
 def test_a_run_whose_buffer_holds_less_than_its_exploration_goes_on(stop: int):
     """At step 60 the buffer is full of rows that are not recorded yet."""
@@ -189,6 +198,7 @@ def test_road_and_rocks_resumed_equals_uninterrupted(learner: str):
     check(road(learner, 250), 123, in_episode=False)
 
 
+@pytest.mark.slow
 def test_road_and_rocks_goes_on_before_its_learner_has_weights():
     """Until VaGram follows a value function, start states are drawn without weights."""
     check(road("vagram", 110), 37, in_episode=False)

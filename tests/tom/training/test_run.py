@@ -94,6 +94,7 @@ def test_a_finished_run_goes_on_when_it_is_given_more_steps(undisturbed, tmp_pat
     np.testing.assert_array_equal(longer.buffer()[0].obs, undisturbed.buffer()[0].obs)
 
 
+@pytest.mark.slow
 def test_road_and_rocks_stopped_and_resumed(tmp_path: Path):
     given = {"steps": 250, "fit_every": 100, "random_transitions": 2000}
     made = resolve("road-and-rocks", "vagram", "smoke", given)
