@@ -3,7 +3,7 @@
 import numpy as np
 import plotly.graph_objects as go
 
-from app.data.brush import Brushed
+from app.data.weighings import Brushed
 from app.figures.base import across, note, styled
 from app.theme import Mode, ramp
 from tom import readable

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data.roadmap import CELLS, RoadShape, cell_centres, on_road
+from app.data.road import CELLS, RoadShape, cell_centres, on_road
 from app.figures.scales import OCTAVES, octaves
 from app.scenes.colours import on_scale
 from app.theme import COLUMNS, Mode

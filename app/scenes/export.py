@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import viser
 from viser.infra import StateSerializer
 
-from app.data.pictures import Picture
+from app.data.road import Picture
 from app.scenes import road
 from app.scenes.road import RoadScene
 from app.scenes.road_frame import LAYERS

@@ -7,8 +7,7 @@ import viser
 from numpy.typing import NDArray
 from trimesh import PointCloud, creation
 
-from app.data.pictures import Picture
-from app.data.roadmap import RoadShape, circle, outline
+from app.data.road import Picture, RoadShape, circle, outline
 from app.scenes import arrays, solids
 from app.scenes.colours import rgb
 from app.scenes.solids import Robot, copies

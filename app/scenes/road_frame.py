@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import viser
 
-from app.data import pictures
+from app.data import road
 from app.data.called import told_apart
-from app.data.pictures import Picture
+from app.data.road import Picture
 from app.scenes import road as scene
 from app.scenes.control import RoadChoice, Selection
 from app.scenes.frame import Frame
@@ -67,7 +67,7 @@ class RoadFrame(Frame):
         store = Store(self.store)
         newest = (run.run_id for run in store.runs() if run.env == ROAD)
         self._runs = choice.runs or tuple(newest)[:1]
-        steps = {step for run in self._runs for step in pictures.steps(store.run(run))}
+        steps = {step for run in self._runs for step in road.steps(store.run(run))}
         self._steps = sorted(steps)
         self.fit.max = max(len(self._steps) - 1, 1)
         self.fit.disabled = len(self._steps) < 2
@@ -122,8 +122,8 @@ class RoadFrame(Frame):
             read = store.run(run)
         except UserError:
             return None
-        steps = pictures.steps(read)
-        picture = pictures.load(read, at_or_before(steps, step)) if steps else None
+        steps = road.steps(read)
+        picture = road.picture(read, at_or_before(steps, step)) if steps else None
         return None if picture is None else (run, picture)
 
     def _draw(self, shown: list[tuple[str, Picture]]) -> None:

@@ -1,15 +1,12 @@
 """The browser frame with robots in heavy and light states of a replay buffer."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
-from app.data import datasets, readers
+from app.data import buffer, weighings
 from app.data.buffer import WINDOW, windows
-from app.data.cache import VersionedCache
 from app.figures.scales import OCTAVES, octaves
 from app.scenes import solids, states
 from app.scenes.colours import on_scale
@@ -19,9 +16,7 @@ from app.scenes.states import StatesScene
 from app.scenes.words import Words
 from app.theme import COLUMNS, Mode
 from tom import readable
-from tom.data.transitions import Transitions
 from tom.errors import UserError
-from tom.record import stamps
 from tom.record.reader import RunReader
 from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
@@ -29,24 +24,11 @@ from tom.record.task_record import scene_of, task_of
 SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "real time": 1.0}
 
 
-Recorded = tuple[Transitions, dict[str, NDArray]]
-_RECORDED: VersionedCache[Recorded] = VersionedCache()
-
-
-def _recorded(run: RunReader) -> Recorded:
-    """The rows of a run's buffer, and the simulator's state at each."""
-
-    def read() -> Recorded:
-        return run.buffer()[0], run.buffer_state()
-
-    return _RECORDED.get(str(run.path), read, stamps.buffer(run.path))
-
-
 def whose_rows(store: str, name: str) -> RunReader:
-    """The reader of the run or data set `name`. Raises UserError if there is none."""
+    """The run or data set `name`. Raises UserError if there is none."""
     if Store(store).has_folder(name):
         return Store(store).run(name)
-    return readers.reader_at(Path(datasets.find(store, name).path))
+    return weighings.dataset(store, name)
 
 
 class StatesFrame(Frame):
@@ -75,7 +57,7 @@ class StatesFrame(Frame):
         if choice == self._drawn:
             return
         run = whose_rows(self.store, choice.run)
-        recorded, state = _recorded(run)
+        recorded, _, state = buffer.recorded(run)
         env, known, model = run.env, task_of(run), scene_of(run)
         if model is None:
             raise UserError(f"there is nothing to draw of {env}: its states are curves on the page")

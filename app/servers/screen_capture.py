@@ -10,7 +10,7 @@ from urllib.parse import urlencode
 import numpy as np
 from PIL import Image
 
-from app.data import readers
+from app.data import readers, road
 from app.parts import widgets
 from app.servers.browser import settled_picture
 from tom.envs import ROAD
@@ -50,7 +50,7 @@ def stories(store: Path) -> list[Capture]:
     captures = []
     for view, steps in (
         ("weights", {r.run_id: readers.profiles(r).env_step for r in runs if r.env != ROAD}),
-        ("road", {r.run_id: readers.road_steps(r) for r in runs if r.env == ROAD}),
+        ("road", {r.run_id: road.steps(r) for r in runs if r.env == ROAD}),
     ):
         run_id = max(steps, key=lambda name: len(steps[name]), default=None)
         if run_id is not None and len(steps[run_id]) >= FEWEST:

@@ -101,7 +101,9 @@ def unwritten(reader: RunReader) -> Iterator[None]:
     Raises UserError if one is writing it.
     """
     if reader.status.state == "running":  # alive or not: its machine's clock may be another
-        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+        lock.refuse_if_elsewhere(
+            reader.path, lambda: RunReader(reader.path).status.heartbeat, 2.5 * BEAT_S
+        )
     held = lock.acquire(reader.path)
     try:
         yield

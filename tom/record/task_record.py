@@ -15,8 +15,8 @@ from tom.config import Config, Count, Positive, Whole
 from tom.envs import ENVS, ROAD, Task, scene, skeleton, task
 from tom.envs.termination import never
 from tom.errors import UserError
-from tom.record import layout, stamps
-from tom.record.reader import RunReader
+from tom.record import layout
+from tom.record.reader import RunReader, Version
 
 MOST_DIMS = 100_000
 
@@ -84,11 +84,11 @@ def scene_of(run: RunReader) -> scene.Model | None:
     if run.env in ENVS:
         return scene.model(run.env)
     path = run.path / layout.SCENE
-    return _scene(str(run.path), stamps.stamp(path)) if path.is_file() else None
+    return _scene(run.path, run.version("scene")) if path.is_file() else None
 
 
 @lru_cache(maxsize=16)
-def _scene(path: str, stamp: stamps.Stamp) -> scene.Model | None:
+def _scene(path: Path, version: Version) -> scene.Model | None:
     held = RunReader(path).arrays(layout.SCENE)
     try:
         return None if held is None else skeleton.of_arrays(held)

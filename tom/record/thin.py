@@ -103,7 +103,7 @@ def _lost(run: RunReader, copy: RunReader) -> dict[str, bool]:
     return {
         "checkpoint": checkpoint.newest(run.path / checkpoint.FOLDER) is not None,
         "recording": bool(run.rrd_files()),
-        "simulator states": len(copy.buffer()[0]) > 0 and bool(run.buffer_state()),
+        "simulator states": len(copy.buffer()[0]) > 0 and bool(run.recorded().state),
         "snapshots": other_snapshots and not snapshots,
         "other snapshots": other_snapshots and bool(snapshots),
         "other policies": 0 < len(copy.policy_steps()) < len(run.policy_steps()),

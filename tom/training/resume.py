@@ -57,7 +57,9 @@ def resume(
     _require_own_device(reader, config)
     said = [("versions", check_versions(reader, accept_versions))]
     if reader.status.state == "running":  # alive or not: its machine's clock may be another
-        lock.refuse_if_elsewhere(reader.path, lambda: reader.status.heartbeat, 2.5 * BEAT_S)
+        lock.refuse_if_elsewhere(
+            reader.path, lambda: RunReader(reader.path).status.heartbeat, 2.5 * BEAT_S
+        )
     writer = RunWriter(reader.path, config)  # takes the lock: no other process can write the run
     try:
         held = _checkpoint(reader, config)

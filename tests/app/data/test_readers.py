@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from studio_runs import PENDULUM_TOM, RUNS, info
 
-from app.data import buffer_reader, cache, readers
-from app.data.readers import RunInfo
+from app.data import buffer, cache, readers
 from tom.analysis.curves import curve_points
 from tom.record import lock, manage
 from tom.record.reader import RunReader
@@ -148,7 +147,7 @@ def test_of_a_run_in_training_one_version_is_held(own: Path) -> None:
     path = own / PENDULUM_TOM
     (path / "metrics.parquet").unlink()
     segment = max((path / "buffer").glob("*.npz"), key=lambda file: int(file.stem))
-    fit = buffer_reader.fits(info(own, PENDULUM_TOM))[-1]
+    fit = info(own, PENDULUM_TOM).snapshot_steps()[-1]
     held: list[weakref.ref] = []
     for beat in range(3):
         with (path / "metrics.jsonl").open("a") as file:
@@ -160,8 +159,8 @@ def test_of_a_run_in_training_one_version_is_held(own: Path) -> None:
     assert [ref() is not None for ref in held] == [False] * 8 + [True] * 4
 
 
-def read(run: RunInfo, fit: int) -> list[weakref.ref]:
-    rows = buffer_reader.rows(run, fit)
+def read(run: RunReader, fit: int) -> list[weakref.ref]:
+    rows = buffer.rows(run, fit)
     assert rows is not None
     parts = readers.metrics(run), readers.profiles(run), rows, rows.rows.obs
     return [weakref.ref(part) for part in parts]

@@ -17,8 +17,8 @@ import viser
 import zstandard
 from studio_runs import ROAD_MLE, ROAD_TOM
 
-from app.data import pictures
-from app.data.roadmap import CELLS, on_road
+from app.data import road
+from app.data.road import CELLS, on_road
 from app.scenes import arrays, solids
 from app.scenes import road as scene
 from app.scenes.control import (
@@ -42,13 +42,13 @@ FOV = float(np.radians(75))
 
 
 @pytest.fixture(scope="module")
-def picture(store: Path) -> pictures.Picture:
-    found = pictures.load(RunReader(store / ROAD_TOM), 60)
+def picture(store: Path) -> road.Picture:
+    found = road.picture(RunReader(store / ROAD_TOM), 60)
     assert found is not None
     return found
 
 
-def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
+def test_a_cell_with_weight_is_a_column(picture: road.Picture) -> None:
     columns = arrays.columns(picture.grid, "light")
     heavy = np.nan_to_num(picture.grid) >= 1 / 16
     assert len(columns.position) == heavy.sum() > 100
@@ -59,7 +59,7 @@ def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
     assert columns.scale[:, 2].max() <= arrays.TALLEST + 1e-6
 
 
-def test_toms_columns_stand_on_the_road(picture: pictures.Picture) -> None:
+def test_toms_columns_stand_on_the_road(picture: road.Picture) -> None:
     columns = arrays.columns(picture.grid, "light")
     tall = columns.scale[:, 2] > arrays.TALLEST / 2
     assert on_road(columns.position[tall, :2], picture.road).mean() > 0.9
@@ -74,13 +74,13 @@ def test_height_and_colour_grow_with_the_weight() -> None:
     assert columns.colour[2].tolist() == [194, 44, 6]
 
 
-def test_stones_lie_beside_the_road(picture: pictures.Picture) -> None:
+def test_stones_lie_beside_the_road(picture: road.Picture) -> None:
     position, size = arrays.boulders(picture.road)
     assert len(position) == len(size) > 100
     assert not on_road(position[:, :2], picture.road).any()
 
 
-def test_arrows_point_where_the_model_says(picture: pictures.Picture) -> None:
+def test_arrows_point_where_the_model_says(picture: road.Picture) -> None:
     found = arrays.arrows(picture.points, picture.modelled, 0.1)
     assert found[:, 1, :2] - found[:, 0, :2] == pytest.approx(picture.modelled, abs=1e-6)
     assert (found[..., 2] == np.float32(0.1)).all()
@@ -103,11 +103,11 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 def test_a_fit_takes_the_place_of_another(
-    server: viser.ViserServer, picture: pictures.Picture, store: Path
+    server: viser.ViserServer, picture: road.Picture, store: Path
 ) -> None:
     drawn = RoadScene(server.scene, picture, "light")
     before = drawn.layers["columns"][0]
-    other = pictures.load(RunReader(store / ROAD_MLE), 60)
+    other = road.picture(RunReader(store / ROAD_MLE), 60)
     assert other is not None
     drawn.update(other)
     assert drawn.layers["columns"][0] is not before
@@ -144,7 +144,7 @@ def test_every_map_is_in_the_picture_however_wide_it_is(count: int, aspect: floa
             assert abs(seen @ up) < half
 
 
-def test_cars_drive_the_recorded_ways(picture: pictures.Picture) -> None:
+def test_cars_drive_the_recorded_ways(picture: road.Picture) -> None:
     way = picture.learnt[0]
     car = solids.car(way, 0.1)
     assert car.position[:, 0, :2] == pytest.approx(way, abs=1e-6)
@@ -159,8 +159,8 @@ def test_the_flat_picture_is_clear_where_nothing_was_recorded() -> None:
     assert flat[..., 3].sum() == 235
 
 
-def test_the_export_is_one_page_with_every_fit(picture: pictures.Picture, store: Path) -> None:
-    other = pictures.load(RunReader(store / ROAD_MLE), 60)
+def test_the_export_is_one_page_with_every_fit(picture: road.Picture, store: Path) -> None:
+    other = road.picture(RunReader(store / ROAD_MLE), 60)
     assert other is not None
     page = as_html([[picture, other], [picture, other]], "dark")
     data = re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)

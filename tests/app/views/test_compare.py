@@ -15,7 +15,7 @@ from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
 from studio_pages import answers, array, draw, figures, set_links, trace
-from studio_runs import PENDULUM_TOM, info
+from studio_runs import PENDULUM_TOM, altered, info
 
 from app.data.readers import profiles
 from app.data.tables import default_level, reached
@@ -261,7 +261,7 @@ def test_a_name_is_a_regular_expression() -> None:
 
 def test_a_name_in_a_link_cannot_hold_the_studio_up(store: Path) -> None:
     run = info(store, SEEDS[0])
-    longest = replace(run, run_id="a" * 100)  # a backtracking search would never end
+    longest = altered(run, run_id="a" * 100)  # a backtracking search would never end
     assert matching([longest], "(a+)+!") == []
     assert matching([longest, run], "^a+$") == [longest]
 

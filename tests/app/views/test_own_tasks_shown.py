@@ -14,13 +14,12 @@ from studio_pages import array, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, undescribed
 
 from app.data import readers, replays, why
-from app.data.readers import RunInfo
 from app.links import Links
 from app.scenes import solids, states
 from app.scenes.control import ReplayChoice, StatesChoice
 from app.scenes.film.story import story
 from app.scenes.replay import track
-from app.views.regions import buffer_reader
+from app.views.regions import buffer
 from tom.record import Store, layout
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, task_of
@@ -55,7 +54,7 @@ def shown(own: Path, studio: Links, monkeypatch: pytest.MonkeyPatch) -> Path:
     return own
 
 
-def info(store: Path, run_id: str) -> RunInfo:
+def info(store: Path, run_id: str) -> RunReader:
     return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
 
 
@@ -84,10 +83,10 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
     run = RunReader(shown / run_id)
     recorded, model = run.buffer()[0], scene_of(run)
     assert model is not None
-    assert buffer_reader.drawn(info(shown, run_id))
+    assert buffer.drawn(info(shown, run_id))
     ended = np.zeros(len(recorded), bool)
-    rows = buffer_reader.windows(ended, [20, 120])
-    qpos = states.poses(task_of(run), recorded, run.buffer_state(), rows)
+    rows = buffer.windows(ended, [20, 120])
+    qpos = states.poses(task_of(run), recorded, run.recorded().state, rows)
     robots = solids.of(model, qpos)
     assert len(robots.position) == 2
     assert np.isfinite(robots.floor)
@@ -118,7 +117,7 @@ def test_without_a_robot_there_are_curves_and_no_empty_scene(shown: Path, run_id
 def test_the_film_and_the_rollouts_name_the_task_as_it_is(shown: Path):
     run = info(shown, "Swimmer-v5")
     assert story(run)["title"] == "gymnasium:Swimmer-v5 · MLE · seed 0"
-    rows = buffer_reader.rows(run, RunReader(shown / "Swimmer-v5").snapshot_steps()[-1])
+    rows = buffer.rows(run, RunReader(shown / "Swimmer-v5").snapshot_steps()[-1])
     assert rows is not None
     said = why.rollouts(run, rows, 0, 320)
     assert said == "they are drawn for the built-in tasks, and gymnasium:Swimmer-v5 is none of them"

@@ -14,11 +14,10 @@ import plotly.graph_objects as go
 import pytest
 from streamlit.testing.v1 import AppTest
 from studio_pages import PAGE, TIMEOUT_S, array, draw, figures, set_links, trace
-from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, WAITING, info, stand_in
+from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, WAITING, altered, info, stand_in
 
 from app.data import trainings
 from app.data.called import names
-from app.data.readers import RunInfo
 from app.data.trainings import Started
 from app.links import Links
 from app.parts import replay_link
@@ -115,12 +114,12 @@ def test_live_without_a_training_prefers_runs_with_weights_and_replays(
     store: Path, tmp_path: Path
 ) -> None:
     trained = info(store, PENDULUM_TOM)
-    recording = replace(trained, run_id="recorded", env="hopper", learner="sac")
+    recording = altered(trained, run_id="recorded", env="hopper", learner="sac")
     assert watched([recording, trained], []) == [trained]
     assert watched([recording], []) == [recording]
     folder = shutil.copytree(store / PENDULUM_TOM, tmp_path / "bare")
     shutil.rmtree(folder / "episodes")
-    bare = replace(trained, run_id="bare", path=str(folder))
+    bare = altered(trained, run_id="bare", path=folder)
     assert watched([bare, trained], []) == [trained]  # the newest, but without a replay
     assert watched([bare], []) == [bare]
 
@@ -129,19 +128,19 @@ def test_a_training_that_ends_stays_beside_the_next_and_before_small_copies(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ended = info(store, PENDULUM_TOM)
-    recent = replace(ended, status=replace(ended.status, heartbeat=time.time()))
+    recent = altered(ended, status=replace(ended.status, heartbeat=time.time()))
     status = replace(recent.status, state="running")
-    trains = replace(recent, run_id="trains", learner="mle", status=status)
-    copy = replace(recent, run_id="copy", learner="mle", small_copy=True)
+    trains = altered(recent, run_id="trains", learner="mle", status=status)
+    copy = altered(recent, run_id="copy", learner="mle", small_copy=True)
     assert set(ids(watched([trains, recent, copy], []))) == {"trains", PENDULUM_TOM}
-    many = [replace(recent, run_id=f"ended-{i}") for i in range(100)]
+    many = [altered(recent, run_id=f"ended-{i}") for i in range(100)]
     assert len(watched([trains, *many], [])) == 1 + live.RECENT
     monkeypatch.setattr(live, "RECENT_S", -1)
     assert ids(watched([trains, recent], [])) == ["trains"]
     assert ids(watched([copy, recent], [])) == [PENDULUM_TOM]
 
 
-def ids(runs: Sequence[RunInfo]) -> list[str]:
+def ids(runs: Sequence[RunReader]) -> list[str]:
     return [run.run_id for run in runs]
 
 
@@ -252,7 +251,7 @@ def test_live_charts_no_speed_of_a_run_that_only_explores(store: Path, tmp_path:
     assert dict(figures_of(run))["steps / s"] == "-"  # a fit takes no step: that is no speed of 0
 
 
-def explores(store: Path, tmp_path: Path) -> RunInfo:
+def explores(store: Path, tmp_path: Path) -> RunReader:
     """A run in training whose only metrics yet are those of the machine."""
     folder = shutil.copytree(store / PENDULUM_TOM, tmp_path / "young")
     (folder / "metrics.parquet").unlink()
@@ -299,9 +298,9 @@ def test_runs_are_chosen_by_name_and_kept_in_the_address_by_id() -> None:
 
 
 def test_only_runs_of_one_name_carry_their_ids(store: Path) -> None:
-    def run(run_id: str, seed: int, name: str = "") -> RunInfo:
+    def run(run_id: str, seed: int, name: str = "") -> RunReader:
         changes = {"run_id": run_id, "seed": seed, "labels": Labels(name=name), "env": "hopper"}
-        return replace(info(store, PENDULUM_TOM), **changes)
+        return altered(info(store, PENDULUM_TOM), **changes)
 
     found = names([run("a", 0), run("b", 1), run("c", 1), run("d", 0, "the best")])
     assert list(found.values()) == [

@@ -116,7 +116,7 @@ def test_a_copy_of_a_run_that_died_says_so(record, tmp_path: Path):
     run = record()
     content = asdict(run.status) | {"state": "running", "heartbeat": run.status.heartbeat - 3600}
     (run.path / "status.json").write_text(json.dumps(content))
-    small = RunReader(export_small(run, tmp_path))
+    small = RunReader(export_small(RunReader(run.path), tmp_path))
     assert small.status.state == "stopped"
     assert small.status.reason == f"copied at step {STEPS} after its process ended without a word"
 
@@ -125,7 +125,7 @@ def test_a_copy_of_a_stopped_run_does_not_say_that_it_can_go_on(record, tmp_path
     run = record()
     content = asdict(run.status) | {"state": "stopped", "reason": "tom train --resume run goes on"}
     (run.path / "status.json").write_text(json.dumps(content))
-    small = RunReader(export_small(run, tmp_path))
+    small = RunReader(export_small(RunReader(run.path), tmp_path))
     assert small.status.reason == f"copied at step {STEPS} where it was stopped"
     assert small.shown == "stopped (a small copy)"
     assert RunReader(export_small(small, tmp_path / "again")).status == small.status

@@ -150,7 +150,9 @@ def stream(run: RunReader, stopping: threading.Event) -> Iterator[bytes]:
     """The bytes of a recording that grows and ends with the run; empty bytes between updates."""
     follower = Follower(run)
     while not stopping.is_set():
-        alive = run.status.alive  # read before the rows, so that later rows are not missed
+        alive = RunReader(
+            run.path
+        ).status.alive  # read before the rows, so that later rows are not missed
         yield from follower.pieces()
         if not alive:
             return

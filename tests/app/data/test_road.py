@@ -8,8 +8,8 @@ import pytest
 import torch
 from studio_runs import ROAD_TOM, info
 
-from app.data import pictures, readers
-from app.data.roadmap import (
+from app.data import readers, road
+from app.data.road import (
     RoadShape,
     distance_to_road,
     on_road,
@@ -71,7 +71,7 @@ def test_no_weight_has_no_share(road_map: RoadShape) -> None:
 
 def test_a_picture_says_what_the_run_recorded(store: Path) -> None:
     run = RunReader(store / ROAD_TOM)
-    picture = pictures.load(run, pictures.steps(run)[-1])
+    picture = road.picture(run, road.steps(run)[-1])
     assert picture is not None
     recorded = curve_points(readers.metrics(info(store, ROAD_TOM)), "weights/road_share")[1]
     assert picture.share == pytest.approx(recorded[0], abs=1e-4)
@@ -87,18 +87,18 @@ def test_a_picture_that_was_read_while_its_fit_was_written_is_read_again(
     store: Path, tmp_path: Path
 ) -> None:
     run = RunReader(shutil.copytree(store / ROAD_TOM, tmp_path / ROAD_TOM))
-    before, step = pictures.steps(run)[-2:]
+    before, step = road.steps(run)[-2:]
     fields = {name: run.field(name, step) for name in ("model", "trajectories")}
     for name in fields:
         (run.path / layout.field(name, step)).unlink()
-    early = pictures.load(run, step)
+    early = road.picture(run, step)
     assert early is not None
     assert np.array_equal(early.modelled, run.field("model", before)["modelled"])
     for name, arrays in fields.items():
         moved = {key: array + 1 for key, array in arrays.items()}
         np.savez(run.path / layout.field(name, step), allow_pickle=False, **moved)
-        pictures.load(run, step)
-    late = pictures.load(run, step)
+        road.picture(run, step)
+    late = road.picture(run, step)
     assert late is not None
     assert np.array_equal(late.modelled, fields["model"]["modelled"] + 1)
     assert np.array_equal(late.learnt[0], fields["trajectories"]["learnt_0"] + 1)
@@ -111,5 +111,5 @@ def test_trajectories_come_in_order() -> None:
 
 def test_a_run_without_its_map_has_no_picture(tmp_path: Path) -> None:
     run = RunReader(tmp_path)
-    assert pictures.steps(run) == []
-    assert pictures.load(run, 0) is None
+    assert road.steps(run) == []
+    assert road.picture(run, 0) is None
