@@ -1,25 +1,22 @@
 """Run folders for the pages, cached until a file changes."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from app.data import trainings
-from app.data.cache import cached
+from app.data.cache import VersionedCache, cached
 from tom.errors import UserError
 from tom.record import manage
 from tom.record.decode import Profiles
 from tom.record.reader import RunReader
 from tom.record.status import DEAD_AFTER_S
 from tom.record.store import Store
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -91,49 +88,42 @@ def reader(run: RunReader) -> RunReader:
     return RunReader(run.path)
 
 
-def _with_problems(run: RunReader, read: Callable[[RunReader], T]) -> tuple[T, list[str]]:
-    part = reader(run)
-    return read(part), part.problems
+_PARTS: VersionedCache[tuple[Any, list[str]]] = VersionedCache()
 
 
-@cached("metrics")
-def _metrics(run: RunReader) -> tuple[pd.DataFrame, list[str]]:
-    return _with_problems(run, RunReader.metrics)
+def _part(run: RunReader, part: Literal["metrics", "profiles", "notices"]) -> tuple[Any, list[str]]:
+    """A part of a run, and the problems of its files."""
 
+    def read() -> tuple[Any, list[str]]:
+        own = reader(run)
+        return getattr(own, part)(), own.problems
 
-@cached("profiles")
-def _profiles(run: RunReader) -> tuple[Profiles, list[str]]:
-    return _with_problems(run, RunReader.profiles)
-
-
-@cached("notices")
-def _notices(run: RunReader) -> tuple[list[dict[str, Any]], list[str]]:
-    return _with_problems(run, RunReader.notices)
+    return _PARTS.get((run.path, part), read, run.version(part))
 
 
 def metrics(run: RunReader) -> pd.DataFrame:
     """One row per recorded step: `env_step` and every metric."""
-    return _metrics(run)[0]
+    return _part(run, "metrics")[0]
 
 
 def profiles(run: RunReader) -> Profiles:
     """The weight profile of every model fit."""
-    return _profiles(run)[0]
+    return _part(run, "profiles")[0]
 
 
 def notices(run: RunReader) -> list[dict[str, Any]]:
     """The notices of the run: `env_step`, `kind`, `message`."""
-    return _notices(run)[0]
+    return _part(run, "notices")[0]
 
 
 def metrics_problems(run: RunReader) -> list[str]:
     """Damaged or missing parts of a run that its curves need."""
-    return list(dict.fromkeys([*run.problems, *_metrics(run)[1]]))
+    return list(dict.fromkeys([*run.problems, *_part(run, "metrics")[1]]))
 
 
 def problems(run: RunReader) -> list[str]:
     """Damaged or missing parts of a run that the pages of a single run need."""
-    named = [*metrics_problems(run), *_profiles(run)[1], *_notices(run)[1]]
+    named = [*metrics_problems(run), *_part(run, "profiles")[1], *_part(run, "notices")[1]]
     return list(dict.fromkeys(named))
 
 

@@ -42,7 +42,7 @@ def info(store: Path, run_id: str) -> RunReader:
 def altered(run: RunReader, **facts: object) -> RunReader:
     """The run with other facts than its folder's."""
     other = copy(run)
-    other.__class__ = type("Altered", (RunReader,), facts)
+    other.__class__ = type("Altered", (type(run),), facts)
     vars(other).update(facts)
     return other
 

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_runs import PENDULUM_TOM, RUNS, info
+from studio_runs import PENDULUM_TOM, info
 
 from app.data import buffer, cache, readers
 from tom.analysis.curves import curve_points
-from tom.record import lock, manage
+from tom.record import lock
 from tom.record.reader import RunReader
-from tom.record.store import Store
 
 
 @pytest.fixture
@@ -24,15 +23,6 @@ def own(store: Path, tmp_path: Path) -> Path:
     """A copy of one run that a test may damage."""
     shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
     return tmp_path
-
-
-def test_every_run_is_listed(store: Path) -> None:
-    found = readers.listing(str(store))
-    assert {run.run_id for run in found.runs} == {run_id for run_id, *_ in RUNS}
-    assert found.problems == ()
-    run = info(store, PENDULUM_TOM)
-    assert (run.env, run.learner, run.seed, run.preset) == ("inverted-pendulum", "tom", 0, "smoke")
-    assert run.status.state == "finished"
 
 
 def test_a_listing_reads_no_run_again_however_little_is_cached(
@@ -51,24 +41,6 @@ def test_tables_are_the_readers(store: Path) -> None:
     assert readers.problems(run) == []
 
 
-def test_a_new_recording_is_seen(own: Path) -> None:
-    run = info(own, PENDULUM_TOM)
-    assert readers.recordings(run) == ["run.rrd"]
-    shutil.copy(own / PENDULUM_TOM / "run.rrd", own / PENDULUM_TOM / "run-2.rrd")
-    assert readers.recordings(run) == ["run.rrd", "run-2.rrd"]
-
-
-def test_a_new_row_is_seen(own: Path) -> None:
-    (own / PENDULUM_TOM / "metrics.parquet").unlink()
-    run = info(own, PENDULUM_TOM)
-    before = readers.metrics(run)
-    with (own / PENDULUM_TOM / "metrics.jsonl").open("a") as file:
-        file.write(json.dumps({"env_step": 99_999, "eval/return": 7.5}) + "\n")
-    after = readers.metrics(run)
-    assert len(after) == len(before) + 1
-    assert after["eval/return"].iloc[-1] == 7.5
-
-
 def test_a_new_status_is_seen(own: Path) -> None:
     path = own / PENDULUM_TOM / "status.json"
     status = json.loads(path.read_text())
@@ -82,14 +54,6 @@ def test_a_new_status_is_seen(own: Path) -> None:
     assert info(own, PENDULUM_TOM).status.alive
     path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time() - 31}))
     assert info(own, PENDULUM_TOM).status.shown == "dead"
-
-
-def test_what_people_call_a_run_is_seen(own: Path) -> None:
-    assert info(own, PENDULUM_TOM).name == PENDULUM_TOM
-    manage.rename(Store(own), PENDULUM_TOM, "the good one")
-    manage.tag(Store(own), PENDULUM_TOM, add=["keep"])
-    run = info(own, PENDULUM_TOM)
-    assert (run.name, run.labels.tags) == ("the good one", ("keep",))
 
 
 def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:
@@ -106,10 +70,6 @@ def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:
     assert "status.json" in words
     assert "metrics.jsonl" in words
     assert readers.problems(info(own, PENDULUM_TOM)) == []
-
-
-def test_a_store_that_is_not_there_is_empty(tmp_path: Path) -> None:
-    assert readers.listing(str(tmp_path / "none")).runs == ()
 
 
 def test_a_folder_that_is_no_run_any_more_is_named(own: Path) -> None:

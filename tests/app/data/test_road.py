@@ -59,12 +59,6 @@ def test_cells_hold_the_mean_of_their_transitions() -> None:
     assert mean[row, column] == pytest.approx(weight[inside].mean())
 
 
-def test_an_empty_cell_has_no_mean_and_the_edge_belongs_to_the_last_cell() -> None:
-    mean = weight_grid(np.array([[1.0, 1.0]]), np.array([2.0]), cells=3)
-    assert mean[2, 2] == 2
-    assert np.isnan(mean).sum() == 8
-
-
 def test_no_weight_has_no_share(road_map: RoadShape) -> None:
     assert np.isnan(road_share(np.array([[0.1, 0.12], [0.5, 0.5]]), np.zeros(2), road_map))
 
@@ -107,9 +101,3 @@ def test_a_picture_that_was_read_while_its_fit_was_written_is_read_again(
 def test_trajectories_come_in_order() -> None:
     arrays = {f"learnt_{k}": np.full((2, 2), k) for k in (10, 2, 0)} | {"expert_0": np.zeros(2)}
     assert [int(line[0, 0]) for line in trajectories(arrays, "learnt")] == [0, 2, 10]
-
-
-def test_a_run_without_its_map_has_no_picture(tmp_path: Path) -> None:
-    run = RunReader(tmp_path)
-    assert road.steps(run) == []
-    assert road.picture(run, 0) is None
