@@ -124,10 +124,10 @@ def draw(page: Callable[[], None]) -> None:
     if readers.listing(store).runs:
         page()
         return
-    from app.data import datasets  # here: a store with runs needs neither
+    from app.data import weighings  # here: a store with runs needs neither
     from app.parts import empty
 
-    if datasets.listing(store):
+    if weighings.datasets(store):
         page()
     else:
         empty.page()

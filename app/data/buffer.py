@@ -1,4 +1,7 @@
-"""A replay buffer at one model fit, with properties of each transition. Pure functions."""
+"""Replay buffers: the rows of a run with their weights, and what the run's model makes of them.
+
+Pure functions of rows first, then what is read from a run's folder, cached until its files change.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,8 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.data.cache import VersionedCache, cached
+from app.data.readers import reader
+from tom.analysis.imagine import step_errors, stored_model, stored_step
 from tom.data.transitions import Transitions
-from tom.envs import ENVS, ROAD
+from tom.envs import ENVS, ROAD, Task
+from tom.errors import UserError
+from tom.record.reader import Recorded, RunReader
+from tom.record.task_record import scene_of, task_of
 
 Floats = NDArray[np.float64]
 
@@ -115,3 +124,112 @@ def windows(ended: NDArray[np.bool_], rows: Sequence[int]) -> NDArray[np.int64]:
         high = int(after[0]) if len(after) else len(ended) - 1
         numbers.append(np.clip(np.arange(row - WINDOW, row + WINDOW + 1), low, high))
     return np.array(numbers, np.int64).reshape(len(rows), 2 * WINDOW + 1)
+
+
+ERROR_ROWS = 20_000
+"""maximum number of rows for model errors, spread evenly over the buffer"""
+SHARED_ROWS = 5000
+"""the same for the models of several runs on one buffer"""
+
+
+def has_rows(run: RunReader) -> bool:
+    """Whether the run has a recorded buffer, which may be damaged. Reads no file."""
+    return run.version("buffer") != ()
+
+
+@cached("buffer")
+def length(run: RunReader) -> int:
+    """The number of rows of a run's recorded buffer, all that were ever collected."""
+    return reader(run).buffer_length()
+
+
+@cached("buffer")
+def recorded(run: RunReader) -> Recorded:
+    """A run's whole buffer: the only place of this process that reads it."""
+    return reader(run).recorded()
+
+
+@cached("buffer", "snapshot")
+def rows(run: RunReader, step: int) -> Rows | None:
+    """The replay buffer at the fit of `step`, with that fit's weights; None if it is damaged."""
+    weight = reader(run).snapshot(step)["weight"].to_numpy()
+    # Offline data is complete from the first step on; online, each step adds a row.
+    return weighed_rows(run, weight, len(recorded(run).rows) if run.env == ROAD else step)
+
+
+def weighed_rows(run: RunReader, weight: NDArray, end: int) -> Rows | None:
+    """The N recorded rows before row `end`, with weights (N,); None if some are missing."""
+    return rows_at(recorded(run).rows, recorded(run).version, weight, end)
+
+
+def moments(run: RunReader, rows: Sequence[int]) -> Floats:
+    """Observations (R, 2 WINDOW + 1, O) around the recorded rows with these numbers."""
+    whole = recorded(run).rows
+    return np.asarray(whole.obs, np.float64)[windows(whole.ended(), rows)]
+
+
+def described_task(run: RunReader) -> Task | None:
+    """The run's task; None if its folder does not say what it is."""
+    try:
+        return task_of(run)
+    except UserError:
+        return None
+
+
+def described(run: RunReader) -> tuple[str, ...]:
+    """The recorded names of the run's observation dimensions; empty if there are none."""
+    known = None if run.env == ROAD else described_task(run)
+    return () if known is None else known.obs_names
+
+
+def drawn(run: RunReader) -> bool:
+    """Whether there is a robot to draw in the states of the run's buffer."""
+    known = None if scene_of(run) is None else described_task(run)
+    return known is not None and (known.root_dims is not None or bool(recorded(run).state))
+
+
+@cached("buffer", "snapshot", "model")
+def model_errors(run: RunReader, step: int) -> tuple[NDArray[np.int64], Floats, int] | str:
+    """Row numbers (K,) of `rows(run, step)`, the stored model's errors (K,), the model's step.
+
+    A text with the reason if there is no model.
+    """
+    weighed = rows(run, step)
+    if weighed is None:
+        return "its buffer cannot be read"
+    try:
+        kept = stored_model(run)
+    except UserError as error:
+        return str(error)
+    index = _evenly(len(weighed), ERROR_ROWS)
+    return index, step_errors(kept.predictor, weighed.rows[index]).astype(np.float64), kept.env_step
+
+
+def errors_on(run: RunReader, other: RunReader) -> Floats | None:
+    """Error (K,) of `other`'s stored model on rows spread evenly over `run`'s buffer.
+
+    None if `other` has no stored model.
+    """
+    if stored_step(other) is None:
+        return None
+
+    def read() -> Floats | None:
+        whole = recorded(run).rows
+        if not len(whole):
+            return None
+        try:
+            kept = stored_model(other)
+        except UserError:
+            return None
+        part = whole[_evenly(len(whole), SHARED_ROWS)]
+        return step_errors(kept.predictor, part).astype(np.float64)
+
+    version = run.version("buffer"), other.version("model")
+    return _ERRORS_ON.get((run.path, other.path), read, version)
+
+
+_ERRORS_ON: VersionedCache[Floats | None] = VersionedCache()
+
+
+def _evenly(count: int, most: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, count - 1, most).astype(np.int64))

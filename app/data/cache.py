@@ -1,26 +1,28 @@
 """Results that are shared by all visitors and made anew when their version changes.
 
-The version is usually the time stamp of a file. All results share one budget of bytes; those that
-were used least recently are dropped first.
+All results share one budget of bytes; those that were used least recently are dropped first.
 """
 
 import sys
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Mapping
+from functools import wraps
 from itertools import count
 from threading import RLock
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
 import pandas as pd
 from cachetools import LRUCache
 
 from tom.machine.memory import STUDIO_CACHE_BYTES
+from tom.record.reader import Part, RunReader
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 RESULTS: LRUCache[tuple[int, Hashable], tuple[Hashable, Any]] = LRUCache(
     # A result that is larger than the budget is kept alone.
     STUDIO_CACHE_BYTES,
-    lambda held: min(bytes_of(held[1]), STUDIO_CACHE_BYTES),
+    lambda result: min(bytes_of(result[1]), STUDIO_CACHE_BYTES),
 )
 LOCK = RLock()
 _NUMBERS = count()
@@ -39,21 +41,38 @@ class VersionedCache(Generic[T]):
         """
         place = self._number, key
         with LOCK:
-            held = RESULTS.get(place)
-        if held is not None and held[0] == version:
-            return held[1]
+            cached = RESULTS.get(place)
+        if cached is not None and cached[0] == version:
+            return cached[1]
         made = make()
         with LOCK:
             RESULTS[place] = version, made
         return made
 
 
-@runtime_checkable
-class Weighted(Protocol):
-    """A `torch.nn.Module`; importing torch takes seconds."""
+Read = Callable[Concatenate[RunReader, P], T]
 
-    def parameters(self) -> Iterable[Any]: ...
-    def buffers(self) -> Iterable[Any]: ...
+
+def cached(*parts: Part) -> Callable[[Read[P, T]], Read[P, T]]:
+    """Cache a function `(run, *arguments)` until one of these parts of the run changes.
+
+    Of a part that has steps it is that of the first argument. Parts that the function reads from
+    several runs need a VersionedCache of their own.
+    """
+
+    def of(read: Read[P, T]) -> Read[P, T]:
+        cache: VersionedCache[T] = VersionedCache()
+
+        @wraps(read)
+        def get(run: RunReader, *args: P.args, **kwargs: P.kwargs) -> T:
+            assert not kwargs, "a key has no names"
+            step = args[0] if args and isinstance(args[0], int) else 0
+            version = tuple(run.version(part, step) for part in parts)
+            return cache.get((run.path, *args), lambda: read(run, *args, **kwargs), version)
+
+        return get
+
+    return of
 
 
 def bytes_of(value: object) -> int:
@@ -64,24 +83,17 @@ def bytes_of(value: object) -> int:
         if id(one) in seen:
             continue
         seen.add(id(one))
-        size += _own_bytes(one)
-        waiting.extend(_parts(one))
+        if isinstance(one, pd.DataFrame):
+            size += 8 * one.size  # of numbers; asking each column takes longer than reading some
+            continue
+        own = getattr(one, "nbytes", None)  # of arrays and tensors
+        size += own if isinstance(own, int) else sys.getsizeof(one, 0)
+        if isinstance(one, Mapping):
+            waiting += [*one.keys(), *one.values()]
+        elif isinstance(one, list | tuple | set | frozenset):
+            waiting += one
+        elif type(one).__module__.partition(".")[0] in ("tom", "app"):
+            waiting += getattr(one, "__dict__", {}).values()
+        elif hasattr(one, "parameters"):  # a torch.nn.Module; importing torch takes seconds
+            waiting += [*one.parameters(), *one.buffers()]  # pyright: ignore
     return size
-
-
-def _own_bytes(one: object) -> int:
-    if isinstance(one, pd.DataFrame):
-        return 8 * one.size  # of numbers; asking every column would take longer than reading some
-    size = getattr(one, "nbytes", None)  # arrays and tensors
-    return size if isinstance(size, int) else sys.getsizeof(one, 0)
-
-
-def _parts(one: object) -> list[Any]:
-    if isinstance(one, Weighted):
-        return [*one.parameters(), *one.buffers()]
-    if isinstance(one, Mapping):
-        return [*one.keys(), *one.values()]
-    if isinstance(one, list | tuple | set | frozenset):
-        return [*one]
-    ours = type(one).__module__.partition(".")[0] in ("tom", "app")
-    return [*vars(one).values()] if ours and hasattr(one, "__dict__") else []

@@ -67,15 +67,11 @@ class Exams:
 
 def exams_of(run_id: str, learner: str, seed: int, group: str, frame: pd.DataFrame) -> Exams:
     """The exams in a run's metrics: `env_step` and every metric."""
-    columns = {name: _column(frame, path) for name, path in MEASURED.items()}
-    sat = np.isfinite(np.stack(list(columns.values()))).any(0)
+    measured = frame.reindex(columns=list(MEASURED.values())).to_numpy(np.float64).T  # (5, rows)
+    sat = np.isfinite(measured).any(0)
     step = np.asarray(frame["env_step"], np.int64)[sat]
-    kept = {name: values[sat] for name, values in columns.items()}
+    kept = dict(zip(MEASURED, measured[:, sat], strict=True))
     return Exams(run_id, learner, seed, group, step, **kept, returns=next_return(frame, step))
-
-
-def _column(frame: pd.DataFrame, path: str) -> Floats:
-    return np.asarray(frame[path], np.float64) if path in frame else np.full(len(frame), np.nan)
 
 
 def next_return(frame: pd.DataFrame, step: NDArray[np.int64]) -> Floats:
@@ -195,7 +191,6 @@ def middle(values: Floats) -> Interval:
 
 def at_fit(frame: pd.DataFrame, step: int) -> Mapping[str, float]:
     """The exam metrics of the fit at `step`; empty if it has no exam."""
-    here = frame[frame["env_step"] == step]
-    names = [name for name in frame.columns if name.startswith("exam/")]
-    values = {name: float(value) for name in names for value in here[name]}
+    here = frame[frame["env_step"] == step].filter(like="exam/")
+    values = {str(name): float(value) for name in here for value in here[name]}
     return {name: value for name, value in values.items() if np.isfinite(value)}

@@ -1,4 +1,4 @@
-"""Regions of a replay buffer: a map, and the content of a part of it. Pure functions."""
+"""Regions of a replay buffer: a map, and the content of a part of it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.data.buffer import Floats, Rows
+from app.data.cache import VersionedCache
 from tom.data.sampling import ess, zero_share
 from tom.data.transitions import Transitions
+from tom.record.reader import RunReader
 from tom.spread import spread
 
 Mask = NDArray[np.bool_]
@@ -32,11 +34,11 @@ def principal_plane(rows: Transitions) -> Plane:
 
     Computed from at most FITTED evenly drawn rows; the coordinates are those of all N.
     """
-    table = _table(rows, spread(len(rows), FITTED))
+    part = rows[spread(len(rows), FITTED)].numpy()
+    table = np.concatenate([part.obs, part.action, part.next_obs], 1).astype(np.float64)
     middle, deviation = table.mean(0), table.std(0)
-    scale = np.where(
-        deviation > 1e-9, 1 / np.maximum(deviation, 1e-9), 0.0
-    )  # constants are left out
+    # Constants are left out.
+    scale = np.where(deviation > 1e-9, 1 / np.maximum(deviation, 1e-9), 0.0)
     table = (table - middle) * scale
     values, vectors = np.linalg.eigh(table.T @ table / max(len(table), 1))
     vectors = vectors[:, ::-1][:, :2]
@@ -52,10 +54,13 @@ def principal_plane(rows: Transitions) -> Plane:
     return Plane(coordinates[:, 0], coordinates[:, 1], names[0], names[1])
 
 
-def _table(rows: Transitions, index: NDArray[np.int64]) -> Floats:
-    """(s, a, s') of some rows, (K, 2 O + A)."""
-    part = rows[index].numpy()
-    return np.concatenate([part.obs, part.action, part.next_obs], 1).astype(np.float64)
+_PLANES: VersionedCache[Plane] = VersionedCache()
+
+
+def plane_of(run: RunReader, rows: Rows) -> Plane:
+    """The `principal_plane` of some of a run's rows, cached."""
+    version = run.version("buffer"), rows.first, len(rows)
+    return _PLANES.get(run.path, lambda: principal_plane(rows.rows), version)
 
 
 def named_plane(rows: Transitions, names: Sequence[str], x: str, y: str) -> Plane:
@@ -92,49 +97,30 @@ def _by_weight(weight: Floats) -> NDArray[np.int64]:
     return shuffled[np.argsort(weight[shuffled], kind="stable")]
 
 
-def aged(count: int, low: float, high: float) -> Mask:
-    """The rows between two ages in %, 0 the oldest."""
-    age = (np.arange(count) + 0.5) * 100 / max(count, 1)
-    return (age >= low) & (age <= high)
-
-
 EXPLORED = "from exploration, %"
-QUANTITIES = (
-    "transitions",
-    "share of the buffer, %",
-    "share of the weight, %",
-    "mean weight",
-    "weight zero, %",
-    "effective sample, %",
-    "mean reward",
-    "mean return of their episodes",
-    "mean age, % (0: oldest)",
-    EXPLORED,
-    "ends an episode, %",
-)
 
 
 def summary(rows: Rows, mask: Mask) -> dict[str, float]:
-    """The QUANTITIES of a region; NaN for an empty one."""
-    n = int(mask.sum())
-    if not n:
-        return dict.fromkeys(QUANTITIES, float("nan")) | {"transitions": 0.0}
-    weight = rows.weight[mask]
+    """What a region holds, by quantity; all but the number are NaN if it is empty."""
+    n, whole, weight = int(mask.sum()), rows.rows.numpy(), rows.weight[mask]
+
+    def mean(values: NDArray) -> float:
+        return float(values[mask].mean()) if n else np.nan
+
     total = rows.weight.sum()
-    values = (
-        n,
-        100 * n / len(rows),
-        100 * weight.sum() / total if total > 0 else np.nan,
-        weight.mean(),
-        100 * zero_share(weight),
-        100 * ess(weight),
-        np.asarray(rows.rows.reward)[mask].mean(),
-        rows.episode_return[mask].mean(),
-        rows.age[mask].mean(),
-        100 * (rows.version[mask] == 0).mean() if rows.policies_known else np.nan,
-        100 * rows.rows.numpy().ended()[mask].mean(),
-    )
-    return {name: float(value) for name, value in zip(QUANTITIES, values, strict=True)}
+    return {
+        "transitions": float(n),
+        "share of the buffer, %": 100 * n / len(rows) if n else np.nan,
+        "share of the weight, %": float(100 * weight.sum() / total) if n and total > 0 else np.nan,
+        "mean weight": mean(rows.weight),
+        "weight zero, %": 100 * zero_share(weight) if n else np.nan,
+        "effective sample, %": 100 * ess(weight) if n else np.nan,
+        "mean reward": mean(np.asarray(whole.reward)),
+        "mean return of their episodes": mean(rows.episode_return),
+        "mean age, % (0: oldest)": mean(rows.age),
+        EXPLORED: 100 * mean(rows.version == 0) if rows.policies_known else np.nan,
+        "ends an episode, %": 100 * mean(whole.ended()),
+    }
 
 
 def apart(rows: Rows, mask: Mask, names: list[str]) -> list[tuple[str, float]]:
@@ -153,22 +139,18 @@ def apart(rows: Rows, mask: Mask, names: list[str]) -> list[tuple[str, float]]:
     return [(names[i], float(gap[i])) for i in order if deviation[i] > 1e-9]
 
 
-def picks(order: NDArray[np.int64], count: int, gap: int) -> list[int]:
-    """The first `count` row numbers of `order` that are at least `gap` rows apart."""
-    picked: list[int] = []
-    for row in order.tolist():
-        if all(abs(row - other) >= gap for other in picked):
-            picked.append(row)
-            if len(picked) == count:
-                break
-    return picked
-
-
 def heavy_and_light(rows: Rows, mask: Mask, count: int, gap: int) -> tuple[list[int], list[int]]:
     """The heaviest and the lightest rows of a region, at least `gap` steps apart."""
+
+    def first_of(order: NDArray[np.int64]) -> list[int]:
+        picked: list[int] = []
+        for row in order.tolist():
+            if len(picked) == count:
+                break
+            if all(abs(row - other) >= gap for other in picked):
+                picked.append(row)
+        return picked
+
     index = np.flatnonzero(mask)
-    by_weight = _by_weight(rows.weight[index])
-    return (
-        picks(index[by_weight[::-1]], count, gap),
-        picks(index[by_weight], count, gap),
-    )
+    by_weight = index[_by_weight(rows.weight[index])]
+    return first_of(by_weight[::-1]), first_of(by_weight)

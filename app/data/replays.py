@@ -5,22 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data.cache import VersionedCache
-from app.data.roadmap import RoadShape
-from tom.analysis.imagine import (
-    Imagined,
-    StoredModel,
-    imagine,
-    joint_positions,
-    stored_model,
-)
+from app.data.cache import cached
+from app.data.readers import reader
+from app.data.road import RoadShape
+from tom.analysis.imagine import Imagined, StoredModel, imagine, joint_positions, stored_model
 from tom.envs import ROAD, Task, scene
 from tom.errors import UserError
 from tom.events import Episode
-from tom.record import stamps
 from tom.record.reader import RunReader
 from tom.record.rerun.view import episode_recording
-from tom.record.stamps import Stamp
 from tom.record.task_record import scene_of, seconds, task_of
 
 ROAD_DT = 0.1
@@ -82,17 +75,46 @@ class Replay:
         return np.sqrt(np.square(gap, dtype=np.float64).mean(1))
 
 
+@cached("episodes", "model")
 def load(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     """The episode `index` of the evaluation at `step`; None if there is none.
 
-    The ghost restarts from the real state every `horizon` steps; 0 means no ghost. The result is
-    cached until the episode or the run's model changes; it is shared and must not be changed.
-    Raises UserError if the run's folder does not say what its task is.
+    The ghost restarts from the real state every `horizon` steps; 0 means no ghost. Raises UserError
+    if the run's folder does not say what its task is.
     """
-    model = stamps.model(run.path)
-    key = str(run.path), step, index, horizon
-    version = stamps.episodes(run.path, step), model
-    return _REPLAYS.get(key, lambda: _load(run, step, index, horizon, model), version)
+    episodes = reader(run).episodes(step)
+    if not 0 <= index < len(episodes) or not episodes[index].length:
+        return None
+    episode = episodes[index]
+    road = _road(run) if run.env == ROAD else None
+    robot = None if road or episode.qpos is None else scene_of(run)
+    real = episode.obs if robot is None else episode.qpos
+    if real is None:
+        return None
+    known = None if run.env == ROAD else task_of(run)
+    dt = ROAD_DT if known is None else seconds(run)
+    kept = _model(run) if horizon else "none was asked for"
+    imagined = None if isinstance(kept, str) else imagine(kept.predictor, episode, horizon)
+    ghost = imagined and (
+        imagined.obs if known is None else _joints(known, episode, imagined, dt, horizon)
+    )
+    return Replay(
+        run_id=run.run_id,
+        env=run.env,
+        learner=run.learner,
+        step=step,
+        index=index,
+        model=robot,
+        names=("x", "y") if known is None else known.obs_names,
+        dt=dt,
+        episode=episode,
+        real=real,
+        ghost=ghost,
+        imagined=imagined,
+        model_step=None if isinstance(kept, str) else kept.env_step,
+        no_ghost=kept if isinstance(kept, str) else "",
+        road=road,
+    )
 
 
 def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | None:
@@ -106,49 +128,19 @@ def recording(run: RunReader, step: int, index: int, horizon: int) -> bytes | No
     return episode_recording(run, step, replay.episode, replay.dt, replay.ghost)
 
 
-_REPLAYS: VersionedCache[Replay | None] = VersionedCache()
-_MODELS: VersionedCache[StoredModel] = VersionedCache()
+@cached("model")
+def _model(run: RunReader) -> StoredModel | str:
+    """The run's model, or the reason why there is none."""
+    try:
+        return stored_model(run)
+    except UserError as error:
+        return str(error)
 
 
-def _load(run: RunReader, step: int, index: int, horizon: int, model: Stamp) -> Replay | None:
-    episodes = run.episodes(step)
-    if not 0 <= index < len(episodes) or not episodes[index].length:
-        return None
-    episode = episodes[index]
-    road = _road(run) if run.env == ROAD else None
-    model_drawn = None if road or episode.qpos is None else scene_of(run)
-    real = episode.obs if model_drawn is None else episode.qpos
-    if real is None:
-        return None
-    known = None if run.env == ROAD else task_of(run)
-    dt = ROAD_DT if known is None else seconds(run)
-    kept, why = _kept(run, model) if horizon else (None, "none was asked for")
-    imagined = None if kept is None else imagine(kept.predictor, episode, horizon)
-    return Replay(
-        run_id=run.run_id,
-        env=run.env,
-        learner=run.learner,
-        step=step,
-        index=index,
-        model=model_drawn,
-        names=("x", "y") if known is None else known.obs_names,
-        dt=dt,
-        episode=episode,
-        real=real,
-        ghost=None if imagined is None else _ghost(known, episode, imagined, dt, horizon),
-        imagined=imagined,
-        model_step=None if kept is None else kept.env_step,
-        no_ghost=why,
-        road=road,
-    )
-
-
-def _ghost(
-    known: Task | None, episode: Episode, imagined: Imagined, dt: float, horizon: int
+def _joints(
+    known: Task, episode: Episode, imagined: Imagined, dt: float, horizon: int
 ) -> Floats | None:
-    """The positions to draw for the predicted observations; None if they lack the joints."""
-    if known is None:
-        return imagined.obs
+    """The predicted joint positions; None if the observations lack them."""
     if known.root_dims is None or episode.qpos is None:
         return None
     return joint_positions(known, episode, imagined.obs, dt, horizon)
@@ -157,13 +149,6 @@ def _ghost(
 def _road(run: RunReader) -> RoadShape | None:
     recorded = run.field_steps("map")
     try:
-        return RoadShape.of(run.field("map", recorded[0])) if recorded else None
+        return RoadShape.of(reader(run).field("map", recorded[0])) if recorded else None
     except KeyError:
         return None
-
-
-def _kept(run: RunReader, model: Stamp) -> tuple[StoredModel | None, str]:
-    try:
-        return _MODELS.get(str(run.path), lambda: stored_model(run), model), ""
-    except UserError as error:
-        return None, str(error)

@@ -1,7 +1,7 @@
 """The results of `tom reproduce`: figures, tables and a report for each study."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -70,25 +70,17 @@ def listing(*places: Path) -> list[Study]:
     A study in several places is taken from the first.
     """
     first: dict[str, Path] = {}
-    for place in places:
-        for folder in _subfolders(place):
-            first.setdefault(folder.name, folder)
+    for folder in (folder for place in places for folder in _files(place, Path.is_dir)):
+        first.setdefault(folder.name, folder)
     order = list(QUESTIONS)
     names = sorted(first, key=lambda n: (order.index(n) if n in order else len(order), n))
     studies = [_read(first[name]) for name in names if NAME.fullmatch(name)]
-    return [study for study in studies if study and (study.figures or study.tables or study.report)]
+    return [study for study in studies if study.figures or study.tables or study.report]
 
 
 def report(name: str, *places: Path) -> Path | None:
     """The report of the study `name`; None if there is no such study."""
     return next((study.report for study in listing(*places) if study.name == name), None)
-
-
-def _subfolders(place: Path) -> list[Path]:
-    try:
-        return [path for path in place.iterdir() if path.is_dir() and not path.is_symlink()]
-    except OSError:
-        return []
 
 
 def table(path: Path) -> pd.DataFrame | None:
@@ -109,21 +101,27 @@ def is_picture(path: Path) -> bool:
     return True
 
 
-def _read(folder: Path) -> Study | None:
-    """The study in a folder; None if it cannot be listed."""
+def _files(folder: Path, kind: Callable[[Path], bool]) -> list[Path]:
+    """The entries of that kind by name, without links; none if it cannot be listed."""
     try:
-        files = [p for p in sorted(folder.iterdir()) if p.is_file() and not p.is_symlink()]
-        size = {path: path.stat().st_size for path in files}
-    except OSError:  # not permitted, or being rewritten
-        return None
-    tables = [path for path in files if path.suffix == ".csv" and size[path]]
-    said = _words(folder / WORDS) if size.get(folder / WORDS, LARGEST) < LARGEST else {}
+        return [path for path in sorted(folder.iterdir()) if kind(path) and not path.is_symlink()]
+    except OSError:
+        return []
+
+
+def _read(folder: Path) -> Study:
+    try:
+        size = {path: path.stat().st_size for path in _files(folder, Path.is_file)}
+    except OSError:  # being rewritten
+        size = {}
+    tables = [path for path in size if path.suffix == ".csv" and size[path]]
+    words = folder / WORDS
     return Study(
         folder.name,
-        tuple(path for path in files if path.suffix == ".png"),
+        tuple(path for path in size if path.suffix == ".png"),
         tuple(sorted(tables, key=lambda path: (path.stem != "summary", size[path]))),
-        next((path for path in files if path.name == REPORT), None),
-        **said,
+        folder / REPORT if folder / REPORT in size else None,
+        **_words(words) if 0 < size.get(words, 0) < LARGEST else {},
     )
 
 

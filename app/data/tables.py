@@ -1,7 +1,8 @@
 """The tables of the comparison, to read and to download. Pure functions."""
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -42,41 +43,40 @@ def summary(grouped: Sequence[Group]) -> pd.DataFrame:
 
 def bands(grouped: Sequence[Group], x: str = "env_step") -> pd.DataFrame:
     """One row per group and step: the data of the figures' lines and bands before smoothing."""
-    parts = [
-        pd.DataFrame(
-            {
-                "env": group.env,
-                "learner": group.learner,
-                "preset": group.preset,
-                "settings": group.variant,
-                x: group.step,
-                group.statistic: group.mean,
-                "low": group.low,
-                "high": group.high,
-                "runs": group.count,
-            }
-        )
+    return _joined(
+        {
+            "env": group.env,
+            "learner": group.learner,
+            "preset": group.preset,
+            "settings": group.variant,
+            x: group.step,
+            group.statistic: group.mean,
+            "low": group.low,
+            "high": group.high,
+            "runs": group.count,
+        }
         for group in grouped
-    ]
-    return pd.concat(parts) if parts else pd.DataFrame()
+    )
 
 
 def runs(curves: Sequence[Curve], x: str = "env_step") -> pd.DataFrame:
     """One row per run and step."""
-    parts = [
-        pd.DataFrame(
-            {
-                "run": curve.run_id,
-                "env": curve.env,
-                "learner": curve.learner,
-                "seed": curve.seed,
-                x: curve.step,
-                "value": curve.value,
-            }
-        )
+    return _joined(
+        {
+            "run": curve.run_id,
+            "env": curve.env,
+            "learner": curve.learner,
+            "seed": curve.seed,
+            x: curve.step,
+            "value": curve.value,
+        }
         for curve in curves
-    ]
-    return pd.concat(parts) if parts else pd.DataFrame()
+    )
+
+
+def _joined(parts: Iterable[Mapping[str, object]]) -> pd.DataFrame:
+    frames = [pd.DataFrame(part) for part in parts]
+    return pd.concat(frames) if frames else pd.DataFrame()
 
 
 def default_level(scores: NDArray[np.float64]) -> float:
@@ -101,13 +101,14 @@ def reached(
     rows = []
     for name, group in zip(names, grouped, strict=True):
         steps = steps_to(group.curves, level, until)
-        middle = float(np.median(steps))
+        reaching = np.isfinite(steps)
+        median = float(np.median(steps))
         rows.append(
             {
                 "group": name,
-                "reached": f"{int(np.isfinite(steps).sum())} of {group.n}",
-                "median step": middle if np.isfinite(middle) else np.nan,
-                "first": float(steps.min()) if np.isfinite(steps).any() else np.nan,
+                "reached": f"{int(reaching.sum())} of {group.n}",
+                "median step": median if np.isfinite(median) else np.nan,
+                "first": float(steps.min()) if reaching.any() else np.nan,
             }
         )
     return pd.DataFrame(rows)
@@ -115,15 +116,10 @@ def reached(
 
 def settings(runs: Sequence[Made], names: Sequence[str]) -> pd.DataFrame:
     """One row per setting in which the runs differ, one column per run."""
-    rows = differences(runs)
-    frame = pd.DataFrame(rows, index=pd.Index(_distinct(names))).T
-    return frame.rename_axis("setting").reset_index()
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    seen: dict[str, int] = {}
-    distinct = []
+    seen: Counter[str] = Counter()
+    columns = []
     for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        distinct.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return distinct
+        seen[name] += 1
+        columns.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    frame = pd.DataFrame(differences(runs), index=pd.Index(columns)).T
+    return frame.rename_axis("setting").reset_index()

@@ -1,6 +1,6 @@
-"""The results of `tom weigh` and `tom brush` for a run's buffer."""
+"""The results of `tom weigh` and `tom brush`: of runs' buffers, and of data sets beside them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,38 +9,132 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app import text
-from app.data import datasets
-from app.data.readers import RunInfo
+from app.data.buffer import Rows
+from app.data.readers import reader
 from tom.data.sampling import bin_means
-from tom.data.unpack import DAMAGE
+from tom.data.unpack import DAMAGE, read_arrays
+from tom.envs import is_code
+from tom.errors import UserError
 from tom.record.decode import read_table
-from tom.record.files import read_json
+from tom.record.files import modified
+from tom.record.labels import Labels
+from tom.record.reader import RunReader
+from tom.record.status import Status
 from tom.reports import weighing_files
-from tom.reports.weighing_files import REPORT, ROWS, WEIGHTS, is_brush, reports
+from tom.reports.weighing_files import BRUSH, GHOSTS, REGION, REPORT, ROWS, WEIGHTS, reports
 
 BINS = 100
+DATASET = "data"
+"""stands for the learner of a data set: nothing was trained"""
+
+
+class Dataset(RunReader):
+    """A data set as the pages see a run: its rows are stored with its newest weighing."""
+
+    def __init__(self, path: Path, report: Mapping[str, Any]) -> None:
+        super().__init__(path)
+        self.report = report
+        self.config = self.config | {"learner": DATASET, "preset": ""}
+        self.labels = Labels(name=self.run_id)  # it has no learner and no seed to distinguish it
+        self.status = Status()
+
+    @property
+    def run_id(self) -> str:
+        return _dataset_id(self.report)
+
+    @property
+    def command(self) -> str:
+        """The command of its last weighing."""
+        return str(self.report.get("made", {}).get("command", ""))
+
+    def words(self, store: str) -> list[str]:
+        """The arguments of `tom` that weigh it again, from the rows of its last weighing."""
+        results, policy = self.report["results"], self.report["policy"]
+        learners, seeds = (
+            list(dict.fromkeys(str(result[name]) for result in results))
+            for name in ("learner", "seed")
+        )
+        code = ["--env", self.env] if is_code(self.env) else []
+        return [
+            "weigh", str(self.path), "--policy", policy, *code, "--learner", *learners,
+            "--seeds", *seeds, "--preset", str(self.report.get("preset", "exact")),
+            "--store", store,
+        ]  # fmt: skip
+
+
+def datasets(store: str) -> tuple[Dataset, ...]:
+    """The weighed data sets of a store, newest first; each once, from its newest weighing."""
+    kept = [(path, report) for path, report in reports(Path(store)) if ROWS in report]
+    kept.sort(key=lambda one: modified(one[0] / REPORT))
+    newest = {_dataset_id(report): Dataset(path, report) for path, report in kept}
+    return tuple(reversed(newest.values()))
+
+
+def dataset(store: str, name: str) -> Dataset:
+    """The data set `name`. Raises UserError if there is none."""
+    for one in datasets(store):
+        if one.run_id == name:
+            return one
+    raise UserError(f"no data set '{name}' was weighed in {store}/")
+
+
+def _dataset_id(report: Mapping[str, Any]) -> str:
+    return f"{report['data']}-{report[ROWS]}"
 
 
 @dataclass(frozen=True)
-class WeighingInfo:
-    """One result of `tom weigh`."""
+class Weighing:
+    """One result of `tom weigh` or `tom brush`: a folder and its report."""
 
-    path: str
-    policy: str
-    preset: str
-    changed: Mapping[str, str]  # settings that are not the preset's: path to text
-    rows: int  # number of transitions, those of the run before `end`
-    ordered_from: int  # rows before it are random data
-    step: int | None  # the env step of the buffer; None: all transitions
-    written: int  # mtime_ns of the report
-    brush: bool  # of `tom brush`: a learner's weights multiplied in a region, and no learner's own
-    learners: frozenset[str]
-    notices: tuple[str, ...] = ()  # what the learners noticed about their weights
-    keeps_rows: bool = False  # its folder holds the weighed rows, and no run's `step` counts them
+    path: Path
+    report: Mapping[str, Any]
 
     @property
     def name(self) -> str:
-        return Path(self.path).name
+        return self.path.name
+
+    @property
+    def policy(self) -> str:
+        return self.report["policy"]
+
+    @property
+    def rows(self) -> int:
+        """The number of weighed transitions, those of the run before `end`."""
+        return self.report["rows"]
+
+    @property
+    def ordered_from(self) -> int:
+        """The number of rows of random data, which come first."""
+        return self.report.get("ordered_from", self.rows)
+
+    @property
+    def step(self) -> int | None:
+        """The env step of the buffer; None: all transitions."""
+        return self.report.get("step")
+
+    @property
+    def written(self) -> int:
+        """The report's modification time in ns."""
+        return modified(self.path / REPORT)
+
+    @property
+    def brush(self) -> bool:
+        """Whether it is `tom brush`'s: no learner's own weights."""
+        return weighing_files.is_brush(self.report)
+
+    @property
+    def learners(self) -> frozenset[str]:
+        return frozenset(result["learner"] for result in self.report["results"])
+
+    @property
+    def notices(self) -> list[str]:
+        """What the learners noticed about their weights."""
+        return weighing_files.notices(self.report)
+
+    @property
+    def keeps_rows(self) -> bool:
+        """Whether its folder holds the weighed rows, and no run's `step` counts them."""
+        return ROWS in self.report
 
     @property
     def end(self) -> int:
@@ -50,8 +144,10 @@ class WeighingInfo:
     @property
     def settings(self) -> str:
         """TOM's settings of the weighing, in words."""
-        words = "the run's own settings" if self.preset == "own" else f"its preset {self.preset}"
-        changes = ", ".join(f"{path} {value}" for path, value in self.changed.items())
+        preset = self.report.get("preset", "?")
+        words = "the run's own settings" if preset == "own" else f"its preset {preset}"
+        changed = self.report.get("changed", {})
+        changes = ", ".join(f"{path} {value}" for path, value in changed.items())
         return f"{words}, but {changes}" if changes else words
 
     def missing(self, rows: int) -> str:
@@ -68,17 +164,61 @@ class WeighingInfo:
             "since."
         )
 
+    def weights(self) -> dict[tuple[str, int], NDArray[np.float32]]:
+        """The weights (N,) by learner and seed; empty if they cannot be read."""
+        try:
+            table = read_table(self.path / WEIGHTS)
+        except DAMAGE:
+            return {}
+        return {
+            whose: np.array(table[column], np.float32)
+            for column in table
+            if (whose := _learner_and_seed(str(column))) is not None
+        }
 
-def weighed(store: str) -> set[str]:
-    """The ids of the runs whose buffers have been weighed by learners."""
+    @property
+    def medians(self) -> dict[str, dict[str, float]]:
+        """By learner the medians over its seeds; NaN where nothing was measured."""
+        return {
+            learner: {name: _number(value) for name, value in of.items()}
+            for learner, of in self.report["medians"].items()
+        }
+
+    @property
+    def footprints(self) -> dict[str, tuple[float, float]]:
+        """By learner the footprint and its standard error, medians over seeds.
+
+        At 1 the weighted buffer is as far from fresh episodes of the policy as the unweighted one.
+        Empty if none was measured.
+        """
+        measured: dict[str, list[tuple[float, float]]] = {}
+        for result in self.report["results"]:
+            if (footprint := result.get("footprint")) is not None:
+                pair = float(footprint), _number(result.get("footprint_se"))
+                measured.setdefault(result["learner"], []).append(pair)
+        return {
+            learner: (float(np.median(values)), float(np.median(errors)))
+            for learner, pairs in measured.items()
+            for values, errors in [np.transpose(pairs)]
+        }
+
+
+def profiles(of: Mapping[tuple[str, int], NDArray]) -> dict[str, NDArray[np.float64]]:
+    """The weight profiles of each learner's seeds: (S, BINS)."""
+    learners = dict.fromkeys(learner for learner, _ in of)
     return {
-        str(report["data"])
-        for _, report in reports(Path(store))
-        if ROWS not in report and not is_brush(report)
+        name: np.stack([bin_means(w, BINS).numpy() for (n, _), w in of.items() if n == name])
+        for name in learners
     }
 
 
-def of_run(run: RunInfo, rows: int) -> list[WeighingInfo]:
+def weighed(store: str) -> set[str]:
+    """The ids of the runs whose buffers have been weighed by learners."""
+    found = [Weighing(path, report) for path, report in reports(Path(store))]
+    return {one.report["data"] for one in found if not (one.brush or one.keeps_rows)}
+
+
+def of_run(run: RunReader, rows: int) -> list[Weighing]:
     """Learners' weighings of the buffer of a run (or data set) of `rows` rows, newest first.
 
     A resumed run has more rows than were weighed: the weighed ones are the first. Weighings of
@@ -87,95 +227,99 @@ def of_run(run: RunInfo, rows: int) -> list[WeighingInfo]:
     return [weighing for weighing in _of_run(run, rows) if not weighing.brush]
 
 
-def brushes(run: RunInfo, rows: int) -> list[WeighingInfo]:
+def brushes(run: RunReader, rows: int) -> list[Weighing]:
     """The results of `tom brush`, like `of_run`."""
     return [weighing for weighing in _of_run(run, rows) if weighing.brush]
 
 
-def _of_run(run: RunInfo, rows: int) -> list[WeighingInfo]:
-    if datasets.is_one(run):
-        paths = datasets.weighings(run)
-    else:
-        paths = weighing_files.of_run(Path(run.path).parent, run.run_id)
-    weighings = [_read(path, rows) for path in paths]
-    return sorted((w for w in weighings if w is not None), key=lambda w: w.written, reverse=True)
+def _of_run(run: RunReader, rows: int) -> list[Weighing]:
+    of_data = isinstance(run, Dataset)
+    store = run.path.parents[1 if of_data else 0]
+    found = [
+        Weighing(path, report)
+        for path, report in reports(store)
+        if (ROWS in report) == of_data
+        and run.run_id == (_dataset_id(report) if of_data else report["data"])
+    ]
+    kept = [one for one in found if 0 <= one.ordered_from < one.rows <= rows]
+    return sorted(kept, key=lambda one: one.written, reverse=True)
 
 
-def weights(weighing: WeighingInfo) -> dict[tuple[str, int], NDArray[np.float32]]:
-    """The weights (N,) by learner and seed; empty if the file cannot be read."""
-    try:
-        table = read_table(Path(weighing.path) / WEIGHTS)
-    except DAMAGE:
-        return {}
-    by_seed = {}
-    for column in table.columns:
-        learner, _, seed = str(column).rpartition("-s")
-        if learner and (number := text.whole(seed)) is not None:
-            by_seed[learner, number] = np.array(table[column], np.float32)
-    return by_seed
+Candidate = tuple[dict[str, NDArray], str, tuple[str, Weighing | None]]
+"""columns of a file, the name of the weights' column, its learner and weighing (None: the run)"""
 
 
-def profiles(of: dict[tuple[str, int], NDArray[np.float32]]) -> dict[str, NDArray[np.float64]]:
-    """The weight profiles of each learner's seeds: (S, BINS)."""
-    learners = list(dict.fromkeys(learner for learner, _ in of))
-    return {
-        name: np.stack([bin_means(w, BINS).numpy() for (n, _), w in of.items() if n == name])
-        for name in learners
-    }
+def candidates(run: RunReader, weighings: list[Weighing]) -> Iterator[Candidate]:
+    """All files that may hold given weights of a run's buffer."""
+    for step in run.snapshot_steps():
+        frame = reader(run).snapshot(step)
+        yield {name: frame[name].to_numpy() for name in frame}, "weight", (run.learner, None)
+    for made in weighings:
+        try:
+            frame = read_table(made.path / WEIGHTS)
+        except DAMAGE:
+            continue
+        table = {str(name): np.array(frame[name]) for name in frame}
+        for column in table:
+            if (whose := _learner_and_seed(column)) is not None:
+                yield table, column, (whose[0], made)
 
 
-def medians(weighing: WeighingInfo) -> dict[str, dict[str, float]]:
-    """By learner the medians over seeds that `tom weigh` reported; empty if they cannot be read."""
-    try:
-        return {
-            str(learner): {str(name): _number(value) for name, value in of.items()}
-            for learner, of in read_json(Path(weighing.path) / REPORT)["medians"].items()
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
+def base(run: RunReader, rows: Rows, weighings: list[Weighing]) -> str | None:
+    """The option of `tom brush` for these weights: empty for the run's own.
+
+    None if no file has them.
+    """
+    for table, column, (_, made) in candidates(run, weighings):
+        if np.array_equal(table[column], rows.weight):
+            return "" if made is None else f"{made.path}:{column}"
+    return None
+
+
+def _learner_and_seed(column: str) -> tuple[str, int] | None:
+    """`tom-s1` -> (tom, 1); None for a column of something else."""
+    learner, _, seed = column.rpartition("-s")
+    number = text.whole(seed)
+    return (learner, number) if learner and number is not None else None
 
 
 def _number(value: float | None) -> float:
     return np.nan if value is None else float(value)
 
 
-def footprints(weighing: WeighingInfo) -> dict[str, tuple[float, float]]:
-    """By learner the footprint of its weights and its standard error, medians over the seeds.
+@dataclass(frozen=True)
+class Brushed:
+    """The errors of models by region, factor and seed; factor 1 means the original weights."""
 
-    At 1 the weighted buffer is as far from fresh episodes of the policy as the unweighted one.
-    Empty if none was measured.
-    """
-    by_learner: dict[str, list[tuple[float, float]]] = {}
+    name: str
+    rows: int  # in the region
+    of: int
+    step: int
+    model: dict[str, Any]
+    errors: dict[str, dict[float, list[float]]]
+    ghosts: dict[str, NDArray]  # joint positions (H + 1, nq): real, x1, x0, ...; and dt
+
+    @property
+    def factors(self) -> list[float]:
+        """All factors except 1."""
+        return sorted({f for of in self.errors.values() for f in of} - {1.0})
+
+
+def brushed(brush: Weighing) -> Brushed | None:
+    """A brushed region; None if its files cannot be read."""
+    errors: dict[str, dict[float, list[float]]] = {}
     try:
-        for result in read_json(Path(weighing.path) / REPORT)["results"]:
-            if result.get("footprint") is not None:
-                measured = float(result["footprint"]), _number(result.get("footprint_se"))
-                by_learner.setdefault(str(result["learner"]), []).append(measured)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
-    return {
-        learner: (float(np.median(values)), float(np.median(errors)))
-        for learner, (values, errors) in (
-            (name, zip(*measured, strict=True)) for name, measured in by_learner.items()
-        )
-    }
-
-
-def _read(path: Path, rows: int) -> WeighingInfo | None:
-    try:
-        report: dict[str, Any] = read_json(path / REPORT)
-        written = (path / REPORT).stat().st_mtime_ns
-        first, weighed = int(report["ordered_from"]), int(report["rows"])
-        if not 0 <= first < weighed <= rows:
-            return None
-        policy, preset = str(report["policy"]), str(report["preset"])
-        changed = {str(path): str(value) for path, value in report.get("changed", {}).items()}
-        step = None if report.get("step") is None else int(report["step"])
-        learners = frozenset(str(one["learner"]) for one in report.get("results", ()))
-        notices = tuple(weighing_files.notices(report))
-        return WeighingInfo(
-            str(path), policy, preset, changed, weighed, first, step, written, is_brush(report),
-            learners, notices, keeps_rows=ROWS in report,
-        )  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        region = read_table(brush.path / WEIGHTS)[REGION].to_numpy()
+        for result in brush.report["results"]:
+            for name, error in result["errors"].items():
+                of_factor = errors.setdefault(name, {})
+                of_factor.setdefault(float(result["factor"]), []).append(_number(error))
+        model = {name: int(brush.report[BRUSH]["model"][name]) for name in ("layers", "hidden")}
+        step = int(brush.report["step"])
+    except (AttributeError, *DAMAGE):
         return None
+    try:
+        ghosts = dict(read_arrays(brush.path / GHOSTS))
+    except DAMAGE:
+        ghosts = {}
+    return Brushed(brush.name, int(region.sum()), len(region), step, model, errors, ghosts)

@@ -7,8 +7,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data.pictures import Picture
-from app.data.roadmap import cell_centres, circle, outline
+from app.data.road import Picture, cell_centres, circle, outline
 from app.figures.base import OCTAVES, line, octaves, relative_scale, styled
 from app.theme import NEUTRAL, TEXT, Mode, learner_colour, learner_label
 

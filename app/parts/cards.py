@@ -9,12 +9,12 @@ import streamlit as st
 
 from app import session, text
 from app.data import trainings
-from app.data.readers import RunInfo
 from app.theme import learner_colour, learner_label
 from tom import readable
 from tom.analysis.settings import changed, telling_presets
 from tom.errors import UserError
 from tom.record import small_copy
+from tom.record.reader import RunReader
 from tom.record.store import Store
 
 COLUMNS = 3
@@ -27,7 +27,7 @@ _STATE_TINTS = {
 }
 
 
-def cards(runs: Sequence[RunInfo], among: Sequence[RunInfo]) -> None:
+def cards(runs: Sequence[RunReader], among: Sequence[RunReader]) -> None:
     """One card per run, in rows; it names the preset where a learner has several `among` runs."""
     width = 2 if len(runs) == 4 else min(len(runs), COLUMNS)
     telling = telling_presets(among)
@@ -39,7 +39,7 @@ def cards(runs: Sequence[RunInfo], among: Sequence[RunInfo]) -> None:
                 card(runs[i], preset.get(runs[i].run_id, ""))
 
 
-def card(run: RunInfo, preset: str = "") -> None:
+def card(run: RunReader, preset: str = "") -> None:
     """Name and state, progress, and the main numbers.
 
     The `preset` tells it from other runs of its learner.
@@ -65,7 +65,7 @@ def card(run: RunInfo, preset: str = "") -> None:
             st.caption(text.markdown(words))
 
 
-def figures(run: RunInfo) -> list[tuple[str, str]]:
+def figures(run: RunReader) -> list[tuple[str, str]]:
     """The returns, and the speed of a training run, which is unknown during a fit."""
     status = run.status
     numbers = [
@@ -78,7 +78,7 @@ def figures(run: RunInfo) -> list[tuple[str, str]]:
     return numbers
 
 
-def _stop(run: RunInfo) -> None:
+def _stop(run: RunReader) -> None:
     if run.run_id in _asked():
         st.caption("stopping", help="it ends after its step and writes a checkpoint")
         return
@@ -94,7 +94,7 @@ def _stop(run: RunInfo) -> None:
                 st.error(text.markdown(error))
 
 
-def resume(run: RunInfo, store: str) -> str:
+def resume(run: RunReader, store: str) -> str:
     """The command that resumes a run, for a terminal in any folder."""
     return shlex.join(["tom", "train", "--resume", run.run_id, "--store", store])
 
@@ -104,7 +104,7 @@ def _asked() -> set[str]:
     return st.session_state.setdefault("asked to stop", set())
 
 
-def progress_line(run: RunInfo) -> str:
+def progress_line(run: RunReader) -> str:
     """The progress of the run, the last sign of a dead one, and whether it is a small copy."""
     status = run.status
     steps = f"{status.env_step:,} of {status.total:,} steps"
@@ -117,7 +117,7 @@ def progress_line(run: RunInfo) -> str:
     return steps
 
 
-def settings_line(run: RunInfo) -> str:
+def settings_line(run: RunReader) -> str:
     """The settings in which the run differs from its preset; empty if that is not known here."""
     try:
         new = changed(run)
@@ -128,7 +128,7 @@ def settings_line(run: RunInfo) -> str:
     return ", ".join(words[:NAMED] + more)
 
 
-def head(run: RunInfo, preset: str = "") -> str:
+def head(run: RunReader, preset: str = "") -> str:
     """The card's first line as HTML; everything that came from a file is escaped."""
     shown = run.status.shown
     tint = _STATE_TINTS.get(shown, "inherit")

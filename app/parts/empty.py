@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import streamlit as st
 
 from app import session
-from app.data import datasets, readers
-from app.data.readers import RunInfo
+from app.data import readers, weighings
 from app.parts import again, widgets
+from tom.record.reader import RunReader
 
 EVALUATIONS = "evaluations"
 """what a small copy lacks that has no replay"""
@@ -27,10 +27,10 @@ def page() -> None:
     st.caption("One training. It appears on the Live page as soon as it has begun.")
     st.text(f"Store: {store}")
     widgets.show_store_problems(readers.listing(store).problems)
-    again.when_changed(lambda: bool(readers.listing(store).runs or datasets.listing(store)), 2)
+    again.when_changed(lambda: bool(readers.listing(store).runs or weighings.datasets(store)), 2)
 
 
-def left_out(run: RunInfo, *parts: str) -> bool:
+def left_out(run: RunReader, *parts: str) -> bool:
     """Show which of these parts a small copy lacks; returns False if none.
 
     One that lacks `other snapshots` may lack all of them.
@@ -42,7 +42,7 @@ def left_out(run: RunInfo, *parts: str) -> bool:
     return bool(lacking)
 
 
-def left_out_of_all(runs: Sequence[RunInfo], part: str) -> bool:
+def left_out_of_all(runs: Sequence[RunReader], part: str) -> bool:
     """Show how many small copies lack a part; returns False if none does."""
     lacking = sum(part in run.left_out for run in runs)
     if lacking:

@@ -6,9 +6,8 @@ from urllib.parse import quote
 import streamlit as st
 
 from app import text
-from app.data import readers
-from app.data.readers import RunInfo
 from app.parts.plot import Point
+from tom.record.reader import RunReader
 
 CLICKED = "clicked point"
 
@@ -19,14 +18,14 @@ def remember(point: Point) -> None:
         st.session_state[CLICKED] = (point.meta, int(point.x))
 
 
-def show(runs: Sequence[RunInfo], called: Mapping[str, str]) -> None:
+def show(runs: Sequence[RunReader], called: Mapping[str, str]) -> None:
     """A link to the episodes of the last clicked point, if it belongs to one of `runs`.
 
     `called` has their names.
     """
     run_id, step = st.session_state.get(CLICKED, ("", 0))
     run = next((run for run in runs if run.run_id == run_id), None)
-    steps = readers.evaluation_steps(run) if run else []
+    steps = run.evaluation_steps() if run else []
     if run is None or not steps:
         st.caption("Click a point of a single run for its replay.")
         return

@@ -7,15 +7,15 @@ import streamlit as st
 from app import session
 from app.data import readers
 from app.data.called import names
-from app.data.readers import RunInfo
 from app.parts import pick
+from tom.record.reader import RunReader
 
 NOTHING = ""
 HEIGHT = 720
 CHOICE = "recording"
 
 
-def frame(runs: Sequence[RunInfo]) -> None:
+def frame(runs: Sequence[RunReader]) -> None:
     """The viewer of a run that the user chooses; nothing is loaded before.
 
     A rerun of the page does not reload it.
@@ -41,7 +41,7 @@ def episode(run_id: str, step: int, index: int, horizon: int, height: int) -> No
     st.iframe(where, height=height)
 
 
-def _address(run: RunInfo) -> str:
+def _address(run: RunReader) -> str:
     """The address of the live recording of a training run, else of its recordings."""
     links, recorded = session.links(), readers.recordings(run)
     if run.status.alive or not recorded:

@@ -4,10 +4,10 @@ import streamlit as st
 
 from app import text
 from app.data.trainings import Started
-from app.data.weighings import WeighingInfo
+from app.data.weighings import Weighing
 
 
-def show_notices(weighing: WeighingInfo) -> None:
+def show_notices(weighing: Weighing) -> None:
     """Say what the learners noticed about their weights."""
     for notice in weighing.notices:
         st.warning(text.markdown(notice), icon=":material/warning:")

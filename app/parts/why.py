@@ -7,10 +7,9 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import buffer_reader, readers, trainings, weighings
+from app.data import buffer, trainings, weighings
 from app.data import why as reasons
 from app.data.buffer import Rows, dimension_names
-from app.data.readers import RunInfo
 from app.data.regions import Plane
 from app.data.why import Source
 from app.figures.regions import rollout_lines, waterfall
@@ -22,6 +21,7 @@ from tom.config import TomConfig
 from tom.envs import ROAD, is_code
 from tom.learners import SUBJECT
 from tom.readable import number, percent, score, short
+from tom.record.reader import RunReader
 
 KEY = "row"
 STARTED = "why weighing"
@@ -50,13 +50,13 @@ def clicked(rows: Rows, plane: Plane) -> Callable[[Point], None]:
     return pick
 
 
-def section(run: RunInfo, rows: Rows) -> None:
+def section(run: RunReader, rows: Rows) -> None:
     """Choose a transition, and explain its weight."""
     with st.container(border=True):
         row = _pick(rows)
         if row is None:
             return
-        source = reasons.source(run, rows, weighings.of_run(run, buffer_reader.length(run)))
+        source = reasons.source(run, rows, weighings.of_run(run, buffer.length(run)))
         _head(rows, row)
         if isinstance(source, str):
             st.info(f"No sum: {text.markdown(source)}.", icon=":material/functions:")
@@ -139,10 +139,10 @@ def in_words(config: TomConfig, parts: Sum, whose: str) -> str:
     )
 
 
-def _neighbours(run: RunInfo, rows: Rows, source: Source, row: int) -> None:
+def _neighbours(run: RunReader, rows: Rows, source: Source, row: int) -> None:
     near = reasons.neighbours(rows, source, row)
     st.markdown("**Its nearest of the policy's own transitions**")
-    names, actions = dimension_names(run.env, rows.rows, buffer_reader.described(run))
+    names, actions = dimension_names(run.env, rows.rows, buffer.described(run))
     obs, action = np.asarray(near.rows.obs), np.asarray(near.rows.action)
     own = np.concatenate([np.asarray(rows.rows.obs)[row], np.asarray(rows.rows.action)[row]])
     table = pd.DataFrame({"": [*names, *actions], "this one": own})
@@ -160,7 +160,7 @@ def _neighbours(run: RunInfo, rows: Rows, source: Source, row: int) -> None:
     )
 
 
-def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
+def _rollouts(run: RunReader, rows: Rows, row: int) -> None:
     st.markdown("**The rollouts that start there**")
     begun = reasons.starts(run, rows, row)
     step = rows.first + len(rows)
@@ -177,7 +177,7 @@ def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
         st.caption(f"No rollouts: {text.markdown(rollouts)}.")
         return
     paths = rollouts.paths
-    names, _ = dimension_names(run.env, rows.rows, buffer_reader.described(run))
+    names, _ = dimension_names(run.env, rows.rows, buffer.described(run))
     moved = paths[:, 1].std(0) / np.maximum(np.asarray(rows.rows.obs).std(0), 1e-9)
     first = int(np.nan_to_num(moved).argmax())
     name = st.selectbox("Dimension", names, index=first, key="why dimension")
@@ -192,13 +192,13 @@ def _rollouts(run: RunInfo, rows: Rows, row: int) -> None:
     )
 
 
-def _offer(run: RunInfo, rows: Rows) -> None:
+def _offer(run: RunReader, rows: Rows) -> None:
     """Offer to weigh the buffer of this step again, with its terms.
 
     Not where that would run code of the user's, which a page never starts.
     """
     step = rows.first + len(rows)
-    if run.env == ROAD or is_code(run.env) or step not in readers.reader(run).policy_steps():
+    if run.env == ROAD or is_code(run.env) or step not in run.policy_steps():
         return
     store = session.links().store
     words = ["weigh", run.run_id, "--policy", run.run_id, "--step", str(step)]

@@ -10,13 +10,13 @@ from streamlit.delta_generator import DeltaGenerator
 from app import text
 from app.data import readers
 from app.data.called import names
-from app.data.readers import RunInfo
 from app.parts import pick
 from tom.analysis.curves import Curve, curve_points
 from tom.learners import LEARNERS, SUBJECT
+from tom.record.reader import RunReader
 
 
-def curve(run: RunInfo, metric: str) -> Curve:
+def curve(run: RunReader, metric: str) -> Curve:
     """One metric of a run against env steps."""
     step, value = curve_points(readers.metrics(run), metric)
     return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value)
@@ -27,14 +27,14 @@ TOWERS = 20.0
 
 
 def pick_run(
-    runs: Sequence[RunInfo], label: str = "Run", likely: Sequence[RunInfo] = ()
-) -> RunInfo:
+    runs: Sequence[RunReader], label: str = "Run", likely: Sequence[RunReader] = ()
+) -> RunReader:
     """A run, chosen by the user or the address (`?run=`), else the `most_telling` of `likely`."""
     by_id = {run.run_id: run for run in runs}
     return by_id[pick.one(label, names(runs), most_telling(likely or runs).run_id, "run")]
 
 
-def most_telling(runs: Sequence[RunInfo]) -> RunInfo:
+def most_telling(runs: Sequence[RunReader]) -> RunReader:
     """The default run: the newest with non-uniform weights; of small copies TOM's longest.
 
     Small copies come after other runs; of equally long ones the most complete comes first.
@@ -43,13 +43,13 @@ def most_telling(runs: Sequence[RunInfo]) -> RunInfo:
     return next((run for run in order if differs(run)), order[0])
 
 
-def _rank(run: RunInfo) -> tuple[bool, bool, int, int]:
+def _rank(run: RunReader) -> tuple[bool, bool, int, int]:
     if not run.small_copy:
         return False, False, 0, 0  # equal rank keeps the order: newest first
     return True, run.learner != SUBJECT, -run.status.env_step, len(run.left_out)
 
 
-def differs(run: RunInfo) -> bool:
+def differs(run: RunReader) -> bool:
     """Whether the weights of the run's last fit are not uniform."""
     if run.learner in LEARNERS and LEARNERS[run.learner].uniform:
         return False  # known without reading
@@ -63,7 +63,7 @@ def pick_log(place: DeltaGenerator, profiles: Sequence[NDArray[np.float64]]) -> 
     return place.toggle("Log axis", value=tall, key="log", bind="query-params")
 
 
-def show_problems(run: RunInfo, problems: Sequence[str] | None = None) -> None:
+def show_problems(run: RunReader, problems: Sequence[str] | None = None) -> None:
     """Show the problems of a run."""
     for problem in readers.problems(run) if problems is None else problems:
         st.warning(

@@ -8,8 +8,7 @@ import viser
 from numpy.typing import NDArray
 from trimesh import PointCloud, creation
 
-from app.data.pictures import Picture
-from app.data.roadmap import CELLS, RoadShape, cell_centres, circle, on_road, outline
+from app.data.road import CELLS, Picture, RoadShape, cell_centres, circle, on_road, outline
 from app.figures.base import OCTAVES, octaves
 from app.scenes import solids
 from app.scenes.frame import Vector, add_words, extent

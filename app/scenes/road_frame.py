@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import viser
 
-from app.data import pictures
+from app.data import road
 from app.data.called import told_apart
-from app.data.pictures import Picture
-from app.scenes import road
+from app.data.road import Picture
+from app.scenes import road as scene
 from app.scenes.control import RoadChoice
 from app.scenes.frame import Frame, stage
 from app.scenes.road import RoadScene
@@ -68,7 +68,7 @@ class RoadFrame(Frame):
     def _show(self, choice: RoadChoice, *, obey: bool) -> None:
         newest = (run.run_id for run in self.store.runs() if run.env == ROAD)
         self._runs = choice.runs or tuple(newest)[:1]
-        steps = {step for run in self._runs for step in pictures.steps(self.store.run(run))}
+        steps = {step for name in self._runs for step in road.steps(self.store.run(name))}
         self._steps = sorted(steps)
         self.fit.max = max(len(self._steps) - 1, 1)
         self.fit.disabled = len(self._steps) < 2
@@ -117,16 +117,16 @@ class RoadFrame(Frame):
             run = self.store.run(run_id)
         except UserError:
             return None
-        steps = pictures.steps(run)
-        picture = pictures.load(run, at_or_before(steps, step)) if steps else None
+        steps = road.steps(run)
+        picture = road.picture(run, at_or_before(steps, step)) if steps else None
         return None if picture is None else (run_id, picture)
 
     def _draw(self, shown: list[tuple[str, Picture]]) -> None:
         if len(shown) != len(self._scenes):
             camera = self.client.camera
             high = camera.image_height  # 0 in a tab that was never in front
-            aspect = camera.image_width / high if high else road.ASPECT
-            self.look(*road.view(len(shown), camera.fov, aspect))
+            aspect = camera.image_width / high if high else scene.ASPECT
+            self.look(*scene.view(len(shown), camera.fov, aspect))
         self.clear()
         called = told_apart([self.store.run(run) for run, _ in shown])
         self._scenes = [
@@ -159,7 +159,7 @@ def as_html(fits: Sequence[Sequence[Picture]], mode: Mode, called: Sequence[str]
         stage(server.scene, mode, front=0.5)
         server.scene.world_axes.visible = False
         camera = server.initial_camera
-        camera.position, camera.look_at = road.view(len(fits[0]), camera.fov)
+        camera.position, camera.look_at = scene.view(len(fits[0]), camera.fov)
         names = called or [""] * len(fits[0])
         scenes = [
             RoadScene(server.scene, picture, mode, i, name)

@@ -7,11 +7,11 @@ import streamlit as st
 from app import session, text
 from app.data import readers
 from app.data.cache import VersionedCache
-from app.data.readers import RunInfo
 from app.parts import empty, widgets
 from app.scenes.film import SECONDS, cinema
 from app.scenes.film.story import may_be_told, story
 from tom.errors import UserError
+from tom.record.reader import RunReader
 
 HEIGHT = 700
 LENGTHS = {"15 s": 15.0, "30 s": 30.0, "1 min": SECONDS, "2 min": 120.0}
@@ -59,6 +59,6 @@ def page() -> None:
     empty.left_out(run, "other evaluations")
 
 
-def _told(run: RunInfo) -> dict:
-    version = readers.recorded(run), run.name  # the film has the name as its title
+def _told(run: RunReader) -> dict:
+    version = run.version("metrics"), run.name  # the film has the name as its title
     return _STORIES.get(run.path, lambda: story(run), version)

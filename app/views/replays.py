@@ -5,7 +5,6 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, replays
-from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON, HORIZONS, Replay
 from app.figures.replay import error_curve, observed_curves, return_curve, reward_curve
 from app.parts import address, again, empty, player, rerun, widgets
@@ -15,6 +14,7 @@ from app.scenes.control import ReplayChoice
 from app.theme import learner_label
 from tom import readable
 from tom.errors import UserError
+from tom.record.reader import RunReader
 
 VISER, RERUN = "3D scene", "Rerun"
 STAGE_HEIGHT = 520
@@ -28,7 +28,7 @@ CHOSEN = "another episode was chosen"
 def page() -> None:
     """A run, an evaluation, an episode; the robot, its return and its reward."""
     listing = readers.listing(session.links().store)
-    played = [run for run in listing.runs if readers.evaluation_steps(run)]
+    played = [run for run in listing.runs if run.evaluation_steps()]
     if not played:
         st.info("No run has been evaluated yet: its episodes are recorded then.")
         return
@@ -36,7 +36,7 @@ def page() -> None:
     with top[0]:
         run = widgets.pick_run(played)
     with top[1]:
-        steps = readers.evaluation_steps(run)
+        steps = run.evaluation_steps()
         step = address.choose_step("Evaluation at step", steps, steps[-1], of=run.env)
     returns = readers.returns(run, step)
     if not len(returns):
@@ -59,10 +59,10 @@ def page() -> None:
     widgets.show_problems(run)
 
 
-def _loaded(run: RunInfo, step: int, index: int, horizon: int) -> Replay | None:
+def _loaded(run: RunReader, step: int, index: int, horizon: int) -> Replay | None:
     """The chosen episode; None, and why in one line, if it cannot be shown."""
     try:
-        replay = replays.load(readers.reader(run), step, index, horizon)
+        replay = replays.load(run, step, index, horizon)
     except UserError as error:
         st.warning(text.markdown(error))
         return None
@@ -72,7 +72,7 @@ def _loaded(run: RunInfo, step: int, index: int, horizon: int) -> Replay | None:
 
 
 def _play(
-    run: RunInfo, replay: Replay, returns: np.ndarray, index: int, horizon: int, *, moves: bool
+    run: RunReader, replay: Replay, returns: np.ndarray, index: int, horizon: int, *, moves: bool
 ) -> None:
     """The episode and its charts, which follow the clock of the scene during playback."""
     if st.session_state.pop(CHOSEN, False) or player.position()[1] != moves:
@@ -107,7 +107,7 @@ def _scene(replay: Replay, frame: int, choice: ReplayChoice, *, playing: bool) -
         chart(figure, "replay observations", "observations of the episode, real and imagined")
 
 
-def _curves(run: RunInfo, replay: Replay, returns: np.ndarray, index: int, frame: int) -> None:
+def _curves(run: RunReader, replay: Replay, returns: np.ndarray, index: int, frame: int) -> None:
     with st.container(border=True):
         st.markdown("**Return**: click a point to see its episodes")
         figure = return_curve(widgets.curve(run, "eval/return"), replay.step, returns, index, 190)

@@ -5,10 +5,9 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import readers
+from app.data import readers, road
 from app.data.called import names, told_apart
-from app.data.pictures import Picture
-from app.data.readers import RunInfo
+from app.data.road import Picture
 from app.figures.road import road_map
 from app.parts import address, empty, form, pick, widgets
 from app.parts.plot import chart
@@ -21,7 +20,7 @@ from tom.analysis.curves import curve_points
 from tom.envs import ROAD
 from tom.learners import SUBJECT
 from tom.metrics import describe
-from tom.record.reader import at_or_before
+from tom.record.reader import RunReader, at_or_before
 
 HEIGHT = 620
 SMALL = 360
@@ -48,7 +47,7 @@ RATIO = (
 def page() -> None:
     """A run and a fit, its 3D scene and map, and the numbers of every learner."""
     runs = [r for r in readers.listing(session.links().store).runs if r.env == ROAD]
-    shown = [run for run in runs if readers.road_steps(run)]
+    shown = [run for run in runs if road.steps(run)]
     if not shown:
         st.info("No road-and-rocks run has recorded its weights yet.", icon=":material/add_road:")
         words = ["train", "--env", ROAD, "--learner", SUBJECT, "--store", session.links().store]
@@ -64,9 +63,9 @@ def page() -> None:
     with top[1]:
         beside = _pick_others(run, shown)
     with top[2]:
-        steps = readers.road_steps(run)
+        steps = road.steps(run)
         step = address.choose_step("Record at step", steps, steps[-1], of=run.env)
-    picture = readers.road_picture(run, step)
+    picture = road.picture(run, step)
     if picture is None:
         st.warning("This run's map cannot be read.")
         widgets.show_problems(run)
@@ -84,7 +83,7 @@ def page() -> None:
         widgets.show_problems(each, problems)
 
 
-def _pick_others(run: RunInfo, shown: list[RunInfo]) -> list[RunInfo]:
+def _pick_others(run: RunReader, shown: list[RunReader]) -> list[RunReader]:
     others = {other.run_id: other for other in shown if other.run_id != run.run_id}
     called = {run_id: name for run_id, name in names(shown).items() if run_id in others}
     chosen = pick.many(
@@ -93,7 +92,7 @@ def _pick_others(run: RunInfo, shown: list[RunInfo]) -> list[RunInfo]:
     return [others[run_id] for run_id in chosen]
 
 
-def _pictures(together: list[RunInfo], step: int) -> None:
+def _pictures(together: list[RunReader], step: int) -> None:
     """The 3D scene and the map of each run: below it, or beside it for a single run."""
     ids = tuple(each.run_id for each in together)
     if len(together) > 1:
@@ -110,7 +109,7 @@ def _pictures(together: list[RunInfo], step: int) -> None:
         _flat_map(together[0], step, HEIGHT)
 
 
-def _every_learner(shown: list[RunInfo]) -> None:
+def _every_learner(shown: list[RunReader]) -> None:
     st.markdown("**Every learner**: at the last step that was recorded")
     st.dataframe(comparison(shown), hide_index=True, column_config=_columns())
     st.caption(
@@ -120,7 +119,7 @@ def _every_learner(shown: list[RunInfo]) -> None:
     )
 
 
-def _flat_map(run: RunInfo, step: int, height: int, called: str = "") -> None:
+def _flat_map(run: RunReader, step: int, height: int, called: str = "") -> None:
     picture = _fit(run, step)
     if picture is None:
         st.caption(f"The map of {text.markdown(run.run_id)} cannot be read.")
@@ -132,14 +131,14 @@ def _flat_map(run: RunInfo, step: int, height: int, called: str = "") -> None:
     chart(figure, f"road map {run.run_id}", words)
 
 
-def _fit(run: RunInfo, step: int) -> Picture | None:
+def _fit(run: RunReader, step: int) -> Picture | None:
     """A run's record at `step`, else the last one before."""
-    return readers.road_picture(run, at_or_before(readers.road_steps(run), step))
+    return road.picture(run, at_or_before(road.steps(run), step))
 
 
-def _export(runs: list[RunInfo]) -> None:
+def _export(runs: list[RunReader]) -> None:
     """A button that exports the runs' 3D scene with all fits as one HTML file."""
-    steps = sorted({step for run in runs for step in readers.road_steps(run)})
+    steps = sorted({step for run in runs for step in road.steps(run)})
     mode = session.mode()
 
     def page_of_it() -> str:
@@ -162,7 +161,7 @@ def _export(runs: list[RunInfo]) -> None:
     )
 
 
-def comparison(runs: list[RunInfo]) -> pd.DataFrame:
+def comparison(runs: list[RunReader]) -> pd.DataFrame:
     """One row per run: the last value of each number of the claim."""
     rows = []
     for run in runs:
@@ -180,7 +179,7 @@ def last_value(frame: pd.DataFrame, metric: str, step: int | None = None) -> flo
     return float(values[-1]) if len(values) else float("nan")
 
 
-def _numbers(run: RunInfo, picture: Picture) -> None:
+def _numbers(run: RunReader, picture: Picture) -> None:
     frame = readers.metrics(run)
     columns = st.columns(6)
 

@@ -6,18 +6,19 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
+from copy import copy
 from pathlib import Path
 from tempfile import TemporaryFile
 
 import numpy as np
 
 from app.data import readers
-from app.data.readers import RunInfo
 from app.data.trainings import Started
 from tom.envs import scene
 from tom.machine import processes
 from tom.record import layout
 from tom.record.files import replace_json
+from tom.record.reader import RunReader
 
 ROAD_TOM = "road-tom"
 ROAD_MLE = "road-mle"
@@ -33,7 +34,7 @@ RUNS = (
 )
 
 
-def info(store: Path, run_id: str) -> RunInfo:
+def info(store: Path, run_id: str) -> RunReader:
     """What the pages know of a run."""
     return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
 
@@ -41,6 +42,14 @@ def info(store: Path, run_id: str) -> RunInfo:
 def change(file: Path, **values: object) -> None:
     """Give keys of a run's JSON file other values."""
     replace_json(file, json.loads(file.read_text()) | values, sync=False)
+
+
+def altered(run: RunReader, **facts: object) -> RunReader:
+    """The run with other facts than its folder's."""
+    other = copy(run)
+    other.__class__ = type("Altered", (type(run),), facts)
+    vars(other).update(facts)
+    return other
 
 
 def undescribed(run: Path) -> None:

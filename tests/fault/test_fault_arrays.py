@@ -65,8 +65,7 @@ def read(run: Path, path: Path) -> None:
     reader = RunReader(run)
     match path.parent.name:
         case "buffer":
-            reader.buffer()
-            reader.buffer_state()
+            reader.recorded()
         case "episodes":
             reader.episodes(int(path.stem))
         case "weights":

@@ -94,7 +94,7 @@ def test_a_run_written_on_another_machine_with_any_clock__resume_is_refused_whil
 
     heart = threading.Thread(target=beat)
     heart.start()
-    wait_until(lambda: run.status.state == "running")
+    wait_until(lambda: RunReader(run.path).status.state == "running")
     try:
         with pytest.raises(UserError, match="on another machine: stop it there"):
             resume(Store(tmp_path), "a", rerun=False)
@@ -178,7 +178,7 @@ def test_a_clock_that_goes_backwards__durations_stay_right_and_a_living_run_aliv
     assert not run.status.alive, "it was written three hours ago, for all that a reader knows"
     clock[0] = time.time()
     recorder.beat()
-    assert run.status.alive
+    assert RunReader(run.path).status.alive
     recorder.finish("finished")
 
 

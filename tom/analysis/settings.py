@@ -41,8 +41,9 @@ class Made(WithPreset, Protocol):
 
 def differences(runs: Sequence[Made]) -> dict[str, list[str]]:
     """The settings in which the runs differ: path to the values, in the order of the runs."""
-    paths = sorted({path for run in runs for path in run.settings})
-    rows = {path: [run.settings.get(path, NONE) for run in runs] for path in paths}
+    settings = [run.settings for run in runs]
+    paths = sorted({path for one in settings for path in one})
+    rows = {path: [one.get(path, NONE) for one in settings] for path in paths}
     return {path: words for path, words in rows.items() if len(set(words)) > 1}
 
 

@@ -142,11 +142,11 @@ def refuse_if_elsewhere(run: RunReader) -> None:
 
     Returns at once if this machine wrote last, because then the lock is proof enough.
     """
-    before = run.status  # a running one, alive or not: its machine's clock may be another
+    before = RunReader(run.path).status  # running, alive or not: its machine's clock may be another
     if before.state != "running" or written_here(run.path) is not False:
         return
     time.sleep(2.5 * BEAT_S)
-    if run.status.heartbeat != before.heartbeat:
+    if RunReader(run.path).status.heartbeat != before.heartbeat:
         raise BusyError(f"run '{run.run_id}' is being written on another machine: stop it there")
 
 

@@ -5,9 +5,10 @@ Unreadable parts are left out and listed in `problems`; bad content never raises
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -18,13 +19,31 @@ from tom.data.transitions import Transitions
 from tom.data.unpack import DAMAGE, cannot_read_now, read_arrays
 from tom.errors import reason
 from tom.events import Episode
-from tom.record import decode, labels, layout, small_copy, status
-from tom.record.decode import Arrays, Profiles, read_table
+from tom.record import checkpoint, decode, labels, layout, small_copy, status
+from tom.record.decode import Profiles, read_table
 from tom.record.files import modified, read_json, read_json_lines
 from tom.record.labels import Labels
 from tom.record.status import Status
 
 T = TypeVar("T")
+
+Part = Literal[
+    "facts", "metrics", "profiles", "notices", "snapshot", "episodes", "pictures", "policies",
+    "buffer", "model", "scene", "recordings",
+]  # fmt: skip
+"""what `RunReader.version` tells versions of; facts are configuration, status and labels"""
+Version = tuple[tuple[int, int], ...]
+"""(mtime_ns, size) of each file; (0, 0) for a missing one"""
+
+
+class Recorded(NamedTuple):
+    """The replay buffer in order of collection; all are numpy arrays."""
+
+    rows: Transitions
+    version: NDArray[np.int64]
+    """(N,) the policy that collected each row; 0 is exploration"""
+    state: dict[str, NDArray]
+    """the simulator's `qpos` (N, nq) and `qvel` (N, nv) at each row; empty if not stored"""
 
 
 def at_or_before(steps: Sequence[int], step: int) -> int:
@@ -33,7 +52,11 @@ def at_or_before(steps: Sequence[int], step: int) -> int:
 
 
 class RunReader:
-    """One run folder. Cheap to make; every call reads the current files."""
+    """One run folder. Cheap to make.
+
+    What identifies the run, its status and its labels are read once, when they are first asked for;
+    every method reads the current files.
+    """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -44,6 +67,11 @@ class RunReader:
     @property
     def run_id(self) -> str:
         return self.path.name
+
+    @property
+    def name(self) -> str:
+        """The user's name of the run, else its id."""
+        return self.labels.name or self.run_id
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -81,6 +109,10 @@ class RunReader:
     @property
     def settings(self) -> Settings:
         """The whole configuration by dotted path, values as text."""
+        return self._settings
+
+    @cached_property
+    def _settings(self) -> Settings:
         return in_words(self.config.get("config"))
 
     @property
@@ -112,13 +144,19 @@ class RunReader:
         """The state in words: `finished`, or `finished (a small copy)`."""
         return small_copy.shown(self.status, self.small_copy)
 
-    @property
+    @cached_property
     def status(self) -> Status:
-        """The run's current status."""
+        """The run's status when it was first asked for."""
         read = self._read(layout.STATUS, lambda p: status.parse(read_json(p)), needed=True)
         return read or Status()
 
-    @property
+    def with_status(self, status: Status) -> "RunReader":
+        """This run for readers who know more of its status than its file says."""
+        run = copy(self)
+        run.status = status
+        return run
+
+    @cached_property
     def labels(self) -> Labels:
         """The display name, tags and note of the run; empty if there are none."""
         return self._read(layout.LABELS, lambda p: labels.parse(read_json(p))) or Labels()
@@ -181,25 +219,26 @@ class RunReader:
         return self._read(layout.episodes(step), episodes, needed=True) or []
 
     def buffer(self) -> tuple[Transitions, NDArray[np.int64]]:
-        """The replay buffer in order of collection, and the policy version of each row.
+        """The rows and policy versions of `recorded`, without the memory for the states."""
+        rows, version, _ = self.recorded(states=False)
+        return rows, version
+
+    def recorded(self, *, states: bool = True) -> Recorded:
+        """The replay buffer.
 
         Reading ends at the first missing or damaged segment, so that the rows stay aligned with the
         weights.
         """
-        parts = [part for part, _ in self._segments()]
+        parts = list(self._segments(states))
         if not parts:
-            return decode.empty_transitions()
-        rows = Transitions.concatenate([rows for rows, _ in parts])
-        return rows, np.concatenate([version for _, version in parts])
-
-    def buffer_state(self) -> dict[str, NDArray]:
-        """The simulator's state at every row of `buffer()`: `qpos` (N, nq) and `qvel` (N, nv).
-
-        Empty if the run did not store it.
-        """
-        parts = [state for _, state in self._segments()]
-        kept = set(parts[0]).intersection(*parts) if parts else set()
-        return {name: np.concatenate([part[name] for part in parts]) for name in sorted(kept)}
+            return Recorded(*decode.empty_transitions(), {})
+        rows, version, state = zip(*parts, strict=True)
+        kept = set(state[0]).intersection(*state)
+        return Recorded(
+            Transitions.concatenate(rows),
+            np.concatenate(version),
+            {name: np.concatenate([part[name] for part in state]) for name in sorted(kept)},
+        )
 
     def buffer_length(self) -> int:
         """The number of rows ever collected; reads only the end of the last segment."""
@@ -233,12 +272,52 @@ class RunReader:
         """The Rerun recordings, in the order they were written."""
         return layout.rrd_files(self.path)
 
-    def _segments(self) -> Iterator[tuple[tuple[Transitions, NDArray[np.int64]], Arrays]]:
-        """Rows with their policy versions, and states, of every segment up to the first gap."""
+    def version(self, part: Part, step: int = 0) -> Version:
+        """A value that changes whenever the files of a part (at `step`) change. Reads no file.
 
-        def segment(path: Path) -> tuple[tuple[Transitions, NDArray[np.int64]], Arrays]:
+        A cache stores data read from a run together with it (`app/data/cache.py`).
+        """
+        folder = str(self.path)  # pathlib takes longer to join paths than the kernel to stat them
+        return tuple(_stamp(f"{folder}/{name}") for name in self._files(part, step))
+
+    def _files(self, part: Part, step: int) -> Sequence[str]:
+        match part:
+            case "facts":
+                return layout.CONFIG, layout.STATUS, layout.LABELS
+            case "metrics":
+                return layout.METRICS, layout.METRICS_TABLE
+            case "profiles":
+                return (layout.PROFILES,)
+            case "notices":
+                return (layout.NOTICES,)
+            case "snapshot":
+                return (layout.snapshot(step),)
+            case "episodes":
+                return (layout.episodes(step),)
+            case "pictures":
+                return [layout.field(name, step) for name in self.field_names()]
+            case "policies":
+                return layout.policy(step), layout.POLICY
+            case "buffer":  # the last segment, the only one that changes
+                firsts = layout.numbers(self.path / layout.BUFFER, ".npz")
+                return [layout.segment(first) for first in firsts[-1:]]
+            case "model":
+                places = [self.path / place for place in checkpoint.MODEL_PLACES]
+                found = [path for place in places for path in checkpoint.folders(place)]
+                states = [str((path / checkpoint.STATE).relative_to(self.path)) for path in found]
+                return layout.CONFIG, *states
+            case "scene":
+                return (layout.SCENE,)
+            case "recordings":  # the folder itself, which every page needs for every run
+                return ("",)
+
+    def _segments(self, states: bool) -> Iterator[Recorded]:
+        """Every segment of the buffer up to the first gap."""
+
+        def segment(path: Path) -> Recorded:
             arrays = read_arrays(path)
-            return decode.transitions_of(arrays), decode.state_of(arrays)
+            state = decode.state_of(arrays) if states else {}
+            return Recorded(*decode.transitions_of(arrays), state)
 
         row = 0
         self._read(layout.BUFFER, os.listdir)  # a folder that cannot be listed is no empty one
@@ -251,7 +330,7 @@ class RunReader:
             if part is None:
                 return
             yield part
-            row += len(part[0][0])
+            row += len(part.rows)
 
     def _rows(self, name: str, decoded: Callable[[list[dict[str, Any]]], T]) -> T:
         def lines(path: Path) -> T:
@@ -279,3 +358,11 @@ class RunReader:
     def _problem(self, text: str) -> None:
         if text not in self.problems:
             self.problems.append(text)
+
+
+def _stamp(path: str) -> tuple[int, int]:
+    try:
+        file = os.stat(path)  # noqa: PTH116
+    except OSError:
+        return (0, 0)
+    return (file.st_mtime_ns, file.st_size)

@@ -14,10 +14,6 @@ NAME_BYTES = 200
 """of a folder's name; file systems take 255, with the date and a temporary name's ends"""
 
 
-def _now() -> str:
-    return f"{datetime.now():%y%m%d-%H%M%S}"
-
-
 def free_name(folder: Path, dated: str) -> str:
     """`dated`, with a number if that name is taken in the folder."""
     free, number = dated, 1
@@ -61,7 +57,8 @@ class Store:
         """The run in the folder `name`. Raises UserError with the reason if it is not a run."""
         reader = RunReader(self.resolve(name))
         if not reader.is_run:
-            raise UserError(f"{name}: no run ({_why(reader)})")
+            why = "; ".join(reader.problems) or "its config.json is not a run's"
+            raise UserError(f"{name}: no run ({why})")
         return reader
 
     def recent(self, seconds: float) -> list[str]:
@@ -72,14 +69,10 @@ class Store:
 
     def run(self, run_id: str) -> RunReader:
         """The run `run_id`. Raises UserError if there is none."""
-        path = self.resolve(run_id)
-        if not path.is_dir():
+        if not self.resolve(run_id).is_dir():
             newest = ", ".join(run.run_id for run in self.runs()[:3]) or "none"
             raise UserError(f"no run '{run_id}' in {self.path}/ (newest: {newest}; see `tom runs`)")
-        reader = RunReader(path)
-        if not reader.is_run:
-            raise UserError(f"'{run_id}' in {self.path}/ is no run: {_why(reader)}")
-        return reader
+        return self.look(run_id)
 
     def resolve(self, run_id: str) -> Path:
         """The folder of `run_id`, which need not exist.
@@ -127,7 +120,9 @@ class Store:
 
     def new_run_id(self, env: str, learner: str, seed: int) -> str:
         """A free run id: `<env>-<learner>-s<seed>-<yymmdd-hhmmss>`, with a number if taken."""
-        return free_name(self.path, layout.run_name(env, learner, seed, _now()))
+        return free_name(
+            self.path, layout.run_name(env, learner, seed, f"{datetime.now():%y%m%d-%H%M%S}")
+        )
 
     def new_weighing(self, name: str) -> Path:
         """A free folder for a new weighing of that name, with date, and a number if taken.
@@ -137,7 +132,7 @@ class Store:
         folder = self.beside(layout.WEIGHINGS)
         short = name.lstrip(".").encode(errors="surrogateescape")[:NAME_BYTES]
         named = short.decode(errors="ignore") or "data"
-        return folder / free_name(folder, f"{named}-{_now()}")
+        return folder / free_name(folder, f"{named}-{datetime.now():%y%m%d-%H%M%S}")
 
     def make_weighing(self, name: str) -> Path:
         """Make that folder, empty; of several processes each gets one of its own."""
@@ -178,7 +173,3 @@ class Store:
             raise UserError(
                 f"cannot read the store {self.path}: {error.strerror}; name another with --store"
             ) from error
-
-
-def _why(reader: RunReader) -> str:
-    return "; ".join(reader.problems) or "its config.json is not a run's"

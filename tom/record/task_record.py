@@ -14,8 +14,7 @@ from tom.envs import ENVS, ROAD, Task, scene, task
 from tom.envs.termination import never
 from tom.errors import UserError, reason
 from tom.record import layout
-from tom.record.files import modified
-from tom.record.reader import RunReader
+from tom.record.reader import RunReader, Version
 
 
 def description(env: str) -> dict[str, Any] | None:
@@ -72,13 +71,13 @@ def scene_of(run: RunReader) -> scene.Model | None:
     """The model to draw the run's robot; None for a task that is unknown or without MuJoCo."""
     if run.env in ENVS:
         return scene.model(run.env)
-    changed = modified(run.path / layout.SCENE)
-    return _scene(run.path, changed) if changed else None
+    path = run.path / layout.SCENE
+    return _scene(run.path, run.version("scene")) if path.is_file() else None
 
 
 @lru_cache(maxsize=16)
-def _scene(path: Path, changed: int) -> scene.Model | None:
-    """The model in the run folder `path`, cached until its file has `changed`."""
+def _scene(path: Path, version: Version) -> scene.Model | None:
+    """The model in the run folder `path`, cached until its file has another `version`."""
     arrays = RunReader(path).arrays(layout.SCENE)
     try:
         return None if arrays is None else scene.of_arrays(arrays)

@@ -110,7 +110,7 @@ def _lost(run: RunReader, copy: RunReader) -> list[str]:
     lost = {
         "checkpoint": checkpoint.newest(run.path / checkpoint.FOLDER) is not None,
         "recording": bool(run.rrd_files()),
-        "simulator states": len(copy.buffer()[0]) > 0 and bool(run.buffer_state()),
+        "simulator states": len(copy.buffer()[0]) > 0 and bool(run.recorded().state),
     }
     for part, recorded, kept in (
         ("snapshots", run.snapshot_steps(), snapshots),

@@ -1,15 +1,15 @@
 """A run's story as plain data for a canvas: weights, buffer, returns and robots on one timeline."""
 
 import base64
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.data import buffer_reader, readers
+from app.data import buffer, readers
 from app.data.buffer import WINDOW, windows
 from app.data.called import names
-from app.data.readers import RunInfo
 from app.data.regions import principal_plane
 from app.scenes.states import poses
 from tom.analysis.curves import curve_points
@@ -34,18 +34,17 @@ EPISODES, FRAMES = 12, 150
 """maximum number of shown evaluations, and of frames of each"""
 
 
-def story(run: RunInfo) -> dict[str, Any]:
+def story(run: RunReader) -> dict[str, Any]:
     """The data of the cinema, ready for JSON. Raises UserError if a part is missing."""
     profiles = readers.profiles(run)
     if len(profiles.env_step) < 2:
         raise UserError("a story needs two model fits at least, and this run has kept fewer")
-    reader = readers.reader(run)
-    recorded, _ = reader.buffer()
+    recorded, _, state = buffer.recorded(run)
     if run.env == ROAD:
         raise UserError("road-and-rocks has a story of its own: the page Road and rocks plays it")
     if not len(recorded):
         raise UserError("its buffer is not there: no robots and no map of the buffer can be drawn")
-    known, model = task_of(reader), scene_of(reader)
+    known, model = task_of(run), scene_of(run)
     if model is None:
         raise UserError(f"there is no robot to draw in {run.env}")
     fits = spread(len(profiles.env_step), FITS)
@@ -60,18 +59,18 @@ def story(run: RunInfo) -> dict[str, Any]:
         "weights": packed(np.log2(np.maximum(profiles.bins[fits], 2.0**-9)).astype(np.float32)),
         "returns": _returns(run),
         "cloud": _cloud(rows),
-        "crowd": _crowd(known, model, reader, rows),
-        "policy": _policy(known, model, reader),
+        "crowd": _crowd(known, model, rows, state),
+        "policy": _policy(known, model, readers.reader(run)),
         "dt": model.dt,
     }
 
 
-def may_be_told(run: RunInfo) -> bool:
+def may_be_told(run: RunReader) -> bool:
     """Whether the run has the parts of a story, as far as is known without reading them."""
-    return run.env != ROAD and readers.has_profiles(run) and buffer_reader.has_rows(run)
+    return run.env != ROAD and readers.has_profiles(run) and buffer.has_rows(run)
 
 
-def _returns(run: RunInfo) -> dict[str, list[float]]:
+def _returns(run: RunReader) -> dict[str, list[float]]:
     step, value = curve_points(readers.metrics(run), "eval/return")
     return {"step": np.asarray(step).tolist(), "value": np.round(value, 2).tolist()}
 
@@ -92,10 +91,12 @@ def _cloud(rows: Transitions) -> dict[str, Any]:
     }
 
 
-def _crowd(known: Task, model: Model, reader: RunReader, rows: Transitions) -> dict[str, Any]:
+def _crowd(
+    known: Task, model: Model, rows: Transitions, state: Mapping[str, NDArray]
+) -> dict[str, Any]:
     """Robots in evenly chosen states of the buffer, each moving through its window of steps."""
     index = spread(len(rows), ROBOTS)
-    state = {name: of[: len(rows)] for name, of in reader.buffer_state().items()}
+    state = {name: of[: len(rows)] for name, of in state.items()}
     qpos = poses(known, rows, state, windows(rows.ended(), index.tolist()))[:, ::EVERY]
     return {
         "row": index.tolist(),

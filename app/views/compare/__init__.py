@@ -6,12 +6,12 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers, tables
-from app.data.readers import RunInfo
 from app.parts import address, shortlinks, widgets
 from app.views.compare import curves, labels, numbers, side
 from app.views.compare.choice import chosen_runs
 from app.views.compare.comparison import Comparison, compare
 from tom.analysis.settings import NONE, USUAL, choices
+from tom.record.reader import RunReader
 
 CURVES = "Curves"
 MOST_COLUMNS = 24
@@ -60,7 +60,7 @@ def page() -> None:
     widgets.show_store_problems(listing.problems)
 
 
-def _settings(runs: Sequence[RunInfo]) -> None:
+def _settings(runs: Sequence[RunReader]) -> None:
     """The settings that differ, one column per run."""
     shown = runs[:MOST_COLUMNS]
     table = tables.settings(shown, [run.name for run in shown])

@@ -7,9 +7,9 @@ import pyarrow.compute as compute
 import streamlit as st
 
 from app import text
-from app.data.readers import RunInfo
 from app.parts import address
 from app.theme import learner_label
+from tom.record.reader import RunReader
 
 FIELDS = {
     "env": ("Environment", str),
@@ -18,9 +18,9 @@ FIELDS = {
 }
 
 
-def chosen_runs(runs: Sequence[RunInfo]) -> list[RunInfo]:
+def chosen_runs(runs: Sequence[RunReader]) -> list[RunReader]:
     """The runs that pass the filters, and those that are pinned."""
-    kept: list[RunInfo] = list(runs)
+    kept: list[RunReader] = list(runs)
     for field, (label, shown) in FIELDS.items():
         options = sorted({getattr(run, field) for run in runs})
         picked = address.choose_many(label, options, field, shown, placeholder="all")
@@ -41,12 +41,12 @@ def chosen_runs(runs: Sequence[RunInfo]) -> list[RunInfo]:
     return [run for run in runs if run.run_id in ids]
 
 
-def tagged(run: RunInfo, tags: Sequence[str]) -> bool:
+def tagged(run: RunReader, tags: Sequence[str]) -> bool:
     """Whether the run has one of the tags; always true if `tags` is empty."""
     return not tags or bool(set(tags) & set(run.labels.tags))
 
 
-def matching(runs: Sequence[RunInfo], words: str) -> list[RunInfo]:
+def matching(runs: Sequence[RunReader], words: str) -> list[RunReader]:
     """The runs whose name or id contains a match of the regular expression `words`.
 
     If it is malformed, all runs are returned and the page says why. The expression may come from a
@@ -70,7 +70,7 @@ def _matches(words: str, names: Sequence[str]) -> list[bool]:
     return compute.call_function("match_substring_regex", arguments, options).to_pylist()
 
 
-def names_with_ids(runs: Sequence[RunInfo]) -> Mapping[str, str]:
+def names_with_ids(runs: Sequence[RunReader]) -> Mapping[str, str]:
     """By run id: the user's name with the id in brackets, or the id alone."""
     return {
         run.run_id: f"{run.labels.name} ({run.run_id})" if run.labels.name else run.run_id

@@ -7,12 +7,12 @@ import streamlit as st
 
 from app import session
 from app.data.called import names, short_names
-from app.data.readers import RunInfo
 from app.figures.curves import Look, looks_of
 from app.parts import address
 from app.parts.eyes import Item, Row
 from tom.analysis.curves import Group
 from tom.analysis.settings import USUAL, Kind, kinds_of
+from tom.record.reader import RunReader
 
 HIDE = "hide"
 ALIKE = 0.9
@@ -26,20 +26,20 @@ class Comparison:
     `hidden` holds titles of groups and ids of runs. A hidden run does not count in its group.
     """
 
-    runs: tuple[RunInfo, ...]
+    runs: tuple[RunReader, ...]
     by: str
     kinds: Mapping[str, Kind]
     looks: Mapping[Kind, Look]
     hidden: tuple[str, ...]
 
     @property
-    def members(self) -> list[RunInfo]:
+    def members(self) -> list[RunReader]:
         """The runs that count in their group: not hidden themselves, and not cut short."""
         cut = self.cut_short
         return [run for run in self.runs if run.run_id not in self.hidden and run not in cut]
 
     @property
-    def cut_short(self) -> list[RunInfo]:
+    def cut_short(self) -> list[RunReader]:
         """Runs that ended well before a finished one of their group, and do not go on."""
         ends: dict[tuple[str, Kind], int] = {}
         for run in self.runs:
@@ -55,7 +55,7 @@ class Comparison:
         ]
 
     @property
-    def shown(self) -> list[RunInfo]:
+    def shown(self) -> list[RunReader]:
         """The runs that are hidden neither themselves nor with their group."""
         off = self.hidden_kinds
         return [run for run in self.members if self.kinds[run.run_id] not in off]
@@ -98,7 +98,7 @@ class Comparison:
         return rows
 
 
-def compare(runs: Sequence[RunInfo], by: str) -> Comparison:
+def compare(runs: Sequence[RunReader], by: str) -> Comparison:
     """Group the runs, and read from the page or its address which of them are hidden."""
     kinds = kinds_of(runs, by)
     look_of = looks_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())

@@ -7,16 +7,16 @@ import streamlit as st
 
 from app import session, text
 from app.data import readers
-from app.data.readers import RunInfo
 from app.theme import learner_label
 from app.views.compare.choice import names_with_ids
 from tom.errors import UserError
 from tom.record import manage
 from tom.record.labels import NAME_LENGTH, NOTE_LENGTH
+from tom.record.reader import RunReader
 from tom.record.store import Store
 
 
-def draw(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> None:
+def draw(runs: Sequence[RunReader], everything: Sequence[RunReader]) -> None:
     """A table of the runs that pass the filters; below it the actions on chosen runs."""
     st.dataframe(overview(runs), hide_index=True, column_config=_columns())
     if why := session.read_only_reason():
@@ -42,7 +42,7 @@ def draw(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> None:
     _restore()
 
 
-def overview(runs: Sequence[RunInfo]) -> pd.DataFrame:
+def overview(runs: Sequence[RunReader]) -> pd.DataFrame:
     """One row per run."""
     return pd.DataFrame(
         [
@@ -66,7 +66,7 @@ def overview(runs: Sequence[RunInfo]) -> pd.DataFrame:
     )
 
 
-def _label(chosen: Sequence[RunInfo]) -> None:
+def _label(chosen: Sequence[RunReader]) -> None:
     one = chosen[0] if len(chosen) == 1 else None
     key = " ".join(run.run_id for run in chosen)
     name = note = ""
@@ -99,7 +99,7 @@ def _label(chosen: Sequence[RunInfo]) -> None:
     _try(save, "Saved")
 
 
-def _trash(chosen: Sequence[RunInfo]) -> None:
+def _trash(chosen: Sequence[RunReader]) -> None:
     st.markdown("**Trash**: nothing is deleted; runs come back from below")
     count = len(chosen)
     words = "Move it to the trash" if count == 1 else f"Move {count} runs to the trash"

@@ -8,11 +8,11 @@ import streamlit as st
 
 from app.data import readers
 from app.data.cache import VersionedCache
-from app.data.readers import RunInfo
 from app.figures.curves import Axes
 from app.parts import address
 from tom.analysis.curves import Band, Curve, Group, Statistic, curve_points, groups, points_against
 from tom.analysis.settings import Kind
+from tom.record.reader import RunReader
 
 RETURN, RUNNING_MAXIMUM, OTHER = "return", "running maximum", "another metric"
 METRICS = {RETURN: "eval/return", RUNNING_MAXIMUM: "eval/return_max"}
@@ -44,7 +44,7 @@ class Measure:
     singles: bool
 
 
-def choose(runs: Sequence[RunInfo]) -> Measure:
+def choose(runs: Sequence[RunReader]) -> Measure:
     """The controls of curves; their values are in the address."""
     kind = address.choose_one(
         st.segmented_control, "Measure", [*METRICS, OTHER], "measure", RETURN, required=True
@@ -93,7 +93,7 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 def grouped(
-    runs: Sequence[RunInfo],
+    runs: Sequence[RunReader],
     kinds: Mapping[str, Kind],
     metric: str,
     x: str = STEPS,
@@ -105,7 +105,7 @@ def grouped(
     `kinds` is the group of each run, by its id.
     """
     held = tuple(
-        (run.path, run.status.total, readers.recorded(run), kinds[run.run_id]) for run in runs
+        (run.path, run.status.total, run.version("metrics"), kinds[run.run_id]) for run in runs
     )
 
     def make() -> tuple[list[Curve], list[Group]]:
@@ -115,7 +115,7 @@ def grouped(
     return _GROUPED.get((held, metric, x, statistic, band), make)
 
 
-def curve(run: RunInfo, metric: str, x: str = STEPS, kind: Kind | None = None) -> Curve:
+def curve(run: RunReader, metric: str, x: str = STEPS, kind: Kind | None = None) -> Curve:
     """The metric of one run along the axis, in the order it was recorded."""
     frame = readers.metrics(run)
     if x in (STEPS, SHARE):

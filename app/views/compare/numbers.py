@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from streamlit.delta_generator import DeltaGenerator
 
 from app import text
-from app.data.readers import RunInfo
 from app.data.tables import default_level, reached
 from app.figures.curves import Look
 from app.figures.statistics import Improvement, Profile, improvement, profiles
@@ -32,6 +31,7 @@ from tom.analysis.scores import (
 )
 from tom.analysis.statistics import exchangeable
 from tom.config import SAC_ALONE
+from tom.record.reader import RunReader
 
 NO_SAC = (
     "Recordings of SAC are left out: their first half is random steps that SAC never learns from, "
@@ -104,7 +104,7 @@ def draw(comparison: Comparison) -> None:
     )
 
 
-def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunInfo]) -> tuple[str, str, str]:
+def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunReader]) -> tuple[str, str, str]:
     """The chosen environment, metric and score of a run."""
     envs = sorted({run.env for run in runs})
     env = address.choose_one(row[0].selectbox, "Environment compared", envs, "task", envs[0])

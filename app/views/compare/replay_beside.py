@@ -7,14 +7,13 @@ import numpy as np
 import streamlit as st
 
 from app import text
-from app.data import readers
-from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON
 from app.parts import address, replay_link
 from app.parts.plot import Point
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
 from tom.analysis.curves import Curve
+from tom.record.reader import RunReader
 
 HEIGHT = 400
 REPLAY = "replay"
@@ -40,7 +39,7 @@ def nearest(curves: Sequence[Curve], x: float, y: float) -> str:
     return there[int(np.argmin(gaps))].run_id if gaps else ""
 
 
-def clicked_replay(runs: Sequence[RunInfo]) -> tuple[RunInfo, int, int] | None:
+def clicked_replay(runs: Sequence[RunReader]) -> tuple[RunReader, int, int] | None:
     """The run, the clicked step, and the evaluation nearest to it whose episodes were recorded.
 
     None if nothing was clicked or the run has no recorded episodes.
@@ -51,7 +50,7 @@ def clicked_replay(runs: Sequence[RunInfo]) -> tuple[RunInfo, int, int] | None:
         st.session_state[replay_link.CLICKED] = run_and_step(given)
     run_id, step = st.session_state.get(replay_link.CLICKED, NOTHING)
     run = next((run for run in runs if run.run_id == run_id), None)
-    steps = readers.reader(run).evaluation_steps() if run else []
+    steps = run.evaluation_steps() if run else []
     if run is None or not steps:
         return None
     address.keep(REPLAY, [f"{run_id}~{step}"])
@@ -65,7 +64,7 @@ def run_and_step(words: Sequence[str]) -> tuple[str, int]:
     return NOTHING if step is None else (run_id, step)
 
 
-def show(run: RunInfo, clicked: int, step: int, called: str) -> None:
+def show(run: RunReader, clicked: int, step: int, called: str) -> None:
     """The robot at the evaluation `step`, with a line that calls the run by its name."""
     asked = "" if step == clicked else f", the nearest that is kept to step {clicked:,}"
     address = f"/replays?run={quote(run.run_id)}&step={step}"

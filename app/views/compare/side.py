@@ -7,7 +7,6 @@ import streamlit as st
 from app import session, text
 from app.data import readers
 from app.data.called import told_apart
-from app.data.readers import RunInfo
 from app.data.replays import DEFAULT_HORIZON
 from app.figures.weights import side_by_side
 from app.parts import address, asked, empty
@@ -17,6 +16,7 @@ from app.scenes.control import ReplayChoice
 from app.views.compare import measure
 from app.views.compare.choice import names_with_ids
 from app.views.compare.comparison import Comparison
+from tom.record.reader import RunReader
 
 MOST = 4
 UNTIL = "until"
@@ -55,7 +55,7 @@ def draw(comparison: Comparison) -> None:
     _replays(chosen, called)
 
 
-def default_runs(runs: Sequence[RunInfo]) -> list[str]:
+def default_runs(runs: Sequence[RunReader]) -> list[str]:
     """The newest run of each learner in the environment of the newest run."""
     if not runs:
         return []
@@ -64,8 +64,8 @@ def default_runs(runs: Sequence[RunInfo]) -> list[str]:
     return first if len(first) > 1 else [run.run_id for run in runs if run.env == runs[0].env][:2]
 
 
-def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
-    evaluated = {run.run_id: readers.evaluation_steps(run) for run in chosen}
+def _replays(chosen: Sequence[RunReader], called: Mapping[str, str]) -> None:
+    evaluated = {run.run_id: run.evaluation_steps() for run in chosen}
     steps = sorted({step for of_run in evaluated.values() for step in of_run})
     if not steps:
         for run in chosen:
@@ -94,7 +94,7 @@ def _replays(chosen: Sequence[RunInfo], called: Mapping[str, str]) -> None:
                 stage(choice, STAGE_HEIGHT, f"side{i}", compact=True)
 
 
-def _without(run: RunInfo) -> str:
+def _without(run: RunReader) -> str:
     """Why a run has no replay at or before the chosen step."""
     parts = {empty.EVALUATIONS, f"other {empty.EVALUATIONS}"}
     return "not evaluated yet" if parts.isdisjoint(run.left_out) else "left out of its small copy"

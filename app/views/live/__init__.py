@@ -9,7 +9,6 @@ import streamlit as st
 from app import session, text
 from app.data import readers
 from app.data.called import names, told_apart
-from app.data.readers import RunInfo
 from app.figures.curves import run_curves
 from app.figures.weights import profile_lines
 from app.parts import again, pick, replay_link, rerun, widgets
@@ -19,6 +18,7 @@ from app.views.live import now, start
 from tom.config import SAC_ALONE
 from tom.metrics import describe
 from tom.plugins import CHARTS
+from tom.record.reader import RunReader
 
 REFRESH_S, LOOK_S = 2, 5
 """seconds between two drawings while a run trains, and between two looks at which runs train"""
@@ -66,7 +66,7 @@ def page() -> None:
         rerun.frame(runs)
 
 
-def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
+def watched(runs: Sequence[RunReader], chosen: Sequence[str]) -> list[RunReader]:
     """The chosen runs; else those that train or have just ended; else each learner's newest run.
 
     The newest are those of one task: that of the newest run, of a recording of SAC only if no run
@@ -83,11 +83,11 @@ def watched(runs: Sequence[RunInfo], chosen: Sequence[str]) -> list[RunInfo]:
         of_task = [run for run in runs if run.env == last.env]
         for learner in dict.fromkeys(run.learner for run in of_task):
             mine = [run for run in of_task if run.learner == learner]
-            picked.append(next((run for run in mine if readers.evaluation_steps(run)), mine[0]))
+            picked.append(next((run for run in mine if run.evaluation_steps()), mine[0]))
     return sorted(picked, key=lambda run: (run.env, run.learner, run.seed, run.run_id))
 
 
-def usual(runs: Sequence[RunInfo]) -> list[str]:
+def usual(runs: Sequence[RunReader]) -> list[str]:
     """The three default metrics: those that keep changing, the preferred ones first.
 
     Metrics of the machine's speed are left out; a run that explores has only those.
@@ -97,12 +97,12 @@ def usual(runs: Sequence[RunInfo]) -> list[str]:
     return (lines or metrics)[:3]
 
 
-def _just_ended(run: RunInfo) -> bool:
+def _just_ended(run: RunReader) -> bool:
     recent = time.time() - run.status.heartbeat < RECENT_S
     return recent and not run.status.alive and not run.small_copy
 
 
-def available(runs: Sequence[RunInfo]) -> list[str]:
+def available(runs: Sequence[RunReader]) -> list[str]:
     """Every metric that at least one of the runs has recorded, the preferred ones first."""
     metrics = {name for run in runs for name in readers.points(run)}
     metrics -= {"env_step", MAIN_METRIC}
@@ -168,7 +168,7 @@ def _followed(chosen: Sequence[str], metrics: Sequence[str]) -> None:
     _warnings(shown)
 
 
-def _headline(alive: int, shown: Sequence[RunInfo], chosen: Sequence[str]) -> str:
+def _headline(alive: int, shown: Sequence[RunReader], chosen: Sequence[str]) -> str:
     if alive:
         return f"{alive} training now · refreshed every {REFRESH_S} s"
     if not shown:
@@ -178,7 +178,7 @@ def _headline(alive: int, shown: Sequence[RunInfo], chosen: Sequence[str]) -> st
     return f"Nothing is training now: the last runs of {text.markdown(shown[0].env)}"
 
 
-def _last_profiles(runs: Sequence[RunInfo]) -> None:
+def _last_profiles(runs: Sequence[RunReader]) -> None:
     lines, called = [], told_apart(runs)
     for run in runs:
         profiles, name, last = readers.profiles(run), called[run.run_id], np.zeros(0)
@@ -196,7 +196,7 @@ def _last_profiles(runs: Sequence[RunInfo]) -> None:
     chart(figure, "last profile", "mean weight, oldest to newest transitions")
 
 
-def _warnings(runs: Sequence[RunInfo]) -> None:
+def _warnings(runs: Sequence[RunReader]) -> None:
     for run in runs:
         for notice in readers.notices(run)[-3:]:
             words = f"step {notice.get('env_step')}: {notice.get('message')}"

@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 import streamlit as st
 
 from app import session
-from app.data import readers
-from app.data.readers import RunInfo
+from app.data import readers, road
 from app.figures.base import steps_in_words
 from app.figures.weights import weight_map
 from app.parts import empty, pick, widgets
@@ -15,6 +14,7 @@ from app.parts.stage import stage
 from app.scenes.control import Choice, ReplayChoice, RoadChoice
 from tom.config import SAC_ALONE
 from tom.envs import ROAD
+from tom.record.reader import RunReader
 
 HEIGHT = 330
 NO_MODEL = "SAC alone fits no model, so there are no weights: Probe weighs its buffer."
@@ -24,7 +24,7 @@ SEEN = "live evaluation"
 """the evaluation on the stage, and a count of them, so that each new one is played"""
 
 
-def pick_followed(runs: Sequence[RunInfo], called: Mapping[str, str]) -> RunInfo:
+def pick_followed(runs: Sequence[RunReader], called: Mapping[str, str]) -> RunReader:
     """The run whose weights and robot are shown; training runs with uneven weights come first.
 
     `called` are the runs' names by id.
@@ -36,7 +36,7 @@ def pick_followed(runs: Sequence[RunInfo], called: Mapping[str, str]) -> RunInfo
     return by_id[pick.one("Weights and robot of", offered, first.run_id, "follow")]
 
 
-def weights(run: RunInfo) -> None:
+def weights(run: RunReader) -> None:
     """The weight of each part of the buffer at every fit so far."""
     profiles = readers.profiles(run)
     if not len(profiles.env_step):
@@ -48,13 +48,13 @@ def weights(run: RunInfo) -> None:
     chart(figure, "live map", "weight of each part of the buffer at every fit")
 
 
-def without_weights(runs: Sequence[RunInfo]) -> str:
+def without_weights(runs: Sequence[RunReader]) -> str:
     """Why none of the runs has weights to show."""
     alone = all(run.learner == SAC_ALONE for run in runs)
     return NO_MODEL if alone else "No fit yet: weights come with the first."
 
 
-def robot(run: RunInfo) -> None:
+def robot(run: RunReader) -> None:
     """The newest evaluation, played once; for road-and-rocks its newest map."""
     choice = _newest(run)
     if choice is None:
@@ -64,14 +64,14 @@ def robot(run: RunInfo) -> None:
     stage(choice, HEIGHT, "live", compact=True)
 
 
-def newest_step(run: RunInfo) -> int | None:
+def newest_step(run: RunReader) -> int | None:
     """The step that `robot` shows."""
     if run.env == ROAD:
-        return next(iter(readers.road_steps(run)[-1:]), None)
-    return next(iter(readers.reader(run).evaluation_steps()[-1:]), None)
+        return next(iter(road.steps(run)[-1:]), None)
+    return next(iter(run.evaluation_steps()[-1:]), None)
 
 
-def _newest(run: RunInfo) -> Choice | None:
+def _newest(run: RunReader) -> Choice | None:
     step = newest_step(run)
     if step is None:
         return None

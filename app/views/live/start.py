@@ -8,13 +8,13 @@ import streamlit as st
 
 from app import session, text
 from app.data import trainings
-from app.data.readers import RunInfo
 from app.data.trainings import Started
 from app.parts import address, form
 from app.theme import learner_label
 from tom.envs import ENV_NAMES, OTHERS
 from tom.errors import UserError
 from tom.learners import SUBJECT
+from tom.record.reader import RunReader
 from tom.training.presets import PRESETS, default_preset, learners
 
 COLUMNS = 4
@@ -134,14 +134,14 @@ def _begin(env: str, learner: str, preset: str, seeds: str, given: dict[str, str
     )
 
 
-def failures(runs: Sequence[RunInfo]) -> None:
+def failures(runs: Sequence[RunReader]) -> None:
     """Trainings started here that ended before they had a run, with their output."""
     for begun in failed(runs)[-FORGET:]:
         st.error("A training that was started here did not begin:", icon=":material/error:")
         st.code(f"$ {form.shown(begun.words)}\n{begun.tail()}", language=None)
 
 
-def failed(runs: Sequence[RunInfo]) -> list[Started]:
+def failed(runs: Sequence[RunReader]) -> list[Started]:
     """Trainings started here that ended before they had one of the `runs`, all those known."""
     writers = {run.status.pid for run in runs}
     return [begun for begun in _started() if begun.failed(writers)]

@@ -8,8 +8,8 @@ import pandas as pd
 import streamlit as st
 
 from app import session, text
-from app.data import buffer_reader, datasets, readers, weighings
-from app.data.weighings import WeighingInfo
+from app.data import buffer, readers, weighings
+from app.data.weighings import Dataset, Weighing
 from app.figures.probe import probe_profiles
 from app.parts import empty, widgets
 from app.parts.plot import chart
@@ -34,8 +34,8 @@ def page() -> None:
     """A buffer, the learners' weights of its rows, and the errors of their models."""
     listing = readers.listing(session.links().store)
     online = [run for run in listing.runs if run.env != ROAD]
-    kept = [run for run in online if buffer_reader.has_rows(run)]
-    buffers = [*kept, *datasets.listing(session.links().store)]
+    kept = [run for run in online if buffer.has_rows(run)]
+    buffers = [*kept, *weighings.datasets(session.links().store)]
     if not buffers:
         if not empty.left_out_of_all(online, "buffer"):
             st.info("No run of a MuJoCo task has collected transitions yet.")
@@ -44,9 +44,9 @@ def page() -> None:
     top = st.columns([1, 1], vertical_alignment="bottom")
     with top[0]:
         names = weighings.weighed(session.links().store)
-        weighed = [run for run in buffers if datasets.is_one(run) or run.run_id in names]
+        weighed = [run for run in buffers if isinstance(run, Dataset) or run.run_id in names]
         run = widgets.pick_run(buffers, "Buffer of run or data", weighed)
-    rows = buffer_reader.length(run)
+    rows = buffer.length(run)
     if not rows:
         st.warning("This replay buffer cannot be read.")
         return
@@ -68,7 +68,7 @@ def page() -> None:
         st.info("Nobody has weighed this buffer yet: start it below.", icon=":material/scale:")
     else:
         _weighed(chosen, rows)
-    if datasets.is_one(run):
+    if isinstance(run, Dataset):
         start.draw_again(run)
     else:
         start.draw(run, kept, folded=chosen is not None)
@@ -81,7 +81,7 @@ def page() -> None:
     widgets.show_problems(run)
 
 
-def _pick_weighing(of_buffer: list[WeighingInfo]) -> WeighingInfo | None:
+def _pick_weighing(of_buffer: list[Weighing]) -> Weighing | None:
     by_name = {weighing.name: weighing for weighing in of_buffer}
     if not of_buffer:
         st.selectbox("Weighed", ["not yet"], disabled=True)
@@ -93,8 +93,8 @@ def _pick_weighing(of_buffer: list[WeighingInfo]) -> WeighingInfo | None:
     return by_name.get(chosen or "", of_buffer[0])
 
 
-def _weighed(weighing: WeighingInfo, rows: int) -> None:
-    of = weighings.weights(weighing)
+def _weighed(weighing: Weighing, rows: int) -> None:
+    of = weighing.weights()
     if not of:
         st.warning("The weights of this weighing cannot be read.")
         return
@@ -117,7 +117,7 @@ def _weighed(weighing: WeighingInfo, rows: int) -> None:
     with right, st.container(border=True):
         st.markdown("**What the weights come to**: medians over seeds")
         st.dataframe(
-            table(weighings.medians(weighing), weighings.footprints(weighing)),
+            table(weighing.medians, weighing.footprints),
             hide_index=True, height="content", column_config=_columns(),
         )  # fmt: skip
         st.caption(f"TOM with {text.markdown(weighing.settings)}. Weights have mean 1.")

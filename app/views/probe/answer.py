@@ -11,14 +11,14 @@ import streamlit as st
 
 from app import text
 from app.data.buffer import Floats
-from app.data.readers import RunInfo
 from app.figures.probe import RunErrors
 from app.views.probe import exams, model_error
 from tom.analysis.statistics import RANKED, means_differ
 from tom.readable import percent, short
+from tom.record.reader import RunReader
 
 
-def draw(runs: Sequence[RunInfo]) -> None:
+def draw(runs: Sequence[RunReader]) -> None:
     """The answer in a sentence."""
     _, result = exams.examined(runs)
     if len(result.standings) > 1:

@@ -10,7 +10,6 @@ from app import text
 from app.data import readers
 from app.data.cache import VersionedCache
 from app.data.exams import Exams, Ranking, Standing, exams_of, middle, ranking
-from app.data.readers import RunInfo
 from app.figures.curves import looks_of
 from app.figures.exams import footprint_error_return
 from app.parts.plot import chart
@@ -20,6 +19,7 @@ from tom.analysis.scores import counted_from
 from tom.analysis.settings import kinds_of
 from tom.analysis.statistics import Interval
 from tom.readable import UNKNOWN, percent, short
+from tom.record.reader import RunReader
 
 HEIGHT = 380
 SIGNIFICANT = 0.05
@@ -42,7 +42,7 @@ NEEDED = f"two learners with {statistics.RANKED} seeds each are needed"
 _RANKINGS: VersionedCache[tuple[list[Exams], Ranking]] = VersionedCache()
 
 
-def draw(runs: Sequence[RunInfo]) -> None:
+def draw(runs: Sequence[RunReader]) -> None:
     """Who errs least on its own policy's transitions, the numbers, and a figure of all fits."""
     exams, result = examined(runs)
     sat = {one.run_id: result.ended_before(one) for one in exams}
@@ -68,7 +68,7 @@ def draw(runs: Sequence[RunInfo]) -> None:
     st.caption(f"{text.markdown(few)}. {OWN}" if few else OWN)
 
 
-def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Ranking]:
+def examined(runs: Sequence[RunReader]) -> tuple[list[Exams], Ranking]:
     """The exams of the runs that have any, and their ranking."""
 
     def make() -> tuple[list[Exams], Ranking]:
@@ -80,11 +80,11 @@ def examined(runs: Sequence[RunInfo]) -> tuple[list[Exams], Ranking]:
         exams = [one for one in read if len(one.step)]
         return exams, ranking(exams, counted_from(map(readers.metrics, runs)))
 
-    version = tuple((run.path, readers.recorded(run)) for run in runs)
+    version = tuple((run.path, run.version("metrics")) for run in runs)
     return _RANKINGS.get(tuple(run.path for run in runs), make, version)
 
 
-def group_names(runs: Sequence[RunInfo]) -> dict[str, str]:
+def group_names(runs: Sequence[RunReader]) -> dict[str, str]:
     """By run id the name of its group: its learner, and what distinguishes it from other groups."""
     kinds = kinds_of(runs)
     groups = looks_of((run.env, kinds[run.run_id]) for run in runs)

@@ -6,13 +6,13 @@ import streamlit as st
 
 from app import text
 from app.data.called import short_names
-from app.data.readers import RunInfo
+from tom.record.reader import RunReader
 
 FEW = 8
 """runs that are named in the line; more are named in its help"""
 
 
-def show(runs: Sequence[RunInfo], left_out: Mapping[str, Sequence[RunInfo]]) -> None:
+def show(runs: Sequence[RunReader], left_out: Mapping[str, Sequence[RunReader]]) -> None:
     """Name the runs that are left out of `runs`, a line for each reason."""
     called = short_names(runs)
     for reason, of in left_out.items():

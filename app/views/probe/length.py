@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.data.readers import RunInfo
+from tom.record.reader import RunReader
 
 FACTOR = 2.0
 """a run is like the others if it has between half and twice their median number of steps"""
 
 
-def of_like_length(runs: Sequence[RunInfo]) -> tuple[list[RunInfo], list[RunInfo]]:
+def of_like_length(runs: Sequence[RunReader]) -> tuple[list[RunReader], list[RunReader]]:
     """The runs of about the usual length, and the others."""
     if not runs:
         return [], []

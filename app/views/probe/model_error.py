@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from app.data import buffer_reader, readers
-from app.data.readers import RunInfo
+from app.data import buffer, readers
 from app.figures.probe import RunErrors, errors_by_age, focus
 from app.parts import empty
 from app.parts.plot import chart
@@ -14,6 +13,7 @@ from app.views.probe import left_out
 from app.views.probe.exams import group_names
 from tom.analysis.curves import curve_points
 from tom.analysis.imagine import stored_step
+from tom.record.reader import RunReader
 
 MODELS = 8
 """maximum number of stored models to test on one buffer: the newest of each group in turn"""
@@ -24,12 +24,12 @@ PAIRS = {
 }
 
 
-def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
+def on_one_buffer(run: RunReader, others: Sequence[RunReader]) -> None:
     """The errors on the buffer of `run` of its own stored model and of other runs' models."""
-    kept = [other for other in others if stored_step(readers.reader(other)) is not None]
+    kept = [other for other in others if stored_step(other) is not None]
     errors, beyond, names = [], list(kept), group_names(kept)
     for other in in_turn(run, kept):
-        error = buffer_reader.errors_on(run, other)
+        error = buffer.errors_on(run, other)
         if error is not None:
             own = " (its own)" if other.run_id == run.run_id else ""
             errors.append((f"{names[other.run_id]} s{other.seed}{own}", other.learner, error))
@@ -54,7 +54,7 @@ def on_one_buffer(run: RunInfo, others: Sequence[RunInfo]) -> None:
         )
 
 
-def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:
+def in_turn(run: RunReader, others: Sequence[RunReader]) -> list[RunReader]:
     """The run itself, then the first run of each group, then their second runs, and so on."""
     seen, names = Counter[str](), group_names(others)
     turns = []
@@ -65,7 +65,7 @@ def in_turn(run: RunInfo, others: Sequence[RunInfo]) -> list[RunInfo]:
     return [others[i] for i in order]
 
 
-def recorded(runs: Sequence[RunInfo]) -> None:
+def recorded(runs: Sequence[RunReader]) -> None:
     """The errors that the runs have recorded at their last fits of like step."""
     columns = st.columns(2)
     for column, (words, (policy, other)) in zip(columns, PAIRS.items(), strict=True):
@@ -90,7 +90,7 @@ def recorded(runs: Sequence[RunInfo]) -> None:
     )
 
 
-def focus_values(runs: Sequence[RunInfo], policy: str, other: str) -> dict[str, list[RunErrors]]:
+def focus_values(runs: Sequence[RunReader], policy: str, other: str) -> dict[str, list[RunErrors]]:
     """The errors of each run, by the name of its group: `policy` and `other`.
 
     Those of its last fit up to the step that every run reaches: errors fall as data come.

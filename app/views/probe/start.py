@@ -4,14 +4,15 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from app import session
-from app.data import datasets, readers, trainings
-from app.data.readers import RunInfo
+from app.data import trainings
+from app.data.weighings import Dataset
 from app.parts import address, empty, form, weighing
 from app.theme import learner_label
 from tom.analysis.weighing import POLICIES, PRESETS, RANDOM
 from tom.data.datasets import FORMATS
 from tom.envs import ANY, ENVS, is_code
 from tom.learners import LEARNERS, WEIGHED_FIRST
+from tom.record.reader import RunReader
 
 END = "the end"
 FOREIGN = "policy.pt, policy.onnx or module:function"
@@ -19,7 +20,7 @@ STARTED = "weighing"
 """the process that this page started, in the session"""
 
 
-def draw(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
+def draw(run: RunReader, kept: list[RunReader], *, folded: bool) -> None:
     """A form that starts `tom weigh` on this buffer, all of it or its state at a fit."""
     with st.expander("Weigh this buffer", icon=":material/scale:", expanded=not folded):
         row = st.columns([2, 4, 4, 2, 2])
@@ -55,14 +56,14 @@ def draw(run: RunInfo, kept: list[RunInfo], *, folded: bool) -> None:
     weighing.progress(STARTED)
 
 
-def draw_again(run: RunInfo) -> None:
+def draw_again(run: Dataset) -> None:
     """Show the command that weighs a data set, because pages do not look for the user's files."""
     with st.expander("Weigh this data", icon=":material/scale:"):
         st.caption("No run collected it, so it is weighed in a terminal, where it lies by now:")
-        words = datasets.words(run, session.links().store)
+        words = run.words(session.links().store)
         st.code(form.shown(words), language="bash", wrap_lines=True)
         st.caption("It was last weighed by:")
-        st.code(datasets.command(run), language="bash", wrap_lines=True)
+        st.code(run.command, language="bash", wrap_lines=True)
 
 
 def draw_own() -> None:
@@ -81,25 +82,25 @@ def _foreign_policy() -> str:
     return typed or "POLICY"
 
 
-def _pick_fit(place: DeltaGenerator, run: RunInfo) -> int | None:
+def _pick_fit(place: DeltaGenerator, run: RunReader) -> int | None:
     """The chosen fit (or `?at=`), one whose policy the run stored; None for the run's end."""
     empty.left_out(run, "policies")
     with place:
         chosen = address.choose_step(
-            "As it was at step", readers.policy_steps(run), END, "at", st.selectbox, of=run.env,
+            "As it was at step", run.policy_steps(), END, "at", st.selectbox, of=run.env,
             help="the buffer and the policies at that fit; the steps are those where both were "
             "kept",
         )  # fmt: skip
     return None if chosen == END else int(chosen)
 
 
-def has_policy(run: RunInfo, step: int | None) -> bool:
+def has_policy(run: RunReader, step: int | None) -> bool:
     """Whether the run has stored its policy of the fit at `step` (None: its last policy)."""
-    return readers.reader(run).has_policy(step)
+    return run.has_policy(step)
 
 
 def command(
-    run: RunInfo,
+    run: RunReader,
     policy: str,
     learners: list[str],
     preset: str,

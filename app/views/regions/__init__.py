@@ -5,10 +5,10 @@ import streamlit as st
 from streamlit.delta_generator import DeltaGenerator
 
 from app import session
-from app.data import buffer_reader, datasets, readers, regions, weighings
+from app.data import buffer, readers, regions, weighings
 from app.data.buffer import Rows, dimension_names
-from app.data.readers import RunInfo
 from app.data.regions import Mask, Plane
+from app.data.weighings import Dataset
 from app.figures.regions import region_map
 from app.figures.replay import moments_figure
 from app.parts import address, empty, why, widgets
@@ -20,6 +20,7 @@ from app.theme import learner_label
 from app.views.regions import brush, region_tables
 from tom.analysis.brush import AS_IT_IS
 from tom.envs import ROAD
+from tom.record.reader import RunReader
 from tom.reports.weighing_files import called
 from tom.spread import spread
 
@@ -43,8 +44,8 @@ DRAWN, TOP, ZERO, AGE, ALL = "what I draw", "heaviest 1 %", "weight zero", "an a
 def page() -> None:
     """A run and a fit; the map, a region of it, and its content."""
     listing = readers.listing(session.links().store)
-    kept = [run for run in listing.runs if buffer_reader.fits(run)]
-    kept += datasets.listing(session.links().store)
+    kept = [run for run in listing.runs if run.snapshot_steps()]
+    kept += weighings.datasets(session.links().store)
     if not kept:
         st.info("No run has kept its weights yet: they are recorded with the model fits.")
         return
@@ -58,7 +59,7 @@ def page() -> None:
             st.warning("The replay buffer of this fit cannot be read.")
         widgets.show_problems(run)
         return
-    names, actions = dimension_names(run.env, rows.rows, buffer_reader.described(run))
+    names, actions = dimension_names(run.env, rows.rows, buffer.described(run))
     with top[2]:
         plane = _pick_plane(run, rows, names)
     axes = _axes(run, rows, plane)
@@ -77,17 +78,17 @@ def page() -> None:
     widgets.show_problems(run)
 
 
-def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
+def _pick_weights(run: RunReader, place: DeltaGenerator) -> Rows | None:
     """The buffer with the weights of one of the run's fits, or of a weighing (the probe).
 
     The source of the weights is chosen at `place`, the fit below it.
     """
-    length, own = buffer_reader.length(run), [] if datasets.is_one(run) else [OWN]
+    length, own = buffer.length(run), [] if isinstance(run, Dataset) else [OWN]
     made, brushes = weighings.of_run(run, length), weighings.brushes(run, length)
     others = {
         f"{learner_label(learner)} s{seed}, {weighing.name}": (weight, weighing)
         for weighing in (*made[:WEIGHINGS], *brushes[:WEIGHINGS])
-        for (learner, seed), weight in weighings.weights(weighing).items()
+        for (learner, seed), weight in weighing.weights().items()
         if not (weighing.brush and learner == called(AS_IT_IS))
     }
     chosen = place.selectbox(
@@ -100,14 +101,14 @@ def _pick_weights(run: RunInfo, place: DeltaGenerator) -> Rows | None:
         if missing := weighing.missing(length):
             st.caption(missing)
         show_notices(weighing)
-        return buffer_reader.weighed_rows(run, weight, weighing.end)
+        return buffer.weighed_rows(run, weight, weighing.end)
     if not own:
         return None  # its weights cannot be read
-    fits = buffer_reader.fits(run)
-    return buffer_reader.rows(run, address.choose_step("Fit at step", fits, fits[-1], of=run.env))
+    fits = run.snapshot_steps()
+    return buffer.rows(run, address.choose_step("Fit at step", fits, fits[-1], of=run.env))
 
 
-def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:
+def _pick_plane(run: RunReader, rows: Rows, names: list[str]) -> Plane:
     columns = st.columns(2)
     named = names if len(names) > 1 else []  # two are needed for a plane
     x = columns[0].selectbox(
@@ -116,7 +117,7 @@ def _pick_plane(run: RunInfo, rows: Rows, names: list[str]) -> Plane:
     )  # fmt: skip
     if x is None or x == COMPONENTS:
         columns[1].selectbox("Up", ["both are shown"], disabled=True)
-        return buffer_reader.principal_plane(run, rows)
+        return regions.plane_of(run, rows)
     others = [name for name in names if name != x]
     y = columns[1].selectbox("Up", others, key="up", bind="query-params") or others[0]
     return regions.named_plane(rows.rows, names, x, y)
@@ -140,7 +141,7 @@ def _pick_region(rows: Rows, plane: Plane) -> Mask:
                 "From the oldest (0 %) to the newest (100 %)", 0, 100, (90, 100), key="age",
                 bind="query-params",
             )  # fmt: skip
-        return regions.aged(len(rows), low, high)
+        return (rows.age >= low) & (rows.age <= high)
     if kind == DRAWN:
         outline = _outline()
         if not outline:
@@ -159,7 +160,7 @@ def _outline() -> list[tuple[float, float]]:
     return corners if np.isfinite(corners).all() else []
 
 
-def _axes(run: RunInfo, rows: Rows, plane: Plane) -> str:
+def _axes(run: RunReader, rows: Rows, plane: Plane) -> str:
     """The map's coordinates in words; principal components belong to a single buffer."""
     words = f"{plane.x_name}, {plane.y_name}"
     if st.session_state.get("across") in (None, COMPONENTS):
@@ -180,7 +181,7 @@ def _forget_outline() -> None:
         st.query_params.pop(name, None)
 
 
-def _map(run: RunInfo, rows: Rows, mask: Mask, plane: Plane, axes: str) -> None:
+def _map(run: RunReader, rows: Rows, mask: Mask, plane: Plane, axes: str) -> None:
     st.markdown(
         "**The buffer**: a point is a transition, a ring one of the region; draw a lasso or a box"
     )
@@ -202,7 +203,7 @@ def _map(run: RunInfo, rows: Rows, mask: Mask, plane: Plane, axes: str) -> None:
     chart(figure, "region map", label, clicked=asked, selected=select)
 
 
-def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
+def _scenes(run: RunReader, rows: Rows, mask: Mask) -> None:
     if run.env == ROAD:
         return  # its states are positions on the map, which has its own page
     if not mask.any():
@@ -217,17 +218,17 @@ def _scenes(run: RunInfo, rows: Rows, mask: Mask) -> None:
         tuple(round(float(rows.weight[row]), 4) for row in heavy),
         tuple(round(float(rows.weight[row]), 4) for row in light),
     )
-    if not buffer_reader.drawn(run):
+    if not buffer.drawn(run):
         _moments(run, choice)
         return
     stage(choice, STAGE_HEIGHT, compact=True)
     st.caption("A click on the panel's title opens it: there the moments can be played.")
 
 
-def _moments(run: RunInfo, choice: StatesChoice) -> None:
+def _moments(run: RunReader, choice: StatesChoice) -> None:
     """Curves of observations around the same transitions, if there is no robot to draw."""
-    curves = buffer_reader.moments(run, choice.heavy), buffer_reader.moments(run, choice.light)
-    names = buffer_reader.described(run)
+    curves = buffer.moments(run, choice.heavy), buffer.moments(run, choice.light)
+    names = buffer.described(run)
     figure = moments_figure(*curves, names, MOMENT_HEIGHT, run.run_id)
     chart(figure, "moments", "observations round the heaviest and the lightest transitions")
     st.caption("Every line is a moment: the transition at 0, and the steps of its episode around.")

@@ -9,18 +9,18 @@ import numpy as np
 import streamlit as st
 
 from app import session, text
-from app.data import brush, buffer_reader, readers, trainings, weighings
-from app.data.brush import Brushed
+from app.data import buffer, trainings, weighings
 from app.data.buffer import Rows
-from app.data.readers import RunInfo
 from app.data.regions import Mask
 from app.data.trainings import Started
+from app.data.weighings import Brushed
 from app.figures.regions import NAMES, change, error_bars, factor_in_words
 from app.parts.plot import chart
 from app.scenes.film import ghosts
 from tom.analysis.brush import FACTORS
 from tom.envs import ROAD, is_code
 from tom.machine.processes import Process
+from tom.record.reader import RunReader
 from tom.record.task_record import scene_of
 
 HEIGHT = 380
@@ -28,17 +28,17 @@ KEY = "brush"
 BEGUN = "brush begun"
 
 
-def section(run: RunInfo, rows: Rows, mask: Mask) -> None:
+def section(run: RunReader, rows: Rows, mask: Mask) -> None:
     """Start a brush of the region, and show earlier ones."""
     if run.env == ROAD:
         return
-    length = buffer_reader.length(run)
+    length = buffer.length(run)
     brushes = weighings.brushes(run, length)
-    regions = {one.name: one for one in brush.of_run(brushes)}
+    regions = {one.name: one for one in map(weighings.brushed, brushes) if one is not None}
     made = [*weighings.of_run(run, length), *brushes]  # a brush holds the weights of a weighing too
     with st.container(border=True):
         st.markdown("**What if this region counted more, or less?**")
-        _start(run, rows, mask, brush.base(run, rows, made))
+        _start(run, rows, mask, weighings.base(run, rows, made))
         _progress()
         if not regions:
             return
@@ -61,7 +61,7 @@ def command(
     ]  # fmt: skip
 
 
-def _start(run: RunInfo, rows: Rows, mask: Mask, of: str | None) -> None:
+def _start(run: RunReader, rows: Rows, mask: Mask, of: str | None) -> None:
     count = int(mask.sum())
     columns = st.columns([3, 2], vertical_alignment="bottom")
     factors = columns[0].pills(
@@ -89,7 +89,7 @@ def _remove_after(process: Process, rows: Path) -> None:
     rows.unlink(missing_ok=True)
 
 
-def _why_not(run: RunInfo, count: int, of: int, base: str | None) -> str:
+def _why_not(run: RunReader, count: int, of: int, base: str | None) -> str:
     if why := session.read_only_reason():
         return why
     if is_code(run.env):
@@ -138,7 +138,7 @@ def _share(said: str) -> float:
         return 0.0
 
 
-def _shown(run: RunInfo, brushed: Brushed) -> None:
+def _shown(run: RunReader, brushed: Brushed) -> None:
     left, right = st.columns([1, 1])
     with left:
         st.markdown(f"**{brushed.rows:,} of {brushed.of:,} transitions, step {brushed.step:,}**")
@@ -156,7 +156,7 @@ def _shown(run: RunInfo, brushed: Brushed) -> None:
         )  # fmt: skip
         factor = kept[0] if factor not in kept else factor
         name = f"region {factor_in_words(factor)}"
-        known, model = buffer_reader.described_task(run), scene_of(readers.reader(run))
+        known, model = buffer.described_task(run), scene_of(run)
         if known is None or model is None:
             st.caption("No ghosts: there is no robot to draw.")
             return

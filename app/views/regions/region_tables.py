@@ -6,18 +6,18 @@ import streamlit as st
 
 from app.data import regions
 from app.data.buffer import Rows
-from app.data.readers import RunInfo
 from app.data.regions import EXPLORED, Mask
 from app.figures.regions import apart_bars
 from app.parts.plot import chart
 from tom import readable
 from tom.envs import ROAD
+from tom.record.reader import RunReader
 
 LISTED = 300
 """maximum number of transitions in a region's table"""
 
 
-def contents(run: RunInfo, rows: Rows, mask: Mask, names: list[str]) -> None:
+def contents(run: RunReader, rows: Rows, mask: Mask, names: list[str]) -> None:
     """Numbers of the region and of the whole buffer, and the dimensions that differ most."""
     st.markdown(f"**In the region**: {mask.sum():,} of {len(rows):,} transitions")
     table = summary(rows, mask)

@@ -7,9 +7,8 @@ import streamlit as st
 from numpy.typing import NDArray
 
 from app import session, text
-from app.data import buffer_reader, readers
+from app.data import buffer, readers
 from app.data.buffer import Floats, against
-from app.data.readers import RunInfo
 from app.figures.base import steps_in_words
 from app.figures.regions import weights_against
 from app.figures.weights import effective_sample, weight_map, weight_profile, with_returns
@@ -23,7 +22,7 @@ from tom.envs import ROAD
 from tom.learners import LEARNERS
 from tom.learners.base import DEGENERATE
 from tom.record.decode import Profiles
-from tom.record.reader import at_or_before
+from tom.record.reader import RunReader, at_or_before
 from tom.record.thin import FITS
 
 EVEN = 0.9999
@@ -80,7 +79,7 @@ def page() -> None:
     widgets.show_problems(run)
 
 
-def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -> None:
+def _figures(run: RunReader, profiles: Profiles, chosen: int, *, relative: bool) -> None:
     """The map of all fits, and the profile of the chosen one."""
     x = steps_in_words([run.env])
     left, right = st.columns([3, 2])
@@ -101,7 +100,7 @@ def _figures(run: RunInfo, profiles: Profiles, chosen: int, *, relative: bool) -
         chart(figure, "profile", "mean weight, oldest to newest transitions")
 
 
-def _effective_sample(run: RunInfo, profiles: Profiles, chosen: int) -> None:
+def _effective_sample(run: RunReader, profiles: Profiles, chosen: int) -> None:
     with st.container(border=True):
         st.markdown("**How much of the buffer is left**")
         x = steps_in_words([run.env])
@@ -110,22 +109,22 @@ def _effective_sample(run: RunInfo, profiles: Profiles, chosen: int) -> None:
         chart(figure, "effective sample", words, partial(_choose, profiles.env_step.tolist()))
 
 
-def _against(run: RunInfo, step: int) -> None:
+def _against(run: RunReader, step: int) -> None:
     """Weight against age, episode return, model error and policy version, if stored."""
-    kept = buffer_reader.fits(run)
+    kept = run.snapshot_steps()
     if not kept:
         return
     if step not in kept:
         _pick_kept(kept)
         return
     fit = step
-    rows = buffer_reader.rows(run, fit)
+    rows = buffer.rows(run, fit)
     if rows is None:
         if not empty.left_out(run, "buffer"):
             st.caption("The replay buffer of this run cannot be read.")
         return
     st.markdown(f"**What the weights of step {fit:,} go with**", help=AGAINST)
-    errors = buffer_reader.model_errors(run, fit)
+    errors = buffer.model_errors(run, fit)
     panels: list[tuple[str, NDArray, Floats]] = [
         ("position in the buffer, % (0: oldest)", rows.age, rows.weight)
     ]
@@ -170,7 +169,7 @@ def newest_fifth(bins: Floats) -> float:
     return float(fifths[-1] / fifths.sum()) if fifths.sum() > 0 else float("nan")
 
 
-def _why_even(run: RunInfo, profiles: Profiles, chosen: int) -> str:
+def _why_even(run: RunReader, profiles: Profiles, chosen: int) -> str:
     """Why the weights of a learner that weighs are all the same."""
     name, step = text.markdown(learner_label(run.learner)), int(profiles.env_step[chosen])
     said = {(notice.get("env_step"), notice.get("kind")) for notice in readers.notices(run)}
@@ -181,7 +180,7 @@ def _why_even(run: RunInfo, profiles: Profiles, chosen: int) -> str:
     return f"{name} still counted all transitions the same: its warm-up, before it weighs"
 
 
-def _numbers(run: RunInfo, profiles: Profiles, chosen: int) -> None:
+def _numbers(run: RunReader, profiles: Profiles, chosen: int) -> None:
     bins = profiles.bins[chosen]
     share = newest_fifth(bins)
     columns = st.columns(5)

@@ -7,13 +7,13 @@ import streamlit as st
 from app import text
 from app.data import readers
 from app.data.exams import at_fit
-from app.data.readers import RunInfo
 from tom.config import Settings
 from tom.envs import ROAD
 from tom.exams.energy import informative
 from tom.learners import LEARNERS
 from tom.metrics import describe
 from tom.readable import short
+from tom.record.reader import RunReader
 
 COLUMNS = {
     "footprint": "exam/footprint",
@@ -24,7 +24,7 @@ COLUMNS = {
 }
 
 
-def of_fit(run: RunInfo, step: int) -> None:
+def of_fit(run: RunReader, step: int) -> None:
     """Numbers of the exam and their meaning; a line of text if there is no exam."""
     if run.env == ROAD:  # offline: nothing is collected after the fit
         return
@@ -44,7 +44,7 @@ def of_fit(run: RunInfo, step: int) -> None:
         st.caption(text.markdown(" ".join(filter(None, words))))
 
 
-def without(run: RunInfo, examined: bool) -> str:
+def without(run: RunReader, examined: bool) -> str:
     """Why a fit has no exam; `examined`: another fit of the run has one."""
     if not examined and not run.status.alive:
         return (

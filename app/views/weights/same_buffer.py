@@ -6,33 +6,32 @@ from urllib.parse import quote
 import streamlit as st
 
 from app import text
-from app.data import buffer_reader, readers, weighings
-from app.data.readers import RunInfo
+from app.data import buffer, weighings
 from app.figures.probe import probe_profiles
 from app.parts.plot import chart
 from app.parts.weighing import show_notices
 from app.theme import learner_label
-from tom.record.reader import at_or_before
+from tom.record.reader import RunReader, at_or_before
 
 HEIGHT = 300
 
 
-def at_fit(run: RunInfo, step: int) -> None:
+def at_fit(run: RunReader, step: int) -> None:
     """The profiles of all learners on the buffer of the fit at or before `step`, for its policy.
 
     Shows the result of `tom weigh` there with the most learners, of such the newest, with a link to
     the page that makes one.
     """
-    rows = buffer_reader.length(run)
+    rows = buffer.length(run)
     if not rows:
         return
     stored = sorted(weighings.of_run(run, rows), key=lambda w: (len(w.learners), w.written))
     weighed = {w.step: w for w in stored if Path(w.policy).name == run.run_id}  # an id or a folder
-    steps = sorted({*readers.policy_steps(run), *(at for at in weighed if at is not None)})
+    steps = sorted({*run.policy_steps(), *(at for at in weighed if at is not None)})
     if not steps:
         return
     at = at_or_before(steps, step)
-    of = weighings.weights(weighed[at]) if at in weighed else {}
+    of = weighed[at].weights() if at in weighed else {}
     address = f"/probe?run={quote(run.run_id)}&at={at}"
     learners = [learner_label(name) for name in dict.fromkeys(name for name, _ in of)]
     if len(learners) < 2:

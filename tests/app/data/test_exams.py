@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from app.data.exams import Exams, at_fit, exams_of, next_return, ranking
+from app.data.exams import Exams, at_fit, exams_of, ranking
 from tom.analysis import statistics
 from tom.analysis.scores import counted_from
 
@@ -44,17 +44,6 @@ def test_exams_are_read_where_one_was_sat() -> None:
     assert np.isnan(found.rollout_error).all()
     assert at_fit(frame, 200) == {"exam/error": 0.25, "exam/footprint_uniform": -0.01}
     assert at_fit(frame, 150) == at_fit(frame, 7) == {}
-
-
-def test_after_the_last_evaluation_there_is_no_return() -> None:
-    frame = pd.DataFrame({"env_step": [100, 200], "eval/return": [1.0, NAN]})
-    assert np.isnan(next_return(frame, np.array([100, 200]))).all()
-
-
-def test_a_run_without_exams_has_none() -> None:
-    found = exams_of("old", "mle", 0, "MLE", pd.DataFrame({"env_step": [1], "eval/return": [0.0]}))
-    assert len(found.step) == 0
-    assert ranking([found]).ranked == ()
 
 
 @pytest.mark.parametrize("noise", [1.0, -1.5, NAN])

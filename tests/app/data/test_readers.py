@@ -10,14 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studio_runs import PENDULUM_TOM, RUNS, info
+from studio_runs import PENDULUM_TOM, info
 
-from app.data import buffer_reader, cache, readers
-from app.data.readers import RunInfo
+from app.data import buffer, cache, readers
 from tom.analysis.curves import curve_points
-from tom.record import lock, manage
+from tom.record import lock
 from tom.record.reader import RunReader
-from tom.record.store import Store
 
 
 @pytest.fixture
@@ -25,15 +23,6 @@ def own(store: Path, tmp_path: Path) -> Path:
     """A copy of one run that a test may damage."""
     shutil.copytree(store / PENDULUM_TOM, tmp_path / PENDULUM_TOM)
     return tmp_path
-
-
-def test_every_run_is_listed(store: Path) -> None:
-    found = readers.listing(str(store))
-    assert {run.run_id for run in found.runs} == {run_id for run_id, *_ in RUNS}
-    assert found.problems == ()
-    run = info(store, PENDULUM_TOM)
-    assert (run.env, run.learner, run.seed, run.preset) == ("inverted-pendulum", "tom", 0, "smoke")
-    assert run.status.state == "finished"
 
 
 def test_a_listing_reads_no_run_again_however_little_is_cached(
@@ -52,24 +41,6 @@ def test_tables_are_the_readers(store: Path) -> None:
     assert readers.problems(run) == []
 
 
-def test_a_new_recording_is_seen(own: Path) -> None:
-    run = info(own, PENDULUM_TOM)
-    assert readers.recordings(run) == ["run.rrd"]
-    shutil.copy(own / PENDULUM_TOM / "run.rrd", own / PENDULUM_TOM / "run-2.rrd")
-    assert readers.recordings(run) == ["run.rrd", "run-2.rrd"]
-
-
-def test_a_new_row_is_seen(own: Path) -> None:
-    (own / PENDULUM_TOM / "metrics.parquet").unlink()
-    run = info(own, PENDULUM_TOM)
-    before = readers.metrics(run)
-    with (own / PENDULUM_TOM / "metrics.jsonl").open("a") as file:
-        file.write(json.dumps({"env_step": 99_999, "eval/return": 7.5}) + "\n")
-    after = readers.metrics(run)
-    assert len(after) == len(before) + 1
-    assert after["eval/return"].iloc[-1] == 7.5
-
-
 def test_a_new_status_is_seen(own: Path) -> None:
     path = own / PENDULUM_TOM / "status.json"
     status = json.loads(path.read_text())
@@ -83,14 +54,6 @@ def test_a_new_status_is_seen(own: Path) -> None:
     assert info(own, PENDULUM_TOM).status.alive
     path.write_text(json.dumps(status | {"state": "running", "heartbeat": time.time() - 31}))
     assert info(own, PENDULUM_TOM).status.shown == "dead"
-
-
-def test_what_people_call_a_run_is_seen(own: Path) -> None:
-    assert info(own, PENDULUM_TOM).name == PENDULUM_TOM
-    manage.rename(Store(own), PENDULUM_TOM, "the good one")
-    manage.tag(Store(own), PENDULUM_TOM, add=["keep"])
-    run = info(own, PENDULUM_TOM)
-    assert (run.name, run.labels.tags) == ("the good one", ("keep",))
 
 
 def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:
@@ -107,10 +70,6 @@ def test_a_damaged_run_is_named_and_the_others_stay(own: Path) -> None:
     assert "status.json" in words
     assert "metrics.jsonl" in words
     assert readers.problems(info(own, PENDULUM_TOM)) == []
-
-
-def test_a_store_that_is_not_there_is_empty(tmp_path: Path) -> None:
-    assert readers.listing(str(tmp_path / "none")).runs == ()
 
 
 def test_a_folder_that_is_no_run_any_more_is_named(own: Path) -> None:
@@ -148,7 +107,7 @@ def test_of_a_run_in_training_one_version_is_held(own: Path) -> None:
     path = own / PENDULUM_TOM
     (path / "metrics.parquet").unlink()
     segment = max((path / "buffer").glob("*.npz"), key=lambda file: int(file.stem))
-    fit = buffer_reader.fits(info(own, PENDULUM_TOM))[-1]
+    fit = info(own, PENDULUM_TOM).snapshot_steps()[-1]
     held: list[weakref.ref] = []
     for beat in range(3):
         with (path / "metrics.jsonl").open("a") as file:
@@ -160,8 +119,8 @@ def test_of_a_run_in_training_one_version_is_held(own: Path) -> None:
     assert [ref() is not None for ref in held] == [False] * 8 + [True] * 4
 
 
-def read(run: RunInfo, fit: int) -> list[weakref.ref]:
-    rows = buffer_reader.rows(run, fit)
+def read(run: RunReader, fit: int) -> list[weakref.ref]:
+    rows = buffer.rows(run, fit)
     assert rows is not None
     parts = readers.metrics(run), readers.profiles(run), rows, rows.rows.obs
     return [weakref.ref(part) for part in parts]

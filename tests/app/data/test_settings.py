@@ -77,13 +77,6 @@ def test_a_preset_is_told_where_its_learner_has_several() -> None:
     assert telling_presets(runs) == ["paper", "mended", "", ""]
 
 
-def test_another_learner_is_no_variant() -> None:
-    assert variants([Run("a", {"x": "1"}), Run("b", {"x": "2"}, learner="mle")]) == {
-        "a": "",
-        "b": "",
-    }
-
-
 @pytest.fixture
 def newcomer(monkeypatch: pytest.MonkeyPatch) -> str:
     """A registered learner that reads a group of settings of its own."""

@@ -70,9 +70,3 @@ def test_every_point_of_every_run_is_there(grouped: list[Group]) -> None:
     table = tables.runs(curves)
     assert len(table) == sum(len(c.step) for c in curves)
     assert table[table["run"] == "tom-1"]["value"].tolist() == [2, 4, 8]
-
-
-def test_nothing_makes_empty_tables() -> None:
-    assert tables.summary([]).empty
-    assert tables.bands([]).empty
-    assert tables.runs([]).empty

@@ -5,7 +5,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -64,31 +63,12 @@ def test_a_training_does_not_have_the_studios_key(monkeypatch: pytest.MonkeyPatc
     assert b"the key" not in environment
 
 
-@pytest.mark.slow
-def test_what_it_said_is_kept_when_it_does_not_begin(tmp_path: Path) -> None:
-    begun = trainings.start(["train", "--env", "hoper", "--learner", "tom"])
-    begun.process.wait(WAIT_S)
-    assert begun.failed(set())
-    assert "hopper" in begun.tail()
-
-
 def test_a_training_that_dies_before_it_has_a_run_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONHASHSEED", "no number")  # Python ends with code 1 at once
     begun = trainings.start(["train", *SMALL])
     assert begun.process.wait(WAIT_S) == 1
     assert begun.failed({os.getpid()})
     assert "PYTHONHASHSEED" in begun.tail()
-
-
-def test_what_a_training_printed_leaves_no_file_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PYTHONHASHSEED", "no number")
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    begun = trainings.start(["train", *SMALL])
-    begun.process.wait(WAIT_S)
-    assert begun.tail()
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_process_that_does_not_write_the_run_is_not_signalled(

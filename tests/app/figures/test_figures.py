@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
-from app.data import pictures, readers
+from app.data import readers, road
 from app.figures.base import (
     ROW,
     decimate,
@@ -281,7 +281,7 @@ def test_effective_sample_in_percent(profiles: Profiles) -> None:
 
 def test_the_road_map_shows_the_picture(store: Path) -> None:
     run = RunReader(store / ROAD_TOM)
-    picture = pictures.load(run, run.snapshot_steps()[-1])
+    picture = road.picture(run, run.snapshot_steps()[-1])
     assert picture is not None
     named = {t.name: t for t in traces(road_map(picture, "light", 500))}
     assert np.array_equal(named["weights"].customdata, picture.grid, equal_nan=True)

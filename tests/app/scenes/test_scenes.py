@@ -18,9 +18,10 @@ import zstandard
 from studio_pages import answers
 from studio_runs import ROAD_MLE, ROAD_TOM
 
-from app.data import pictures
-from app.data.roadmap import CELLS, on_road
-from app.scenes import road, solids
+from app.data import road
+from app.data.road import CELLS, on_road
+from app.scenes import road as scene
+from app.scenes import solids
 from app.scenes.control import (
     Choice,
     ReplayChoice,
@@ -40,47 +41,47 @@ FOV = float(np.radians(75))
 
 
 @pytest.fixture(scope="module")
-def picture(store: Path) -> pictures.Picture:
-    found = pictures.load(RunReader(store / ROAD_TOM), 60)
+def picture(store: Path) -> road.Picture:
+    found = road.picture(RunReader(store / ROAD_TOM), 60)
     assert found is not None
     return found
 
 
-def test_a_cell_with_weight_is_a_column(picture: pictures.Picture) -> None:
-    position, scale, _ = road.columns(picture.grid, "light")
+def test_a_cell_with_weight_is_a_column(picture: road.Picture) -> None:
+    position, scale, _ = scene.columns(picture.grid, "light")
     heavy = np.nan_to_num(picture.grid) >= 1 / 16
     assert len(position) == heavy.sum() > 100
     i = int(np.argmax(scale[:, 2]))
     x, y = (position[i, :2] * CELLS).astype(int)
     assert picture.grid[y, x] >= 16 or picture.grid[y, x] == np.nanmax(picture.grid)
     assert position[:, 2] == pytest.approx(scale[:, 2] / 2)
-    assert scale[:, 2].max() <= road.TALLEST + 1e-6
-    tall = scale[:, 2] > road.TALLEST / 2
+    assert scale[:, 2].max() <= scene.TALLEST + 1e-6
+    tall = scale[:, 2] > scene.TALLEST / 2
     assert on_road(position[tall, :2], picture.road).mean() > 0.9
 
 
 def test_height_and_colour_grow_with_the_weight() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, :4] = [0.01, 1, 4, 100]
-    _, scale, colour = road.columns(grid, "light")
+    _, scale, colour = scene.columns(grid, "light")
     assert len(scale) == 3
-    assert scale[:, 2] == pytest.approx(road.TALLEST * np.array([0.25, 0.5, 1]))
+    assert scale[:, 2] == pytest.approx(scene.TALLEST * np.array([0.25, 0.5, 1]))
     assert colour[2].tolist() == [194, 44, 6]
 
 
-def test_stones_lie_beside_the_road(picture: pictures.Picture) -> None:
-    position, size = road.stones(picture.road)
+def test_stones_lie_beside_the_road(picture: road.Picture) -> None:
+    position, size = scene.stones(picture.road)
     assert len(position) == len(size) > 100
     assert not on_road(position[:, :2], picture.road).any()
 
 
 def test_lines_become_segments() -> None:
     line = np.array([[0, 0], [1, 0], [1, 1]])
-    assert road.segments([line, line[:1]], 0.5).tolist() == [
+    assert scene.segments([line, line[:1]], 0.5).tolist() == [
         [[0, 0, 0.5], [1, 0, 0.5]],
         [[1, 0, 0.5], [1, 1, 0.5]],
     ]
-    assert road.segments([], 0).shape == (0, 2, 3)
+    assert scene.segments([], 0).shape == (0, 2, 3)
 
 
 @pytest.fixture
@@ -91,11 +92,11 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 def test_a_fit_takes_the_place_of_another(
-    server: viser.ViserServer, picture: pictures.Picture, store: Path
+    server: viser.ViserServer, picture: road.Picture, store: Path
 ) -> None:
     drawn = RoadScene(server.scene, picture, "light")
     before = drawn.layers["columns"][0]
-    other = pictures.load(RunReader(store / ROAD_MLE), 60)
+    other = road.picture(RunReader(store / ROAD_MLE), 60)
     assert other is not None
     drawn.update(other)
     assert drawn.layers["columns"][0] is not before
@@ -107,19 +108,19 @@ def test_a_fit_takes_the_place_of_another(
 
 
 def test_one_map_is_seen_as_the_camera_of_all_scenes_has_it() -> None:
-    camera, at = road.view(1, FOV)
-    assert camera == pytest.approx(road.CAMERA)
-    assert at == pytest.approx(road.LOOK_AT)
+    camera, at = scene.view(1, FOV)
+    assert camera == pytest.approx(scene.CAMERA)
+    assert at == pytest.approx(scene.LOOK_AT)
 
 
 @pytest.mark.parametrize("aspect", [0.6, 1.0, 16 / 9, 3.0])
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_every_map_is_in_the_picture_however_wide_it_is(count: int, aspect: float) -> None:
-    camera, at = map(np.array, road.view(count, FOV, aspect))
-    assert camera[0] == at[0] == pytest.approx((road.place(count - 1) + 1) / 2)
+    camera, at = map(np.array, scene.view(count, FOV, aspect))
+    assert camera[0] == at[0] == pytest.approx((scene.place(count - 1) + 1) / 2)
     ahead = (at - camera) / np.linalg.norm(at - camera)
     up = np.cross([1, 0, 0], ahead)
-    for x in (0, road.place(count - 1) + 1):
+    for x in (0, scene.place(count - 1) + 1):
         for y in (0, 1):
             seen = np.array([x, y, 0]) - camera
             half = (seen @ ahead) * np.tan(FOV / 2)  # of the picture's height, at this distance
@@ -127,7 +128,7 @@ def test_every_map_is_in_the_picture_however_wide_it_is(count: int, aspect: floa
             assert abs(seen @ up) < half
 
 
-def test_cars_drive_the_recorded_ways(picture: pictures.Picture) -> None:
+def test_cars_drive_the_recorded_ways(picture: road.Picture) -> None:
     way = picture.learnt[0]
     car = solids.car(way, 0.1)
     assert car.position[:, 0, :2] == pytest.approx(way, abs=1e-6)
@@ -137,13 +138,13 @@ def test_cars_drive_the_recorded_ways(picture: pictures.Picture) -> None:
 def test_the_flat_picture_is_clear_where_nothing_was_recorded() -> None:
     grid = np.full((CELLS, CELLS), np.nan)
     grid[0, 3] = 100
-    flat = road.cells(grid, "light")
+    flat = scene.cells(grid, "light")
     assert flat[0, 3].tolist() == [194, 44, 6, 235]
     assert flat[..., 3].sum() == 235
 
 
-def test_the_export_is_one_page_with_every_fit(picture: pictures.Picture, store: Path) -> None:
-    other = pictures.load(RunReader(store / ROAD_MLE), 60)
+def test_the_export_is_one_page_with_every_fit(picture: road.Picture, store: Path) -> None:
+    other = road.picture(RunReader(store / ROAD_MLE), 60)
     assert other is not None
     page = as_html([[picture, other], [picture, other]], "dark")
     data = re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)

@@ -12,9 +12,8 @@ import pytest
 from studio_pages import array, captions, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, WAITING, info, stand_in, undescribed, with_weighing
 
-from app.data import brush, buffer_reader, trainings, weighings
-from app.data.brush import Brushed
-from app.data.weighings import WeighingInfo
+from app.data import buffer, trainings, weighings
+from app.data.weighings import Brushed, Weighing
 from app.figures.regions import error_bars
 from app.links import Links
 from app.theme import Mode
@@ -63,7 +62,8 @@ def test_a_brush_is_a_weighing_whose_region_is_multiplied(made: Path, store: Pat
 
 def test_the_page_shows_what_was_measured(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
-    (found,) = brush.of_run(weighings.brushes(run, 400))
+    (found,) = map(weighings.brushed, weighings.brushes(run, 400))
+    assert found is not None
     report = json.loads((brushed / "weighings/made/report.json").read_text())
     of = {(r["factor"], r["seed"]): r["errors"] for r in report["results"]}
     ratio = np.mean([of[4, s]["rest"] / of[1, s]["rest"] for s in (0, 1)])
@@ -102,9 +102,9 @@ def test_a_weighing_is_not_taken_for_a_brush_of_it(brushed: Path) -> None:
     assert any(figure["data"][0]["type"] == "waterfall" for figure in figures(app))
     run = info(brushed, PENDULUM_TOM)
     made = [*weighings.of_run(run, 400), *weighings.brushes(run, 400)]
-    rows = buffer_reader.weighed_rows(run, weight, FIT)
+    rows = buffer.weighed_rows(run, weight, FIT)
     assert rows is not None
-    assert brush.base(run, rows, made) == f"{weighing}:tom-s0"
+    assert weighings.base(run, rows, made) == f"{weighing}:tom-s0"
 
 
 def test_brushed_weights_have_no_sum(brushed: Path) -> None:
@@ -119,9 +119,8 @@ def test_a_small_copy_keeps_the_brush(made: Path, store: Path, tmp_path: Path) -
     region = read_table(copy / "weights.parquet")["region"].to_numpy()
     assert region.dtype == np.bool_
     assert region.tolist() == [False] * 150 + [True] * 150
-    assert brush.of_run(
-        [replace(one, path=str(copy)) for one in weighings.brushes(info(there, PENDULUM_TOM), 400)]
-    )
+    (brush,) = weighings.brushes(info(there, PENDULUM_TOM), 400)
+    assert weighings.brushed(replace(brush, path=copy)) is not None
 
 
 def test_a_brush_of_a_task_that_is_not_described_has_no_ghosts(brushed: Path) -> None:
@@ -140,12 +139,8 @@ SIZE = {"layers": 2, "hidden": 8}
 def test_a_damaged_report_is_no_brush(model: object, results: object, tmp_path: Path) -> None:
     about = {"model": model, "region": {}}
     report = {"brush": about, "results": results, "step": FIT}
-    (tmp_path / REPORT).write_text(json.dumps(report))
     pd.DataFrame({"region": [True, False]}).to_parquet(tmp_path / WEIGHTS)
-    weighing = WeighingInfo(
-        str(tmp_path), "", "own", {}, 2, 0, FIT, 0, brush=True, learners=frozenset()
-    )
-    assert brush.of_run([weighing]) == []
+    assert weighings.brushed(Weighing(tmp_path, report)) is None
 
 
 def test_the_rows_of_a_brush_are_kept_until_it_ends(
@@ -194,14 +189,14 @@ def test_every_factor_has_a_bar_and_what_was_not_measured_has_none(mode: Mode) -
 def test_weights_are_known_by_the_file_that_holds_them(brushed: Path) -> None:
     run = info(brushed, PENDULUM_TOM)
     (weighing,) = weighings.brushes(run, 400)
-    own = buffer_reader.rows(run, FIT)
-    weight = weighings.weights(weighing)["region x 4", 0]
-    other = buffer_reader.weighed_rows(run, weight, FIT)
+    own = buffer.rows(run, FIT)
+    weight = weighing.weights()["region x 4", 0]
+    other = buffer.weighed_rows(run, weight, FIT)
     assert own is not None
     assert other is not None
-    assert brush.base(run, own, [weighing]) == ""
-    assert brush.base(run, other, [weighing]) == f"{weighing.path}:region x 4-s0"
-    assert brush.base(run, other, []) is None
+    assert weighings.base(run, own, [weighing]) == ""
+    assert weighings.base(run, other, [weighing]) == f"{weighing.path}:region x 4-s0"
+    assert weighings.base(run, other, []) is None
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import queue
 import shutil
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
 from streamlit.testing.v1 import AppTest
 from studio_pages import answers, array, captions, draw, figures, recorded, set_links, trace
-from studio_runs import PENDULUM_TOM, ROAD_TOM, info, set_status
+from studio_runs import PENDULUM_TOM, ROAD_TOM, altered, info, set_status
 
 from app.data.tables import default_level
 from app.figures import statistics
@@ -204,7 +203,7 @@ def test_a_name_is_a_regular_expression() -> None:
 
 def test_a_name_in_a_link_cannot_hold_the_studio_up(store: Path) -> None:
     run = info(store, SEEDS[0])
-    longest = replace(run, run_id="a" * 100)  # a backtracking search would never end
+    longest = altered(run, run_id="a" * 100)  # a backtracking search would never end
     assert matching([longest], "(a+)+!") == []
     assert matching([longest, run], "^a+$") == [longest]
 

@@ -14,7 +14,7 @@ from app.scenes.states_frame import whose_rows
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, array, draw, figures, set_links
 
-from app.data import datasets, weighings
+from app.data import weighings
 from app.links import Links
 from tom.cli import main
 from tom.envs import task
@@ -52,14 +52,14 @@ def studio(weighed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def named(weighed: Path, start: str) -> str:
-    return next(i.run_id for i in datasets.listing(str(weighed)) if i.run_id.startswith(start))
+    return next(i.run_id for i in weighings.datasets(str(weighed)) if i.run_id.startswith(start))
 
 
 def test_rows_that_were_weighed_twice_are_one_data_set(weighed: Path):
-    found = datasets.listing(str(weighed))
+    found = weighings.datasets(str(weighed))
     assert [one.run_id.rpartition("-")[0] for one in found] == ["my buffer", "other"]
     assert [Path(one.path).name for one in found] == ["second", "third"]
-    assert [path.name for path in datasets.weighings(found[0])] == ["first", "second"]
+    assert {one.name for one in weighings.of_run(found[0], N)} == {"first", "second"}
 
 
 def test_probe_shows_each_learners_weights(weighed: Path):
@@ -78,7 +78,8 @@ def test_the_command_on_the_page_weighs_the_same_rows_again(
     words = shlex.split(next(code.value for code in app.code if "/weighings/" in code.value))
     monkeypatch.chdir(tmp_path)  # where no file of the user's lies
     assert main([*words[1:], "--footprint", "50", "--out", "again"]) == 0
-    (before, _) = datasets.weighings(datasets.find(str(weighed), named(weighed, "my buffer")))
+    found = weighings.of_run(weighings.dataset(str(weighed), named(weighed, "my buffer")), N)
+    (before,) = (one.path for one in found if one.name == "first")
     old, new = read_json(before / "report.json"), read_json(tmp_path / "again" / "report.json")
     same = ("data", "rows_digest", "env", "policy", "preset", "rows")
     assert [new[name] for name in same] == [old[name] for name in same]
@@ -92,7 +93,7 @@ def test_a_weighing_of_random_rows_and_those_of_a_step_shows_all_its_rows(
     by = ["--policy", "random", "--footprint", "50", "--learner", "pmac", "--seeds", "0"]
     out = ["--out", str(tmp_path / "weighings" / "both"), "--store", str(weighed)]
     assert main(["weigh", *of, *by, *out]) == 0
-    (found,) = datasets.listing(str(tmp_path))
+    (found,) = weighings.datasets(str(tmp_path))
     (made,) = weighings.of_run(found, 2 * N)
     assert (made.step, made.end, made.missing(2 * N)) == (N, 2 * N, "")
     set_links(Links(store=str(tmp_path), key="key"), monkeypatch)

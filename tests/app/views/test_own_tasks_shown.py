@@ -14,11 +14,10 @@ from studio_pages import array, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, undescribed
 
 from app.data import readers, replays
-from app.data.readers import RunInfo
 from app.links import Links
 from app.scenes import solids, states
 from app.scenes.replay import track
-from app.views.regions import buffer_reader
+from app.views.regions import buffer
 from tom.record import Store, layout
 from tom.record.reader import RunReader
 from tom.record.task_record import scene_of, task_of
@@ -53,7 +52,7 @@ def shown(trained: Path, studio: Links, monkeypatch: pytest.MonkeyPatch) -> Path
     return trained
 
 
-def info(store: Path, run_id: str) -> RunInfo:
+def info(store: Path, run_id: str) -> RunReader:
     return next(run for run in readers.listing(str(store)).runs if run.run_id == run_id)
 
 
@@ -82,10 +81,10 @@ def test_robots_stand_in_the_states_of_a_buffer(shown: Path, run_id: str):
     run = RunReader(shown / run_id)
     recorded, model = run.buffer()[0], scene_of(run)
     assert model is not None
-    assert buffer_reader.drawn(info(shown, run_id))
+    assert buffer.drawn(info(shown, run_id))
     ended = np.zeros(len(recorded), bool)
-    rows = buffer_reader.windows(ended, [20, 120])
-    qpos = states.poses(task_of(run), recorded, run.buffer_state(), rows)
+    rows = buffer.windows(ended, [20, 120])
+    qpos = states.poses(task_of(run), recorded, run.recorded().state, rows)
     robots = solids.of(model, qpos)
     assert len(robots.position) == 2
     assert np.isfinite(robots.floor)

@@ -11,10 +11,9 @@ import pandas as pd
 import pytest
 from streamlit.testing.v1 import AppTest
 from studio_pages import array, captions, draw, figures, set_links, trace
-from studio_runs import PENDULUM_TOM, info, set_status, with_weighing
+from studio_runs import PENDULUM_TOM, altered, info, set_status, with_weighing
 
-from app.data import buffer_reader, readers, weighings
-from app.data.readers import RunInfo
+from app.data import buffer, readers, weighings
 from app.figures.probe import RunErrors
 from app.links import Links
 from app.parts import widgets
@@ -74,7 +73,7 @@ def test_a_weighing_is_found_by_its_run(weighed: Path) -> None:
     assert weighings.of_run(info(weighed.parents[1], "pendulum-mle-0"), ROWS) == []
     assert weighings.of_run(run, ROWS - 1) == []
     table = pd.read_parquet(weighed / "weights.parquet")
-    of = weighings.weights(found)
+    of = found.weights()
     assert set(of) == {(name, seed) for name in ("tom", "pmac", "mle") for seed in (0, 1)}
     assert of["tom", 1] == pytest.approx(table["tom-s1"].to_numpy())
 
@@ -121,7 +120,7 @@ def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) ->
     assert any(f"first {ROWS} of now {2 * ROWS} trans" in words.value for words in app.caption)
     run = info(weighed.parents[1], PENDULUM_TOM)
     [found] = weighings.of_run(run, 2 * ROWS)
-    rows = buffer_reader.weighed_rows(run, weighings.weights(found)["tom", 0], found.end)
+    rows = buffer.weighed_rows(run, found.weights()["tom", 0], found.end)
     assert rows is not None
     assert (rows.first, len(rows)) == (0, ROWS)
 
@@ -129,7 +128,7 @@ def test_a_weighing_of_a_run_that_went_on_is_of_its_first_rows(weighed: Path) ->
 def test_damaged_weighings_are_left_out(weighed: Path) -> None:
     run = info(weighed.parents[1], PENDULUM_TOM)
     (weighed / "weights.parquet").write_bytes(b"torn")
-    assert weighings.weights(weighings.of_run(run, ROWS)[0]) == {}
+    assert weighings.of_run(run, ROWS)[0].weights() == {}
     assert draw("probe", run=PENDULUM_TOM).warning
     (weighed / REPORT).write_text("[")
     assert weighings.of_run(run, ROWS) == []
@@ -214,7 +213,7 @@ def test_the_page_starts_a_weighing_and_shows_it() -> None:
 
 def test_every_kept_model_is_asked_about_the_same_buffer(store: Path) -> None:
     run, other = info(store, PENDULUM_TOM), info(store, "pendulum-mle-0")
-    own, theirs = buffer_reader.errors_on(run, run), buffer_reader.errors_on(run, other)
+    own, theirs = buffer.errors_on(run, run), buffer.errors_on(run, other)
     assert own is not None
     assert theirs is not None
     assert len(own) == len(theirs) == ROWS
@@ -258,7 +257,7 @@ def test_errors_in_sample_are_of_the_last_fits_that_every_run_reaches(
     """Errors fall as data come: who trained for longer must not win by that."""
     last = {"pendulum-tom-1": 400, "pendulum-mle-0": 250}
 
-    def metrics(run: RunInfo) -> pd.DataFrame:
+    def metrics(run: RunReader) -> pd.DataFrame:
         step = np.arange(100, last[run.run_id] + 1, 50)
         return pd.DataFrame({"env_step": step, "one": 1 / step, "other": 2 / step})
 
@@ -272,7 +271,7 @@ def test_errors_in_sample_are_of_the_last_fits_that_every_run_reaches(
 
 def test_two_presets_of_a_learner_are_two_groups(store: Path) -> None:
     runs = [info(store, name) for name in (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")]
-    runs[1] = replace(runs[1], preset="mended")
+    runs[1] = altered(runs[1], preset="mended")
     found = focus_values(runs, "model/error_policy", "model/error_other")
     presets = {f"TOM, {run.preset}": [run.run_id] for run in runs[:2]}
     assert {name: [run.run_id for run in of] for name, of in found.items() if "TOM" in name} == (
@@ -293,7 +292,7 @@ def test_regions_can_show_a_weighings_weights(weighed: Path) -> None:
 
 def test_a_run_that_was_stopped_early_has_no_part(store: Path) -> None:
     runs = [info(store, run_id) for run_id in (PENDULUM_TOM, "pendulum-tom-1", "pendulum-mle-0")]
-    short = replace(runs[0], status=replace(runs[0].status, env_step=150))
+    short = altered(runs[0], status=replace(runs[0].status, env_step=150))
     assert of_like_length([short, *runs]) == (runs, [short])
     assert of_like_length([]) == ([], [])
 

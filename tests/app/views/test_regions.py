@@ -8,7 +8,7 @@ from streamlit.testing.v1 import AppTest
 from studio_pages import array, draw, figures
 from studio_runs import PENDULUM_TOM, info
 
-from app.data import buffer_reader, regions
+from app.data import buffer, regions
 from app.data.buffer import WINDOW, Rows, against, dimension_names, episodes, rows_at, windows
 from app.figures.regions import POINTS, hover_data, region_map, weights_against
 from app.scenes import solids, states
@@ -23,7 +23,7 @@ FIT = 300
 
 @pytest.fixture
 def rows(store: Path) -> Rows:
-    found = buffer_reader.rows(info(store, PENDULUM_TOM), FIT)
+    found = buffer.rows(info(store, PENDULUM_TOM), FIT)
     assert found is not None
     return found
 
@@ -259,6 +259,6 @@ def test_weights_shows_what_they_go_with(store: Path, rows: Rows) -> None:
     assert array(version["data"][0]["x"])[0] == 0
     for panel in (returns, version, error):
         assert array(panel["data"][0]["y"]).min() >= 0
-    found = buffer_reader.model_errors(info(store, PENDULUM_TOM), FIT)
+    found = buffer.model_errors(info(store, PENDULUM_TOM), FIT)
     assert not isinstance(found, str)
     assert array(error["data"][0]["x"]).max() <= found[1].max()

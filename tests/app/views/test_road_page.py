@@ -1,15 +1,14 @@
 """Road and rocks: the weights over the map, and several runs side by side."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from studio_pages import array, draw, figures, metrics, recorded, set_links, trace
-from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, info
+from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, altered, info
 
-from app.data import pictures
+from app.data import road
 from app.data.called import names, short_names, task, told_apart
 from app.links import Links
 from app.theme import COLUMNS, DIVERGING, rgb
@@ -44,7 +43,7 @@ def test_two_runs_are_drawn_side_by_side_on_one_scale(store: Path) -> None:
     assert maps[0]["colorbar"]["tickvals"] == maps[1]["colorbar"]["tickvals"]
     tom, mle = (array(each["customdata"]) for each in maps)
     for shown, run_id in ((tom, ROAD_TOM), (mle, ROAD_MLE)):
-        picture = pictures.load(RunReader(store / run_id), 60)
+        picture = road.picture(RunReader(store / run_id), 60)
         assert picture is not None
         assert shown == pytest.approx(picture.grid, nan_ok=True)
     assert np.nanmax(tom) > 2
@@ -73,15 +72,15 @@ def test_a_copy_without_its_buffer_says_what_was_recorded_of_the_road(
 def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
     tom, mle = (RunReader(store / run_id) for run_id in (ROAD_TOM, ROAD_MLE))
     assert told_apart([tom, mle]) == {ROAD_TOM: "TOM s0", ROAD_MLE: "MLE s0"}
-    twin = replace(info(store, ROAD_TOM), run_id="twin")
+    twin = altered(info(store, ROAD_TOM), run_id="twin")
     assert told_apart([tom, mle, twin]) == {
         ROAD_TOM: f"TOM s0, {ROAD_TOM}",
         ROAD_MLE: "MLE s0",
         "twin": "TOM s0, twin",
     }
-    other = replace(twin, settings={**twin.settings, "tom.flow": "restart"})
+    other = altered(twin, settings={**twin.settings, "tom.flow": "restart"})
     ours = info(store, ROAD_TOM)
-    named = [replace(run, labels=Labels(name="the good one")) for run in (ours, other)]
+    named = [altered(run, labels=Labels(name="the good one")) for run in (ours, other)]
     assert short_names([*named, mle]) == {
         ROAD_TOM: "the good one",
         "twin": "the good one, tom.flow restart",
@@ -89,7 +88,7 @@ def test_runs_that_would_be_called_the_same_are_told_apart(store: Path) -> None:
     }
     assert told_apart([tom, other]) == {ROAD_TOM: "TOM s0", "twin": "TOM s0, tom.flow restart"}
     assert names([tom, other])["twin"] == "Road and rocks · TOM · seed 0, tom.flow restart"
-    robot = replace(twin, run_id="robot", env="walker2d")
+    robot = altered(twin, run_id="robot", env="walker2d")
     assert told_apart([mle, robot]) == {
         ROAD_MLE: "Road and rocks MLE s0",
         "robot": "Walker2d TOM s0",

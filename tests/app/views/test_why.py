@@ -12,7 +12,7 @@ import torch
 from studio_pages import array, draw, figures, metrics, set_links, trace
 from studio_runs import PENDULUM_TOM, ROAD_TOM, info
 
-from app.data import buffer_reader, weighings, why
+from app.data import buffer, weighings, why
 from app.data.buffer import Rows
 from app.data.regions import Plane
 from app.figures.regions import hover_data
@@ -47,7 +47,7 @@ def weighed(studio: Links, store: Path, tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def own_rows(store: Path) -> Rows:
-    found = buffer_reader.rows(info(store, PENDULUM_TOM), FIT)
+    found = buffer.rows(info(store, PENDULUM_TOM), FIT)
     assert found is not None
     return found
 
@@ -65,8 +65,8 @@ def test_a_kept_fit_has_the_terms_of_its_weights(store: Path) -> None:
 def test_a_weighing_has_the_terms_of_its_weights(weighed: Path) -> None:
     run = info(weighed, PENDULUM_TOM)
     (made,) = weighings.of_run(run, 400)
-    (weight,) = weighings.weights(made).values()
-    rows = buffer_reader.weighed_rows(run, weight, made.end)
+    (weight,) = made.weights().values()
+    rows = buffer.weighed_rows(run, weight, made.end)
     assert rows is not None
     found = why.source(run, rows, [made])
     assert isinstance(found, why.Source)
@@ -95,7 +95,7 @@ def test_a_small_copy_has_the_terms_of_its_weights(store: Path, tmp_path: Path) 
     for name, fit in ((PENDULUM_TOM, FIT), (ROAD_TOM, 60)):
         export_small(RunReader(store / name), tmp_path)
         run = info(tmp_path, name)
-        rows = buffer_reader.rows(run, fit)
+        rows = buffer.rows(run, fit)
         assert rows is not None
         found = why.source(run, rows, [])
         assert isinstance(found, why.Source)
@@ -105,7 +105,7 @@ def test_a_small_copy_has_the_terms_of_its_weights(store: Path, tmp_path: Path) 
 
 def test_the_roads_policy_rows_are_its_footprint(store: Path) -> None:
     run = info(store, ROAD_TOM)
-    rows = buffer_reader.rows(run, 60)
+    rows = buffer.rows(run, 60)
     assert rows is not None
     found = why.source(run, rows, [])
     assert isinstance(found, why.Source)
@@ -129,7 +129,7 @@ def test_starts_of_rollouts_are_drawn_as_the_run_draws_them(tmp_path: Path) -> N
         run_ids[learner] = train(config, Store(tmp_path), rerun=False).run_id
     for learner, run_id in run_ids.items():
         run = info(tmp_path, run_id)
-        rows = buffer_reader.rows(run, 300)
+        rows = buffer.rows(run, 300)
         assert rows is not None
         row = int(rows.weight.argmax())
         assert rows.weight[row] > 1.1

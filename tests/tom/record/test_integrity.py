@@ -171,7 +171,7 @@ def test_a_run_that_died_becomes_stopped(record, checkpoints: int):
 
 
 def progress(run: RunReader) -> tuple[str, int, int, float | None, float | None, str]:
-    now = run.status
+    now = RunReader(run.path).status
     return now.state, now.env_step, now.total, now.last_return, now.best_return, now.reason
 
 

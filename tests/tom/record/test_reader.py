@@ -140,6 +140,34 @@ def test_a_newer_run_is_read_as_far_as_possible_and_said_to_be_newer(record):
     assert "newer version (schema 2" in problem(run)
 
 
+@pytest.mark.parametrize(
+    ("part", "step", "file"),
+    [
+        ("facts", 0, "labels.json"),
+        ("metrics", 0, "metrics.jsonl"),
+        ("profiles", 0, "weights/profiles.jsonl"),
+        ("notices", 0, "notices.jsonl"),
+        ("snapshot", 400, "weights/snapshot-000000400.parquet"),
+        ("episodes", 500, "episodes/000000500.npz"),
+        ("policies", 500, "policies/000000500.npz"),
+        ("buffer", 0, "buffer/000000000.npz"),
+        ("model", 0, "checkpoint/000000500/state.pt"),
+        ("scene", 0, "scene.npz"),
+        ("recordings", 0, "run.rrd"),
+    ],
+)
+def test_the_version_of_a_part_changes_with_its_files_alone(record, part, step: int, file: str):
+    run = record()
+    others = {"metrics", "profiles", "notices", "buffer", "model"} - {part}
+    before = run.version(part, step), {other: run.version(other) for other in others}
+    path = run.path / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab") as changed:
+        changed.write(b"more")
+    assert run.version(part, step) != before[0]
+    assert {other: run.version(other) for other in others} == before[1]
+
+
 def test_what_is_not_there_is_empty(tmp_path):
     run = RunReader(tmp_path / "nothing")
     assert (run.env, run.learner, run.seed, run.created) == ("?", "?", 0, "")

@@ -18,7 +18,7 @@ from kernel import descendants
 from sweeping import WAIT_S, assert_same_runs, beyond_a_checkpoint, finish, plan, until
 
 from tom.cli import main
-from tom.record import Store
+from tom.record import RunReader, Store
 from tom.sweep.backend import FolderBackend
 from tom.sweep.driver import Driver
 from tom.sweep.engine import LocalEngine
@@ -185,7 +185,7 @@ def test_the_only_node_of_a_sweeps_own_cluster_killed__the_sweep_ends_in_a_minut
     assert "Ray node of this machine" in out
     assert "the same command goes on" in out
     (run,) = Store(tmp_path).runs()
-    until(lambda: not run.status.alive)
+    until(lambda: not RunReader(run.path).status.alive)
 
 
 def name(pid: int) -> str:
@@ -274,7 +274,7 @@ def test_the_head_of_a_cluster_killed__the_sweep_says_so_in_a_summary_and_can_go
     assert "the same command goes on" in out
     assert "GCS" not in out + error
     (run,) = store.runs()
-    until(lambda: not run.status.alive)
+    until(lambda: not RunReader(run.path).status.alive)
     done = subprocess.run(sweep(*words, "--jobs", "1"), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     planned, undisturbed = plan(learner=["mle"], seeds=[0], steps=1500), Store(tmp_path / "other")

@@ -58,7 +58,7 @@ def test_rows_of_an_episode_join_and_the_halves_do_not(recording: RunReader):
 
 
 def test_the_state_of_a_row_gives_its_obs(recording: RunReader):
-    rows, state = recording.buffer()[0], recording.buffer_state()
+    rows, _, state = recording.recorded()
     # Hopper's obs: qpos without x, then qvel within +-10.
     expected = np.hstack([state["qpos"][:, 1:], state["qvel"].clip(-10, 10)])
     np.testing.assert_array_equal(rows.obs, expected)
@@ -182,8 +182,8 @@ def test_a_recording_that_was_stopped_goes_on_to_the_same_files(recording: RunRe
     for name in ("obs", "reward", "truncated"):
         ours, theirs = (getattr(run.buffer()[0], name) for run in (done, recording))
         np.testing.assert_array_equal(ours, theirs)
-    for name, states in recording.buffer_state().items():
-        np.testing.assert_array_equal(done.buffer_state()[name], states)
+    for name, states in recording.recorded().state.items():
+        np.testing.assert_array_equal(done.recorded().state[name], states)
     ours, theirs = (read_policy(run.path / "policy.npz") for run in (done, recording))
     obs = torch.randn(20, 11, generator=torch.Generator().manual_seed(1))
     assert torch.equal(ours.mean(obs), theirs.mean(obs))

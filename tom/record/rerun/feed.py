@@ -184,7 +184,8 @@ def _growing(run: RunReader) -> Iterator[bytes]:
     follower = Follower(run)
     alive = True
     while alive:
-        alive = run.status.alive  # read before the rows, so that later rows are not missed
+        # A new reader reads it again: before the rows, so that later rows are not missed.
+        alive = RunReader(run.path).status.alive
         yield from follower.pieces()
         yield b""
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from studio_runs import ROAD_TOM, info
 
-from app.data import pictures, readers
-from app.data.roadmap import (
+from app.data import readers, road
+from app.data.road import (
     RoadShape,
     distance_to_road,
     on_road,
@@ -59,19 +59,13 @@ def test_cells_hold_the_mean_of_their_transitions() -> None:
     assert mean[row, column] == pytest.approx(weight[inside].mean())
 
 
-def test_an_empty_cell_has_no_mean_and_the_edge_belongs_to_the_last_cell() -> None:
-    mean = weight_grid(np.array([[1.0, 1.0]]), np.array([2.0]), cells=3)
-    assert mean[2, 2] == 2
-    assert np.isnan(mean).sum() == 8
-
-
 def test_no_weight_has_no_share(road_map: RoadShape) -> None:
     assert np.isnan(road_share(np.array([[0.1, 0.12], [0.5, 0.5]]), np.zeros(2), road_map))
 
 
 def test_a_picture_says_what_the_run_recorded(store: Path) -> None:
     run = RunReader(store / ROAD_TOM)
-    picture = pictures.load(run, pictures.steps(run)[-1])
+    picture = road.picture(run, road.steps(run)[-1])
     assert picture is not None
     recorded = curve_points(readers.metrics(info(store, ROAD_TOM)), "weights/road_share")[1]
     assert picture.share == pytest.approx(recorded[0], abs=1e-4)
@@ -87,18 +81,18 @@ def test_a_picture_that_was_read_while_its_fit_was_written_is_read_again(
     store: Path, tmp_path: Path
 ) -> None:
     run = RunReader(shutil.copytree(store / ROAD_TOM, tmp_path / ROAD_TOM))
-    before, step = pictures.steps(run)[-2:]
+    before, step = road.steps(run)[-2:]
     fields = {name: run.field(name, step) for name in ("model", "trajectories")}
     for name in fields:
         (run.path / layout.field(name, step)).unlink()
-    early = pictures.load(run, step)
+    early = road.picture(run, step)
     assert early is not None
     assert np.array_equal(early.modelled, run.field("model", before)["modelled"])
     for name, arrays in fields.items():
         moved = {key: array + 1 for key, array in arrays.items()}
         np.savez(run.path / layout.field(name, step), allow_pickle=False, **moved)
-        pictures.load(run, step)
-    late = pictures.load(run, step)
+        road.picture(run, step)
+    late = road.picture(run, step)
     assert late is not None
     assert np.array_equal(late.modelled, fields["model"]["modelled"] + 1)
     assert np.array_equal(late.learnt[0], fields["trajectories"]["learnt_0"] + 1)
@@ -107,9 +101,3 @@ def test_a_picture_that_was_read_while_its_fit_was_written_is_read_again(
 def test_trajectories_come_in_order() -> None:
     arrays = {f"learnt_{k}": np.full((2, 2), k) for k in (10, 2, 0)} | {"expert_0": np.zeros(2)}
     assert [int(line[0, 0]) for line in trajectories(arrays, "learnt")] == [0, 2, 10]
-
-
-def test_a_run_without_its_map_has_no_picture(tmp_path: Path) -> None:
-    run = RunReader(tmp_path)
-    assert pictures.steps(run) == []
-    assert pictures.load(run, 0) is None

@@ -1,4 +1,4 @@
-"""Road-and-rocks as arrays for both the 2D map and the 3D scene. Pure functions."""
+"""Road-and-rocks for both the 2D map and the 3D scene: the record of a fit, and the geometry."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,9 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.data import buffer
+from app.data.cache import cached
+from app.data.readers import reader
+from tom.record.reader import RunReader, at_or_before
+
 CELLS = 40
 """the heatmap has CELLS x CELLS cells, with about six random transitions in each"""
 OUTLINE_POINTS = 24
+MODEL, TRAJECTORIES = "model", "trajectories"
+"""recorded pictures of every fit"""
 
 
 @dataclass(frozen=True)
@@ -23,12 +30,68 @@ class RoadShape:
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray]) -> "RoadShape":
         """From a run's `map` picture. Raises KeyError if a part is missing."""
-        return cls(
-            arrays["centre_line"],
-            float(arrays["road_half_width"]),
-            arrays["start"],
-            arrays["goal"],
-        )
+        width = float(arrays["road_half_width"])
+        return cls(arrays["centre_line"], width, arrays["start"], arrays["goal"])
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The data of one fit."""
+
+    learner: str
+    step: int
+    road: RoadShape
+    grid: NDArray[np.float64]  # (CELLS, CELLS) mean weight, row 0 at the lowest y
+    share: float  # of the weight that lies on the road
+    expert: list[NDArray]  # (H + 1, 2) each
+    learnt: list[NDArray]  # (H + 1, 2) each
+    points: NDArray  # (G, 2)
+    true: NDArray  # (G, 2) displacements under the expert's action
+    modelled: NDArray  # (G, 2)
+
+
+def steps(run: RunReader) -> list[int]:
+    """The fits that can be shown, because their single weights were stored."""
+    return run.snapshot_steps() if run.field_steps("map") else []
+
+
+# A training writes the snapshot first, and the pictures a moment later.
+@cached("snapshot", "pictures")
+def picture(run: RunReader, step: int) -> Picture | None:
+    """The fit at `step`; None if the run's folder lacks the map."""
+    part = reader(run)
+
+    def latest(name: str) -> dict[str, NDArray]:
+        recorded = part.field_steps(name)
+        return part.field(name, at_or_before(recorded, step)) if recorded else {}
+
+    try:
+        road = RoadShape.of(latest("map"))
+    except KeyError:
+        return None
+    weight = part.snapshot(step)["weight"].to_numpy(np.float32)
+    obs = np.asarray(buffer.recorded(run).rows.obs)[: len(weight)]
+    obs, weight = obs.reshape(-1, 2), weight[: len(obs)]
+    model, lines = latest(MODEL), latest(TRAJECTORIES)
+    nothing = np.zeros((0, 2), np.float32)
+    return Picture(
+        learner=run.learner,
+        step=step,
+        road=road,
+        grid=weight_grid(obs, weight),
+        share=road_share(obs, weight, road),
+        expert=trajectories(lines, "expert"),
+        learnt=trajectories(lines, "learnt"),
+        points=model.get("points", nothing),
+        true=model.get("true", nothing),
+        modelled=model.get("modelled", nothing),
+    )
+
+
+def trajectories(arrays: Mapping[str, NDArray], kind: str) -> list[NDArray]:
+    """The driven lines (H + 1, 2) of a kind, `expert` or `learnt`, in order."""
+    names = [name for name in arrays if name.startswith(f"{kind}_")]
+    return [arrays[name] for name in sorted(names, key=lambda name: int(name.split("_")[1]))]
 
 
 def distance_to_road(points: NDArray, centre_line: NDArray) -> NDArray[np.float64]:
@@ -71,9 +134,8 @@ def road_share(obs: NDArray, weight: NDArray, road: RoadShape) -> float:
 
 def outline(road: RoadShape) -> list[NDArray[np.float64]]:
     """The road's edge: one closed line (K, 2) around the points within its half width."""
-    left = _one_side(road.centre_line, road.half_width)
-    right = _one_side(road.centre_line[::-1], road.half_width)
-    edge = np.concatenate([left, right])
+    lines = road.centre_line, road.centre_line[::-1]
+    edge = np.concatenate([_one_side(line, road.half_width) for line in lines])
     inside = distance_to_road(edge, road.centre_line) >= road.half_width * (1 - 1e-6)
     edge = edge[inside]
     return [np.concatenate([edge, edge[:1]])]
@@ -83,12 +145,6 @@ def circle(x: float, y: float, radius: float, points: int = 48) -> NDArray[np.fl
     """A closed circle (points + 1, 2)."""
     turn = np.linspace(0, 2 * np.pi, points + 1)
     return np.stack([x + radius * np.cos(turn), y + radius * np.sin(turn)], -1)
-
-
-def trajectories(arrays: Mapping[str, NDArray], kind: str) -> list[NDArray]:
-    """The driven lines (H + 1, 2) of a kind, `expert` or `learnt`, in order."""
-    names = [name for name in arrays if name.startswith(f"{kind}_")]
-    return [arrays[name] for name in sorted(names, key=lambda name: int(name.split("_")[1]))]
 
 
 def _one_side(line: NDArray, offset: float) -> NDArray[np.float64]:
