@@ -8,9 +8,9 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from app import text
-from app.data.brush import Brushed
 from app.data.buffer import Against, Floats, Rows
 from app.data.regions import Mask, Plane
+from app.data.weighings import Brushed
 from app.figures.base import across, line, note, octaves, relative_scale, styled, upright
 from app.theme import COLUMNS, NEUTRAL, TEXT, Mode, learner_colour, ramp
 from tom import readable

@@ -1,15 +1,13 @@
 """Robots in heavy and light states of a replay buffer, each moving through its window of steps."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from app.data import datasets, readers
+from app.data import buffer, weighings
 from app.data.buffer import WINDOW, windows
-from app.data.cache import VersionedCache
 from app.figures.base import OCTAVES, octaves
 from app.scenes import solids
 from app.scenes.control import SPEEDS, StatesChoice
@@ -21,7 +19,6 @@ from tom.data.transitions import Transitions
 from tom.envs.scene import Model
 from tom.envs.task import Task
 from tom.errors import UserError
-from tom.record import stamps
 from tom.record.reader import RunReader
 from tom.record.store import Store
 from tom.record.task_record import scene_of, task_of
@@ -35,8 +32,6 @@ TILT = 1.2
 MARGIN = 0.45
 """metres between two robots"""
 SLOW = tuple(name for name, speed in SPEEDS.items() if speed <= 1)
-_RECORDED: VersionedCache[tuple[Transitions, dict[str, NDArray]]] = VersionedCache()
-"""of each run, the rows of its buffer and the simulator's state at each"""
 
 
 def poses(
@@ -154,19 +149,17 @@ class StatesFrame(Frame):
 
 
 def reader_of(store: str, name: str) -> RunReader:
-    """The reader of the run or data set `name`. Raises UserError if there is none."""
+    """The run or data set `name`. Raises UserError if there is none."""
     if Store(store).has_folder(name):
         return Store(store).run(name)
-    return readers.reader_at(Path(datasets.find(store, name).path))
+    return weighings.dataset(store, name)
 
 
 def _groups(
     run: RunReader, choice: StatesChoice, model: Model, mode: Mode
 ) -> list[tuple[str, Solids, list[Colour]]]:
     """The title, the robots and their colours of each group that has rows."""
-    recorded, state = _RECORDED.get(
-        str(run.path), lambda: (run.buffer()[0], run.buffer_state()), stamps.buffer(run.path)
-    )
+    recorded, _, state = buffer.recorded(run)
     ended = recorded.ended()
     if max((*choice.heavy, *choice.light), default=0) >= len(ended):
         raise UserError("these transitions are no longer in the run's record")

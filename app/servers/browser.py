@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 
 from PIL import Image
 
-from app.data import readers
+from app.data import readers, road
 from app.parts import widgets
 from app.router import VIEWS
 from app.servers.launcher import Studio, servers
@@ -112,7 +112,7 @@ def stories(store: Path) -> list[tuple[str, str, list[int]]]:
     found = []
     for view, steps in (
         ("weights", {r.run_id: list(readers.profiles(r).env_step) for r in runs if r.env != ROAD}),
-        ("road", {r.run_id: readers.road_steps(r) for r in runs if r.env == ROAD}),
+        ("road", {r.run_id: road.steps(r) for r in runs if r.env == ROAD}),
     ):
         run_id = max(steps, key=lambda name: len(steps[name]), default=None)
         if run_id is not None and len(steps[run_id]) >= FEWEST:

@@ -177,7 +177,7 @@ def test_every_neighbour_has_a_column_however_near_to_the_next(store: Path) -> N
 
 
 def test_weights_that_no_learner_made_here_have_no_sum(store: Path) -> None:
-    early = buffer_reader.rows(info(store, PENDULUM_TOM), 200)  # before TOM weighs
+    early = buffer.rows(info(store, PENDULUM_TOM), 200)  # before TOM weighs
     assert early is not None
     assert isinstance(why.source(info(store, PENDULUM_TOM), early, []), str)
     assert isinstance(why.source(info(store, "pendulum-mle-0"), own_rows(store), []), str)
