@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app.figures.looks import Look
 from hypothesis import given, settings
 from hypothesis import strategies as hypothesis
 from scipy.stats import mannwhitneyu
@@ -19,6 +18,7 @@ from studio_runs import PENDULUM_TOM, ROAD_TOM, altered, info, set_status
 
 from app.data.tables import default_level
 from app.figures import statistics
+from app.figures.curves import Look
 from app.figures.statistics import Profile
 from app.links import Links
 from app.parts import replay_link, shortlinks
@@ -341,7 +341,7 @@ def test_play_all_starts_every_replay_of_the_page(
         for selection in selections.values():
             assert selection.compact
             assert isinstance(selection.choice, ReplayChoice)
-            assert (selection.choice.step, selection.choice.played) == (400, played)
+            assert (selection.choice.step, selection.choice.asked) == (400, played)
 
 
 def test_settings_show_only_what_differs() -> None:

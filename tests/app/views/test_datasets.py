@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import streamlit as st
 import torch
-from app.scenes.states_frame import whose_rows
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, array, draw, figures, set_links
 
 from app.data import weighings
 from app.links import Links
+from app.scenes.states import reader_of
 from tom.cli import main
 from tom.envs import task
 from tom.errors import UserError
@@ -128,8 +128,8 @@ def test_pages_of_runs_do_without_any(view: str):
 
 
 def test_the_3d_scene_finds_the_rows(weighed: Path):
-    run = whose_rows(str(weighed), named(weighed, "my buffer"))
+    run = reader_of(str(weighed), named(weighed, "my buffer"))
     assert (run.path.name, run.env) == ("second", ENV)
     assert len(run.buffer()[0]) == N
     with pytest.raises(UserError, match="no data set"):
-        whose_rows(str(weighed), "my buffer-00000000")
+        reader_of(str(weighed), "my buffer-00000000")

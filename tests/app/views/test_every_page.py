@@ -12,7 +12,6 @@ from streamlit.runtime.scriptrunner_utils.script_run_context import ScriptRunCon
 from streamlit.testing.v1 import AppTest
 from studio_pages import TIMEOUT_S, captions, draw, figures, set_links
 from studio_runs import PENDULUM_TOM, ROAD_TOM, change
-from tom.reports.html import Report, write_report
 
 from app.__main__ import _readable
 from app.data import readers, studies, weighings
@@ -23,6 +22,7 @@ from app.views import live
 from tom.errors import UserError
 from tom.record import Store, layout, manage
 from tom.record.reader import RunReader
+from tom.reports.report import Report, write_report
 from tom.reports.weighing_files import REPORT
 
 pytestmark = pytest.mark.usefixtures("studio")

@@ -23,10 +23,9 @@ from studio_pages import (
     set_links,
     trace,
 )
-from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, WAITING, change, info, stand_in
+from studio_runs import PENDULUM_TOM, ROAD_MLE, ROAD_TOM, WAITING, altered, change, info, stand_in
 
 from app.data import trainings
-from app.data.readers import RunInfo
 from app.data.trainings import Started
 from app.links import Links
 from app.parts import replay_link
@@ -45,7 +44,7 @@ pytestmark = pytest.mark.usefixtures("studio")
 SECOND = "pendulum-tom-1"
 
 
-def ids(runs: Sequence[RunInfo]) -> list[str]:
+def ids(runs: Sequence[RunReader]) -> list[str]:
     return [run.run_id for run in runs]
 
 
@@ -74,12 +73,12 @@ def test_without_a_training_runs_with_weights_and_replays_come_first(
 ) -> None:
     monkeypatch.setattr(live, "RECENT_S", -1)
     trained = info(store, PENDULUM_TOM)
-    recording = replace(trained, run_id="recorded", env="hopper", learner="sac")
+    recording = altered(trained, run_id="recorded", env="hopper", learner="sac")
     assert watched([recording, trained], []) == [trained]
     assert watched([recording], []) == [recording]
     folder = shutil.copytree(store / PENDULUM_TOM, tmp_path / "bare")
     shutil.rmtree(folder / "episodes")
-    bare = replace(trained, run_id="bare", path=str(folder))
+    bare = altered(trained, run_id="bare", path=folder)
     assert watched([bare, trained], []) == [trained]  # the newest, but without a replay
     assert watched([bare], []) == [bare]
 
@@ -88,12 +87,12 @@ def test_a_training_that_ends_stays_beside_the_next_and_before_small_copies(
     store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ended = info(store, PENDULUM_TOM)
-    recent = replace(ended, status=replace(ended.status, heartbeat=time.time()))
+    recent = altered(ended, status=replace(ended.status, heartbeat=time.time()))
     status = replace(recent.status, state="running")
-    trains = replace(recent, run_id="trains", learner="mle", status=status)
-    copy = replace(recent, run_id="copy", learner="mle", small_copy=True)
+    trains = altered(recent, run_id="trains", learner="mle", status=status)
+    copy = altered(recent, run_id="copy", learner="mle", small_copy=True)
     assert set(ids(watched([trains, recent, copy], []))) == {"trains", PENDULUM_TOM}
-    many = [replace(recent, run_id=f"ended-{i}") for i in range(100)]
+    many = [altered(recent, run_id=f"ended-{i}") for i in range(100)]
     assert len(watched([trains, *many], [])) == 1 + live.RECENT
     monkeypatch.setattr(live, "RECENT_S", -1)
     assert ids(watched([trains, recent], [])) == ["trains"]

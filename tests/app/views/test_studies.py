@@ -12,14 +12,13 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from studio_pages import draw, set_links
 from studio_runs import PENDULUM_TOM, change
-from tom.reports.files import write_csv
-from tom.reports.html import Report, write_report
 
 from app.data import readers, studies
 from app.links import Links
 from app.servers.pages import routes
 from app.views.studies import _running
 from tom.record import layout
+from tom.reports.report import Report, write_csv, write_report
 
 pytestmark = pytest.mark.usefixtures("studio")
 ROWS = [{"learner": "tom", "error": 0.25}, {"learner": "mle", "error": 0.5}]

@@ -26,6 +26,7 @@ from tom.policy.collect import Footprint, footprint
 from tom.policy.stored import UniformPolicy
 from tom.record import RunReader, Store
 from tom.reports.weighing_files import notices
+from tom.studies.progression import in_order
 from tom.training.presets import resolve
 
 QUICK = [
