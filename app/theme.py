@@ -97,6 +97,12 @@ def learner_label(learner: str) -> str:
     return LEARNERS[learner].label if learner in LEARNERS else _OTHER_LABELS.get(learner, learner)
 
 
+def mixed(colour: str, other: str, share: float) -> str:
+    """`#rrggbb` with a `share` of another colour in it."""
+    parts = ([int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in (colour, other))
+    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(*parts, strict=True))
+
+
 def faded(colour: str, alpha: float) -> str:
     """`#rrggbb` as a CSS colour of opacity `alpha`."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))

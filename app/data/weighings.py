@@ -138,8 +138,8 @@ def _number(value: float | None) -> float:
     return np.nan if value is None else float(value)
 
 
-def footprints(weighing: WeighingInfo) -> dict[str, tuple[float, float]]:
-    """By learner the footprint of its weights and its standard error, medians over the seeds.
+def footprints(weighing: WeighingInfo) -> dict[str, NDArray[np.float64]]:
+    """By learner the footprint of its weights and its standard error, for each seed (S, 2).
 
     At 1 the weighted buffer is as far from fresh episodes of the policy as the unweighted one.
     Empty if none was measured.
@@ -152,12 +152,7 @@ def footprints(weighing: WeighingInfo) -> dict[str, tuple[float, float]]:
                 by_learner.setdefault(str(result["learner"]), []).append(measured)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}
-    return {
-        learner: (float(np.median(values)), float(np.median(errors)))
-        for learner, (values, errors) in (
-            (name, zip(*measured, strict=True)) for name, measured in by_learner.items()
-        )
-    }
+    return {learner: np.array(measured) for learner, measured in by_learner.items()}
 
 
 def _read(path: Path, rows: int) -> WeighingInfo | None:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import blake2b
 
 from app.figures.base import DASHES
 from app.theme import (
@@ -13,9 +14,14 @@ from app.theme import (
     learner_colour,
     learner_label,
     learner_symbol,
+    mixed,
     ramp,
 )
 from tom.analysis.grouping import USUAL, Kind, natural, number
+from tom.learners import SUBJECT
+
+MAIN_PRESET = {SUBJECT: "mended"}
+"""of learners whose main preset is not the paper's"""
 
 
 @dataclass(frozen=True)
@@ -33,9 +39,9 @@ def looks(
 ) -> dict[Kind, Look]:
     """The look of every kind among the groups, which are pairs (environment, kind).
 
-    A learner has its own colour; its first group has a solid line and each further one another
-    dash. Grouped by a setting, each value has its own colour, in order if the values are numbers;
-    groups of learners without that setting are grey.
+    A learner has its own hue, each of its groups a shade of it. Grouped by a setting, each value
+    has its own colour, in order if the values are numbers; groups of learners without that setting
+    are grey.
     """
     tasks = Counter(kind for _, kind in set(groups))
     if by in (USUAL, "learner"):
@@ -45,13 +51,24 @@ def looks(
 
 
 def _of_learners(tasks: Mapping[Kind, int]) -> dict[Kind, Look]:
-    # The kind with the most tasks comes first, so its learner's solid line belongs to it.
-    look_of: dict[Kind, Look] = {}
-    for kind in sorted(tasks, key=lambda kind: (kind.learner, -tasks[kind], kind)):
-        place = sum(other.learner == kind.learner for other in look_of)
-        colour, symbol = learner_colour(kind.learner), learner_symbol(kind.learner)
-        look_of[kind] = Look(_title(kind, tasks), colour, DASHES[place % len(DASHES)], symbol)
-    return look_of
+    return {
+        kind: Look(_title(kind, tasks), _shade(kind), "solid", learner_symbol(kind.learner))
+        for kind in sorted(tasks)
+    }
+
+
+def _shade(kind: Kind) -> str:
+    """A group's colour: the hue of its learner, full for its main preset and else paler.
+
+    It depends on nothing but the group itself, so that no filter changes it.
+    """
+    colour = learner_colour(kind.learner)
+    if kind.preset not in (MAIN_PRESET.get(kind.learner, "paper"), "smoke"):
+        colour = mixed(colour, "#ffffff", 0.45)
+    if kind.variant:
+        level = int(blake2b(kind.variant.encode(), digest_size=1).hexdigest(), 16) / 255
+        colour = mixed(mixed(colour, NEUTRAL, 0.5), "#000000", 0.4 * level)
+    return colour
 
 
 def _of_values(values: Sequence[Kind], by: str, mode: Mode) -> dict[Kind, Look]:

@@ -135,6 +135,34 @@ function hiddenLines({ _fullData }) {
   return off.map(({ uid }) => uid);
 }
 
+// The other charts on the page that share this one's x axis.
+function linked(plot) {
+  const others = [...document.querySelectorAll(".plot")];
+  return others.filter((other) => other !== plot && other.wired && plot.linked && other.linked === plot.linked);
+}
+
+// A thin line in every linked chart where the pointer is in one of them.
+function crosshair(plot, x) {
+  for (const other of linked(plot)) {
+    const line = other.parentElement.querySelector(".plot-crosshair");
+    const { xaxis, _size } = other._fullLayout;
+    const at = x === null ? -1 : xaxis.d2p(x);
+    line.hidden = !(at >= 0 && at <= xaxis._length);
+    line.style.cssText = `height:${_size.h}px;top:${_size.t}px;transform:translateX(${xaxis._offset + at}px)`;
+  }
+}
+
+// What was zoomed along x here is zoomed in the linked charts, before the server hears of it.
+function spreadZoom(plot, event, Plotly) {
+  const range = ["xaxis.range[0]", "xaxis.range[1]"].map((key) => event[key]);
+  const change = event["xaxis.autorange"] ? { "xaxis.autorange": true } : { "xaxis.range": range };
+  if (!event["xaxis.autorange"] && range.includes(undefined)) return;
+  for (const other of linked(plot)) {
+    other.quiet = true;
+    Plotly.relayout(other, change).finally(() => (other.quiet = false));
+  }
+}
+
 function wire(plot, Plotly) {
   let told = "";
   const select = (region) => {
@@ -151,7 +179,12 @@ function wire(plot, Plotly) {
     const points = event.points.map(({ curveNumber, pointIndex }) => [curveNumber, pointIndex]);
     select({ points, outline: corners(event) });
   });
-  plot.on("plotly_relayout", () => {
+  plot.on("plotly_afterplot", () => plot.follows?.cursor && follow(plot, window.tomStep));
+  plot.on("plotly_hover", ({ xvals }) => crosshair(plot, xvals?.[0] ?? null));
+  plot.on("plotly_unhover", () => crosshair(plot, null));
+  plot.on("plotly_relayout", (event) => {
+    if (plot.quiet) return; // it follows another
+    spreadZoom(plot, event, Plotly);
     const view = plot.taken && shownPart(plot);
     const words = JSON.stringify(view);
     if (!view || words === (plot.viewed.at(-1) ?? plot.given)) return;
@@ -167,11 +200,41 @@ function wire(plot, Plotly) {
   plot.watch.observe(plot);
 }
 
+// Shows the state of the page's timeline: a cursor at its step, and the traces' values at the last
+// of the figure's own steps that is not after it.
+function follow(plot, step) {
+  const { cursor, steps, traces } = plot.follows ?? {};
+  if (step === undefined || !plot.wired) return;
+  const mark = plot.parentElement.querySelector(".plot-cursor");
+  mark.hidden = !cursor;
+  if (cursor) {
+    const { xaxis, _size } = plot._fullLayout;
+    const x = xaxis.d2p(step);
+    mark.hidden = !(x >= 0 && x <= xaxis._length);
+    mark.style.cssText = `height:${_size.h}px;top:${_size.t}px;transform:translateX(${xaxis._offset + x}px)`;
+  }
+  if (!traces) return;
+  const at = Math.max(steps.filter((own) => own <= step).length - 1, 0);
+  if (at === plot.frame) return;
+  plot.frame = at;
+  for (const { index, y } of traces) plot.data[index].y = y[at];
+  window.Plotly.redraw(plot);
+}
+
+function followAll({ detail }) {
+  for (const plot of document.querySelectorAll(".plot")) if (plot.follows) follow(plot, detail);
+}
+// This script may be read more than once.
+if (!window.tomFollowAll) window.addEventListener("tom:step", followAll);
+window.tomFollowAll = followAll;
+
 export default function ({ data, parentElement, setTriggerValue }) {
   const plot = parentElement.querySelector(".plot");
   plot.tell = setTriggerValue;
   plot.selects = data.selects;
   plot.hides = data.hides;
+  plot.follows = data.follows;
+  plot.linked = data.linked;
   plot.viewed ??= [];
   if (data.view) take(plot, data.view);
   plot.setAttribute("aria-label", data.label);
@@ -187,6 +250,8 @@ export default function ({ data, parentElement, setTriggerValue }) {
       if (!plot.wired) wire(plot, Plotly);
       plot.wired = true;
       await drawn;
+      plot.frame = undefined;
+      follow(plot, window.tomStep);
     })
     .catch((error) => {
       if (!plot.isConnected) return;
