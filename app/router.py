@@ -102,6 +102,7 @@ def run() -> None:
     st.session_state["pages"] = {page.url_path: page for page in pages}
     address.visit(chosen.url_path)
     draw(chosen.run)
+    st.set_page_config(page_title=f"{chosen.title} - {scope.task_shown()}TOM Studio")
     address.write()
     session.drawn()
 

@@ -118,9 +118,7 @@ def on_policy(side: Side) -> Answer:
         "weights, 0 % is the policy itself."
     )
     if len(measured) == 1:
-        return Answer(
-            "unknown", "Cannot be told yet", sentence, "One run has no interval: 2 seeds do."
-        )
+        return Answer("unknown", "Cannot be told yet", sentence, "One run has no interval: two do.")
     if footprint.high < 1:
         return Answer("yes", "Yes, nearer to the policy", sentence)
     if footprint.low > 1:
@@ -149,8 +147,8 @@ def helps(one: Side, other: Side) -> Answer:
     if fewest < RANKED:
         return Answer(
             "unknown", f"Cannot be told yet: {fewest} of {RANKED} seeds",
-            f"{one.name} returns {means[0]} and {other.name} {means[1]} on average {at} ({counts}). "
-            f"{error}",
+            f"{one.name} returns {means[0]} and {other.name} {means[1]} on average {at} "
+            f"({counts}). {error}",
             f"{RANKED} seeds of each would tell.",
         )  # fmt: skip
     beats, p = scores.beats([final[0]], [final[1]]), scores.chance([final[0]], [final[1]])

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +15,7 @@ from app.data import readers
 from app.data.called import short_names, task
 from app.data.readers import RunInfo
 from app.figures.looks import Look, looks
-from app.parts import address, runlist
+from app.parts import address, again, frame, runlist
 from app.parts.runlist import Item, Section
 from app.theme import learner_label
 from tom.analysis import grouping
@@ -22,6 +23,7 @@ from tom.analysis.curves import curve_points
 from tom.analysis.grouping import Kind
 from tom.config import SAC_ALONE
 from tom.learners import LEARNERS, SUBJECT
+from tom.record.files import modified
 from tom.spread import spread
 from tom.training.presets import default_preset
 
@@ -29,6 +31,8 @@ ALIKE = 0.9
 """runs whose last steps differ by less have ended at about the same step"""
 LINES = 6
 """groups that are shown until the user opens more"""
+LOOK_S = 5
+"""seconds between two looks at whether a training has begun or ended"""
 LISTED = 200
 """runs that the list names"""
 SPARKS = 24
@@ -135,7 +139,16 @@ def draw() -> Scope:
         if not runs:
             st.info("No run passes these filters.", icon=":material/filter_alt_off:")
         _list(scope)
+        frame.draw(everything)
+        alive = any(run.status.alive for run in everything)
+        again.when_changed(lambda: _store_state(store, alive=alive), LOOK_S)
     return scope
+
+
+def _store_state(store: str, *, alive: bool) -> object:
+    """What changes when a run begins, and while some train when one of them ends."""
+    states = [(run.run_id, run.shown) for run in readers.listing(store).runs] if alive else []
+    return modified(Path(store)), states
 
 
 def _of_task(everything: Sequence[RunInfo]) -> list[RunInfo]:
@@ -151,6 +164,12 @@ def _of_task(everything: Sequence[RunInfo]) -> list[RunInfo]:
         lambda name: name if name == EVERY_TASK else task(name), label_visibility="collapsed",
     )  # fmt: skip
     return [run for run in everything if env in (EVERY_TASK, run.env)]
+
+
+def task_shown() -> str:
+    """The chosen task in a window's title; empty if none is chosen."""
+    env = st.session_state.get("task")
+    return f"{task(env)} - " if env and env != EVERY_TASK else ""
 
 
 def _filtered(runs: Sequence[RunInfo], everything: Sequence[RunInfo]) -> tuple[list[RunInfo], str]:

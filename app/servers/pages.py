@@ -4,6 +4,7 @@ import logging
 import re
 from pathlib import Path
 from threading import Thread
+from urllib.parse import parse_qsl, urlencode
 
 import streamlit as st
 from starlette.middleware import Middleware
@@ -35,6 +36,26 @@ from tom.record.store import Store
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """a single evaluation episode: step, number from 0, steps after which the ghost restarts"""
+
+FORWARDED = {
+    "/live": ("/", {}),
+    "/answer": ("/", {}),
+    "/compare": ("/curves", {}),
+    "/weights": ("/attention", {}),
+    "/regions": ("/attention", {"part": "In the buffer"}),
+    "/probe": ("/attention", {"part": "Every learner on one buffer"}),
+    "/road": ("/attention", {"task": "road-and-rocks"}),
+    "/cinema": ("/replays", {"part": "Film"}),
+    "/studies": ("/findings", {}),
+}
+"""pages of older studios, by their address: today's address and its choices"""
+RENAMED = {
+    ("/compare", "env"): "task",
+    ("/compare", "text"): "find",
+    ("/compare", "show"): "part",
+    ("/compare", "metric"): "panel",
+}
+"""choices of older pages that have another name today"""
 
 ENTRY = Path(__file__).with_name("main.py")
 
@@ -77,19 +98,27 @@ def routes(links: Links) -> list[Route]:
             return HTMLResponse(shortlinks.nowhere(code), status_code=404)
         return RedirectResponse(target, status_code=302)
 
-    def first(request: Request) -> Response:
-        # The first page lies at the root alone, but who knows the others looks for it here.
-        return RedirectResponse(f"/?{request.url.query}".removesuffix("?"))
+    def forward(request: Request) -> Response:
+        return RedirectResponse(forwarded(request.url.path, request.url.query))
 
     return [
         Route("/v/{code}", short),
-        Route("/live", first),
+        *[Route(path, forward) for path in FORWARDED],
         Route("/reports/{study}", report),
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
         Route(LIBRARY_PATH, library),
         *page_routes([view.PATH for view in views()]),
     ]
+
+
+def forwarded(path: str, query: str) -> str:
+    """The address of today's page for one of an older studio."""
+    page, more = FORWARDED[path]
+    given = parse_qsl(query)
+    given = [(RENAMED.get((path, name), name), value) for name, value in given]
+    words = urlencode([*more.items(), *given])
+    return f"{page}?{words}".removesuffix("?")
 
 
 def app(links: Links) -> st.App:

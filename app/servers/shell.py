@@ -26,6 +26,11 @@ _HEAD = """<head>
           history.replaceState(null, "", location.pathname + location.search);
         }
         const key = localStorage.getItem("tom-studio-key");
+        // Streamlit keeps a theme for every address; the studio has one for all pages.
+        const theme = localStorage.getItem("tom-studio-theme");
+        if (theme) {
+          localStorage.setItem(`stActiveTheme-${location.pathname}-v2`, JSON.stringify(theme));
+        }
         window.WebSocket = class extends window.WebSocket {
           constructor(address, offered) {
             super(address, key ? [...offered, `tom-studio-key.${key}`] : offered);
