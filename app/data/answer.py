@@ -114,8 +114,8 @@ def on_policy(side: Side) -> Answer:
     left = percent(footprint.value, 0)
     sentence = (
         f"Weighted by {side.name}, the buffer lies at **{left}** of its distance to what the policy "
-        f"does next{_spread(footprint)} ({_count(len(measured))}); 100 % is no nearer than without "
-        "weights, 0 % is the policy itself."
+        f"does next{_spread(footprint)} ({_count(len(measured))}); 100 % is no nearer than "
+        "without weights, 0 % is the policy itself."
     )
     if len(measured) == 1:
         return Answer("unknown", "Cannot be told yet", sentence, "One run has no interval: two do.")

@@ -26,7 +26,6 @@ from app.figures.looks import looks as usual_looks
 from app.theme import learner_colour, learner_label, learner_symbol
 from tom.analysis.curves import GRID, Curve, Group, smoothed
 from tom.analysis.grouping import Kind
-from tom.metrics import describe
 
 POINTS = 1500
 """maximum number of points of a line; the figure says if points were left out"""
@@ -48,10 +47,20 @@ class Axes:
 PLAIN = Axes()
 
 
-def metric_title(metric: str) -> str:
-    """A metric's path, followed by its description if there is one."""
-    words = describe(metric)
-    return metric if words == metric else f"{metric}: {words}"
+SHORT_TITLES = {
+    "eval/return": "Return",
+    "eval/return_max": "Best return so far",
+    "exam/error": "Model error where the policy goes",
+    "exam/rollout_error": "Model error, five steps ahead",
+    "exam/footprint": "Footprint: distance to the policy",
+    "weights/ess": "Effective sample",
+    "model/holdout_nll": "Model's loss on held-out rows",
+}
+
+
+def short_title(metric: str) -> str:
+    """What a metric is called above its figure; its path if it has no name of its own."""
+    return SHORT_TITLES.get(metric, metric)
 
 
 def run_curves(

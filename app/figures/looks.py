@@ -100,7 +100,8 @@ def _title(kind: Kind, among: Iterable[Kind]) -> str:
     """The learner, such as `TOM`, then the preset if its learner has several, and the settings."""
     presets = {other.preset for other in among if other.learner == kind.learner}
     preset = kind.preset if len(presets) > 1 or not kind.learner else ""
-    return ", ".join(filter(None, (learner_label(kind.learner), preset, kind.variant)))
+    called = " ".join(filter(None, (learner_label(kind.learner), preset)))
+    return ", ".join(filter(None, (called, kind.variant)))
 
 
 def _order(kind: Kind) -> list[tuple[float, str]]:

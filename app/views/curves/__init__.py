@@ -11,7 +11,7 @@ from app import session, text
 from app.data import readers, tables
 from app.data.called import names, task, told_apart
 from app.data.readers import RunInfo
-from app.figures.curves import group_curves, metric_title, run_curves
+from app.figures.curves import group_curves, run_curves, short_title
 from app.figures.ends import label_ends
 from app.parts import address, shortlinks, timeline, widgets
 from app.parts.plot import Follow, Point, chart
@@ -23,6 +23,7 @@ from tom.analysis.curves import Curve, Group
 from tom.analysis.scores import common_step
 from tom.analysis.settings import NONE
 from tom.config import SAC_ALONE
+from tom.metrics import describe
 from tom.plugins import CHARTS
 from tom.readable import UNKNOWN, short
 
@@ -86,17 +87,17 @@ def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
     seen = zoom.parts(how.axes.x)
     first: tuple[list[Curve], list[Group]] | None = None
     places = [(env, metric) for metric in metrics for env in envs]
-    columns: list = []
-    for i, (env, metric) in enumerate(places):
-        columns = list(st.columns(2)) if i % 2 == 0 and len(places) > 1 else columns
+    grid = st.container(horizontal=True, key="grid")
+    for env, metric in places:
         here = [run for run in scope.shown if run.env == env]
         curves, grouped = measure.grouped(
             here, scope.kinds, metric, how.axes.x, how.statistic, how.band
         )
         first = first or (curves, grouped)
-        with columns[i % 2] if columns else st.container(), st.container(border=True):
-            where = f"{task(env)}, " if len(envs) > 1 else ""
-            st.markdown(f"**{text.markdown(where + metric_title(metric))}**")
+        with grid, st.container(border=True):
+            where = f"{task(env)}: " if len(envs) > 1 else ""
+            title = text.markdown(where + short_title(metric))
+            st.markdown(f"**{title}**", help=text.markdown(describe(metric)))
             if not any(len(curve.step) for curve in curves):
                 st.caption("None of these runs has recorded it yet.")
                 continue

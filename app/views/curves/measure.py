@@ -66,7 +66,7 @@ def choose(names: Sequence[str]) -> Measure:
     with row[1]:
         log_y = address.switch("log y", "logy")
     with row[2]:
-        singles = address.switch("single runs", "singles", usual=True)
+        singles = address.switch("single runs", "singles")
     axes = Axes(x, log_x, log_y)
     return Measure(axes, STATISTICS[statistic], BANDS[band], int(window), singles)
 
