@@ -7,6 +7,7 @@ from threading import Thread
 from urllib.parse import parse_qsl, urlencode
 
 import streamlit as st
+from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import (
@@ -33,6 +34,8 @@ from tom.errors import UserError
 from tom.machine.address import in_url
 from tom.record.store import Store
 
+LARGEST_FIGURE = 20_000_000
+"""bytes of a figure that a page sends to have it drawn for a paper"""
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """a single evaluation episode: step, number from 0, steps after which the ghost restarts"""
@@ -91,6 +94,19 @@ def routes(links: Links) -> list[Route]:
     def library(_: Request) -> Response:
         return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
 
+    async def figure(request: Request) -> Response:
+        from app.figures import paper  # here: it imports matplotlib
+
+        kind, width = (request.query_params.get(name, "") for name in ("kind", "width"))
+        try:
+            if int(request.headers.get("content-length", LARGEST_FIGURE + 1)) > LARGEST_FIGURE:
+                raise ValueError("the figure is too large")
+            content = await request.json()
+            file = await run_in_threadpool(paper.paper_figure, content, width, kind)
+        except (ValueError, TypeError, KeyError, IndexError) as error:
+            return PlainTextResponse(f"this figure cannot be drawn: {error!r}", status_code=400)
+        return Response(file, media_type=paper.KINDS[kind])
+
     def short(request: Request) -> Response:
         code = request.path_params["code"]
         target = shortlinks.target(links.store, code)
@@ -108,6 +124,7 @@ def routes(links: Links) -> list[Route]:
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
         Route(LIBRARY_PATH, library),
+        Route("/api/figure", figure, methods=["POST"]),
         *page_routes([view.PATH for view in views()]),
     ]
 

@@ -96,6 +96,7 @@ def chart(
     hidden: Callable[[list[str]], None] | None = None,
     follow: Follow | None = None,
     linked: str = "",
+    caption: str = "",
 ) -> None:
     """Show `figure`.
 
@@ -136,6 +137,7 @@ def chart(
         "view": asdict(view) if view else None,
         "follows": follow.message() if follow else None,
         "linked": linked,
+        "caption": caption,
     }
     height = int(figure.layout.height or 400)  # type: ignore[attr-defined]
     _mount()(

@@ -40,16 +40,107 @@ function dressed(layout, value) {
   };
 }
 
-// A picture has the page's background: on none, a dark page's pale text could not be read.
-function save(plot, format) {
-  const picture = {
-    data: plot.data,
-    layout: { ...plot.layout, paper_bgcolor: theme(plot)("background-color") },
-  };
+// --- Saving: a file as the page shows it, or drawn anew for a paper (app/figures/paper.py).
+
+const WIDTHS = { shown: "as shown", one: "one column, 8.6 cm", two: "two columns, 17.8 cm" };
+
+function saveBox(plot) {
+  let box = plot.parentElement.querySelector("dialog");
+  if (!box) {
+    box = document.createElement("dialog");
+    box.className = "plot-save";
+    box.setAttribute("aria-label", "Save this figure");
+    box.innerHTML = `<h2>Save this figure</h2>
+      <fieldset><legend>Width</legend>${Object.entries(WIDTHS)
+        .map(([key, words], i) => `<label><input type="radio" name="width" value="${key}" ${i ? "" : "checked"}> ${words}</label>`)
+        .join("")}</fieldset>
+      <div class="files">${["svg", "pdf", "png", "csv"]
+        .map((kind) => `<button type="button" data-kind="${kind}">${kind.toUpperCase()}</button>`)
+        .join("")}</div>
+      <p class="caption"></p>
+      <form method="dialog"><button type="button" class="copy">Copy the caption</button><button>Close</button></form>`;
+    plot.parentElement.append(box);
+    box.querySelectorAll("[data-kind]").forEach((button) => {
+      button.onclick = () => {
+        const width = box.querySelector("input:checked").value;
+        save(plot, button.dataset.kind, width).catch(say(plot, "The chart cannot be saved"));
+      };
+    });
+    box.querySelector(".copy").onclick = () => navigator.clipboard?.writeText(box.querySelector(".caption").textContent);
+  }
+  box.querySelector(".caption").textContent = plot.caption || plot.getAttribute("aria-label");
+  box.showModal();
+}
+
+async function save(plot, kind, width) {
+  if (kind === "csv") return download(plot, new Blob([csv(plot)], { type: "text/csv" }), kind);
+  // A PDF of the page's own look would be a picture of pixels, so it is drawn as for a paper.
+  if (width === "shown" && kind !== "pdf") {
+    // A picture has the page's background: on none, a dark page's pale text could not be read.
+    const layout = { ...plot.layout, paper_bgcolor: theme(plot)("background-color") };
+    const size = { width: plot.clientWidth, height: plot.clientHeight, scale: 2 };
+    const url = await window.Plotly.toImage({ data: plot.data, layout }, { format: kind, ...size });
+    return download(plot, await (await fetch(url)).blob(), kind);
+  }
+  const column = width === "shown" ? "two" : width;
+  const body = JSON.stringify(shown(plot));
+  const answer = await fetch(`/api/figure?kind=${kind}&width=${column}`, { method: "POST", body });
+  if (!answer.ok) throw new Error(await answer.text());
+  return download(plot, await answer.blob(), kind);
+}
+
+function download(plot, blob, kind) {
+  const link = document.createElement("a");
   const name = plot.getAttribute("aria-label").replace(/[^\w-]+/g, "-").slice(0, 80);
-  const { width, height } = plot.getBoundingClientRect();
-  const file = { format, width, height, scale: 2, filename: name };
-  window.Plotly.downloadImage(picture, file).catch(say(plot, "The chart cannot be saved"));
+  [link.href, link.download] = [URL.createObjectURL(blob), `${name}.${kind}`];
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href));
+}
+
+const drawnTraces = (plot) =>
+  plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap"].includes(type));
+
+// Every drawn number, one line each, with the name of its trace.
+function csv(plot) {
+  const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
+  const { xaxis, yaxis } = plot._fullLayout;
+  const head = ["line", xaxis?.title?.text || "x", yaxis?.title?.text || "y", "value"];
+  const rows = drawnTraces(plot).flatMap(({ name, x, y, z }) =>
+    z
+      ? [...z].flatMap((row, j) => [...row].map((value, i) => [name, x[i], y[j], value]))
+      : [...(x ?? [])].map((at, i) => [name, at, y[i], ""]),
+  );
+  return [head, ...rows].map((row) => row.map((value) => quoted(value ?? "")).join(",")).join("\n");
+}
+
+// What a drawing for a paper needs, in plain numbers.
+function shown(plot) {
+  const full = plot._fullLayout;
+  const axis = ({ range, type, domain, title, tickvals, ticktext, tickmode }) => ({
+    range, type, domain, title: title?.text ?? "",
+    tickvals: tickmode === "array" ? [...(tickvals ?? [])] : null, ticktext: tickmode === "array" ? [...(ticktext ?? [])] : null,
+  });
+  const axes = {};
+  const traces = drawnTraces(plot).map((t) => {
+    const key = `${t.xaxis}${t.yaxis}`;
+    axes[key] ??= { x: axis(full[t.xaxis.replace("x", "xaxis")]), y: axis(full[t.yaxis.replace("y", "yaxis")]) };
+    return {
+      axes: key, type: t.type === "scattergl" ? "scatter" : t.type, name: t.name ?? "", x: [...(t.x ?? [])], y: [...(t.y ?? [])],
+      z: t.z ? [...t.z].map((row) => [...row]) : null, mode: t.mode ?? "lines", opacity: t.opacity ?? 1,
+      colour: one(t.line?.color) ?? one(t.marker?.color) ?? "#444444", width: t.line?.width ?? 1, dash: t.line?.dash ?? "solid",
+      shape: t.line?.shape ?? "linear", symbol: one(t.marker?.symbol) ?? "circle", size: one(t.marker?.size) ?? 4,
+      fill: t.fill && t.fill !== "none" ? t.fillcolor : null, showlegend: Boolean(t.showlegend && full.showlegend),
+      colorscale: t.colorscale ?? null, zmin: t.zmin ?? null, zmax: t.zmax ?? null,
+      ticks: t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
+    };
+  });
+  const annotations = (full.annotations ?? []).map(({ text, x, y, xref }) => ({ text, x, y, xref }));
+  const shapes = (full.shapes ?? []).filter(({ type }) => type === "line").map(({ x0, x1, y0, y1, line }) => ({ x0, x1, y0, y1, dash: line?.dash }));
+  return { traces, axes, annotations, shapes, legend: full.showlegend, ratio: plot.clientHeight / plot.clientWidth };
+}
+
+function one(value) {
+  return Array.isArray(value) || ArrayBuffer.isView(value) ? value[0] : value;
 }
 
 // Puts above the chart that something failed, until it is drawn anew.
@@ -63,11 +154,6 @@ function say(plot, what) {
 }
 
 function options(Plotly, selects, views) {
-  const button = (format) => ({
-    name: `save as ${format.toUpperCase()}`,
-    icon: format === "png" ? Plotly.Icons.camera : Plotly.Icons.disk,
-    click: (plot) => save(plot, format),
-  });
   return {
     displaylogo: false,
     responsive: true,
@@ -77,7 +163,9 @@ function options(Plotly, selects, views) {
       ...["sendChartToCloud", "toImage", views ? "resetScale2d" : "autoScale2d"],
       ...(selects ? [] : ["select2d", "lasso2d"]),
     ],
-    modeBarButtonsToAdd: [button("png"), button("svg")],
+    modeBarButtonsToAdd: [
+      { name: "Save: SVG, PDF, PNG, CSV", icon: Plotly.Icons.disk, click: saveBox },
+    ],
   };
 }
 
@@ -238,6 +326,7 @@ export default function ({ data, parentElement, setTriggerValue }) {
   plot.viewed ??= [];
   if (data.view) take(plot, data.view);
   plot.setAttribute("aria-label", data.label);
+  plot.caption = data.caption;
   library(data.library)
     .then(async (Plotly) => {
       if (!plot.isConnected) return;
