@@ -113,8 +113,8 @@ def on_policy(side: Side) -> Answer:
     footprint = scores.interval(measured, "iqm")
     left = percent(footprint.value, 0)
     sentence = (
-        f"Weighted by {side.name}, the buffer lies at **{left}** of its distance to what the policy "
-        f"does next{_spread(footprint)} ({_count(len(measured))}); 100 % is no nearer than "
+        f"Weighted by {side.name}, the buffer lies at **{left}** of its distance to what the "
+        f"policy does next{_spread(footprint)} ({_count(len(measured))}); 100 % is no nearer than "
         "without weights, 0 % is the policy itself."
     )
     if len(measured) == 1:

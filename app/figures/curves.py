@@ -184,6 +184,7 @@ def _draw_axes(
 ) -> None:
     x = steps_in_words(envs) if axes.x == ENV_STEPS else text.plotly(axes.x)
     styled(figure, x, height, keep=f"{metric} {axes} {keep}")
+    figure.update_layout(meta={"y": short_title(metric)})  # for a saved figure: pages have titles
     figure.update_xaxes(type="log" if axes.log_x else "linear")
     figure.update_yaxes(type="log" if axes.log_y else "linear")
     lines: list[Any] = list(figure.data)
@@ -215,7 +216,7 @@ def _band(group: Group, look: Look) -> go.Scatter:
     here = np.isfinite(group.low)
     ends = group.low[here], group.high[here]
     drawn = band(group.step[here], *ends, look.colour, _identity(group))
-    return drawn.update(uid=_identity(group, "band"), name="band")
+    return drawn.update(uid=_identity(group, "band"), name=f"{text.plotly(look.title)}, band")
 
 
 def _middle(group: Group, name: str, look: Look) -> list[go.Scatter]:

@@ -36,7 +36,7 @@ def label_ends(
     low, high = float(values.min()), float(values.max())
     span = (high - low) or 1.0
     pixels = (figure.layout.height or 300) - 60  # type: ignore[attr-defined]
-    place = _apart((ys - low) / span * pixels)
+    place = moved_apart((ys - low) / span * pixels, GAP)
     names = [f"{look.title} ({n})" for _, look, n in ends]
     for name, (_, look, _), at in zip(names, ends, place, strict=True):
         figure.add_annotation(
@@ -50,16 +50,16 @@ def label_ends(
     return figure
 
 
-def _apart(places: np.ndarray) -> np.ndarray:
-    """The places (n,), moved a little so that no two are nearer than `GAP`."""
+def moved_apart(places: np.ndarray, gap: float) -> np.ndarray:
+    """The places (n,), moved a little so that no two are nearer than `gap`."""
     order = np.argsort(places, kind="stable")
     moved = places[order].astype(np.float64)
-    for _ in range(50):
-        close = np.flatnonzero(np.diff(moved) < GAP - 1e-6)
+    for _ in range(200):
+        close = np.flatnonzero(np.diff(moved) < gap - 1e-6)
         if not len(close):
             break
         for i in close:
-            lack = (GAP - (moved[i + 1] - moved[i])) / 2
+            lack = (gap - (moved[i + 1] - moved[i])) / 2
             moved[i], moved[i + 1] = moved[i] - lack, moved[i + 1] + lack
     result = np.empty(len(moved))
     result[order] = moved

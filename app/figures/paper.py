@@ -15,13 +15,15 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 
+from app.figures.ends import moved_apart
+
 WIDTHS = {"one": 3.4, "two": 7.0}
 """inches of one and of two columns"""
 KINDS = {"pdf": "application/pdf", "svg": "image/svg+xml", "png": "image/png"}
 TEXT = 8  # points
 LEFT, RIGHT, BOTTOM, TOP = 0.55, 0.12, 0.42, 0.1  # inches around the axes
 LETTER, ROW = 0.062, 0.16  # inches of a letter, and of a row of the legend
-LINE = 0.6  # points of a line for a pixel on the screen
+LINE = 0.42  # points of a line for a pixel on the screen
 DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-.", "longdash": (0, (8, 3)),
           "longdashdot": (0, (8, 3, 1, 3))}  # fmt: skip
 SYMBOLS = {"circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v",
@@ -42,7 +44,11 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
     inches = WIDTHS[width]
     labels = [one for one in shown["annotations"] if one["xref"] == "paper" and one["x"] >= 1]
     keyed = [t for t in shown["traces"] if t["showlegend"]] if shown["legend"] else []
-    right = RIGHT + LETTER * max((len(_plain(one["text"])) for one in labels), default=0)
+    right = (
+        RIGHT
+        + 0.1 * bool(labels)
+        + LETTER * max((len(_plain(one["text"])) for one in labels), default=0)
+    )
     across = max(
         1, int((inches - LEFT) / (0.45 + LETTER * max((len(t["name"]) for t in keyed), default=1)))
     )
@@ -62,11 +68,7 @@ def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
         for shape in shown["shapes"]:
             _line(next(iter(axes.values())), shape)
         first = next(iter(axes.values()))
-        for one in labels:
-            first.annotate(
-                _plain(one["text"]), (1.02, one["y"]), xycoords=("axes fraction", "data"),
-                va="center", color=_colour_of_label(one["text"]), annotation_clip=False,
-            )  # fmt: skip
+        _labels(first, labels, 72 * (height - BOTTOM - top))
         if keyed:
             figure.legend(
                 *_handles(axes, keyed), loc="upper left", ncols=across, fontsize=TEXT,
@@ -136,6 +138,23 @@ def _line(axes: Axes, shape: Mapping[str, Any]) -> None:
         axes.axvline(shape["x0"], **style)
 
 
+def _labels(axes: Axes, labels: Sequence[Mapping[str, Any]], points: float) -> None:
+    """The names of lines at the right of axes of so many points of height, none over another."""
+    low, high = axes.get_ylim()
+    inverse = axes.transData + axes.transAxes.inverted()
+    at = [inverse.transform((0, one["y"]))[1] for one in labels]
+    if axes.get_yscale() == "log":  # a label's place on a log axis is already a logarithm
+        at = [(one["y"] - np.log10(low)) / (np.log10(high) - np.log10(low)) for one in labels]
+    for one, place in zip(labels, moved_apart(points * np.array(at), 1.25 * TEXT), strict=True):
+        height, colour = place / points, re.search(r"color:(#[0-9a-fA-F]{6})", one["text"])
+        if colour:
+            axes.plot(
+                (1.015, 1.035), (height, height), transform=axes.transAxes, clip_on=False,
+                color=colour[1], linewidth=2,
+            )  # fmt: skip
+        axes.text(1.05, height, _plain(one["text"]), transform=axes.transAxes, va="center")
+
+
 def _handles(axes: Mapping[str, Axes], keyed: Sequence[Mapping[str, Any]]) -> tuple[list, list]:
     from matplotlib.lines import Line2D
 
@@ -171,11 +190,6 @@ def _rgba(colour: str) -> tuple[float, float, float, float]:
         return to_rgba(colour)
     red, green, blue, *alpha = (float(part) for part in parts[1].split(","))
     return red / 255, green / 255, blue / 255, alpha[0] if alpha else 1.0
-
-
-def _colour_of_label(words: str) -> tuple[float, float, float, float]:
-    found = re.search(r"color:(#[0-9a-fA-F]{6})", words)
-    return to_rgba(found[1]) if found else to_rgba("black")
 
 
 def _plain(words: str) -> str:

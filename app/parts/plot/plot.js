@@ -97,6 +97,9 @@ function download(plot, blob, kind) {
   setTimeout(() => URL.revokeObjectURL(link.href));
 }
 
+// Plotly gives an axis without a title an invitation to write one.
+const titled = (title) => (title?.text && !title.text.startsWith("Click to enter") ? title.text : "");
+
 const drawnTraces = (plot) =>
   plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap"].includes(type));
 
@@ -104,7 +107,7 @@ const drawnTraces = (plot) =>
 function csv(plot) {
   const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
   const { xaxis, yaxis } = plot._fullLayout;
-  const head = ["line", xaxis?.title?.text || "x", yaxis?.title?.text || "y", "value"];
+  const head = ["line", titled(xaxis?.title) || "x", titled(yaxis?.title) || plot.layout.meta?.y || "y", "value"];
   const rows = drawnTraces(plot).flatMap(({ name, x, y, z }) =>
     z
       ? [...z].flatMap((row, j) => [...row].map((value, i) => [name, x[i], y[j], value]))
@@ -117,13 +120,14 @@ function csv(plot) {
 function shown(plot) {
   const full = plot._fullLayout;
   const axis = ({ range, type, domain, title, tickvals, ticktext, tickmode }) => ({
-    range, type, domain, title: title?.text ?? "",
+    range, type, domain, title: titled(title),
     tickvals: tickmode === "array" ? [...(tickvals ?? [])] : null, ticktext: tickmode === "array" ? [...(ticktext ?? [])] : null,
   });
   const axes = {};
   const traces = drawnTraces(plot).map((t) => {
     const key = `${t.xaxis}${t.yaxis}`;
     axes[key] ??= { x: axis(full[t.xaxis.replace("x", "xaxis")]), y: axis(full[t.yaxis.replace("y", "yaxis")]) };
+    if (t.yaxis === "y") axes[key].y.title ||= plot.layout.meta?.y ?? "";
     return {
       axes: key, type: t.type === "scattergl" ? "scatter" : t.type, name: t.name ?? "", x: [...(t.x ?? [])], y: [...(t.y ?? [])],
       z: t.z ? [...t.z].map((row) => [...row]) : null, mode: t.mode ?? "lines", opacity: t.opacity ?? 1,
