@@ -7,7 +7,6 @@ import pandas as pd
 import streamlit as st
 from numpy.typing import NDArray
 from streamlit.delta_generator import DeltaGenerator
-from streamlit.navigation.page import StreamlitPage
 
 from app import text
 from app.data import readers
@@ -69,9 +68,12 @@ def show_store_problems(problems: Sequence[str]) -> None:
                 st.text(problem)
 
 
-def page_of(path: str) -> StreamlitPage:
-    """The page at this address, for a link to it."""
-    return st.session_state["pages"][path]
+def link_to(path: str, label: str) -> None:
+    """A link to another page of this studio, with what all pages share."""
+    pages = st.session_state.get("pages", {})
+    if path in pages:  # else this page is drawn alone
+        st.page_link(pages[path], label=label, icon=":material/arrow_forward:")
+
 
 
 def downloads(files: Files, name: str) -> None:

@@ -165,11 +165,7 @@ def _card(
     st.markdown(answered.sentence)
     if answered.more:
         st.caption(answered.more)
-    st.page_link(
-        widgets.page_of(link),
-        label=f"See it on {link.capitalize()}",
-        icon=":material/arrow_forward:",
-    )
+    widgets.link_to(link, f"See it on {link.capitalize()}")
 
 
 def _side(title: str, runs: Sequence[RunInfo]) -> Side:
