@@ -147,6 +147,12 @@ def failed(runs: Sequence[RunInfo]) -> list[Started]:
     return [begun for begun in _started() if begun.failed(writers)]
 
 
+def log_of(run: RunInfo) -> str:
+    """The last lines of a training's output, if it was started here; else empty."""
+    begun = [one for one in _started() if one.process.pid == run.status.pid]
+    return begun[-1].tail() if begun else ""
+
+
 def _remember(more: Iterable[Started]) -> None:
     """Add trainings; forget those before the last `FORGET` that have ended, with their output."""
     begun = _started()
