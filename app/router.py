@@ -15,7 +15,7 @@ from streamlit.navigation.page import StreamlitPage
 
 from app import session
 from app.data import readers
-from app.parts import address
+from app.parts import address, scope
 from app.theme import LEARNER_COLOURS, NEUTRAL, rgb
 from tom.learners import SUBJECT
 from tom.plugins import PAGES
@@ -44,7 +44,7 @@ class View:
     PATH: str
 
     def page(self) -> None:
-        """Draw it."""
+        """Draw it, for the runs of the list at the left."""
         module = f"app.views.{self.name}"
         if module not in sys.modules:
             import_module(module)
@@ -52,21 +52,17 @@ class View:
             # libraries' 400 000 objects, which last as long as the process, would take 0.3 s of
             # that each time.
             gc.freeze()
-        sys.modules[module].page()
+        sys.modules[module].page(scope.draw())
 
 
 PLAIN_ICON = ":material/extension:"
 
 VIEWS = (
-    View("live", "Live", ":material/monitor_heart:", ""),
-    View("compare", "Compare", ":material/stacked_line_chart:", "compare"),
-    View("weights", "Weights", ":material/gradient:", "weights"),
-    View("regions", "Regions", ":material/lasso_select:", "regions"),
-    View("probe", "Probe", ":material/experiment:", "probe"),
+    View("answer", "Answer", ":material/lightbulb:", ""),
+    View("curves", "Curves", ":material/stacked_line_chart:", "curves"),
+    View("attention", "Attention", ":material/gradient:", "attention"),
     View("replays", "Replays", ":material/replay:", "replays"),
-    View("cinema", "Cinema", ":material/movie:", "cinema"),
-    View("road", "Road and rocks", ":material/add_road:", "road"),
-    View("studies", "Studies", ":material/lab_profile:", "studies"),
+    View("findings", "Findings", ":material/lab_profile:", "findings"),
 )
 BARS = ((5, NEUTRAL), (8, NEUTRAL), (6, NEUTRAL), (20, LEARNER_COLOURS[SUBJECT]))
 """the studio's logo: heights and colours of a weight profile"""
@@ -102,8 +98,10 @@ def run() -> None:
     st.logo(LOGO, size="medium")
     pages = [_listed(view, view.ICON, first=i == 0) for i, view in enumerate(views())]
     chosen = st.navigation(pages, position="top")
+    st.session_state["pages"] = {page.url_path: page for page in pages}
     address.visit(chosen.url_path)
     draw(chosen.run)
+    st.set_page_config(page_title=f"{chosen.title} - {scope.task_shown()}TOM Studio")
     address.write()
     session.drawn()
 

@@ -104,6 +104,12 @@ def rgb(colour: str) -> tuple[int, int, int]:
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
+def mixed(colour: str, other: str, share: float) -> str:
+    """`#rrggbb` with a `share` of another colour in it."""
+    parts = ([int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in (colour, other))
+    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(*parts, strict=True))
+
+
 def faded(colour: str, alpha: float) -> str:
     """`#rrggbb` as a CSS colour of opacity `alpha`."""
     red, green, blue = rgb(colour)

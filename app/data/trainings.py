@@ -83,6 +83,17 @@ def stop(store: Store, run_id: str) -> None:
         os.close(process)
 
 
+def memory(pid: int, run: Path) -> int | None:
+    """The resident bytes of the process that writes a run; None if it is not on this machine."""
+    try:
+        if not lock.opened_by(pid, run):
+            return None
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
 def gone(run: Path) -> bool:
     """Whether the process that wrote the run folder has ended; False if on another machine."""
     return bool(lock.written_here(run)) and not lock.held(run)

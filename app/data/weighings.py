@@ -185,8 +185,8 @@ class Weighing:
         }
 
     @property
-    def footprints(self) -> dict[str, tuple[float, float]]:
-        """By learner the footprint and its standard error, medians over seeds.
+    def footprints(self) -> dict[str, NDArray[np.float64]]:
+        """By learner the footprint and its standard error for each seed, (S, 2).
 
         At 1 the weighted buffer is as far from fresh episodes of the policy as the unweighted one.
         Empty if none was measured.
@@ -196,11 +196,7 @@ class Weighing:
             if (footprint := result.get("footprint")) is not None:
                 pair = float(footprint), _number(result.get("footprint_se"))
                 measured.setdefault(result["learner"], []).append(pair)
-        return {
-            learner: (float(np.median(values)), float(np.median(errors)))
-            for learner, pairs in measured.items()
-            for values, errors in [np.transpose(pairs)]
-        }
+        return {learner: np.array(pairs) for learner, pairs in measured.items()}
 
 
 def profiles(of: Mapping[tuple[str, int], NDArray]) -> dict[str, NDArray[np.float64]]:

@@ -34,12 +34,15 @@ from app.theme import (
     learner_colour,
     learner_label,
     learner_symbol,
+    mixed,
     ramp,
 )
 from tom.analysis.curves import GRID, Curve, Group, smoothed
 from tom.analysis.settings import USUAL, Kind, natural, number
-from tom.metrics import describe
+from tom.learners import SUBJECT
 
+MAIN_PRESET = {SUBJECT: "mended"}
+"""of learners whose main preset is not the paper's"""
 POINTS = 1500
 """maximum number of points of a line; the figure says if points were left out"""
 ROWS = 2
@@ -63,24 +66,16 @@ def looks_of(
 ) -> dict[Kind, Look]:
     """The look of every kind among the groups, which are pairs (environment, kind).
 
-    A learner has its own colour; its first group has a solid line and each further one another
-    dash. Grouped by a setting, each value has its own colour, in order if the values are numbers;
-    groups of learners without that setting are grey.
+    A learner has its own hue, each of its groups a shade of it. Grouped by a setting, each value
+    has its own colour, in order if the values are numbers; groups of learners without that setting
+    are grey.
     """
     tasks = Counter(kind for _, kind in set(groups))
     learnt = sorted(kind for kind in tasks if kind.learner)
     if by in (USUAL, "learner"):
-        # The kind with the most tasks comes first, so its learner's solid line belongs to it.
-        kinds = sorted(tasks, key=lambda kind: (kind.learner, -tasks[kind], kind))
-        dash = dashes([kind.learner for kind in kinds])
         return {
-            kind: Look(
-                _title(kind, tasks),
-                learner_colour(kind.learner),
-                dash[i],
-                learner_symbol(kind.learner),
-            )
-            for i, kind in enumerate(kinds)
+            kind: Look(_title(kind, tasks), _shade(kind), "solid", learner_symbol(kind.learner))
+            for kind in sorted(tasks)
         }
     values = sorted((kind for kind in tasks if not kind.learner), key=_order)
     # Seeds are numbers without a meaning.
@@ -108,7 +103,22 @@ def _title(kind: Kind, among: Iterable[Kind]) -> str:
     """The learner, such as `TOM`, then the preset if its learner has several, and the settings."""
     presets = {other.preset for other in among if other.learner == kind.learner}
     preset = kind.preset if len(presets) > 1 or not kind.learner else ""
-    return ", ".join(filter(None, (learner_label(kind.learner), preset, kind.variant)))
+    called = " ".join(filter(None, (learner_label(kind.learner), preset)))
+    return ", ".join(filter(None, (called, kind.variant)))
+
+
+def _shade(kind: Kind) -> str:
+    """A group's colour: the hue of its learner, full for its main preset and else paler.
+
+    It depends on nothing but the group itself, so that no filter changes it.
+    """
+    colour = learner_colour(kind.learner)
+    if kind.preset not in ("", MAIN_PRESET.get(kind.learner, "paper"), "smoke"):
+        colour = mixed(colour, "#ffffff", 0.45)
+    if kind.variant:
+        level = int(blake2b(kind.variant.encode(), digest_size=1).hexdigest(), 16) / 255
+        colour = mixed(mixed(colour, NEUTRAL, 0.5), "#000000", 0.4 * level)
+    return colour
 
 
 def _order(kind: Kind) -> list[tuple[float, str]]:
@@ -127,10 +137,20 @@ class Axes:
 PLAIN = Axes()
 
 
-def metric_title(metric: str) -> str:
-    """A metric's path, followed by its description if there is one."""
-    words = describe(metric)
-    return metric if words == metric else f"{metric}: {words}"
+SHORT_TITLES = {
+    "eval/return": "Return",
+    "eval/return_max": "Best return so far",
+    "exam/error": "Model error where the policy goes",
+    "exam/rollout_error": "Model error, five steps ahead",
+    "exam/footprint": "Footprint: distance to the policy",
+    "weights/ess": "Effective sample",
+    "model/holdout_nll": "Model's loss on held-out rows",
+}
+
+
+def short_title(metric: str) -> str:
+    """What a metric is called above its figure; its path if it has no name of its own."""
+    return SHORT_TITLES.get(metric, metric)
 
 
 def run_curves(
@@ -258,6 +278,7 @@ def _draw_axes(
     y_axis = {"type": "log" if axes.log_y else "linear"}
     kept = f"{metric} {axes} {keep}"
     styled(figure, x, height, keep=kept, x_axis=x_axis, y_axis=y_axis)
+    figure.update_layout(meta={"y": short_title(metric)})  # for a saved figure: pages have titles
 
 
 def _single(curve: Curve, look: Look) -> go.Scatter:

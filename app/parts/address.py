@@ -5,11 +5,13 @@ An address that the server writes to `st.query_params` is a new entry of the his
 Back itself caused the drawing. So a page reads its choices here (`requested`, or a widget of this
 module), reports the new value of each (`keep`), and at the end of the drawing the router puts all
 of them into the address in one step (`write`).
+
+The choices of `SHARED` belong to all pages: they last when the user goes to another page.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeGuard, TypeVar
+from typing import Any, TypeVar
 
 import streamlit as st
 from streamlit.runtime.scriptrunner import get_script_run_ctx
@@ -17,9 +19,10 @@ from streamlit.runtime.scriptrunner import get_script_run_ctx
 from app import text
 
 T = TypeVar("T")
+SHARED = ("task", "find", "state", "learner", "preset", "tag", "group", "hide", "show",
+          "run", "step")  # fmt: skip
 _PAGE, _ARRIVED = "address: page", "address: arrived"
-_KEPT, _KEEPING, _LEFT = "address: kept", "address: keeping", "address: left"
-_CARRIED = "address: carried"
+_KEPT, _KEEPING = "address: kept", "address: keeping"
 
 
 def visit(page: str) -> None:
@@ -32,31 +35,16 @@ def visit(page: str) -> None:
 def requested(key: str) -> list[str] | None:
     """The words of the address for a choice; None if the user's own choice counts instead.
 
-    The address counts when the user arrives at a page by a link, or by Back or Forward. A choice
-    that this page drew before, and then did not draw for a while, is what it was.
+    The address counts when the user arrives at a page by a link, or by Back or Forward. A shared
+    choice lasts on arrival at another page by an address without any shared choice.
     """
-    if st.session_state.get(_ARRIVED) or _went_back():
-        return st.query_params.get_all(key)
-    if key in st.session_state:
-        return None
-    left = st.session_state.get(_LEFT, {}).get(key)
-    return st.query_params.get_all(key) if left is None else left
-
-
-def carried(key: str, of: str = "") -> list[str] | None:
-    """As `requested`; on a page that is come to without words for it, those of another page.
-
-    `of` is what the choice belongs to: one of another task is not carried into this one.
-    """
-    given = requested(key)
-    if given == [] and not _went_back():
-        return st.session_state.get(_CARRIED, {}).get((key, of), [])
-    return given
-
-
-def carry(key: str, words: Sequence[str], of: str = "") -> None:
-    """Set what `carried` gives on other pages."""
-    st.session_state.setdefault(_CARRIED, {})[key, of] = list(words)
+    words = st.query_params.get_all(key)
+    if _went_back():
+        return words
+    if st.session_state.get(_ARRIVED):
+        shared = key in SHARED and key in st.session_state
+        return None if shared and not any(map(st.query_params.get_all, SHARED)) else words
+    return None if key in st.session_state else words
 
 
 def keep(key: str, words: Sequence[str]) -> None:
@@ -70,17 +58,13 @@ def write() -> None:
     """Put the choices of this drawing into the address, and remove those that it no longer has."""
     keeping: dict[str, list[str]] = dict(st.session_state.get(_KEEPING, {}))
     kept: dict[str, list[str]] = st.session_state.get(_KEPT, {})
-    arrived = st.session_state.get(_ARRIVED, False)
-    left: dict[str, list[str]] = {} if arrived else dict(st.session_state.get(_LEFT, {}))
     for key in kept.keys() - keeping.keys():
-        st.session_state.pop(key, None)
-        if not arrived:  # else it is of the page's last visit
-            left[key] = kept[key]
-    st.session_state[_LEFT] = {key: left[key] for key in left.keys() - keeping.keys()}
+        if key not in SHARED:
+            st.session_state.pop(key, None)
     st.session_state[_KEPT] = keeping
     st.session_state[_ARRIVED] = False  # a fragment may be drawn next
-    said: dict[str, list[str]] = {key: [] for key in kept} | keeping
-    changed = {key: words for key, words in said.items() if words != st.query_params.get_all(key)}
+    words_of: dict[str, list[str]] = {key: [] for key in kept} | keeping
+    changed = {key: of for key, of in words_of.items() if of != st.query_params.get_all(key)}
     if changed:
         st.query_params.update(changed)  # no words take a choice out
 
@@ -95,6 +79,7 @@ def choose_one(
     **more: Any,
 ) -> T:
     """The user's choice of one of `options`: a selectbox, a segmented control or a slider."""
+    follow(key, usual)
     given = requested(key)
     if given is not None:
         st.session_state[key] = next(iter(_among(options, given, shown)), usual)
@@ -104,53 +89,6 @@ def choose_one(
     chosen = usual if picked is None else picked
     keep(key, [] if chosen == usual else [str(chosen)])
     return chosen
-
-
-def choose_step(
-    label: str,
-    steps: Sequence[int],
-    usual: T,
-    key: str = "step",
-    widget: Callable[..., Any] = st.select_slider,
-    *,
-    of: str,
-    **more: Any,
-) -> int | T:
-    """A kept step, chosen by the user, a click or the address, else `usual`, which it then follows.
-
-    `of` is the task of the steps: in another task the step is the usual one again.
-
-    In place of a step that was not kept the nearest is shown and named in the address, and a line
-    says so. An address that names a step goes on naming the one that is shown. A choice without an
-    alternative is disabled.
-    """
-
-    def nearest(step: int | T) -> int | T:
-        return min(steps, key=lambda at: abs(at - step)) if steps and _is_step(step) else usual
-
-    follow(key, usual)
-    wanted = _wanted_step(key, usual, of)
-    step = nearest(wanted)
-    if step != wanted:
-        st.session_state[f"{key} asked"] = wanted
-    if st.session_state.get(key) != step:
-        st.session_state[key] = step
-    options = steps if usual in steps else [usual, *steps]
-    if len(options) > 1:
-        picked = widget(label, options, key=key, format_func=_in_words, **more)
-        step = usual if picked is None else picked
-    else:
-        st.selectbox(label, options, format_func=_in_words, disabled=True, **more)
-    asked = st.session_state.get(f"{key} asked", step)
-    if nearest(asked) != step:  # the user has gone on
-        asked = st.session_state[f"{key} asked"] = step
-    if asked != step:
-        which = "the nearest, " if _is_step(step) else ""
-        st.caption(f"Step {_in_words(asked)} was not kept; this is {which}{_in_words(step)}.")
-    named = _is_step(step) and (step != usual or st.query_params.get_all(key))
-    keep(key, [str(step)] if named else [])
-    carry(key, [str(asked)] if asked != usual else [], of)
-    return step
 
 
 def choose_many(
@@ -208,12 +146,12 @@ def follow(key: str, usual: object) -> None:
     st.session_state[f"{key} usual"] = usual
 
 
-def switch(label: str, key: str, *, usual: bool = False) -> bool:
+def switch(label: str, key: str, *, usual: bool = False, **more: Any) -> bool:
     """Whether the user has switched something on: a toggle."""
     given = requested(key)
     if given is not None:
         st.session_state[key] = given[-1].lower() == "true" if given else usual
-    on = st.toggle(label, key=key)
+    on = st.toggle(label, key=key, **more)
     keep(key, [] if on == usual else [str(on).lower()])
     return on
 
@@ -236,26 +174,9 @@ def value_of(key: str, read: Callable[[list[str]], T]) -> T:
     return st.session_state[key]
 
 
-def _wanted_step(key: str, usual: object, of: str) -> Any:
-    """The step that is asked for, kept or not."""
-    given = carried(key, of)
-    same = st.session_state.get(f"{key} of", of) == of
-    st.session_state[f"{key} of"] = of
-    if given is None and same:
-        return st.session_state[key]
-    if given is None:  # of another task
-        given = st.session_state.get(_CARRIED, {}).get((key, of), [])
-    st.session_state.pop(f"{key} asked", None)
-    step = text.whole("".join(given[-1:]))
-    return usual if step is None else step
-
-
-def _is_step(value: object) -> TypeGuard[int]:
-    return isinstance(value, int)
-
-
-def _in_words(step: object) -> str:
-    return f"{step:,}" if _is_step(step) else str(step)
+def whole_number(given: Sequence[str]) -> int | None:
+    """The whole number in the last word of an address; None if there is none."""
+    return text.whole("".join(given[-1:]))
 
 
 def _among(options: Sequence[T], given: Sequence[str], shown: Callable[[T], str]) -> list[T]:

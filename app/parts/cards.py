@@ -9,6 +9,7 @@ import streamlit as st
 
 from app import session, text
 from app.data import trainings
+from app.parts import start
 from app.theme import learner_colour, learner_label
 from tom import readable
 from tom.analysis.settings import changed, telling_presets
@@ -63,11 +64,15 @@ def card(run: RunReader, preset: str = "") -> None:
     for words in (settings_line(run), reason, *status.warnings):
         if words:
             st.caption(text.markdown(words))
+    if log := start.log_of(run):
+        with st.expander("Last lines of its output"):
+            st.code(log, language=None)
 
 
 def figures(run: RunReader) -> list[tuple[str, str]]:
     """The returns, and the speed of a training run, which is unknown during a fit."""
     status = run.status
+    memory = trainings.memory(status.pid, run.path) if status.alive else None
     numbers = [
         ("last return", readable.score(status.last_return)),
         ("best return", readable.score(status.best_return)),
@@ -75,6 +80,7 @@ def figures(run: RunReader) -> list[tuple[str, str]]:
     if status.alive:
         numbers.append(("steps / s", readable.number(status.env_steps_per_s or None)))
         numbers.append(("ETA", readable.duration(status.eta_s)))
+        numbers.append(("memory", readable.size(memory) if memory else readable.UNKNOWN))
     return numbers
 
 

@@ -2,30 +2,47 @@
 
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 import streamlit as st
 
-from app import session
-from app.data import readers, weighings
+from app import session, text
+from app.data import readers, trainings, weighings
 from app.parts import again, widgets
 from tom.record.reader import RunReader
 
+EXAMPLES = Path(__file__).parents[2] / "runs"
+"""the gallery, where the studio runs from a clone"""
 EVALUATIONS = "evaluations"
 """what a small copy lacks that has no replay"""
 
 
 def page() -> None:
-    """Show the commands to start with, and check the store again regularly."""
+    """How to begin: a first comparison, a training of one's own, the examples."""
     store = session.links().store
-    st.header("Nothing recorded yet", anchor=False)
-    st.write("Training fills this studio. In another terminal:")
-    option = f" --store {shlex.quote(store)}"
-    st.code(f"tom demo --headless{option}", language="bash")
-    st.caption("Road and rocks with three learners, then inverted pendulum: about five minutes.")
-    st.code(f"tom train --env inverted-pendulum --learner tom{option}", language="bash")
-    st.code(f"tom train --env road-and-rocks --learner tom{option}", language="bash")
-    st.caption("One training. It appears on the Live page as soon as it has begun.")
-    st.text(f"Store: {store}")
+    st.header("Which data does a learned model pay attention to?", anchor=False)
+    st.write(
+        "This studio shows it while the model trains, and whether it helps. Nothing is recorded "
+        "in this store yet."
+    )
+    left, right = st.columns(2)
+    with left, st.container(border=True):
+        st.subheader("Start a first comparison", anchor=False)
+        st.write("TOM and MLE on inverted pendulum, one after the other: about three minutes.")
+        if why := session.read_only_reason():
+            st.caption(why)
+        elif st.button("Start it", type="primary", icon=":material/play_arrow:"):
+            words = ["train", "--env", "inverted-pendulum", "--learner", "tom", "mle"]
+            trainings.start([*words, "--seeds", "0", "--steps", "2500", "--store", store])
+    with right, st.container(border=True):
+        st.subheader("Or in a terminal", anchor=False)
+        option = f" --store {shlex.quote(store)}"
+        st.code(f"tom demo --headless{option}", language="bash")
+        st.code(f"tom train --env hopper --learner tom{option}", language="bash")
+        if EXAMPLES.is_dir() and EXAMPLES.resolve() != Path(store).resolve():
+            st.write("Look at finished runs of five robots first:")
+            st.code(f"tom studio --store {shlex.quote(str(EXAMPLES))}", language="bash")
+    st.caption(f"Store: {text.markdown(store)}")
     widgets.show_store_problems(readers.listing(store).problems)
     again.when_changed(lambda: bool(readers.listing(store).runs or weighings.datasets(store)), 2)
 

@@ -1,34 +1,20 @@
 """The Rerun web viewer in a page: one run, live or recorded, on request."""
 
-from collections.abc import Sequence
-
 import streamlit as st
 
 from app import session
 from app.data import readers
-from app.data.called import names
-from app.parts import pick
 from tom.record.reader import RunReader
 
-NOTHING = ""
 HEIGHT = 720
-CHOICE = "recording"
 
 
-def frame(runs: Sequence[RunReader]) -> None:
-    """The viewer of a run that the user chooses; nothing is loaded before.
-
-    A rerun of the page does not reload it.
-    """
-    links = session.links()
-    if not links.rerun_port:
+def frame(run: RunReader) -> None:
+    """The viewer of a run, live or recorded. A rerun of the page does not reload it."""
+    if not session.links().rerun_port:
         st.caption("The Rerun viewer runs when the studio is started with `tom studio`.")
         return
-    by_id = {run.run_id: run for run in runs if run.status.alive or readers.recordings(run)}
-    called = {NOTHING: "no run: the viewer is not loaded", **names(list(by_id.values()))}
-    chosen = by_id.get(pick.one("Show in Rerun", called, NOTHING, CHOICE))
-    if chosen is not None:
-        st.iframe(_address(chosen), height=HEIGHT)
+    st.iframe(_address(run), height=HEIGHT)
 
 
 def episode(run_id: str, step: int, index: int, horizon: int, height: int) -> None:

@@ -1,19 +1,22 @@
 """Small widgets that several pages use."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 import streamlit as st
 from numpy.typing import NDArray
 from streamlit.delta_generator import DeltaGenerator
 
 from app import text
 from app.data import readers
-from app.data.called import names
-from app.parts import pick
 from tom.analysis.curves import Curve, curve_points
+from tom.harmless import as_csv
 from tom.learners import LEARNERS, SUBJECT
 from tom.record.reader import RunReader
+
+Files = Mapping[str, tuple[Callable[[], pd.DataFrame], str]]
+"""tables by their label: how each is made, and the end of its file's name"""
 
 
 def curve(run: RunReader, metric: str) -> Curve:
@@ -26,27 +29,13 @@ TOWERS = 20.0
 """a weight (relative to uniform) that makes the others invisible on a linear axis"""
 
 
-def pick_run(
-    runs: Sequence[RunReader], label: str = "Run", likely: Sequence[RunReader] = ()
-) -> RunReader:
-    """A run, chosen by the user or the address (`?run=`), else the `most_telling` of `likely`."""
-    by_id = {run.run_id: run for run in runs}
-    return by_id[pick.one(label, names(runs), most_telling(likely or runs).run_id, "run")]
-
-
-def most_telling(runs: Sequence[RunReader]) -> RunReader:
-    """The default run: the newest with non-uniform weights; of small copies TOM's longest.
-
-    Small copies come after other runs; of equally long ones the most complete comes first.
-    """
-    order = sorted(runs, key=_rank)
-    return next((run for run in order if differs(run)), order[0])
-
-
-def _rank(run: RunReader) -> tuple[bool, bool, int, int]:
-    if not run.small_copy:
-        return False, False, 0, 0  # equal rank keeps the order: newest first
-    return True, run.learner != SUBJECT, -run.status.env_step, len(run.left_out)
+def telling(run: RunReader) -> tuple[object, ...]:
+    """A sort key: runs with uneven weights first, then one's own before examples, then the rank of
+    their learner, the longest and the most complete."""
+    return (
+        not differs(run), run.small_copy, run.learner != SUBJECT, run.preset != "mended",
+        -run.status.env_step, len(run.left_out),
+    )  # fmt: skip
 
 
 def differs(run: RunReader) -> bool:
@@ -77,3 +66,25 @@ def show_store_problems(problems: Sequence[str]) -> None:
         with st.expander(f"{len(problems)} in this store could not be read as a run"):
             for problem in problems:
                 st.text(problem)
+
+
+def link_to(path: str, label: str) -> None:
+    """A link to another page of this studio, with what all pages share."""
+    pages = st.session_state.get("pages", {})
+    if path in pages:  # else this page is drawn alone
+        st.page_link(pages[path], label=label, icon=":material/arrow_forward:")
+
+
+def downloads(files: Files, name: str) -> None:
+    """A download button for each table; its CSV file is made when the user asks for it."""
+    with st.container(horizontal=True):
+        for label, (make, suffix) in files.items():
+            st.download_button(
+                label,
+                lambda make=make: as_csv(make()),
+                f"{name.replace('/', '-')}-{suffix}.csv",
+                "text/csv",
+                icon=":material/download:",
+                on_click="ignore",
+                key=f"download {label}",
+            )

@@ -156,7 +156,7 @@ def most_telling(store: Path) -> str:
     told = [run for run in readers.listing(str(store)).runs if may_be_told(run)]
     if not told:
         raise UserError(f"no run in {store} has a story: it needs model fits and its buffer")
-    return widgets.most_telling(told).run_id
+    return min(told, key=widgets.telling).run_id
 
 
 @dataclass(frozen=True)

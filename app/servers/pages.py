@@ -5,8 +5,10 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 from threading import Thread
+from urllib.parse import parse_qsl, urlencode
 
 import streamlit as st
+from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import (
@@ -32,9 +34,31 @@ from tom.errors import UserError
 from tom.machine.address import in_url
 from tom.record.store import Store
 
+LARGEST_FIGURE = 20_000_000
+"""bytes of a figure that a page sends to have it drawn for a paper"""
 RECORDING = "application/octet-stream"
 EPISODE = re.compile(r"episode-(\d{1,12})-(\d{1,4})-([1-9]\d{0,3})\.rrd")
 """a single evaluation episode: step, number from 0, steps after which the ghost restarts"""
+
+FORWARDED = {
+    "/live": ("/", {}),
+    "/answer": ("/", {}),
+    "/compare": ("/curves", {}),
+    "/weights": ("/attention", {}),
+    "/regions": ("/attention", {"part": "In the buffer"}),
+    "/probe": ("/attention", {"part": "Every learner on one buffer"}),
+    "/road": ("/attention", {"task": "road-and-rocks"}),
+    "/cinema": ("/replays", {"part": "Film"}),
+    "/studies": ("/findings", {}),
+}
+"""pages of older studios, by their address: today's address and its choices"""
+RENAMED = {
+    ("/compare", "env"): "task",
+    ("/compare", "text"): "find",
+    ("/compare", "show"): "part",
+    ("/compare", "metric"): "panel",
+}
+"""choices of older pages that have another name today"""
 
 ENTRY = Path(__file__).with_name("main.py")
 # Streamlit's own page first looks for its server below the opened address
@@ -53,6 +77,11 @@ _HEAD = """<head>
           history.replaceState(null, "", location.pathname + location.search);
         }
         const key = localStorage.getItem("tom-studio-key");
+        // Streamlit keeps a theme for every address; the studio has one for all pages.
+        const theme = localStorage.getItem("tom-studio-theme");
+        if (theme) {
+          localStorage.setItem(`stActiveTheme-${location.pathname}-v2`, JSON.stringify(theme));
+        }
         window.WebSocket = class extends window.WebSocket {
           constructor(address, offered) {
             super(address, key ? [...offered, `tom-studio-key.${key}`] : offered);
@@ -105,6 +134,19 @@ def routes(links: Links) -> list[Route]:
     def library(_: Request) -> Response:
         return FileResponse(LIBRARY, headers={"Cache-Control": "max-age=31536000, immutable"})
 
+    async def figure(request: Request) -> Response:
+        from app.figures import paper  # here: it imports matplotlib
+
+        kind, width = (request.query_params.get(name, "") for name in ("kind", "width"))
+        try:
+            if int(request.headers.get("content-length", LARGEST_FIGURE + 1)) > LARGEST_FIGURE:
+                raise ValueError("the figure is too large")
+            content = await request.json()
+            file = await run_in_threadpool(paper.paper_figure, content, width, kind)
+        except (ValueError, TypeError, KeyError, IndexError) as error:
+            return PlainTextResponse(f"this figure cannot be drawn: {error!r}", status_code=400)
+        return Response(file, media_type=paper.KINDS[kind])
+
     def short(request: Request) -> Response:
         code = request.path_params["code"]
         target = shortlinks.target(links.store, code)
@@ -112,17 +154,17 @@ def routes(links: Links) -> list[Route]:
             return HTMLResponse(shortlinks.nowhere(code), status_code=404)
         return RedirectResponse(target, status_code=302)
 
-    def first(request: Request) -> Response:
-        # The first page lies at the root alone, but who knows the others looks for it here.
-        return RedirectResponse(f"/?{request.url.query}".removesuffix("?"))
+    def forward(request: Request) -> Response:
+        return RedirectResponse(forwarded(request.url.path, request.url.query))
 
     return [
         Route("/v/{code}", short),
-        Route("/live", first),
+        *[Route(path, forward) for path in FORWARDED],
         Route("/reports/{study}", report),
         Route("/rrd/{run}/{name}", recording),
         Route("/api/health", health),
         Route(LIBRARY_PATH, library),
+        Route("/api/figure", figure, methods=["POST"]),
         *page_routes([view.PATH for view in views()]),
     ]
 
@@ -140,6 +182,15 @@ def page_routes(paths: Sequence[str]) -> list[Route]:
 def html() -> str:
     """Streamlit's page with the studio's script in its head."""
     return Path(file_util.get_static_dir(), "index.html").read_text().replace("<head>", _HEAD, 1)
+
+
+def forwarded(path: str, query: str) -> str:
+    """The address of today's page for one of an older studio."""
+    page, more = FORWARDED[path]
+    given = parse_qsl(query)
+    given = [(RENAMED.get((path, name), name), value) for name, value in given]
+    words = urlencode([*more.items(), *given])
+    return f"{page}?{words}".removesuffix("?")
 
 
 def app(links: Links) -> st.App:

@@ -3,7 +3,7 @@
 Streamlit's own chart is removed and built again whenever its figure differs.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -53,6 +53,25 @@ class Region:
 
 
 @dataclass(frozen=True)
+class Follow:
+    """How a chart follows the page's timeline, in the browser.
+
+    With `cursor` a line stands at its step on the chart's x axis, which has env steps. `traces`
+    (place in the figure: the trace's y at each of `steps`, ascending) shows the last of them that
+    is not after the timeline's step.
+    """
+
+    cursor: bool = False
+    steps: Sequence[int] = ()
+    traces: Mapping[int, Sequence[Sequence[float]]] | None = None
+
+    def message(self) -> dict[str, Any]:
+        """What the browser gets."""
+        traces = [{"index": index, "y": y} for index, y in (self.traces or {}).items()]
+        return {"cursor": self.cursor, "steps": list(self.steps), "traces": traces or None}
+
+
+@dataclass(frozen=True)
 class View:
     """The shown part of a figure: (low, high) of each axis in its own units, None for all of it."""
 
@@ -75,6 +94,9 @@ def chart(
     view: View | None = None,
     viewed: Callable[[View], None] | None = None,
     hidden: Callable[[list[str]], None] | None = None,
+    follow: Follow | None = None,
+    linked: str = "",
+    caption: str = "",
 ) -> None:
     """Show `figure`.
 
@@ -113,6 +135,9 @@ def chart(
         "selects": selected is not None,
         "hides": hidden is not None,
         "view": asdict(view) if view else None,
+        "follows": follow.message() if follow else None,
+        "linked": linked,
+        "caption": caption,
     }
     height = int(figure.layout.height or 400)  # type: ignore[attr-defined]
     _mount()(
@@ -130,7 +155,10 @@ def chart(
 def _mount():
     return component(
         "tom_plot",
-        html='<p class="plot-failed" role="alert" hidden></p><div class="plot" role="img"></div>',
+        html="""<div class="plot-frame"><p class="plot-failed" role="alert" hidden></p>
+          <div class="plot" role="img"></div>
+          <div class="plot-cursor" aria-hidden="true" hidden></div>
+          <div class="plot-crosshair" aria-hidden="true" hidden></div></div>""",
         css=_STYLE.read_text(),
         js=_SCRIPT.read_text(),
         isolate_styles=False,

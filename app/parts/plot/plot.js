@@ -40,16 +40,111 @@ function dressed(layout, value) {
   };
 }
 
-// A picture has the page's background: on none, a dark page's pale text could not be read.
-function save(plot, format) {
-  const picture = {
-    data: plot.data,
-    layout: { ...plot.layout, paper_bgcolor: theme(plot)("background-color") },
-  };
+// --- Saving: a file as the page shows it, or drawn anew for a paper (app/figures/paper.py).
+
+const WIDTHS = { shown: "as shown", one: "one column, 8.6 cm", two: "two columns, 17.8 cm" };
+
+function saveBox(plot) {
+  let box = plot.parentElement.querySelector("dialog");
+  if (!box) {
+    box = document.createElement("dialog");
+    box.className = "plot-save";
+    box.setAttribute("aria-label", "Save this figure");
+    box.innerHTML = `<h2>Save this figure</h2>
+      <fieldset><legend>Width</legend>${Object.entries(WIDTHS)
+        .map(([key, words], i) => `<label><input type="radio" name="width" value="${key}" ${i ? "" : "checked"}> ${words}</label>`)
+        .join("")}</fieldset>
+      <div class="files">${["svg", "pdf", "png", "csv"]
+        .map((kind) => `<button type="button" data-kind="${kind}">${kind.toUpperCase()}</button>`)
+        .join("")}</div>
+      <p class="caption"></p>
+      <form method="dialog"><button type="button" class="copy">Copy the caption</button><button>Close</button></form>`;
+    plot.parentElement.append(box);
+    box.querySelectorAll("[data-kind]").forEach((button) => {
+      button.onclick = () => {
+        const width = box.querySelector("input:checked").value;
+        save(plot, button.dataset.kind, width).catch(say(plot, "The chart cannot be saved"));
+      };
+    });
+    box.querySelector(".copy").onclick = () => navigator.clipboard?.writeText(box.querySelector(".caption").textContent);
+  }
+  box.querySelector(".caption").textContent = plot.caption || plot.getAttribute("aria-label");
+  box.showModal();
+}
+
+async function save(plot, kind, width) {
+  if (kind === "csv") return download(plot, new Blob([csv(plot)], { type: "text/csv" }), kind);
+  // A PDF of the page's own look would be a picture of pixels, so it is drawn as for a paper.
+  if (width === "shown" && kind !== "pdf") {
+    // A picture has the page's background: on none, a dark page's pale text could not be read.
+    const layout = { ...plot.layout, paper_bgcolor: theme(plot)("background-color") };
+    const size = { width: plot.clientWidth, height: plot.clientHeight, scale: 2 };
+    const url = await window.Plotly.toImage({ data: plot.data, layout }, { format: kind, ...size });
+    return download(plot, await (await fetch(url)).blob(), kind);
+  }
+  const column = width === "shown" ? "two" : width;
+  const body = JSON.stringify(shown(plot));
+  const answer = await fetch(`/api/figure?kind=${kind}&width=${column}`, { method: "POST", body });
+  if (!answer.ok) throw new Error(await answer.text());
+  return download(plot, await answer.blob(), kind);
+}
+
+function download(plot, blob, kind) {
+  const link = document.createElement("a");
   const name = plot.getAttribute("aria-label").replace(/[^\w-]+/g, "-").slice(0, 80);
-  const { width, height } = plot.getBoundingClientRect();
-  const file = { format, width, height, scale: 2, filename: name };
-  window.Plotly.downloadImage(picture, file).catch(say(plot, "The chart cannot be saved"));
+  [link.href, link.download] = [URL.createObjectURL(blob), `${name}.${kind}`];
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href));
+}
+
+// Plotly gives an axis without a title an invitation to write one.
+const titled = (title) => (title?.text && !title.text.startsWith("Click to enter") ? title.text : "");
+
+const drawnTraces = (plot) =>
+  plot._fullData.filter(({ visible, type }) => visible === true && ["scatter", "scattergl", "bar", "heatmap"].includes(type));
+
+// Every drawn number, one line each, with the name of its trace.
+function csv(plot) {
+  const quoted = (value) => (/[",\n]/.test(value) ? `"${String(value).replaceAll('"', '""')}"` : value);
+  const { xaxis, yaxis } = plot._fullLayout;
+  const head = ["line", titled(xaxis?.title) || "x", titled(yaxis?.title) || plot.layout.meta?.y || "y", "value"];
+  const rows = drawnTraces(plot).flatMap(({ name, x, y, z }) =>
+    z
+      ? [...z].flatMap((row, j) => [...row].map((value, i) => [name, x[i], y[j], value]))
+      : [...(x ?? [])].map((at, i) => [name, at, y[i], ""]),
+  );
+  return [head, ...rows].map((row) => row.map((value) => quoted(value ?? "")).join(",")).join("\n");
+}
+
+// What a drawing for a paper needs, in plain numbers.
+function shown(plot) {
+  const full = plot._fullLayout;
+  const axis = ({ range, type, domain, title, tickvals, ticktext, tickmode }) => ({
+    range, type, domain, title: titled(title),
+    tickvals: tickmode === "array" ? [...(tickvals ?? [])] : null, ticktext: tickmode === "array" ? [...(ticktext ?? [])] : null,
+  });
+  const axes = {};
+  const traces = drawnTraces(plot).map((t) => {
+    const key = `${t.xaxis}${t.yaxis}`;
+    axes[key] ??= { x: axis(full[t.xaxis.replace("x", "xaxis")]), y: axis(full[t.yaxis.replace("y", "yaxis")]) };
+    if (t.yaxis === "y") axes[key].y.title ||= plot.layout.meta?.y ?? "";
+    return {
+      axes: key, type: t.type === "scattergl" ? "scatter" : t.type, name: t.name ?? "", x: [...(t.x ?? [])], y: [...(t.y ?? [])],
+      z: t.z ? [...t.z].map((row) => [...row]) : null, mode: t.mode ?? "lines", opacity: t.opacity ?? 1,
+      colour: one(t.line?.color) ?? one(t.marker?.color) ?? "#444444", width: t.line?.width ?? 1, dash: t.line?.dash ?? "solid",
+      shape: t.line?.shape ?? "linear", symbol: one(t.marker?.symbol) ?? "circle", size: one(t.marker?.size) ?? 4,
+      fill: t.fill && t.fill !== "none" ? t.fillcolor : null, showlegend: Boolean(t.showlegend && full.showlegend),
+      colorscale: t.colorscale ?? null, zmin: t.zmin ?? null, zmax: t.zmax ?? null,
+      ticks: t.colorbar?.tickvals ? { tickvals: [...t.colorbar.tickvals], ticktext: [...(t.colorbar.ticktext ?? t.colorbar.tickvals)] } : null,
+    };
+  });
+  const annotations = (full.annotations ?? []).map(({ text, x, y, xref }) => ({ text, x, y, xref }));
+  const shapes = (full.shapes ?? []).filter(({ type }) => type === "line").map(({ x0, x1, y0, y1, line }) => ({ x0, x1, y0, y1, dash: line?.dash }));
+  return { traces, axes, annotations, shapes, legend: full.showlegend, ratio: plot.clientHeight / plot.clientWidth };
+}
+
+function one(value) {
+  return Array.isArray(value) || ArrayBuffer.isView(value) ? value[0] : value;
 }
 
 // Puts above the chart that something failed, until it is drawn anew.
@@ -63,11 +158,6 @@ function say(plot, what) {
 }
 
 function options(Plotly, selects, views) {
-  const button = (format) => ({
-    name: `save as ${format.toUpperCase()}`,
-    icon: format === "png" ? Plotly.Icons.camera : Plotly.Icons.disk,
-    click: (plot) => save(plot, format),
-  });
   return {
     displaylogo: false,
     responsive: true,
@@ -77,7 +167,9 @@ function options(Plotly, selects, views) {
       ...["sendChartToCloud", "toImage", views ? "resetScale2d" : "autoScale2d"],
       ...(selects ? [] : ["select2d", "lasso2d"]),
     ],
-    modeBarButtonsToAdd: [button("png"), button("svg")],
+    modeBarButtonsToAdd: [
+      { name: "Save: SVG, PDF, PNG, CSV", icon: Plotly.Icons.disk, click: saveBox },
+    ],
   };
 }
 
@@ -135,6 +227,34 @@ function hiddenLines({ _fullData }) {
   return off.map(({ uid }) => uid);
 }
 
+// The other charts on the page that share this one's x axis.
+function linked(plot) {
+  const others = [...document.querySelectorAll(".plot")];
+  return others.filter((other) => other !== plot && other.wired && plot.linked && other.linked === plot.linked);
+}
+
+// A thin line in every linked chart where the pointer is in one of them.
+function crosshair(plot, x) {
+  for (const other of linked(plot)) {
+    const line = other.parentElement.querySelector(".plot-crosshair");
+    const { xaxis, _size } = other._fullLayout;
+    const at = x === null ? -1 : xaxis.d2p(x);
+    line.hidden = !(at >= 0 && at <= xaxis._length);
+    line.style.cssText = `height:${_size.h}px;top:${_size.t}px;transform:translateX(${xaxis._offset + at}px)`;
+  }
+}
+
+// What was zoomed along x here is zoomed in the linked charts, before the server hears of it.
+function spreadZoom(plot, event, Plotly) {
+  const range = ["xaxis.range[0]", "xaxis.range[1]"].map((key) => event[key]);
+  const change = event["xaxis.autorange"] ? { "xaxis.autorange": true } : { "xaxis.range": range };
+  if (!event["xaxis.autorange"] && range.includes(undefined)) return;
+  for (const other of linked(plot)) {
+    other.quiet = true;
+    Plotly.relayout(other, change).finally(() => (other.quiet = false));
+  }
+}
+
 function wire(plot, Plotly) {
   let told = "";
   const select = (region) => {
@@ -151,7 +271,12 @@ function wire(plot, Plotly) {
     const points = event.points.map(({ curveNumber, pointIndex }) => [curveNumber, pointIndex]);
     select({ points, outline: corners(event) });
   });
-  plot.on("plotly_relayout", () => {
+  plot.on("plotly_afterplot", () => plot.follows?.cursor && follow(plot, window.tomStep));
+  plot.on("plotly_hover", ({ xvals }) => crosshair(plot, xvals?.[0] ?? null));
+  plot.on("plotly_unhover", () => crosshair(plot, null));
+  plot.on("plotly_relayout", (event) => {
+    if (plot.quiet) return; // it follows another
+    spreadZoom(plot, event, Plotly);
     const view = plot.taken && shownPart(plot);
     const words = JSON.stringify(view);
     if (!view || words === (plot.viewed.at(-1) ?? plot.given)) return;
@@ -167,14 +292,45 @@ function wire(plot, Plotly) {
   plot.watch.observe(plot);
 }
 
+// Shows the state of the page's timeline: a cursor at its step, and the traces' values at the last
+// of the figure's own steps that is not after it.
+function follow(plot, step) {
+  const { cursor, steps, traces } = plot.follows ?? {};
+  if (step === undefined || !plot.wired) return;
+  const mark = plot.parentElement.querySelector(".plot-cursor");
+  mark.hidden = !cursor;
+  if (cursor) {
+    const { xaxis, _size } = plot._fullLayout;
+    const x = xaxis.d2p(step);
+    mark.hidden = !(x >= 0 && x <= xaxis._length);
+    mark.style.cssText = `height:${_size.h}px;top:${_size.t}px;transform:translateX(${xaxis._offset + x}px)`;
+  }
+  if (!traces) return;
+  const at = Math.max(steps.filter((own) => own <= step).length - 1, 0);
+  if (at === plot.frame) return;
+  plot.frame = at;
+  for (const { index, y } of traces) plot.data[index].y = y[at];
+  window.Plotly.redraw(plot);
+}
+
+function followAll({ detail }) {
+  for (const plot of document.querySelectorAll(".plot")) if (plot.follows) follow(plot, detail);
+}
+// This script may be read more than once.
+if (!window.tomFollowAll) window.addEventListener("tom:step", followAll);
+window.tomFollowAll = followAll;
+
 export default function ({ data, parentElement, setTriggerValue }) {
   const plot = parentElement.querySelector(".plot");
   plot.tell = setTriggerValue;
   plot.selects = data.selects;
   plot.hides = data.hides;
+  plot.follows = data.follows;
+  plot.linked = data.linked;
   plot.viewed ??= [];
   if (data.view) take(plot, data.view);
   plot.setAttribute("aria-label", data.label);
+  plot.caption = data.caption;
   library(data.library)
     .then(async (Plotly) => {
       if (!plot.isConnected) return;
@@ -187,6 +343,8 @@ export default function ({ data, parentElement, setTriggerValue }) {
       if (!plot.wired) wire(plot, Plotly);
       plot.wired = true;
       await drawn;
+      plot.frame = undefined;
+      follow(plot, window.tomStep);
     })
     .catch((error) => {
       if (!plot.isConnected) return;

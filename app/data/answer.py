@@ -1,0 +1,200 @@
+"""The three questions about a learner's weights, answered by the statistics of its runs.
+
+Where does it look? Is that where the policy goes? Does it help? Pure functions.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.data.exams import Exams, ranking
+from tom.analysis import scores, statistics
+from tom.analysis.curves import Curve
+from tom.analysis.statistics import RANKED, Interval
+from tom.data.sampling import bin_means
+from tom.readable import percent, score, short
+from tom.record.decode import Profiles
+
+Floats = NDArray[np.float64]
+Word = Literal["yes", "no", "unclear", "unknown"]
+SIGNIFICANT = 0.05
+"""the p below which two groups are said to differ"""
+NEWEST = 0.2
+"""the share of the weight on the newest fifth if every transition counts the same"""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to one question: a verdict, a sentence in Markdown, and what would tell more."""
+
+    word: Word
+    verdict: str
+    sentence: str
+    more: str = ""
+
+
+@dataclass(frozen=True)
+class Side:
+    """A group of runs that differ only in the seed; its runs' data, in one order (n,)."""
+
+    name: str
+    uniform: bool
+    """whether its learner counts every transition the same"""
+    seeds: tuple[int, ...]
+    profiles: Sequence[Profiles]
+    returns: Sequence[Curve]
+    exams: Sequence[Exams]
+    weighs_from: float
+    """the step of the fit from which on every run weighs; -infinity if none does"""
+
+    @property
+    def runs(self) -> str:
+        """`5 runs`."""
+        return "1 run" if len(self.seeds) == 1 else f"{len(self.seeds)} runs"
+
+
+def newest_fifth(bins: Floats) -> float:
+    """The share of the weight on the newest fifth of the buffer, for any number of bins."""
+    fifths = bin_means(bins, 5)
+    return float(fifths[-1] / fifths.sum()) if fifths.sum() > 0 else float("nan")
+
+
+def newest_share(profiles: Profiles) -> Floats:
+    """`newest_fifth` at every fit, (F,)."""
+    return np.array([newest_fifth(bins) for bins in profiles.bins], np.float64)
+
+
+def where(side: Side) -> Answer:
+    """Where the weights of the runs' last fits lie."""
+    last = [profiles for profiles in side.profiles if len(profiles.env_step)]
+    if side.uniform:
+        return Answer(
+            "unclear", "Everywhere alike", f"{side.name} counts every transition the same.",
+            "Choose a learner that weighs, such as TOM or PMAC.",
+        )  # fmt: skip
+    if not last:
+        return Answer(
+            "unknown", "Cannot be told yet", f"{side.name} has not fitted a model yet.",
+            "The weights come with the first fit.",
+        )  # fmt: skip
+    newest = scores.interval(np.array([newest_share(one)[-1] for one in last]))
+    left = scores.interval(np.array([one.ess[-1] for one in last], np.float64))
+    sentence = (
+        f"{side.name} puts **{percent(newest.value, 0)}** of its weight on the newest fifth of its "
+        f"buffer{_spread(newest)}; equal weights would put 20 %. The weights leave an effective "
+        f"sample of {percent(left.value, 0)} of the rows ({_count(len(last))}, last fit)."
+    )
+    if newest.low > NEWEST or (len(last) == 1 and newest.value > 1.5 * NEWEST):
+        return Answer("yes", "At new data", sentence)
+    if newest.high < NEWEST or (len(last) == 1 and newest.value < 0.5 * NEWEST):
+        return Answer("no", "At old data", sentence)
+    return Answer("unclear", "At no age more than at others", sentence)
+
+
+def on_policy(side: Side) -> Answer:
+    """Whether the weights bring the buffer nearer to what the policy does next."""
+    if side.uniform:
+        return Answer(
+            "unclear", "It does not choose", f"{side.name} weighs every transition alike, so its "
+            "buffer is as near to the policy as it was collected: a footprint of 1.",
+        )  # fmt: skip
+    of_runs = [_median_footprint(one, side.weighs_from) for one in side.exams]
+    measured = np.array([value for value in of_runs if np.isfinite(value)], np.float64)
+    if not len(measured):
+        return Answer(
+            "unknown", "Cannot be told yet",
+            f"No fit of {side.name} has a footprint that says anything.",
+            "A footprint needs the steps that the policy makes after a fit, farther from the whole "
+            "buffer than from each other: train on.",
+        )  # fmt: skip
+    footprint = scores.interval(measured, "iqm")
+    left = percent(footprint.value, 0)
+    sentence = (
+        f"Weighted by {side.name}, the buffer lies at **{left}** of its distance to what the "
+        f"policy does next{_spread(footprint)} ({_count(len(measured))}); 100 % is no nearer than "
+        "without weights, 0 % is the policy itself."
+    )
+    if len(measured) == 1:
+        return Answer("unknown", "Cannot be told yet", sentence, "One run has no interval: two do.")
+    if footprint.high < 1:
+        return Answer("yes", "Yes, nearer to the policy", sentence)
+    if footprint.low > 1:
+        return Answer("no", "No, farther from the policy", sentence)
+    return Answer("unclear", "Not clearly", sentence)
+
+
+def helps(one: Side, other: Side) -> Answer:
+    """Whether runs of `one` return more, and err less where their policy goes, than of `other`."""
+    error = _error(one, other)
+    pairs = [[c for c in side.returns if len(c.step)] for side in (one, other)]
+    if not all(pairs):
+        empty = one if not pairs[0] else other
+        return Answer(
+            "unknown", "Cannot be told yet", f"{empty.name} has not been evaluated yet. {error}"
+        )  # fmt: skip
+    until = scores.common_step([curve for curves in pairs for curve in curves])
+    final = [scores.scores_of(curves, scores.FINAL, until) for curves in pairs]
+    final = [values[np.isfinite(values)] for values in final]
+    if not all(map(len, final)):
+        return Answer("unknown", "Cannot be told yet", f"The runs share no step yet. {error}")
+    means = [score(float(values.mean())) for values in final]
+    counts = f"{len(final[0])} and {len(final[1])} runs"
+    at = f"at step {until:,.0f}"
+    fewest = min(len({c.seed for c in curves}) for curves in pairs)
+    if fewest < RANKED:
+        return Answer(
+            "unknown", f"Cannot be told yet: {fewest} of {RANKED} seeds",
+            f"{one.name} returns {means[0]} and {other.name} {means[1]} on average {at} "
+            f"({counts}). {error}",
+            f"{RANKED} seeds of each would tell.",
+        )  # fmt: skip
+    beats, p = (
+        statistics.probability_of_improvement(final[:1], final[1:]),
+        statistics.exchangeable(final[:1], final[1:]),
+    )
+    chance = f"{10 * beats.value:.0f} times in 10 (p {p:.2g}, {counts})"
+    sentence = (
+        f"{at.capitalize()} {one.name} returns **{means[0]}** on average and {other.name} "
+        f"**{means[1]}**; a random run of {one.name} beats one of {other.name} {chance}. {error}"
+    )
+    if p >= SIGNIFICANT:
+        return Answer("unclear", "Not clearly", sentence)
+    return Answer("yes", "Yes, it returns more", sentence) if beats.value > 0.5 else Answer(
+        "no", "No, it returns less", sentence
+    )  # fmt: skip
+
+
+def _error(one: Side, other: Side) -> str:
+    """A sentence on the models' errors in the exams; empty without exams of both."""
+    result = ranking([*one.exams, *other.exams], max(one.weighs_from, other.weighs_from))
+    typical = {standing.name: standing for standing in result.standings}
+    first, second = typical.get(one.name), typical.get(other.name)
+    if first is None or second is None or not (len(first.error) and len(second.error)):
+        return ""
+    numbers = f"{short(first.typical)} against {short(second.typical)}"
+    if not result.ranked:
+        return f"One step ahead, where its policy goes, its model errs by {numbers}."
+    p = statistics.exchangeable([first.error], [second.error])
+    less = "less" if first.typical < second.typical else "more"
+    if p >= SIGNIFICANT:
+        return f"Neither model is clearly better where its policy goes: {numbers} (p {p:.2g})."
+    return f"Its model errs {less} where its policy goes: {numbers} (p {p:.2g})."
+
+
+def _median_footprint(exams: Exams, since: float) -> float:
+    """The median over a run's fits that weigh and whose footprint says something; NaN without."""
+    here = exams.telling & (exams.step >= since) & np.isfinite(exams.footprint)
+    return float(np.median(exams.footprint[here])) if here.any() else float("nan")
+
+
+def _spread(interval: Interval) -> str:
+    if not np.isfinite(interval.low):
+        return ""
+    return f" (95 % interval {percent(interval.low, 0)} to {percent(interval.high, 0)})"
+
+
+def _count(n: int) -> str:
+    return "1 run" if n == 1 else f"{n} runs"

@@ -1,0 +1,197 @@
+"""A page's figure for a paper: drawn anew at the width of a column, as vectors, black on white.
+
+The browser sends what it shows (`app/parts/plot/plot.js`): traces with plain numbers, axes with the
+zoomed range, labels and lines.
+"""
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.figure import Figure
+
+from app.figures.ends import moved_apart
+
+WIDTHS = {"one": 3.4, "two": 7.0}
+"""inches of one and of two columns"""
+KINDS = {"pdf": "application/pdf", "svg": "image/svg+xml", "png": "image/png"}
+TEXT = 8  # points
+LEFT, RIGHT, BOTTOM, TOP = 0.55, 0.12, 0.42, 0.1  # inches around the axes
+LETTER, ROW = 0.062, 0.16  # inches of a letter, and of a row of the legend
+LINE = 0.42  # points of a line for a pixel on the screen
+DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-.", "longdash": (0, (8, 3)),
+          "longdashdot": (0, (8, 3, 1, 3))}  # fmt: skip
+SYMBOLS = {"circle": "o", "square": "s", "diamond": "D", "triangle-up": "^", "triangle-down": "v",
+           "pentagon": "p", "x": "x"}  # fmt: skip
+STYLE: dict[Any, Any] = {
+    "font.size": TEXT, "font.family": "sans-serif", "axes.spines.top": False,
+    "axes.spines.right": False, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6, "legend.frameon": False, "pdf.fonttype": 42, "svg.fonttype": "none",
+    "axes.unicode_minus": False,
+}  # fmt: skip
+
+
+def paper_figure(shown: Mapping[str, Any], width: str, kind: str) -> bytes:
+    """The file of a figure: `width` is a key of `WIDTHS`, `kind` of `KINDS`.
+
+    Raises ValueError, TypeError, KeyError or IndexError for what is no such figure.
+    """
+    inches = WIDTHS[width]
+    labels = [one for one in shown["annotations"] if one["xref"] == "paper" and one["x"] >= 1]
+    keyed = [t for t in shown["traces"] if t["showlegend"]] if shown["legend"] else []
+    right = (
+        RIGHT
+        + 0.1 * bool(labels)
+        + LETTER * max((len(_plain(one["text"])) for one in labels), default=0)
+    )
+    across = max(
+        1, int((inches - LEFT) / (0.45 + LETTER * max((len(t["name"]) for t in keyed), default=1)))
+    )
+    top = TOP + ROW * -(-len(keyed) // across)
+    height = top + BOTTOM + inches * min(max(float(shown["ratio"]), 0.3), 1.2) * 0.8
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(inches, height))
+        box = (
+            LEFT / inches,
+            BOTTOM / height,
+            1 - (LEFT + right) / inches,
+            1 - (BOTTOM + top) / height,
+        )
+        axes = {name: _axes(figure, box, pair) for name, pair in shown["axes"].items()}
+        for trace in shown["traces"]:
+            _trace(figure, axes[trace["axes"]], trace)
+        for shape in shown["shapes"]:
+            _line(next(iter(axes.values())), shape)
+        first = next(iter(axes.values()))
+        _labels(first, labels, 72 * (height - BOTTOM - top))
+        if keyed:
+            figure.legend(
+                *_handles(axes, keyed), loc="upper left", ncols=across, fontsize=TEXT,
+                bbox_to_anchor=(box[0], 1), borderaxespad=0.1, handlelength=1.6, columnspacing=1,
+            )  # fmt: skip
+        file = io.BytesIO()
+        figure.savefig(file, format=kind, dpi=600)
+    return file.getvalue()
+
+
+def _axes(figure: Figure, box: Sequence[float], pair: Mapping[str, Any]) -> Axes:
+    """The axes of an x and a y axis, at their share of the box (left, bottom, width, height)."""
+    x, y = pair["x"], pair["y"]
+    (x0, x1), (y0, y1) = x["domain"], y["domain"]
+    left, bottom, width, height = box
+    axes = figure.add_axes(
+        (left + x0 * width, bottom + y0 * height, (x1 - x0) * width, (y1 - y0) * height)
+    )
+    for axis, name in ((x, "x"), (y, "y")):
+        if axis["type"] == "log":
+            axes.set(**{f"{name}scale": "log"})
+        ends = [10**end if axis["type"] == "log" else end for end in axis["range"]]
+        axes.set(**{f"{name}lim": ends, f"{name}label": _plain(axis["title"])})
+        if axis["tickvals"]:
+            axes.set(**{f"{name}ticks": axis["tickvals"], f"{name}ticklabels": axis["ticktext"]})
+            axes.minorticks_off()
+    if x["type"] != "log" and max(map(abs, x["range"])) >= 10_000:
+        axes.xaxis.set_major_formatter(lambda at, _: f"{at / 1000:g}k")
+    axes.grid(axis="y", linewidth=0.3, alpha=0.5)
+    return axes
+
+
+def _trace(figure: Figure, axes: Axes, trace: Mapping[str, Any]) -> None:
+    x, y = _numbers(trace["x"]), _numbers(trace["y"])
+    if trace["type"] == "heatmap":
+        z = np.asarray(trace["z"], np.float64)
+        stops = [(at, _rgba(colour)) for at, colour in trace["colorscale"]]
+        colours = LinearSegmentedColormap.from_list("page", stops)
+        drawn = axes.pcolormesh(
+            _edges(x, z.shape[1]), _edges(y, z.shape[0]), z, cmap=colours, rasterized=True,
+            vmin=trace["zmin"], vmax=trace["zmax"],
+        )  # fmt: skip
+        bar = figure.colorbar(drawn, ax=axes, pad=0.02, fraction=0.05)
+        if trace["ticks"]:
+            bar.set_ticks(trace["ticks"]["tickvals"], labels=trace["ticks"]["ticktext"])
+    elif trace["type"] == "bar":
+        gap = np.diff(x).min() if len(x) > 1 else 1.0
+        axes.bar(x, y, width=gap, color=_rgba(trace["colour"]), linewidth=0)
+    elif trace["fill"]:
+        axes.fill(x, y, color=_rgba(trace["fill"]), linewidth=0)
+    else:
+        style = {"alpha": trace["opacity"], "color": _rgba(trace["colour"])}
+        lines, marks = "lines" in trace["mode"], "markers" in trace["mode"]
+        axes.plot(
+            x, y, linewidth=LINE * trace["width"], linestyle=DASHES[trace["dash"]] if lines else "",
+            drawstyle="steps-mid" if trace["shape"] == "hvh" else "default",
+            marker=SYMBOLS.get(trace["symbol"], "o") if marks else "",
+            markersize=LINE * trace["size"], markeredgewidth=0, **style,
+        )  # fmt: skip
+
+
+def _line(axes: Axes, shape: Mapping[str, Any]) -> None:
+    style = {"color": "#8a92a3", "linewidth": 0.6, "linestyle": DASHES.get(shape["dash"], "-")}
+    if shape["y0"] == shape["y1"]:
+        axes.axhline(shape["y0"], **style)
+    else:
+        axes.axvline(shape["x0"], **style)
+
+
+def _labels(axes: Axes, labels: Sequence[Mapping[str, Any]], points: float) -> None:
+    """The names of lines at the right of axes of so many points of height, none over another."""
+    low, high = axes.get_ylim()
+    inverse = axes.transData + axes.transAxes.inverted()
+    at = [inverse.transform((0, one["y"]))[1] for one in labels]
+    if axes.get_yscale() == "log":  # a label's place on a log axis is already a logarithm
+        at = [(one["y"] - np.log10(low)) / (np.log10(high) - np.log10(low)) for one in labels]
+    for one, place in zip(labels, moved_apart(points * np.array(at), 1.25 * TEXT), strict=True):
+        height, colour = place / points, re.search(r"color:(#[0-9a-fA-F]{6})", one["text"])
+        if colour:
+            axes.plot(
+                (1.015, 1.035), (height, height), transform=axes.transAxes, clip_on=False,
+                color=colour[1], linewidth=2,
+            )  # fmt: skip
+        axes.text(1.05, height, _plain(one["text"]), transform=axes.transAxes, va="center")
+
+
+def _handles(axes: Mapping[str, Axes], keyed: Sequence[Mapping[str, Any]]) -> tuple[list, list]:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D(
+            [], [], color=_rgba(trace["colour"]), linewidth=LINE * trace["width"],
+            linestyle=DASHES[trace["dash"]] if "lines" in trace["mode"] else "",
+            marker=SYMBOLS.get(trace["symbol"], "o") if "markers" in trace["mode"] else "",
+            markersize=3,
+        )
+        for trace in keyed
+    ]  # fmt: skip
+    return handles, [_plain(trace["name"]) for trace in keyed]
+
+
+def _numbers(values: Sequence[Any]) -> np.ndarray:
+    return np.array([np.nan if value is None else value for value in values], np.float64)
+
+
+def _edges(places: np.ndarray, count: int) -> np.ndarray:
+    """The edges (n + 1,) of n cells, from their centres or from edges as they are."""
+    if len(places) == count + 1:
+        return places
+    if count == 1:
+        return np.array([places[0] - 0.5, places[0] + 0.5])
+    between = (places[1:] + places[:-1]) / 2
+    return np.concatenate([[2 * places[0] - between[0]], between, [2 * places[-1] - between[-1]]])
+
+
+def _rgba(colour: str) -> tuple[float, float, float, float]:
+    parts = re.fullmatch(r"rgba?\(([^)]*)\)", colour)
+    if parts is None:
+        return to_rgba(colour)
+    red, green, blue, *alpha = (float(part) for part in parts[1].split(","))
+    return red / 255, green / 255, blue / 255, alpha[0] if alpha else 1.0
+
+
+def _plain(words: str) -> str:
+    """A label without its HTML and the mark of its colour."""
+    return re.sub(r"<[^>]*>|\u25ac ?", "", words.replace("<br>", "\n")).strip()

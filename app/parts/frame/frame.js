@@ -1,0 +1,79 @@
+// What all pages share in the browser (app/parts/frame/__init__.py): shortcuts, the theme, the names
+// of frames, and notices of trainings that have ended.
+
+const ALL_KEYS = {
+  " ": () => press(".timeline button"),
+  ArrowLeft: () => step(-1),
+  ArrowRight: () => step(1),
+  "/": () => document.querySelector('[data-testid="stSidebar"] input[type="text"]')?.focus(),
+  "?": () => document.querySelector(".frame dialog")?.showModal(),
+};
+
+function press(selector) {
+  const button = document.querySelector(selector);
+  button?.click();
+  return Boolean(button);
+}
+
+function step(by) {
+  const range = document.querySelector(".timeline input");
+  if (!range || range.disabled) return false;
+  range.value = Number(range.value) + by;
+  range.dispatchEvent(new Event("input"));
+  return true;
+}
+
+// A key that the focused element takes for itself is not a shortcut.
+function taken({ target, ctrlKey, metaKey, altKey }) {
+  const own = "input, textarea, select, button, a, [role=slider], [role=grid], [contenteditable], canvas";
+  return ctrlKey || metaKey || altKey || target.closest?.(own) || document.querySelector("dialog[open]");
+}
+
+function onKey(event) {
+  const act = ALL_KEYS[event.key];
+  if (act && !taken(event) && act() !== false) event.preventDefault();
+}
+
+// Streamlit gives frames no name; a screen reader would read their address.
+function nameFrames() {
+  for (const frame of document.querySelectorAll("iframe:not([title])")) {
+    frame.title = /websocket=/.test(frame.src) ? "3D scene" : /url=/.test(frame.src) ? "Rerun viewer" : "Figure";
+  }
+}
+
+function notify(root, events) {
+  if (!("Notification" in window) || Notification.permission !== "granted") return;
+  for (const { id, title, body } of events) {
+    if (root.told.has(id)) continue;
+    new Notification(title, { body, tag: id });
+  }
+}
+
+export default function ({ data, parentElement }) {
+  const root = parentElement.querySelector(".frame");
+  window.removeEventListener("keydown", window.tomKeys);
+  window.tomKeys = onKey;
+  window.addEventListener("keydown", onKey);
+  window.tomFrames ??= new MutationObserver(nameFrames);
+  window.tomFrames.observe(document.body, { childList: true, subtree: true });
+  nameFrames();
+  const theme = root.querySelector(".theme");
+  theme.hidden = !data.mode;
+  const next = data.mode === "dark" ? "Light" : "Dark";
+  theme.textContent = `${next} theme`;
+  theme.onclick = () => {
+    localStorage.setItem("tom-studio-theme", next);
+    location.reload();
+  };
+  root.querySelector(".help").onclick = () => root.querySelector("dialog").showModal();
+  const ask = root.querySelector(".ask");
+  ask.hidden = !("Notification" in window) || Notification.permission !== "default";
+  ask.onclick = async () => {
+    await Notification.requestPermission();
+    ask.hidden = Notification.permission !== "default";
+  };
+  // What had ended before this page was opened is no news.
+  if (root.told) notify(root, data.ended);
+  root.told ??= new Set();
+  data.ended.forEach(({ id }) => root.told.add(id));
+}

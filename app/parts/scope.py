@@ -1,0 +1,316 @@
+"""The runs that every page is about: those of the list at the left, its filters and its eyes."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from operator import attrgetter
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as compute
+import streamlit as st
+
+from app import session, text
+from app.data import readers
+from app.data.called import short_names, task
+from app.figures.curves import Look, looks_of
+from app.parts import address, again, frame, runlist
+from app.parts.runlist import Item, Section
+from app.theme import learner_label
+from tom.analysis.curves import curve_points
+from tom.analysis.settings import USUAL, Kind, choices, kinds_of
+from tom.config import SAC_ALONE
+from tom.learners import LEARNERS, SUBJECT
+from tom.record.files import modified
+from tom.record.reader import RunReader
+from tom.spread import spread
+from tom.training.presets import default_preset
+
+ALIKE = 0.9
+"""runs whose last steps differ by less have ended at about the same step"""
+LINES = 6
+"""groups that are shown until the user opens more"""
+LOOK_S = 5
+"""seconds between two looks at whether a training has begun or ended"""
+LISTED = 200
+"""runs that the list names"""
+SPARKS = 24
+"""points of a run's small line"""
+EVERY_TASK = "every task"
+FILTERS: dict[str, tuple[str, str, Callable[[str], str]]] = {
+    "state": ("State", "shown", str),
+    "learner": ("Learner", "learner", learner_label),
+    "preset": ("Preset", "preset", str),
+}
+"""by the name in the address: label, attribute of a run, and how its values are shown"""
+
+
+@dataclass(frozen=True)
+class Scope:
+    """The runs that pass the filters, newest first, in groups; which are hidden, which is chosen.
+
+    `hidden` holds titles of groups and ids of runs. A hidden run does not count in its group.
+    """
+
+    runs: tuple[RunReader, ...]
+    by: str
+    kinds: Mapping[str, Kind]
+    looks: Mapping[Kind, Look]
+    hidden: frozenset[str]
+    folded: frozenset[str]
+    """titles of the groups that are hidden until the user opens them"""
+    asked: str
+    """the id of the run that the user has chosen; empty if none"""
+    order: tuple[str, ...]
+    """the titles of the groups, main ones first"""
+
+    @cached_property
+    def members(self) -> list[RunReader]:
+        """The runs that count in their group: not hidden themselves, and not cut short."""
+        cut = {run.run_id for run in self.cut_short}
+        return [run for run in self.runs if run.run_id not in self.hidden | cut]
+
+    @cached_property
+    def cut_short(self) -> list[RunReader]:
+        """Runs that ended well before a finished one of their group, and do not go on."""
+        ends: dict[tuple[str, Kind], int] = {}
+        for run in self.runs:
+            if run.status.state == "finished":
+                key = run.env, self.kinds[run.run_id]
+                ends[key] = max(ends.get(key, 0), run.status.env_step)
+        return [
+            run
+            for run in self.runs
+            if run.status.state != "finished"
+            and not run.status.alive
+            and run.status.env_step < ALIKE * ends.get((run.env, self.kinds[run.run_id]), 0)
+        ]
+
+    @cached_property
+    def shown(self) -> list[RunReader]:
+        """The runs that are hidden neither themselves nor with their group."""
+        return [run for run in self.members if self.title(run) not in self.hidden]
+
+    def title(self, run: RunReader) -> str:
+        """The title of a run's group."""
+        return self.looks[self.kinds[run.run_id]].title
+
+    @property
+    def hidden_kinds(self) -> list[Kind]:
+        """The groups that are hidden."""
+        return [kind for kind, look in self.looks.items() if look.title in self.hidden]
+
+    @property
+    def only_seeds_differ(self) -> bool:
+        """Whether the runs of a group differ in nothing but the seed."""
+        return self.by == USUAL
+
+    @property
+    def unit(self) -> str:
+        """What the n of a group counts."""
+        return "seeds" if self.only_seeds_differ else "runs"
+
+    def one(
+        self, suits: Callable[[RunReader], bool], usual: Callable[[RunReader], object]
+    ) -> RunReader | None:
+        """The chosen run, if it suits; else, of the shown runs that suit, that with the least
+        `usual`; else of all; None if none does."""
+        for runs in ([run for run in self.runs if run.run_id == self.asked], self.shown, self.runs):
+            suited = [run for run in runs if suits(run)]
+            if suited:
+                return min(suited, key=usual)  # type: ignore[arg-type]
+        return None
+
+
+def draw() -> Scope:
+    """The list of runs, with its filters, in the sidebar."""
+    store = session.links().store
+    everything = readers.listing(store).runs
+    with st.sidebar:
+        of_task = _of_task(everything)
+        words = address.text_input(
+            "Search", "find", placeholder="search: a regular expression",
+            label_visibility="collapsed", icon=":material/search:",
+        )  # fmt: skip
+        with st.popover("Filter and group", icon=":material/filter_alt:", width="stretch"):
+            runs, by = _filtered(of_task)
+        runs = matching(runs, words)
+        scope = _scope(runs, by)
+        if not runs:
+            st.info("No run passes these filters.", icon=":material/filter_alt_off:")
+        _list(scope)
+        frame.draw(everything)
+        alive = any(run.status.alive for run in everything)
+        again.when_changed(lambda: _store_state(store, alive=alive), LOOK_S)
+    return scope
+
+
+def _store_state(store: str, *, alive: bool) -> object:
+    """What changes when a run begins, and while some train when one of them ends."""
+    states = [(run.run_id, run.shown) for run in readers.listing(store).runs] if alive else []
+    return modified(Path(store)), states
+
+
+def _of_task(everything: Sequence[RunReader]) -> list[RunReader]:
+    counts = {run.env: run for run in reversed(everything)}  # the newest of each
+    own = [run for run in everything if not run.small_copy] or list(everything)
+    first = next((run.env for run in own if run.learner != SAC_ALONE), own[0].env)
+    if not any(not run.small_copy for run in everything):
+        tasks = [run.env for run in everything]
+        first = max(dict.fromkeys(tasks), key=tasks.count)
+    options = [*sorted(counts), EVERY_TASK]
+    env = address.choose_one(
+        st.selectbox, "Task", options, "task", first,
+        lambda name: name if name == EVERY_TASK else task(name), label_visibility="collapsed",
+    )  # fmt: skip
+    return [run for run in everything if env in (EVERY_TASK, run.env)]
+
+
+def task_shown() -> str:
+    """The chosen task in a window's title; empty if none is chosen."""
+    env = st.session_state.get("task")
+    return f"{task(env)} - " if env and env != EVERY_TASK else ""
+
+
+def _filtered(runs: Sequence[RunReader]) -> tuple[list[RunReader], str]:
+    """The runs that pass the filters, and by what they are grouped."""
+    by = address.choose_one(st.selectbox, "Group by", choices(runs), "group", USUAL)
+    kept = list(runs)
+    for field, (label, attribute, shown) in FILTERS.items():
+        value = attrgetter(attribute)
+        options = sorted({value(run) for run in runs})
+        picked = address.choose_many(label, options, field, shown, placeholder="all")
+        kept = [run for run in kept if not picked or value(run) in picked]
+    every = sorted({tag for run in runs for tag in run.labels.tags})
+    tags = set(address.choose_many("Tag", every, "tag", placeholder="any"))
+    return [run for run in kept if not tags or tags & set(run.labels.tags)], by
+
+
+def matching(runs: Sequence[RunReader], words: str) -> list[RunReader]:
+    """The runs whose name or id contains a match of the regular expression `words`.
+
+    If it is malformed, all runs are returned and the page says why. The expression may come from a
+    link, so it is matched in time linear in the names, unlike by Python's `re`.
+    """
+    options = compute.MatchSubstringOptions(words, ignore_case=True)
+    names = pa.array([f"{run.run_id}\n{run.name}" for run in runs], pa.string())
+    try:
+        found = compute.call_function("match_substring_regex", [names], options).to_pylist()
+    except pa.ArrowInvalid as error:
+        why = str(error).removeprefix("Invalid regular expression: ")
+        st.warning(f"This is no regular expression: {text.markdown(why)}.")
+        return list(runs)
+    return [run for run, is_found in zip(runs, found, strict=True) if is_found]
+
+
+def _scope(runs: Sequence[RunReader], by: str) -> Scope:
+    kinds = kinds_of(runs, by)
+    look_of = looks_of([(run.env, kinds[run.run_id]) for run in runs], by, session.mode())
+    there = {run.run_id for run in runs} | {look.title for look in look_of.values()}
+    rank = {kinds[run.run_id]: _rank(run, kinds[run.run_id]) for run in runs}
+    own = {kinds[run.run_id] for run in runs if not run.small_copy}
+    main = sorted(own or rank, key=lambda kind: rank[kind])[:LINES]
+    # Folded: the groups beyond the first, and examples beside runs of one's own.
+    folded = {look.title for kind, look in look_of.items() if kind not in main}
+    hide = [word for word in address.value_of("hide", list) if word in there]
+    show = [word for word in address.value_of("show", list) if word in there]
+    address.keep("hide", hide)
+    address.keep("show", show)
+    asked = "".join(address.value_of("run", list)[-1:])
+    address.keep("run", [asked] if asked else [])
+    hidden = folded.difference(show) | set(hide)
+    order = sorted(look_of, key=lambda kind: rank[kind])
+    return Scope(
+        tuple(runs), by, kinds, look_of, frozenset(hidden), frozenset(folded), asked,
+        tuple(look_of[kind].title for kind in order),
+    )  # fmt: skip
+
+
+def _rank(run: RunReader, kind: Kind) -> tuple[object, ...]:
+    order = list(LEARNERS)
+    place = order.index(run.learner) if run.learner in order else len(order)
+    usual = run.preset == default_preset(run.env, run.learner)
+    return (
+        bool(kind.variant),
+        run.learner == SAC_ALONE,
+        not usual,
+        run.learner != SUBJECT,
+        place,
+        kind,
+    )
+
+
+def _list(scope: Scope) -> None:
+    own = [run for run in scope.runs if not run.small_copy]
+    examples = [run for run in scope.runs if run.small_copy]
+    named = {run.run_id for run in scope.runs[:LISTED]}
+    called = short_names(scope.runs)
+    for run in scope.cut_short:
+        called[run.run_id] += f", ended at {run.status.env_step:,}: left out"
+
+    def section(title: str, runs: Sequence[RunReader]) -> Section:
+        groups = []
+        by_title = {look.title: (kind, look) for kind, look in scope.looks.items()}
+        for kind, look in (by_title[title] for title in scope.order):
+            mine = [r for r in runs if scope.kinds[r.run_id] == kind and r.run_id in named]
+            items = [
+                Item(
+                    run.run_id, called[run.run_id], run.shown, _returns(run),
+                    run.run_id in scope.hidden, run.run_id == scope.asked,
+                )
+                for run in sorted(mine, key=lambda run: (run.env, run.seed))
+            ]  # fmt: skip
+            if items:
+                hidden, folded = look.title in scope.hidden, look.title in scope.folded
+                groups.append(runlist.Group(look.title, look.colour, hidden, folded, items))
+        groups.sort(key=lambda group: group.folded)
+        left = sum(run.run_id not in named for run in runs)
+        return Section(title, groups, f"{left:,} more runs: search or filter" if left else "")
+
+    sections = [section("Your runs", own)] if own else []
+    sections += [section("Examples", examples)] if examples else []
+    runlist.draw(
+        sections,
+        toggled=lambda word: toggle(scope, word),
+        alone=lambda word: _alone(scope, word),
+        chosen=choose,
+        everything=lambda: _set(hide=(), show=scope.folded),
+    )
+
+
+def choose(run_id: str) -> None:
+    """Choose a run: the one that pages of a single run show from the next drawing on."""
+    st.session_state["run"] = [run_id]
+
+
+def toggle(scope: Scope, word: str) -> None:
+    """Show what is hidden, or hide it: a group by its title or a run by its id."""
+    closed = [scope.title(run) for run in scope.runs if run.run_id == word]
+    if word not in scope.hidden and scope.hidden.intersection(closed):
+        word = closed[0]  # a run of a hidden group is opened with it
+    hide, show = (list(st.session_state[key]) for key in ("hide", "show"))
+    if word not in scope.hidden:
+        _set(hide=[*hide, word], show=[other for other in show if other != word])
+        return
+    kind = next((k for k, look in scope.looks.items() if look.title == word), None)
+    opened = [word] if word in scope.folded or kind is None else []
+    _set(hide=[other for other in hide if other != word], show=[*show, *opened])
+
+
+def _alone(scope: Scope, word: str) -> None:
+    """Show a group or a run, and no other."""
+    mine = [run for run in scope.runs if word in (run.run_id, scope.title(run))]
+    titles = {scope.title(run) for run in mine}
+    others = [look.title for look in scope.looks.values() if look.title not in titles]
+    siblings = [run.run_id for run in scope.runs if scope.title(run) in titles and run not in mine]
+    _set(hide=[*others, *siblings], show=titles & scope.folded)
+
+
+def _set(hide: Collection[str], show: Collection[str]) -> None:
+    st.session_state["hide"], st.session_state["show"] = list(hide), sorted(show)
+
+
+def _returns(run: RunReader) -> list[float]:
+    _, value = curve_points(readers.metrics(run), "eval/return")
+    return [float(f"{v:.3g}") for v in np.asarray(value)[spread(len(value), SPARKS)]]

@@ -1,0 +1,67 @@
+"""The page's timeline: fits and evaluations of a run, and the step that all panels show.
+
+Panels follow it in the browser (`app.parts.plot.Follow`), at its frame rate; the server draws the
+page again when the hand stops.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import streamlit as st
+from streamlit.components.v2 import component
+
+from app.parts import address
+
+STEP = "step"
+_SCRIPT = Path(__file__).with_name("timeline.js")
+_STYLE = Path(__file__).with_name("timeline.css")
+
+
+def chosen(stops: Sequence[int]) -> int:
+    """The step that the user or the address has chosen, else the last of `stops`, which grow.
+
+    It is one of `stops` (ascending, at least one): the last that is not after what was asked for.
+    """
+    asked = address.value_of(STEP, address.whole_number)
+    before = [stop for stop in stops if asked is None or stop <= asked]
+    step = before[-1] if before else stops[0]
+    address.keep(STEP, [] if step == stops[-1] else [str(step)])
+    return step
+
+
+def go_to(step: int) -> None:
+    """Show this step from the next drawing on."""
+    st.session_state[STEP] = step
+
+
+def draw(fits: Sequence[int], evaluations: Sequence[int], step: int) -> None:
+    """The timeline at the bottom of the window; it stands at `step`."""
+    stops = sorted({*fits, *evaluations})
+
+    def on_step() -> None:
+        moved = st.session_state["timeline"].get(STEP)
+        if moved is not None:
+            # At its end it goes on following a run that trains.
+            st.session_state[STEP] = None if moved == stops[-1] else int(moved)
+
+    given = {"stops": stops, "fits": list(fits), "evaluations": list(evaluations)}
+    with st.bottom:
+        _mount()(key="timeline", data={"given": given, STEP: step}, on_step_change=on_step)
+
+
+@cache
+def _mount():
+    return component(
+        "tom_timeline",
+        html="""<div class="timeline" role="group" aria-label="Timeline">
+          <button type="button" aria-label="Play"><svg viewBox="0 0 24 24" width="16"
+            aria-hidden="true"><path fill="currentColor" d="M7 4.5v15l12.5-7.5Z"/></svg></button>
+          <div class="track"><div class="marks"></div><div class="hand"></div>
+            <input type="range" step="1" aria-label="Step of the training"></div>
+          <output aria-live="off"></output>
+          <span class="key">| fit &nbsp; &#8226; evaluation</span></div>""",
+        css=_STYLE.read_text(),
+        js=_SCRIPT.read_text(),
+        isolate_styles=False,
+    )

@@ -1,0 +1,219 @@
+"""Answer: where a learner looks, whether that is where its policy goes, and whether it helps."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import streamlit as st
+
+from app import session, text
+from app.data import answer, buffer, readers
+from app.data.answer import Answer, Side, newest_share
+from app.data.called import task
+from app.data.exams import exams_of
+from app.figures.base import across
+from app.figures.curves import Look, group_curves
+from app.parts import address, trainings_strip, widgets
+from app.parts.plot import Follow, chart
+from app.parts.scope import Scope
+from app.views.answer import exams, model_error
+from tom.analysis import curves
+from tom.analysis.curves import Curve, Group
+from tom.analysis.scores import counted_from
+from tom.analysis.settings import Kind
+from tom.config import SAC_ALONE
+from tom.envs import ROAD
+from tom.learners import LEARNERS
+from tom.record.reader import RunReader
+
+REFRESH_S = 5
+HEIGHT = 230
+SIGNS = {"yes": ":material/check_circle:", "no": ":material/cancel:",
+         "unclear": ":material/help:", "unknown": ":material/hourglass_empty:"}  # fmt: skip
+QUESTIONS = ("Where does it look?", "Is that where the policy goes?", "Does it help?")
+
+
+def page(scope: Scope) -> None:
+    """The trainings that run; one group of runs against another, in three cards."""
+    trainings_strip.draw()
+    groups = _groups(scope)
+    if not groups:
+        st.info("No run of this task learns a model yet: choose another task, or start a training.")
+        return
+    titles = list(groups)
+    head = st.columns([3, 3, 4], vertical_alignment="bottom")
+    one = address.choose_one(head[0].selectbox, "Is it worth weighing by", titles, "one", titles[0])
+    others = [title for title in titles if title != one]
+    if others:
+        usual = next((t for t in others if _uniform(groups[t][0])), others[0])
+        other = address.choose_one(head[1].selectbox, "instead of", others, "other", usual)
+    else:
+        other = None
+    env = groups[one][0].env
+    st.header(f"{task(env)}: does {one} look at the right data, and does that help?", anchor=False)
+    alive = any(run.status.alive for runs in groups.values() for run in runs)
+    cards = st.fragment(_cards, run_every=REFRESH_S if alive else None)
+    cards(scope, {title: groups[title] for title in (one, other) if title})
+    behind = st.expander("The numbers behind it", key="numbers behind", on_change="rerun")
+    if behind.open and env != ROAD:
+        with behind:
+            _behind(scope, env)
+
+
+def _behind(scope: Scope, env: str) -> None:
+    """The exams of all runs of the task, and their models' errors on one buffer."""
+    task_runs = [run for run in scope.runs if run.env == env]
+    alone = [run for run in task_runs if run.learner == SAC_ALONE]
+    alike, others = exams.of_like_length([run for run in task_runs if run not in alone])
+    lengths = dict.fromkeys(run.status.env_step for run in others)
+    of_length = {
+        f"of another length ({steps:,} steps)": [r for r in others if r.status.env_step == steps]
+        for steps in lengths
+    }
+    exams.show_left_out(task_runs, {**of_length, "it fits no model": alone})
+    exams.draw(alike)
+    st.subheader("In sample: on rows that the models were fitted to", anchor=False)
+    run = scope.one(lambda run: run in alike and buffer.has_rows(run), widgets.telling)
+    if run is not None:
+        model_error.on_one_buffer(run, alike)
+    model_error.recorded(alike)
+
+
+def _groups(scope: Scope) -> dict[str, list[RunReader]]:
+    """The shown runs of one task that fit a model, by their group's title: weighing ones first."""
+    runs = [run for run in scope.shown if run.learner != SAC_ALONE] or [
+        run for run in scope.members if run.learner != SAC_ALONE
+    ]
+    env = next((run.env for run in runs if run.run_id == scope.asked), runs[0].env if runs else "")
+    groups: dict[str, list[RunReader]] = {}
+    for run in runs:
+        if run.env == env:
+            groups.setdefault(scope.title(run), []).append(run)
+    chosen = next((scope.title(run) for run in runs if run.run_id == scope.asked), "")
+    order = sorted(
+        (title for title in scope.order if title in groups),
+        key=lambda title: (title != chosen, _uniform(groups[title][0])),
+    )
+    return {title: groups[title] for title in order}
+
+
+def _uniform(run: RunReader) -> bool:
+    return run.learner in LEARNERS and LEARNERS[run.learner].uniform
+
+
+def _cards(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> None:
+    listed = {run.run_id: run for run in readers.listing(session.links().store).runs}
+    fresh = {t: [listed.get(run.run_id, run) for run in runs] for t, runs in groups.items()}
+    sides = [_side(title, runs) for title, runs in fresh.items()]
+    env = next(iter(fresh.values()))[0].env
+    one = sides[0]
+    answers = [answer.where(one), answer.on_policy(one)]
+    if env == ROAD:
+        answers[1] = Answer(
+            "unknown", "Not asked here",
+            "Road-and-rocks learns from a fixed data set: nothing is collected after a fit. "
+            "Attention shows the weights on the map.",
+        )  # fmt: skip
+    answers.append(
+        answer.helps(one, sides[1])
+        if len(sides) > 1
+        else Answer("unknown", "Cannot be told yet", "There is nothing to compare it with.",
+                    "Train MLE, which weighs all rows alike.")
+    )  # fmt: skip
+    charts = (
+        (
+            _share_curves(scope, fresh),
+            "share of the weight on the newest fifth, %",
+            20.0,
+            "attention",
+        ),
+        (
+            _footprints(scope, fresh, sides),
+            "footprint: 1 is no nearer, 0 the policy",
+            1.0,
+            "attention",
+        ),
+        (_returns(scope, fresh), "return", None, "curves"),
+    )
+    for column, question, one_answer, drawn in zip(
+        st.columns(3), QUESTIONS, answers, charts, strict=True
+    ):
+        with column, st.container(border=True, height="stretch"):
+            _card(question, one_answer, scope.looks, *drawn)
+
+
+def _card(
+    question: str,
+    answered: Answer,
+    looks: Mapping[Kind, Look],
+    groups: Sequence[Group],
+    what: str,
+    level: float | None,
+    link: str,
+) -> None:
+    st.subheader(question, anchor=False)
+    st.markdown(f"#### {SIGNS[answered.word]} {text.markdown(answered.verdict)}")
+    if groups:
+        figure = group_curves(groups, what, HEIGHT, singles=True, looks=looks)
+        figure.update_layout(showlegend=False, hovermode="closest")
+        if level is not None:
+            figure.add_shape(across(level, 1.2, "dash"))
+        st.caption(what)
+        chart(
+            figure, f"answer {question}", f"{what}, against env steps", follow=Follow(cursor=True)
+        )
+    st.markdown(answered.sentence)
+    if answered.more:
+        st.caption(answered.more)
+    widgets.link_to(link, f"See it on {link.capitalize()}")
+
+
+def _side(title: str, runs: Sequence[RunReader]) -> Side:
+    frames = [readers.metrics(run) for run in runs]
+    return Side(
+        title,
+        _uniform(runs[0]),
+        tuple(run.seed for run in runs),
+        [readers.profiles(run) for run in runs],
+        [widgets.curve(run, "eval/return") for run in runs],
+        [
+            exams_of(run.run_id, run.learner, run.seed, title, frame)
+            for run, frame in zip(runs, frames, strict=True)
+        ],
+        counted_from(frames),
+    )
+
+
+def _grouped(scope: Scope, made: Sequence[tuple[RunReader, np.ndarray, np.ndarray]]) -> list[Group]:
+    drawn = [
+        Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value,
+              scope.kinds[run.run_id].variant, scope.kinds[run.run_id])
+        for run, step, value in made
+    ]  # fmt: skip
+    return curves.groups(drawn)
+
+
+def _share_curves(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Group]:
+    runs = [run for of in groups.values() for run in of if not _uniform(run)]
+    found = [(run, readers.profiles(run)) for run in runs]
+    return _grouped(
+        scope, [(r, p.env_step, 100 * newest_share(p)) for r, p in found if len(p.env_step)]
+    )
+
+
+def _footprints(
+    scope: Scope, groups: Mapping[str, Sequence[RunReader]], sides: Sequence[Side]
+) -> list[Group]:
+    made = []
+    for side, runs in zip(sides, groups.values(), strict=True):
+        if side.uniform:
+            continue
+        for run, of_run in zip(runs, side.exams, strict=True):
+            here = of_run.telling & np.isfinite(of_run.footprint)
+            made.append((run, of_run.step[here], of_run.footprint[here]))
+    return _grouped(scope, made)
+
+
+def _returns(scope: Scope, groups: Mapping[str, Sequence[RunReader]]) -> list[Group]:
+    runs = [run for of in groups.values() for run in of]
+    of_runs = [(run, widgets.curve(run, "eval/return")) for run in runs]
+    return _grouped(scope, [(run, curve.step, curve.value) for run, curve in of_runs])

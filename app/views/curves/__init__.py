@@ -1,0 +1,271 @@
+"""Curves: learners against each other over seeds, in a grid of panels, in statistics and tables."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+
+from app import session, text
+from app.data import readers, tables
+from app.data.called import names, task, told_apart
+from app.figures.curves import group_curves, run_curves, short_title
+from app.figures.ends import label_ends
+from app.parts import address, shortlinks, timeline, widgets
+from app.parts.plot import Follow, Point, chart
+from app.parts.scope import ALIKE, LINES, Scope
+from app.views.curves import measure, numbers, runs, zoom
+from app.views.curves.measure import Measure
+from tom.analysis import statistics
+from tom.analysis.curves import Curve, Group
+from tom.analysis.scores import common_step
+from tom.analysis.settings import NONE
+from tom.config import SAC_ALONE
+from tom.metrics import describe
+from tom.plugins import CHARTS
+from tom.readable import UNKNOWN, short
+from tom.record.reader import RunReader
+
+CURVES, STATISTICS, SETTINGS, RUNS = "Curves", "Statistics", "Settings", "Runs"
+REFRESH_S = 5
+PANEL_HEIGHT = 300
+MOST_COLUMNS = 24
+NAMES = {"mean": "mean", "median": "median", "iqm": "interquartile mean"}
+
+
+def page(scope: Scope) -> None:
+    """One row of controls; below it panels, statistics, settings or the table of runs."""
+    row = st.container(horizontal=True, vertical_alignment="center", gap="small")
+    section = address.choose_one(
+        row.segmented_control, "Part", [CURVES, STATISTICS, SETTINGS, RUNS], "part", CURVES,
+        required=True, label_visibility="collapsed",
+    )  # fmt: skip
+    if section == CURVES:
+        _curves(scope, row)
+    elif section == RUNS:
+        runs.draw(scope)
+    elif not scope.shown:
+        st.info("Every run is hidden: the eyes at the left open again.")
+    elif section == SETTINGS:
+        _settings(scope.shown)
+    else:
+        numbers.draw(scope)
+    address.write()  # before the end, because Link reads it
+    with row:
+        shortlinks.button()
+    listing = readers.listing(session.links().store)
+    for run in scope.shown:
+        # Without the problems of weights: reading the profiles of every run takes seconds.
+        widgets.show_problems(run, readers.metrics_problems(run))
+    widgets.show_store_problems(listing.problems)
+
+
+def _curves(scope: Scope, row) -> None:
+    recorded = measure.in_order(name for run in scope.runs for name in readers.points(run))
+    usual = [name for name in measure.FIRST[:4] if name in recorded]
+    chosen = address.choose_many(
+        "Panels", recorded, "panel", usual=usual or recorded[:1], label_visibility="collapsed",
+        placeholder="add a metric",
+    )  # fmt: skip
+    with row.popover("Lines", icon=":material/tune:"):
+        how = measure.choose(recorded)
+    alive = any(run.status.alive for run in scope.runs)
+    st.fragment(_panels, run_every=REFRESH_S if alive else None)(scope, chosen, how)
+    run = scope.one(lambda run: bool(readers.points(run)), lambda run: 0)
+    if run is not None and how.axes.x == measure.STEPS:
+        fits, evaluations = readers.profiles(run).env_step.tolist(), run.evaluation_steps()
+        if stops := sorted({*fits, *evaluations}):
+            timeline.draw(fits, evaluations, timeline.chosen(stops))
+
+
+def _panels(scope: Scope, metrics: Sequence[str], how: Measure) -> None:
+    envs = sorted({run.env for run in scope.shown})
+    if not envs:
+        st.info("Every run is hidden: the eyes at the left open again.")
+        return
+    seen = zoom.parts(how.axes.x)
+    first: tuple[list[Curve], list[Group]] | None = None
+    places = [(env, metric) for metric in metrics for env in envs]
+    grid = st.container(horizontal=True, key="grid")
+    for env, metric in places:
+        here = [run for run in scope.shown if run.env == env]
+        curves, grouped = measure.grouped(
+            here, scope.kinds, metric, how.axes.x, how.statistic, how.band
+        )
+        first = first or (curves, grouped)
+        with grid, st.container(border=True):
+            where = f"{task(env)}: " if len(envs) > 1 else ""
+            title = text.markdown(where + short_title(metric))
+            st.markdown(f"**{title}**", help=text.markdown(describe(metric)))
+            if not any(len(curve.step) for curve in curves):
+                st.caption("None of these runs has recorded it yet.")
+                continue
+            figure = _figure(metric, curves, grouped, how, scope, here)
+            if figure is not None:
+                chart(
+                    figure, f"curve {env} {metric}", f"{metric} against {how.axes.x} in {env}",
+                    partial(_clicked, curves) if how.axes.x == measure.STEPS else None,
+                    view=zoom.view(seen, metric), viewed=partial(zoom.remember, seen, metric),
+                    follow=Follow(cursor=how.axes.x == measure.STEPS), linked="curves",
+                )  # fmt: skip
+    if first is not None:
+        _below(scope, metrics[0], how, *first)
+
+
+def _figure(
+    metric: str,
+    curves: Sequence[Curve],
+    grouped: Sequence[Group],
+    how: Measure,
+    scope: Scope,
+    here: Sequence[RunReader],
+):
+    """The figure of one panel; None if a plug-in's chart failed, which the page then shows."""
+    if metric in CHARTS:
+        try:
+            return CHARTS[metric](curves, PANEL_HEIGHT)
+        except Exception as error:  # a plug-in's, which must not take the page with it
+            st.exception(error)
+            return None
+    if not grouped:
+        st.caption("It goes to and fro along this axis, so runs are drawn one by one.")
+        return run_curves(
+            curves, metric, PANEL_HEIGHT, legend=len(curves) <= 12, axes=how.axes,
+            looks=scope.looks, called=told_apart(here),
+        )  # fmt: skip
+    figure = group_curves(
+        grouped, metric, PANEL_HEIGHT, singles=how.singles, axes=how.axes, window=how.window,
+        looks=scope.looks,
+    )  # fmt: skip
+    if len(grouped) <= LINES:
+        label_ends(figure, grouped, scope.looks, how.axes)
+    return figure
+
+
+def _clicked(curves: Sequence[Curve], point: Point) -> None:
+    """Choose the run of a clicked line, on a mean the nearest one, and its step."""
+    named = point.meta if isinstance(point.meta, list) else [point.meta]
+    near = [c for c in curves if c.run_id in named and len(c.step) and c.step[-1] >= point.x]
+    if near:
+        away = [abs(float(np.interp(point.x, c.step, c.value)) - point.y) for c in near]
+        st.session_state["run"] = [near[int(np.argmin(away))].run_id]
+    timeline.go_to(int(point.x))
+
+
+def _below(
+    scope: Scope, metric: str, how: Measure, curves: Sequence[Curve], grouped: Sequence[Group]
+) -> None:
+    """What the lines are, the table of the first metric, and all of it as CSV."""
+    files: widgets.Files = {"Single runs": (lambda: tables.runs(curves, how.axes.x), "runs")}
+    if grouped:
+        st.caption(remarks(grouped, curves, how, scope))
+        table = best_as_highest(tables.summary(grouped), metric)
+        st.markdown(f"**{text.markdown(metric)}** at the step that all runs of a group reach")
+        st.dataframe(in_words(table), hide_index=True, column_config=columns())
+        lines = (lambda: tables.bands(grouped, how.axes.x), "lines")
+        files = {"Lines and bands": lines, **files, "Table": (lambda: table, "table")}
+    widgets.downloads(files, metric)
+
+
+def remarks(grouped: Sequence[Group], curves: Sequence[Curve], how: Measure, scope: Scope) -> str:
+    """What a reader of the figures has to know of their lines and bands."""
+    unit = scope.unit
+    words = [f"Line: {NAMES[how.statistic]} over {unit}."]
+    if how.band == "bootstrap":
+        words.append(f"Band: 95 % bootstrap interval of it (1000 resamples of the {unit}).")
+    elif how.band == "deviation":
+        words.append(f"Band: one standard deviation of the {unit} around their mean.")
+    if not scope.only_seeds_differ:
+        words.append(f"Grouped by {text.markdown(scope.by)}: all else may differ.")
+    few = min((group.n for group in grouped if group.n > 1), default=0)
+    if few and (warning := statistics.remark(few)):
+        words.append(f"{text.markdown(warning.replace('seeds', unit)).capitalize()}.")
+    if any(group.n == 1 for group in grouped):
+        words.append("One seed has no band: a single run says little.")
+    if any(not group.complete.all() for group in grouped):
+        words.append("Dotted: not all n runs reach these steps.")
+    if any(group.interpolated for group in grouped):
+        words.append("Runs that were recorded at other steps are interpolated between theirs.")
+    if unlike_ends(grouped):
+        words.append("Rows of the table end at different steps: Statistics compares at one.")
+    if scope.only_seeds_differ and measure.repeated(grouped):
+        words.append("A seed that was run twice counts twice.")
+    if any(curve.learner == SAC_ALONE for curve in curves):
+        words.append("The first half of a recording of SAC is random steps, which count here.")
+    if cut := scope.cut_short:
+        which = ", ".join(f"{names(cut)[run.run_id]} ({run.status.env_step:,})" for run in cut)
+        words.append(f"Left out, as they ended well before the others: {text.markdown(which)}.")
+    return " ".join(words)
+
+
+def unlike_ends(grouped: Sequence[Group]) -> bool:
+    """Whether the rows of an environment's table end at clearly different steps."""
+    ends: dict[str, list[float]] = {}
+    for group in grouped:
+        ends.setdefault(group.env, []).append(common_step(group.curves))
+    return any(min(of) < ALIKE * max(of) for of in ends.values())
+
+
+def best_as_highest(table: pd.DataFrame, metric: str) -> pd.DataFrame:
+    """The table with `highest` for `best` unless `metric` is a return.
+
+    The highest value of other metrics, such as an error, may be the worst.
+    """
+    if metric in measure.METRICS.values():
+        return table
+    return table.rename(columns=lambda name: name.replace("best", "highest", 1))
+
+
+def in_words(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with each interval in one column of text, without empty columns."""
+    shown = table.copy()
+    for name in [name.removesuffix(" low") for name in table if name.endswith(" low")]:
+        low, high = shown.pop(f"{name} low"), shown.pop(f"{name} high")
+        words = [
+            f"{short(a, 4)} to {short(b, 4)}" if np.isfinite(a) else UNKNOWN
+            for a, b in zip(low, high, strict=True)
+        ]
+        shown.insert(list(shown.columns).index(name) + 1, f"{name}, 95 %", words)
+    silent = [name for name in ("learner", "preset", "settings") if not any(shown[name].tolist())]
+    return shown.drop(columns=silent)
+
+
+def columns() -> dict:
+    """How the table shows its columns."""
+    number = st.column_config.NumberColumn
+    return {
+        "settings": st.column_config.TextColumn("settings", width="medium"),
+        "n": number("n", width=45, help="runs in the group"),
+        "steps": number("up to", format="localized", help="where the shortest of the n runs ends"),
+        "final": number(
+            "final", format="%.4g", help="over runs, of the value at that step, as the line has it"
+        ),
+        **{
+            name: number(
+                name, format="%.4g", help=f"over runs, of the {name} value up to that step"
+            )
+            for name in ("best", "highest")
+        },
+    }
+
+
+def _settings(shown: Sequence[RunReader]) -> None:
+    """The settings that differ, one column per run; those unlike the first run's are marked."""
+    some = shown[:MOST_COLUMNS]
+    table = tables.settings(some, [run.name for run in some])
+    if table.empty:
+        st.info("These runs have the same settings." if len(shown) > 1 else "One run alone.")
+        return
+    words = f"The newest {MOST_COLUMNS} of {len(shown)} runs. " if len(shown) > len(some) else ""
+    st.caption(
+        f"{words}Settings that are the same everywhere are left out; values unlike the first run's "
+        f"are marked; {text.markdown(NONE)}: the run's version did not have it."
+    )
+
+    def marked(row: pd.Series) -> list[str]:
+        return ["" if i < 2 or value == row.iloc[1] else "font-weight: 650; color: #c3521f"
+                for i, value in enumerate(row)]  # fmt: skip
+
+    st.dataframe(table.style.apply(marked, axis=1), hide_index=True)
+    widgets.downloads({"Settings": (lambda: table, "settings")}, "compare")

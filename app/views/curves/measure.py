@@ -1,0 +1,126 @@
+"""The page's choices of a metric, its axis, and how runs are put together."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import streamlit as st
+
+from app.data import readers
+from app.data.cache import VersionedCache
+from app.figures.curves import Axes
+from app.parts import address
+from tom.analysis.curves import Band, Curve, Group, Statistic, curve_points, groups, points_against
+from tom.analysis.settings import Kind
+from tom.record.reader import RunReader
+
+RETURN, RUNNING_MAXIMUM = "return", "running maximum"
+METRICS = {RETURN: "eval/return", RUNNING_MAXIMUM: "eval/return_max"}
+STEPS, SHARE, WALL = "env steps", "share of the run", "wall time, minutes"
+STATISTICS: dict[str, Statistic] = {"mean": "mean", "median": "median", "IQM": "iqm"}
+BANDS: dict[str, Band] = {
+    "95 % bootstrap": "bootstrap",
+    "standard deviation": "deviation",
+    "none": "none",
+}
+WINDOWS = (1, 3, 5, 9, 15, 25, 51, 101)
+FIRST = ("eval/return", "exam/error", "exam/footprint", "weights/ess", "exam/rollout_error")
+"""the metrics that users want most; they come before the others"""
+IQM = "interquartile mean: the mean of the middle half of the runs; of fewer than four the mean"
+
+
+_GROUPED: VersionedCache[tuple[list[Curve], list[Group]]] = VersionedCache()
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How the chosen runs are put together and drawn."""
+
+    axes: Axes
+    statistic: Statistic
+    band: Band
+    window: int
+    singles: bool
+
+
+def choose(names: Sequence[str]) -> Measure:
+    """The controls of curves, whose runs have recorded these metrics; their values are in the
+    address."""
+    statistic = address.choose_one(
+        st.segmented_control, "Over runs", list(STATISTICS), "statistic", "mean", required=True,
+        help=IQM,
+    )  # fmt: skip
+    band = address.choose_one(st.selectbox, "Band", list(BANDS), "band", next(iter(BANDS)))
+    x = address.choose_one(
+        st.selectbox, "Along", [STEPS, SHARE, WALL, *names], "x", STEPS,
+        help="env steps, the share of each run that is done, its own wall time, or any metric",
+    )  # fmt: skip
+    window = address.choose_one(
+        st.select_slider, "Smoothing", WINDOWS, "smoothing", 1,
+        lambda points: "none" if points == 1 else f"{points} points",
+        help="moving average of the lines and bands, after the runs were put together",
+    )  # fmt: skip
+    row = st.columns(3)
+    with row[0]:
+        log_x = address.switch("log x", "logx")
+    with row[1]:
+        log_y = address.switch("log y", "logy")
+    with row[2]:
+        singles = address.switch("single runs", "singles")
+    axes = Axes(x, log_x, log_y)
+    return Measure(axes, STATISTICS[statistic], BANDS[band], int(window), singles)
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """The distinct metrics of runs by name, those of `FIRST` in front."""
+    metrics = set(names) - {"env_step"}
+    first = [name for name in FIRST if name in metrics]
+    return [*first, *sorted(metrics.difference(first))]
+
+
+def grouped(
+    runs: Sequence[RunReader],
+    kinds: Mapping[str, Kind],
+    metric: str,
+    x: str = STEPS,
+    statistic: Statistic = "mean",
+    band: Band = "bootstrap",
+) -> tuple[list[Curve], list[Group]]:
+    """The curves of the runs, and their groups; no groups if they cannot be put together.
+
+    `kinds` is the group of each run, by its id.
+    """
+    held = tuple(
+        (run.path, run.status.total, run.version("metrics"), kinds[run.run_id]) for run in runs
+    )
+
+    def make() -> tuple[list[Curve], list[Group]]:
+        curves = [curve(run, metric, x, kinds[run.run_id]) for run in runs]
+        return curves, groups(curves, statistic, band) if advancing(curves) else []
+
+    return _GROUPED.get((held, metric, x, statistic, band), make)
+
+
+def curve(run: RunReader, metric: str, x: str = STEPS, kind: Kind | None = None) -> Curve:
+    """The metric of one run along the axis, in the order it was recorded."""
+    frame = readers.metrics(run)
+    if x in (STEPS, SHARE):
+        step, value = curve_points(frame, metric)
+        if x == SHARE:
+            step = step / max(run.status.total, 1)
+    else:
+        step, value = points_against(frame, metric, "time/wall_s" if x == WALL else x)
+        if x == WALL:
+            step = step / 60
+    variant = kind.variant if kind else ""
+    return Curve(run.run_id, run.env, run.learner, run.preset, run.seed, step, value, variant, kind)
+
+
+def advancing(curves: Sequence[Curve]) -> bool:
+    """Whether every curve advances along the axis, so that runs can be put together."""
+    return all((np.diff(one.step) > 0).all() for one in curves)
+
+
+def repeated(grouped: Sequence[Group]) -> bool:
+    """Whether a seed was run twice in a group."""
+    return any(len({curve.seed for curve in group.curves}) < group.n for group in grouped)

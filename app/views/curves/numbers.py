@@ -1,0 +1,198 @@
+"""Statistics over seeds in one environment: profiles, who beats whom, steps to reach a value."""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+import streamlit as st
+from numpy.typing import NDArray
+from streamlit.delta_generator import DeltaGenerator
+
+from app import text
+from app.data.tables import default_level, reached
+from app.figures.curves import Look
+from app.figures.statistics import Improvement, Profile, improvement, profiles
+from app.parts import address, widgets
+from app.parts.plot import chart
+from app.parts.scope import Scope
+from app.views.curves import measure
+from tom.analysis import statistics
+from tom.analysis.curves import Group
+from tom.analysis.scores import (
+    HEIGHT,
+    SCORES,
+    begun,
+    common_start,
+    common_step,
+    interval,
+    scores_of,
+)
+from tom.analysis.statistics import exchangeable
+from tom.config import SAC_ALONE
+from tom.record.reader import RunReader
+
+NO_SAC = (
+    "Recordings of SAC are left out: their first half is random steps that SAC never learns from, "
+    "so at the same step it has made fewer of its own."
+)
+
+
+def draw(scope: Scope) -> None:
+    """The distribution of one score per run in one environment."""
+    row = st.columns([3, 4, 3, 3], vertical_alignment="bottom")
+    runs, looks = scope.shown, scope.looks
+    env, name, score = _pick(row, runs)
+    here = [run for run in runs if run.env == env and run.learner != SAC_ALONE]
+    if len(here) < sum(run.env == env for run in runs):
+        st.caption(NO_SAC)
+    _, grouped = measure.grouped(here, scope.kinds, name)
+    if not grouped:
+        st.info("None of these runs has been evaluated yet.")
+        return
+    until = common_step(curve for group in grouped for curve in group.curves)
+    early = [group for group in grouped if begun(group.curves, until)]
+    late = [text.markdown(looks[g.kind].title) for g in grouped if g not in early]
+    grouped = early
+    if not grouped:
+        st.info(f"Nothing was recorded up to step {until:,.0f}, where the first run ends.")
+        return
+    since = common_start(curve for group in grouped for curve in group.curves)
+    scores = [scores_of(group.curves, score, until, since) for group in grouped]
+    everything = np.concatenate(scores)
+    level = address.number_input(
+        row[3].number_input, "Steps to reach", "reach", default_level(everything),
+        (env, name, score), step=None, format="%.6g",
+        help="sample efficiency: the first recorded step at which a run is at this value",
+    )  # fmt: skip
+    drawn = [looks[group.kind] for group in grouped]
+    names = [look.title for look in drawn]
+    few = statistics.remark([group.n for group in grouped]) or "Ten seeds or more"
+    twice = " A seed that was run twice counts twice." if measure.repeated(grouped) else ""
+    st.caption(
+        f"{text.markdown(few.replace('seed', scope.unit.removesuffix('s')))}."
+        + twice
+        + f" Scores are those up to step {until:,.0f}, which every run reaches."
+        + (f" Heights are those from step {since:,.0f}, which every run has." * (score == HEIGHT))
+        + (f" Left out, as nothing was recorded until then: {', '.join(late)}." if late else "")
+    )
+    keep = " ".join([env, name, *(curve.run_id for group in grouped for curve in group.curves)])
+    _profiles(drawn, scores, score, keep)
+    both = list(combinations(range(len(grouped)), 2))
+    ps = [exchangeable([scores[i]], [scores[j]]) for i, j in both]
+    pairs = [
+        Improvement(
+            names[i],
+            names[j],
+            statistics.probability_of_improvement([scores[i]], [scores[j]]),
+            p,
+            of_all,
+        )
+        for (i, j), p, of_all in zip(both, ps, statistics.corrected(ps), strict=True)
+    ]
+    _improvement(pairs, [drawn[i].colour for i, _ in both], f"{score} {keep}")
+    table = reached(grouped, names, level, until)
+    _efficiency(table, name, level, until)
+    widgets.downloads(
+        {
+            "Scores": (lambda: _scores(names, grouped, scores), "scores"),
+            "Improvement": (lambda: _pairs(pairs), "improvement"),
+            "Steps to reach": (lambda: table, "reached"),
+        },
+        name,
+    )
+
+
+def _pick(row: Sequence[DeltaGenerator], runs: Sequence[RunReader]) -> tuple[str, str, str]:
+    """The chosen environment, metric and score of a run."""
+    envs = sorted({run.env for run in runs})
+    env = address.choose_one(row[0].selectbox, "Environment compared", envs, "task", envs[0])
+    metric = address.choose_one(
+        row[1].segmented_control, "Of", list(measure.METRICS), "of", measure.RETURN, required=True
+    )
+    score = address.choose_one(
+        row[2].selectbox, "Score of a run", SCORES, "score", SCORES[0],
+        help="all of them up to the step that every run reaches, so that a longer run has no "
+        "advantage; mean height: area under the curve over its length, from the first step that "
+        "every run has",
+    )  # fmt: skip
+    return env, measure.METRICS[metric], score
+
+
+def profile(look: Look, scores: NDArray, at: NDArray) -> Profile:
+    """A group's share of runs above each threshold; its band is the same beside any other group."""
+    share = statistics.performance_profile([scores], at)
+    low, high = statistics.profile_band([scores], at, resamples=300)
+    return Profile(look, share, low, high)
+
+
+def _profiles(looks: Sequence[Look], scores: Sequence[NDArray], score: str, keep: str) -> None:
+    everything = np.concatenate(scores)
+    margin = 0.05 * (np.ptp(everything) or 1.0)
+    ends = everything.min() - margin, everything.max() + margin
+    at = np.unique(np.append(everything, ends))  # shares change at scores alone
+    of_groups = [profile(look, values, at) for look, values in zip(looks, scores, strict=True)]
+    with st.container(border=True):
+        st.markdown("**Performance profile**: share of runs above a score, 95 % bootstrap band")
+        label = f"share of runs whose {score} is above a threshold"
+        chart(profiles(of_groups, at, score, 340, keep), "performance profile", label)
+    rows = []
+    for look, values in zip(looks, scores, strict=True):
+        row: dict[str, object] = {"group": look.title, "n": len(values)}
+        for statistic in ("mean", "median", "iqm"):
+            row[statistic] = str(interval(values, statistic))
+        rows.append(row)
+    st.markdown(f"**{score.capitalize()}** of the runs, with 95 % bootstrap intervals")
+    st.dataframe(pd.DataFrame(rows), hide_index=True, column_config={"iqm": "IQM"})
+
+
+def _improvement(pairs: Sequence[Improvement], colours: Sequence[str], keep: str) -> None:
+    if not pairs:
+        st.caption("One group alone has nobody to be better than.")
+        return
+    with st.container(border=True):
+        st.markdown(
+            "**Probability of improvement**: that a run of the first beats a run of the second",
+            help="ties count half; bars: 95 % bootstrap interval, too narrow for few runs, none "
+            "where a group has one; p: by permutation of the runs, right for few; corrected: for "
+            "the number of pairs (Holm), and not for other pages and steps that were looked at",
+        )
+        figure = improvement(pairs, colours, 90 + 34 * len(pairs), keep)
+        chart(figure, "improvement", "probability that a run of one group beats one of another")
+
+
+def _efficiency(table: pd.DataFrame, name: str, level: float, until: float) -> None:
+    st.markdown(
+        f"**Sample efficiency**: env steps until {text.markdown(name)} is {level:,.6g}; "
+        f"runs are followed up to step {until:,.0f}, which every run reaches"
+    )
+    st.dataframe(_shown(table), hide_index=True)
+
+
+def _scores(names: Sequence[str], grouped: Sequence[Group], scores: Sequence[NDArray]):
+    return pd.DataFrame(
+        [
+            {"group": name, "run": curve.run_id, "seed": curve.seed, "score": value}
+            for name, group, values in zip(names, grouped, scores, strict=True)
+            for curve, value in zip(group.curves, values, strict=True)
+        ]
+    )
+
+
+def _pairs(pairs: Sequence[Improvement]) -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {"first": pair.first, "second": pair.second, "probability": pair.probability.value,
+             "low": pair.probability.low, "high": pair.probability.high, "p": pair.p,
+             "p corrected": pair.corrected}
+            for pair in pairs
+        ]
+    )  # fmt: skip
+
+
+def _shown(table: pd.DataFrame) -> pd.DataFrame:
+    """The table as text; a level that is not reached has no step."""
+    shown = table.copy()
+    for name in ("median step", "first"):
+        shown[name] = [f"{at:,.0f}" if np.isfinite(at) else "not reached" for at in table[name]]
+    return shown.rename(columns={"first": "first run"})

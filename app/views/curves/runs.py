@@ -1,0 +1,170 @@
+"""Names, tags and notes of runs, and the trash."""
+
+from collections.abc import Sequence
+
+import pandas as pd
+import streamlit as st
+
+from app import session, text
+from app.data import readers
+from app.data.called import short_names
+from app.parts.scope import Scope, toggle
+from app.theme import learner_label
+from tom.analysis.settings import differences
+from tom.errors import UserError
+from tom.record import manage
+from tom.record.labels import NAME_LENGTH, NOTE_LENGTH
+from tom.record.reader import RunReader
+from tom.record.store import Store
+
+ALREADY = ("env", "learner", "preset", "seed", "steps")
+"""settings that have columns of their own"""
+MOST_SETTINGS = 12
+
+
+def draw(scope: Scope) -> None:
+    """A table of the runs that pass the filters, with their eyes; below it actions on them."""
+    runs = scope.runs
+    table = overview(runs)
+    table.insert(0, "shown", [run in scope.shown for run in runs])
+    apart = {path: of for path, of in differences(runs).items() if path not in ALREADY}
+    for path, of in reversed([*apart.items()][:MOST_SETTINGS]):
+        table.insert(2, path, of)
+    edited = st.data_editor(
+        table, hide_index=True, column_config=_columns(), key=f"runs {sorted(scope.hidden)}",
+        disabled=[name for name in table if name != "shown"],
+    )  # fmt: skip
+    if changed := [
+        r for r, on, was in zip(runs, edited["shown"], table["shown"], strict=True) if on != was
+    ]:
+        toggle(scope, changed[0].run_id)
+        st.rerun()
+    if why := session.read_only_reason():
+        st.caption(why)
+        return
+    names = short_names(runs)
+    picked = st.multiselect(
+        "Runs to label or to move to the trash",
+        [run.run_id for run in runs],
+        key="labelled",
+        format_func=lambda run_id: names[run_id],
+        placeholder="none",
+        filter_mode="contains",
+        select_all=False,
+    )
+    chosen = [run for run in runs if run.run_id in picked]
+    if chosen:
+        left, right = st.columns([3, 2])
+        with left, st.container(border=True):
+            _label(chosen)
+        with right, st.container(border=True):
+            _trash(chosen)
+    _restore()
+
+
+def overview(runs: Sequence[RunReader]) -> pd.DataFrame:
+    """One row per run."""
+    return pd.DataFrame(
+        [
+            {
+                "run": run.run_id,
+                "name": run.labels.name,
+                "tags": list(run.labels.tags),
+                "environment": run.env,
+                "learner": learner_label(run.learner),
+                "seed": run.seed,
+                "preset": run.preset,
+                "state": run.shown,
+                "steps": run.status.env_step,
+                "last": run.status.last_return,
+                "best": run.status.best_return,
+                "created": run.created[:16].replace("T", " "),
+                "note": run.labels.note,
+            }
+            for run in runs
+        ]
+    )
+
+
+def _label(chosen: Sequence[RunReader]) -> None:
+    one = chosen[0] if len(chosen) == 1 else None
+    key = " ".join(run.run_id for run in chosen)
+    name = note = ""
+    with st.form(f"label {key}", border=False):
+        if one:
+            name = st.text_input(
+                "Name", one.labels.name, max_chars=NAME_LENGTH, placeholder=one.run_id
+            )
+            note = st.text_area("Note", one.labels.note, max_chars=NOTE_LENGTH)
+        held = list(dict.fromkeys(tag for run in chosen for tag in run.labels.tags))
+        shared = [tag for tag in held if all(tag in run.labels.tags for run in chosen)]
+        tags = st.multiselect(
+            "Tags" if one else f"Tags of these {len(chosen)} runs", held, shared,
+            accept_new_options=True, placeholder="type a tag and press Enter",
+            help=None if one else "those that all of them have; other tags of each run stay",
+            filter_mode="contains", select_all=False,
+        )  # fmt: skip
+        if not st.form_submit_button("Save", icon=":material/save:", type="primary"):
+            return
+    store = Store(session.links().store)
+
+    def save() -> None:
+        for run in chosen:
+            added = [tag for tag in tags if tag not in shared]
+            manage.tag(store, run.run_id, add=added, remove=[t for t in shared if t not in tags])
+        if one:
+            manage.rename(store, one.run_id, name)
+            manage.note(store, one.run_id, note)
+
+    _try(save, "Saved")
+
+
+def _trash(chosen: Sequence[RunReader]) -> None:
+    st.markdown("**Trash**: nothing is deleted; runs come back from below")
+    count = len(chosen)
+    words = "Move it to the trash" if count == 1 else f"Move {count} runs to the trash"
+    with st.popover(words, icon=":material/delete:"):
+        sure = st.button("Yes, move it" if count == 1 else "Yes, move them", key="trash")
+    if sure:
+        store = Store(session.links().store)
+        _try(lambda: [manage.trash(store, run.run_id) for run in chosen], "Moved to the trash")
+
+
+def _restore() -> None:
+    store = Store(session.links().store)
+    there = readers.trashed(store.path)
+    if not there:
+        return
+    with st.expander(f"{len(there)} in the trash"):
+        back = st.multiselect(
+            "Runs to bring back",
+            there,
+            key="restored",
+            placeholder="none",
+            filter_mode="contains",
+            select_all=False,
+        )
+        if st.button("Bring back", icon=":material/restore_from_trash:", disabled=not back):
+            _try(lambda: [manage.restore(store, run_id) for run_id in back], "Brought back")
+
+
+def _try(act, done: str) -> None:
+    """Call `act` and draw the page again; if it fails, show why in one line."""
+    try:
+        act()
+    except UserError as error:
+        st.error(text.markdown(error), icon=":material/error:")
+        return
+    st.toast(done, icon=":material/check:")
+    st.rerun()
+
+
+def _columns() -> dict:
+    number = st.column_config.NumberColumn
+    return {
+        "shown": st.column_config.CheckboxColumn("shown", help="as its eye at the left"),
+        "tags": st.column_config.ListColumn("tags"),
+        "steps": number("steps", format="localized"),
+        "last": number("last return", format="%.4g"),
+        "best": number("best return", format="%.4g"),
+    }

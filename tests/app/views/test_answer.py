@@ -1,0 +1,142 @@
+"""Answer: its three sentences hold the numbers that the runs' files give, computed another way."""
+
+import json
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studio_pages import draw, set_links
+
+from app.data import answer
+from app.data.answer import Side
+from app.links import Links
+from tom.analysis.curves import Curve
+from tom.record.decode import Profiles
+
+RUNS = Path(__file__).parents[3] / "runs"
+
+
+def largest_group(learner: str, preset: str) -> list[Path]:
+    """The gallery's runs of Hopper whose model and starts are set alike, of most such runs."""
+    alike: dict[str, list[Path]] = {}
+    for path in sorted(RUNS.glob(f"hopper-{learner}-s*")):
+        config = json.loads((path / "config.json").read_text())["config"]
+        if config["preset"] == preset:
+            shares = [config[part].get("uniform_share", 0) for part in ("model", "rollout")]
+            alike.setdefault(f"{shares} {config['model']['hidden']}", []).append(path)
+    return max(alike.values(), key=len)
+
+
+@pytest.fixture(scope="module")
+def groups() -> tuple[list[Path], list[Path]]:
+    return largest_group("tom", "mended"), largest_group("mle", "paper")
+
+
+def lines(path: Path, name: str) -> list[dict]:
+    return [json.loads(line) for line in (path / name).read_text().splitlines()]
+
+
+@pytest.fixture
+def sentences(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    set_links(Links(store=str(RUNS), key="key"), monkeypatch)
+    page = draw("answer", task="hopper")
+    return [one.value for one in page.markdown]
+
+
+def test_the_share_of_the_newest_fifth_is_that_of_the_files(groups, sentences):
+    weighing, _ = groups
+    shares, left = [], []
+    for path in weighing:
+        last = lines(path, "weights/profiles.jsonl")[-1]
+        bins = np.array(last["bins"])
+        shares.append(bins[-len(bins) // 5 :].sum() / bins.sum())
+        left.append(last["ess"])
+    told = next(words for words in sentences if "newest fifth" in words)
+    assert f"**{100 * np.mean(shares):.0f} %**" in told
+    assert f"{100 * np.mean(left):.0f} % of the rows" in told
+
+
+def test_the_footprint_is_the_middle_of_the_runs_medians(groups, sentences):
+    weighing, _ = groups
+    since = max(
+        next(row["env_step"] for row in lines(p, "metrics.jsonl") if row.get("weights/ess", 1) < 1)
+        for p in weighing
+    )
+    medians = []
+    for path in weighing:
+        of_fits = [
+            row["exam/footprint"]
+            for row in lines(path, "metrics.jsonl")
+            if abs(row.get("exam/footprint_noise", 9)) < 1
+            and row["env_step"] >= since
+            and "exam/footprint" in row
+        ]
+        medians.append(np.median(of_fits))
+    medians.sort()
+    cut = len(medians) // 4
+    middle = np.mean(medians[cut : len(medians) - cut])
+    told = next(words for words in sentences if "distance to what the policy" in words)
+    assert f"**{100 * middle:.0f} %**" in told
+
+
+def test_returns_and_wins_are_those_of_all_pairs_and_p_of_all_arrangements(groups, sentences):
+    ends = []
+    for paths in groups:
+        curves = [
+            [(row["env_step"], row["eval/return"]) for row in lines(p, "metrics.jsonl")
+             if "eval/return" in row] for p in paths
+        ]  # fmt: skip
+        ends.append(curves)
+    until = min(curve[-1][0] for curves in ends for curve in curves)
+    ours, theirs = ([np.interp(until, *zip(*c, strict=True)) for c in curves] for curves in ends)
+
+    def wins(first: list[float], second: list[float]) -> float:
+        return float(np.mean([(a > b) + 0.5 * (a == b) for a in first for b in second]))
+
+    together = [*ours, *theirs]
+    away = []
+    for chosen in combinations(range(len(together)), len(ours)):
+        first = [together[i] for i in chosen]
+        second = [x for i, x in enumerate(together) if i not in chosen]
+        away.append(abs(wins(first, second) - 0.5))
+    p = np.mean(np.array(away) >= abs(wins(ours, theirs) - 0.5) - 1e-9)
+    told = next(words for words in sentences if "a random run" in words)
+    assert f"**{np.mean(ours):,.1f}**" in told
+    assert f"**{np.mean(theirs):,.1f}**" in told
+    assert f"{10 * wins(ours, theirs):.0f} times in 10 (p {p:.2g}" in told
+
+
+def side(returns: list[float], newest: float = 0.5, *, uniform: bool = False) -> Side:
+    """A group whose runs end at these returns, with a share of the weight on the newest fifth."""
+    bins = np.array([[5 * (1 - newest) / 4] * 4 + [5 * newest]])
+    fit = np.array([100])
+    profiles = Profiles(fit, bins, fit, np.array([0.5]), np.array([0.0]))
+    curves = [
+        Curve(str(i), "hopper", "tom", "paper", i, np.array([100]), np.array([value]))
+        for i, value in enumerate(returns)
+    ]
+    seeds = tuple(range(len(returns)))
+    return Side("ours", uniform, seeds, [profiles] * len(returns), curves, (), -np.inf)
+
+
+def test_five_seeds_that_all_win_help_and_four_cannot_tell():
+    high, low = [10.0, 11, 12, 13, 14], [1.0, 2, 3, 4, 5]
+    assert answer.helps(side(high), side(low)).word == "yes"
+    assert answer.helps(side(low), side(high)).word == "no"
+    assert answer.helps(side(high), side(high)).word == "unclear"
+    assert answer.helps(side(high[:4]), side(low)).word == "unknown"
+
+
+@pytest.mark.parametrize(("newest", "word"), [(0.6, "yes"), (0.05, "no"), (0.2, "unclear")])
+def test_where_it_looks(newest: float, word: str):
+    assert answer.where(side([1.0, 2.0], newest)).word == word
+
+
+def test_a_learner_that_weighs_alike_looks_nowhere_and_has_no_footprint():
+    alike = side([1.0], uniform=True)
+    assert (answer.where(alike).word, answer.on_policy(alike).word) == ("unclear", "unclear")
+
+
+def test_without_exams_the_policys_place_is_unknown():
+    assert answer.on_policy(side([1.0, 2.0])).word == "unknown"
