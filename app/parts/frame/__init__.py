@@ -45,7 +45,7 @@ def draw(runs: Sequence[RunReader]) -> None:
             st.toast(f"**{text.markdown(one['title'])}**  \n{text.markdown(one['body'])}")
     st.session_state[TOLD] = {one["id"] for one in ended}
     mode = "" if session.links().theme else session.mode()
-    _mount()(key="frame", data={"mode": mode, "ended": ended})
+    _mount()(key="page frame", data={"mode": mode, "ended": ended})
 
 
 @cache
