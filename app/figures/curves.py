@@ -39,10 +39,9 @@ from app.theme import (
 )
 from tom.analysis.curves import GRID, Curve, Group, smoothed
 from tom.analysis.settings import USUAL, Kind, natural, number
+from tom.envs import ROAD
 from tom.learners import SUBJECT
 
-MAIN_PRESET = {SUBJECT: "mended"}
-"""of learners whose main preset is not the paper's"""
 POINTS = 1500
 """maximum number of points of a line; the figure says if points were left out"""
 ROWS = 2
@@ -70,11 +69,20 @@ def looks_of(
     has its own colour, in order if the values are numbers; groups of learners without that setting
     are grey.
     """
-    tasks = Counter(kind for _, kind in set(groups))
+    groups = set(groups)
+    tasks = Counter(kind for _, kind in groups)
+    offline = {kind for env, kind in groups if env == ROAD}  # where the paper's is the main preset
     learnt = sorted(kind for kind in tasks if kind.learner)
     if by in (USUAL, "learner"):
         return {
-            kind: Look(_title(kind, tasks), _shade(kind), "solid", learner_symbol(kind.learner))
+            kind: Look(
+                _title(kind, tasks),
+                _shade(
+                    kind, "paper" if kind in offline else MAIN_PRESET.get(kind.learner, "paper")
+                ),
+                "solid",
+                learner_symbol(kind.learner),
+            )
             for kind in sorted(tasks)
         }
     values = sorted((kind for kind in tasks if not kind.learner), key=_order)
@@ -107,13 +115,18 @@ def _title(kind: Kind, among: Iterable[Kind]) -> str:
     return ", ".join(filter(None, (called, kind.variant)))
 
 
-def _shade(kind: Kind) -> str:
-    """A group's colour: the hue of its learner, full for its main preset and else paler.
+def main_preset(learner: str) -> str:
+    """The preset whose groups have a learner's full colour."""
+    return "mended" if learner == SUBJECT else "paper"
+
+
+def _shade(kind: Kind, main: str) -> str:
+    """A group's colour: the hue of its learner, full for its `main` preset and else paler.
 
     It depends on nothing but the group itself, so that no filter changes it.
     """
     colour = learner_colour(kind.learner)
-    if kind.preset not in ("", MAIN_PRESET.get(kind.learner, "paper"), "smoke"):
+    if kind.preset not in ("", main, "smoke"):
         colour = mixed(colour, "#ffffff", 0.45)
     if kind.variant:
         level = int(blake2b(kind.variant.encode(), digest_size=1).hexdigest(), 16) / 255

@@ -10,7 +10,7 @@ from app.data.called import names, told_apart
 from app.data.replays import DEFAULT_HORIZON
 from app.figures.weights import side_by_side
 from app.parts import address, empty, timeline
-from app.parts.plot import Follow, chart
+from app.parts.plot import chart
 from app.parts.scope import Scope
 from app.parts.stage import stage
 from app.scenes.control import ReplayChoice
@@ -48,10 +48,7 @@ def draw(scope: Scope) -> None:
             "buffer, oldest at the bottom"
         )
         figure = side_by_side(parts, session.mode(), 620)
-        chart(
-            figure, "side by side", "return and weights of the runs, on linked axes",
-            follow=Follow(cursor=True),
-        )  # fmt: skip
+        chart(figure, "side by side", "return and weights of the runs, on linked axes")
     _replays(chosen, called)
 
 
