@@ -77,9 +77,7 @@ def looks_of(
         return {
             kind: Look(
                 _title(kind, tasks),
-                _shade(
-                    kind, "paper" if kind in offline else MAIN_PRESET.get(kind.learner, "paper")
-                ),
+                _shade(kind, "paper" if kind in offline else main_preset(kind.learner)),
                 "solid",
                 learner_symbol(kind.learner),
             )
