@@ -45,11 +45,11 @@ def _of_run(run: Run, height: int) -> Figures:
         curve = Curve(run.name, env, learner, preset, reader.seed, step, value)
         figures["return"] = run_curves([curve], RETURN, height, legend=False)
     if len(profiles.env_step):
-        last, x = len(profiles.env_step) - 1, steps_in_words([env])
+        x = steps_in_words([env])
         figures |= {
-            "every fit": weight_map(profiles, last, "light", height, relative=True, x=x),
-            "the last fit": weight_profile(profiles.bins[last], learner, height),
-            "effective sample": effective_sample(profiles, learner, last, height, x),
+            "every fit": weight_map(profiles, "light", height, relative=True, x=x),
+            "the last fit": weight_profile(profiles.bins[-1], learner, height),
+            "effective sample": effective_sample(profiles, learner, height, x),
         }
     return figures
 

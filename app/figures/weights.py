@@ -24,7 +24,6 @@ from app.figures.base import (
     relative_scale,
     steps_in_words,
     styled,
-    upright,
 )
 from app.figures.curves import POINTS
 from app.theme import Mode, learner_colour, learner_label, learner_symbol
@@ -51,7 +50,6 @@ Part = tuple[str, Curve, Profiles]
 
 def weight_map(
     profiles: Profiles,
-    chosen: int,
     mode: Mode,
     height: int,
     *,
@@ -61,15 +59,14 @@ def weight_map(
 ) -> go.Figure:
     """Mean weight of each part of the buffer (newest on top) at each fit (x axis).
 
-    With `relative` colours show log2 of the weight, with uniform in the middle; the fit with index
-    `chosen` is marked. A zoom lasts while `keep`, the run's id, is the same, here and below.
+    With `relative` colours show log2 of the weight, with uniform in the middle. A zoom lasts while
+    `keep`, the run's id, is the same, here and below.
     """
-    fits = shown_fits(len(profiles.env_step), chosen)
+    fits = spread(len(profiles.env_step), MAP_COLUMNS)
     steps, bins = profiles.env_step[fits], profiles.bins[fits].T
     scale = relative_scale(bins, mode) if relative else linear_scale(bins, mode)
     figure = go.Figure(_heatmap(steps, bins, octaves(bins) if relative else bins, scale))
-    marks = [upright(int(profiles.env_step[chosen]), 2)]
-    styled(figure, x, height, keep=f"weight-map {keep}", marks=marks, y_axis=AGES)
+    styled(figure, x, height, keep=f"weight-map {keep}", y_axis=AGES)
     thinned = len(fits) < len(profiles.env_step)
     return note(figure, [f"{len(fits)} of {len(profiles.env_step)} fits"] if thinned else [])
 
@@ -91,11 +88,8 @@ def _heatmap(steps: NDArray, bins: NDArray, z: NDArray, scale: Mapping[str, Any]
     )
 
 
-def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:
-    """A map of weights with the run's returns below it on the same axis, and with their zoom.
-
-    The step `chosen` is marked in both.
-    """
+def with_returns(figure: go.Figure, curve: Curve) -> go.Figure:
+    """A map of weights with the run's returns below it on the same axis, and with their zoom."""
     hover = "step %{x:,}<br>return %{y:,.5~g}<extra></extra>"
     mode = "lines+markers" if len(curve.step) < 60 else "lines"
     more = {"name": "return", "mode": mode, "marker": {"size": 5}, "showlegend": False}
@@ -108,7 +102,6 @@ def with_returns(figure: go.Figure, curve: Curve, chosen: int) -> go.Figure:
         yaxis={"domain": [0.3, 1]},
         yaxis2=below,
         uirevision=f"weight-map and returns {curve.run_id}",
-        shapes=[upright(chosen, 2) | {"yref": "paper"}],
     )
 
 
@@ -197,7 +190,6 @@ def on_log_axis(figure: go.Figure) -> go.Figure:
 def effective_sample(
     profiles: Profiles,
     learner: str,
-    chosen: int,
     height: int,
     x: str = ENV_STEPS,
     *,
@@ -215,19 +207,13 @@ def effective_sample(
         figure.add_trace(
             line(profiles.env_step, shown, colour, 2, hover, dash=dash, name=name, **marked)
         )
-    marks = [upright(int(profiles.env_step[chosen]), 2)]
     percent = {"range": [-3, 103], "ticksuffix": " %"}
-    return styled(figure, x, height, keep=f"effective-sample {keep}", marks=marks, y_axis=percent)
+    return styled(figure, x, height, keep=f"effective-sample {keep}", y_axis=percent)
 
 
 def bin_centres(bins: int) -> NDArray[np.float64]:
     """The centres (bins,) of equal parts of the buffer, in % of its age from oldest to newest."""
     return (np.arange(bins) + 0.5) * 100 / bins
-
-
-def shown_fits(count: int, chosen: int) -> NDArray[np.int64]:
-    """Indices of at most MAP_COLUMNS evenly spread fits, including `chosen` and both ends."""
-    return np.union1d(spread(count, MAP_COLUMNS - 1), [chosen])
 
 
 def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
@@ -256,7 +242,7 @@ def side_by_side(parts: Sequence[Part], mode: Mode, height: int) -> go.Figure:
         if not count:
             _say_empty(figure, columns, column)
             continue
-        fits = shown_fits(count, count - 1)
+        fits = spread(count, MAP_COLUMNS)
         bins = profiles.bins[fits].T
         shown = scale | {"showscale": column == last}
         figure.add_trace(_heatmap(profiles.env_step[fits], bins, octaves(bins), shown), 2, column)

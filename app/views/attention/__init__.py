@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import numpy as np
 import streamlit as st
 from numpy.typing import NDArray
 
@@ -90,20 +91,22 @@ def _figures(run: RunReader, profiles: Profiles, chosen: int, *, relative: bool)
     left, right = st.columns([3, 2])
     with left, st.container(border=True):
         st.markdown("**Every fit**: weight by age, newest on top, and the returns")
-        figure = weight_map(profiles, chosen, session.mode(), 440, relative=relative, x=x)
-        figure = with_returns(figure, widgets.curve(run, "eval/return"), fits[chosen])
+        figure = weight_map(profiles, session.mode(), 440, relative=relative, x=x)
+        figure = with_returns(figure, widgets.curve(run, "eval/return"))
         label = "weight of each part of the buffer at every fit, and the returns below"
         chart(figure, "weight map", label, go_to, follow=Follow(cursor=True))
         if run.small_copy and len(fits) >= FITS:
             st.caption(f"An example keeps {FITS} fits at most, spread over the run.")
     with right, st.container(border=True):
         st.markdown("**The fit at the timeline's step**; dashed: every transition counts the same")
-        figure = weight_profile(profiles.bins[chosen], run.learner, 235, keep=run.run_id)
-        bins = [[float(f"{value:.3g}") for value in row] for row in profiles.bins]
+        top = float(np.nanmax(profiles.bins))  # of all fits, so that the axis stands still
+        figure = weight_profile(profiles.bins[chosen], run.learner, 235, top, keep=run.run_id)
+        finite = np.nan_to_num(profiles.bins)  # JSON has no NaN
+        bins = [[float(f"{value:.3g}") for value in row] for row in finite]
         follow = Follow(steps=fits, traces={0: bins})
         chart(figure, "profile", "mean weight, oldest to newest transitions", follow=follow)
         st.markdown("**How much of the buffer is left**")
-        figure = effective_sample(profiles, run.learner, chosen, 190, x, keep=run.run_id)
+        figure = effective_sample(profiles, run.learner, 190, x, keep=run.run_id)
         label = "effective sample size and share of zero weights"
         chart(figure, "effective sample", label, go_to, follow=Follow(cursor=True))
 
@@ -121,7 +124,8 @@ def _against(run: RunReader, step: int) -> None:
         return
     st.markdown(f"**What the weights of step {fit:,} go with**", help=AGAINST)
     if fit != step:
-        st.caption("Single weights are kept of a dozen fits; this is the last of them by then.")
+        which = "the last of them by then" if fit < step else "the first of them, a later one"
+        st.caption(f"Single weights are kept of a dozen fits at most; this is {which}.")
     errors = buffer.model_errors(run, fit)
     panels: list[tuple[str, NDArray, Floats]] = [
         ("position in the buffer, % (0: oldest)", rows.age, rows.weight),

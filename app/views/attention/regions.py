@@ -116,9 +116,9 @@ def _pick_weights(run: RunReader, place: DeltaGenerator) -> Rows | None:
             st.caption(missing)
         show_notices(weighing)
         return buffer.weighed_rows(run, weight, weighing.end)
-    fits = run.snapshot_steps()
-    step = timeline.chosen(fits)
-    timeline.draw(fits, run.evaluation_steps(), step)
+    fits, evaluations = run.snapshot_steps(), run.evaluation_steps()
+    step = timeline.chosen(sorted({*fits, *evaluations}))
+    timeline.draw(fits, evaluations, step)
     return buffer.rows(run, at_or_before(fits, step))
 
 

@@ -31,7 +31,6 @@ from app.figures.weights import (
     bin_centres,
     effective_sample,
     profile_lines,
-    shown_fits,
     side_by_side,
     weight_map,
     weight_profile,
@@ -183,7 +182,7 @@ def test_where_runs_are_missing_the_mean_is_dotted() -> None:
 
 
 def test_the_map_has_a_column_a_fit_and_a_row_a_bin(profiles: Profiles) -> None:
-    heat = traces(weight_map(profiles, 1, "light", 300, relative=False))[0]
+    heat = traces(weight_map(profiles, "light", 300, relative=False))[0]
     assert heat.x.tolist() == profiles.env_step.tolist()
     assert heat.z.tolist() == profiles.bins.T.tolist()
     assert heat.y[0] == 0.5  # the oldest hundredth at the bottom
@@ -191,7 +190,7 @@ def test_the_map_has_a_column_a_fit_and_a_row_a_bin(profiles: Profiles) -> None:
 
 def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: Profiles) -> None:
     one = Profiles(*(getattr(profiles, field.name)[:1] for field in fields(Profiles)))
-    heat = traces(weight_map(one, 0, "light", 300, relative=False))[0]
+    heat = traces(weight_map(one, "light", 300, relative=False))[0]
     step, (left, right) = int(one.env_step[0]), heat.x
     assert (left + right) / 2 == step
     assert right - left >= max(0.04 * step, 1)
@@ -199,7 +198,7 @@ def test_a_run_with_one_fit_has_a_column_that_can_be_seen_and_clicked(profiles: 
 
 
 def test_relative_colours_are_octaves_of_the_weight(profiles: Profiles) -> None:
-    heat = traces(weight_map(profiles, 0, "dark", 300, relative=True))[0]
+    heat = traces(weight_map(profiles, "dark", 300, relative=True))[0]
     assert heat.z == pytest.approx(np.log2(profiles.bins.T).clip(-4, 4))
     assert np.asarray(heat.customdata).tolist() == profiles.bins.T.tolist()
     assert -heat.zmin == heat.zmax == span(profiles.bins)
@@ -243,15 +242,8 @@ def test_side_by_side_is_thinned_and_says_so(profiles: Profiles) -> None:
     line, heat = traces(figure)
     assert len(line.x) <= POINTS
     assert len(heat.x) <= MAP_COLUMNS
-    assert notes(figure)[-1] == f"returns thinned to {POINTS} points a line<br>a: 399 of 1000 fits"
+    assert notes(figure)[-1] == f"returns thinned to {POINTS} points a line<br>a: 400 of 1000 fits"
     assert notes(side_by_side([("a", long_curve(9), profiles)], "light", 400)) == ["a"]
-
-
-def test_many_fits_are_thinned_and_the_chosen_one_stays() -> None:
-    fits = shown_fits(5000, 1234)
-    assert len(fits) <= MAP_COLUMNS
-    assert {0, 1234, 4999} <= set(fits.tolist())
-    assert shown_fits(7, 3).tolist() == list(range(7))
 
 
 def test_a_profile_shows_the_bins(profiles: Profiles) -> None:
@@ -274,7 +266,7 @@ def test_on_a_log_axis_the_last_profiles_end_at_a_hundredth_of_uniform() -> None
 
 
 def test_effective_sample_in_percent(profiles: Profiles) -> None:
-    ess, zeros = traces(effective_sample(profiles, "tom", 0, 300))
+    ess, zeros = traces(effective_sample(profiles, "tom", 300))
     assert ess.y == pytest.approx(100 * profiles.ess)
     assert zeros.y == pytest.approx(100 * profiles.zeros)
 
@@ -309,15 +301,15 @@ def zooms(run_id: str, profiles: Profiles) -> list[str]:
     """What each figure of a run's data keeps its zoom for."""
     bins, last = profiles.bins, len(profiles.env_step) - 1
     curve = replace(long_curve(len(bins)), run_id=run_id)
-    map_of = weight_map(profiles, last, "light", 300, relative=True)
+    map_of = weight_map(profiles, "light", 300, relative=True)
     errors = {"TOM": [RunErrors(run_id, "tom", float(last), 1.0)]}
     wins = Improvement("TOM", "MLE", Interval(0.5, 0.1, 0.9), 1.0, 1.0)
     drawn = [
-        weight_map(profiles, last, "light", 300, relative=True, keep=run_id),
-        with_returns(map_of, curve, last),
+        weight_map(profiles, "light", 300, relative=True, keep=run_id),
+        with_returns(map_of, curve),
         weight_profile(bins[last], "tom", 300, keep=run_id),
         profile_lines([("a", "tom", bins[last])], 300, log=False, keep=run_id),
-        effective_sample(profiles, "tom", last, 300, keep=run_id),
+        effective_sample(profiles, "tom", 300, keep=run_id),
         run_curves([curve], "eval/return", 300, legend=False, keep=run_id),
         side_by_side([("a", curve, profiles)], "light", 400),
         probe_profiles({"tom": bins}, 0, 300, log=False, keep=run_id),
