@@ -1,0 +1,223 @@
+"""Attention over time: the map, the profile and the numbers at a step are those of the files."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import streamlit as st
+from numpy.typing import NDArray
+from streamlit.testing.v1 import AppTest
+from studio_pages import array, captions, draw, figures, is_chart, recorded
+from studio_runs import PENDULUM_TOM, ROAD_TOM, info
+
+from app.data import buffer
+from app.data.answer import newest_fifth
+from app.parts import timeline
+from app.parts.plot import Point
+from app.views.attention import _go_to
+from tom.record import layout
+from tom.record.reader import RunReader
+
+pytestmark = pytest.mark.usefixtures("studio")
+RECORD = f"{PENDULUM_TOM}/weights/profiles.jsonl"
+MAP, PROFILE, SAMPLE = range(3)
+"""the page's first figures"""
+
+
+def lines(store: Path) -> list[dict[str, Any]]:
+    """The profiles of the run's fits, as they lie in its record."""
+    return [json.loads(line) for line in (store / RECORD).read_text().splitlines()]
+
+
+def weights(store: Path, fit: int) -> NDArray[np.float64]:
+    return RunReader(store / PENDULUM_TOM).snapshot(fit)["weight"].to_numpy(np.float64)
+
+
+def parts(app: AppTest, name: str) -> list[dict[str, Any]]:
+    """What the page's components of a name were given."""
+    protos = [part.proto for part in app.get("bidi_component")]
+    return [json.loads(proto.json) for proto in protos if proto.component_name == name]
+
+
+def step_shown(app: AppTest) -> int:
+    (shown,) = parts(app, "tom_timeline")
+    return shown["step"]
+
+
+def follows(app: AppTest) -> list[dict[str, Any] | None]:
+    """How each of the page's charts follows the timeline."""
+    protos = [part.proto for part in app.get("bidi_component") if is_chart(part.proto)]
+    return [json.loads(proto.json)["follows"] for proto in protos]
+
+
+def test_the_map_the_returns_and_the_profile_are_those_of_the_files(store: Path) -> None:
+    fits = lines(store)
+    bins = np.array([fit["bins"] for fit in fits])
+    app = draw("attention", run=PENDULUM_TOM, step=str(fits[1]["env_step"]))
+    heat, bars, sample = figures(app)[:3]
+    assert array(heat["data"][0]["x"]).tolist() == [fit["env_step"] for fit in fits]
+    assert array(heat["data"][0]["z"]) == pytest.approx(np.log2(bins.T.clip(1 / 16, 16)))
+    returns = heat["data"][1]
+    shown = array(returns["x"]).tolist(), array(returns["y"]).tolist()
+    assert shown == recorded(store, PENDULUM_TOM)
+    assert heat["layout"]["yaxis2"]["domain"][1] < heat["layout"]["yaxis"]["domain"][0]
+    assert array(bars["data"][0]["y"]) == pytest.approx(bins[1])
+    assert bars["layout"]["yaxis"]["range"][1] >= bins.max()  # of all fits: it stands still
+    assert array(sample["data"][0]["y"]) == pytest.approx([100 * fit["ess"] for fit in fits])
+    linear = figures(draw("attention", run=PENDULUM_TOM, scale="as they are"))[MAP]
+    assert array(linear["data"][0]["z"]) == pytest.approx(bins.T)
+
+
+def test_the_numbers_of_a_fit_are_those_of_its_single_weights(store: Path) -> None:
+    (shown,) = parts(draw("attention", run=PENDULUM_TOM), "tom_readout")
+    values = {number["label"]: number["values"] for number in shown["numbers"]}
+    kept = RunReader(store / PENDULUM_TOM).snapshot_steps()
+    assert len(kept) == 2
+    for fit in kept:
+        of, at = weights(store, fit), shown["steps"].index(fit)
+        assert values["transitions"][at] == f"{len(of):,}"
+        newest = of[-len(of) // 5 :].sum() / of.sum()
+        expected = {
+            "weight on the newest fifth": newest,
+            "effective sample": of.sum() ** 2 / (of**2).sum() / len(of),
+            "weight zero": (of == 0).mean(),
+        }
+        for label, share in expected.items():
+            assert float(values[label][at].split()[0]) == pytest.approx(100 * share, abs=0.06)
+
+
+def test_panels_follow_the_timeline_with_every_fit(store: Path) -> None:
+    fits = lines(store)
+    app = draw("attention", run=PENDULUM_TOM)
+    on_map, on_profile, on_sample, *others = follows(app)
+    assert on_profile is not None
+    (trace,) = on_profile["traces"]
+    assert on_profile["steps"] == [fit["env_step"] for fit in fits]
+    assert np.array(trace["y"]) == pytest.approx(np.array([fit["bins"] for fit in fits]), rel=5e-3)
+    for cursor, figure in ((on_map, MAP), (on_sample, SAMPLE)):
+        assert cursor is not None
+        assert cursor["cursor"]
+        # The cursor is the only line at the timeline's step.
+        assert not figures(app)[figure]["layout"].get("shapes")
+    assert others == [None] * len(others)
+
+
+def test_the_step_is_the_last_stop_that_is_not_after_the_addresss(store: Path) -> None:
+    run = RunReader(store / PENDULUM_TOM)
+    stops = sorted({fit["env_step"] for fit in lines(store)} | set(run.evaluation_steps()))
+    for asked in (0, *stops, stops[1] + 1, stops[-1] + 99):
+        expected = max([stop for stop in stops if stop <= asked], default=stops[0])
+        for part in ("Over time", "In the buffer"):
+            app = draw("attention", run=PENDULUM_TOM, step=str(asked), part=part)
+            (shown,) = parts(app, "tom_timeline")
+            assert shown["step"] == expected
+            assert set(shown["given"]["stops"]) <= set(stops)
+            last = expected == stops[-1]
+            assert app.query_params.get("step") == (None if last else str(expected))
+
+
+@pytest.mark.parametrize("words", ["", "two", "nan", "-3", "1e400"])
+def test_an_address_of_no_step_is_at_the_end(words: str) -> None:
+    app = draw("attention", run=PENDULUM_TOM, step=words)
+    (shown,) = parts(app, "tom_timeline")
+    assert shown["step"] == shown["given"]["stops"][-1]
+
+
+def test_a_click_goes_to_the_fit_there_or_the_last_before(store: Path) -> None:
+    for x, step in ((200, 200), (249.6, 200), (10, 200)):
+        _go_to([200, 250], Point(x, 0, 0, None))
+        assert st.session_state[timeline.STEP] == step
+    del st.session_state[timeline.STEP]
+
+
+def test_the_last_fit_is_followed_until_another_is_chosen(own: Path) -> None:
+    record, fit, steps = own / RECORD, lines(own)[-1], (200, 400, 500, 600)
+    content = [json.dumps(fit | {"env_step": step}) + "\n" for step in steps]
+    record.write_text("".join(content[:2]))
+    app = draw("attention", run=PENDULUM_TOM)
+    assert step_shown(app) == steps[1]
+    record.write_text("".join(content[:3]))
+    assert step_shown(app.run()) == steps[2]
+    app.session_state[timeline.STEP] = steps[0]
+    app.run()
+    record.write_text("".join(content))
+    assert step_shown(app.run()) == steps[0]
+    assert not app.exception
+
+
+def test_a_fit_that_kept_no_single_weights_shows_the_last_that_did(own: Path) -> None:
+    last = lines(own)[-1]["env_step"]
+    before = RunReader(own / PENDULUM_TOM).snapshot_steps()[-2]
+    (own / PENDULUM_TOM / layout.snapshot(last)).unlink()
+    app = draw("attention", run=PENDULUM_TOM, step=str(last))
+    groups = [of.mean() for of in np.array_split(weights(own, before), 30)]
+    assert array(figures(app)[3]["data"][0]["y"]) == pytest.approx(np.array(groups))
+    assert f"of step {before:,}" in "".join(part.value for part in app.markdown)
+
+
+def test_a_fit_whose_weights_are_all_the_same_says_why(own: Path) -> None:
+    first, *rest = (own / RECORD).read_text().splitlines()
+    even = json.loads(first) | {"bins": [1.0] * 100, "ess": 1.0, "zeros": 0.0}
+    (own / RECORD).write_text("\n".join([json.dumps(even), *rest]) + "\n")
+    step, last = even["env_step"], json.loads(rest[-1])["env_step"]
+
+    def reasons(at: int) -> list[str]:
+        shown = captions(draw("attention", run=PENDULUM_TOM, step=str(at))).splitlines()
+        return [line for line in shown if "count the same" in line and f"{at:,}" in line]
+
+    (warm_up,) = reasons(step)
+    assert not reasons(last)
+    notice = {"env_step": step, "kind": "degenerate-weights", "message": "all are zero"}
+    with (own / PENDULUM_TOM / "notices.jsonl").open("a") as file:
+        file.write(json.dumps(notice) + "\n")
+    (unusable,) = reasons(step)
+    assert unusable != warm_up
+
+
+def test_parts_of_the_buffer_without_rows_are_no_weight(own: Path) -> None:
+    """Runs of older versions recorded them as NaN, which a browser cannot read."""
+    first, *rest = lines(own)
+    first["bins"][3] = float("nan")
+    (own / RECORD).write_text("".join(json.dumps(line) + "\n" for line in (first, *rest)))
+    app = draw("attention", run=PENDULUM_TOM)
+    protos = [part.proto.json for part in app.get("bidi_component")]
+    assert not any("NaN" in json.dumps(json.loads(given)) for given in protos)
+    assert follows(app)[PROFILE]["traces"][0]["y"][0][3] == 0  # pyright: ignore
+
+
+def test_a_run_whose_profiles_are_damaged_is_named(own: Path) -> None:
+    (own / RECORD).write_text("torn\n")
+    app = draw("attention", run=PENDULUM_TOM)
+    assert not figures(app)
+    assert any("line 1 is damaged" in warning.value for warning in app.warning)
+
+
+def test_a_step_of_another_run_is_none_of_this() -> None:
+    app = draw("attention", run=PENDULUM_TOM, step="300", task="every task")
+    app.session_state["run"] = [ROAD_TOM]
+    app.run()
+    assert not app.exception
+    assert step_shown(app) == 60
+
+
+def test_what_the_weights_go_with_is_the_buffers(store: Path) -> None:
+    run, fit = info(store, PENDULUM_TOM), 300
+    rows = buffer.rows(run, fit)
+    assert rows is not None
+    age, returns, version, error = figures(draw("attention", run=run.run_id, step=str(fit)))[3:7]
+    groups = weights(store, fit).reshape(30, 10).mean(1)
+    assert array(age["data"][0]["y"]) == pytest.approx(groups)
+    assert array(version["data"][0]["x"])[0] == 0
+    assert array(returns["data"][0]["x"]).max() <= rows.episode_return.max()
+    found = buffer.model_errors(run, fit)
+    assert not isinstance(found, str)
+    assert 0 <= array(error["data"][0]["x"]).max() <= found[1].max()
+
+
+@pytest.mark.parametrize("bins", [3, 7, 64, 100])
+def test_the_newest_fifth_is_a_fifth_for_any_number_of_bins(bins: int) -> None:
+    assert newest_fifth(np.ones(bins)) == pytest.approx(0.2)
+    assert newest_fifth(np.eye(bins)[-1]) == pytest.approx(min(1, 0.2 * bins))
+    assert np.isnan(newest_fifth(np.zeros(bins)))
