@@ -47,12 +47,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="tom studio",
-        description="Open the studio in the browser: live training, comparisons, weights, "
-        "replays, road and rocks. It writes into the store only what is asked for on a page.",
+        description="Open the studio in the browser: where a learner looks and whether that helps, "
+        "curves, attention, replays, findings. It writes into the store only what is asked for on "
+        "a page.",
     )
     parser.add_argument("--store", type=folder, default=Path("runs"), help="run store (runs/)")
     parser.add_argument("--host", default="127.0.0.1", help="address to bind to (127.0.0.1)")
-    parser.add_argument("--port", type=int, default=None, metavar="N", help="port (a free one)")
+    parser.add_argument(
+        "--port",
+        type=int,
+        default=None,
+        metavar="N",
+        help="port of the pages; the viewers have the next two (free ones)",
+    )
     parser.add_argument("--theme", choices=("light", "dark"), help="default: as the browser's")
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     parser.add_argument(

@@ -95,9 +95,11 @@ def plan(studio: Studio, folder: Path) -> Links:
     """The ports of all servers. Raises UserError if a requested one is not free."""
     try:
         port = _studio_port(studio.host, studio.port)
-        others: set[int] = set()
+        others = [] if studio.port is None else [port + 1, port + 2]
+        for other in others:  # a given port fixes all three: for tunnels and firewalls
+            _studio_port(studio.host, other)
         while len(others) < 2:
-            others |= {free_port(studio.host)} - {port}
+            others += {free_port(studio.host)} - {port, *others}
         rerun_port, viser_port = others
     except (OSError, OverflowError) as error:
         raise UserError(
